@@ -1,0 +1,35 @@
+"""The configuration file: read it, check it, resolve it into an immutable model."""
+
+from play_launch.config.load import load_config
+from play_launch.config.model import (
+    ComposableNodeConfig,
+    ContainerConfig,
+    ContainerType,
+    ParameterConfig,
+    ParameterPayload,
+    ParameterType,
+    ParameterValue,
+    ProcessConfig,
+    ReplayConfig,
+    RestartLimits,
+    StopLimits,
+)
+from play_launch.config.problems import ConfigError, Place, Problem
+
+__all__ = [
+    "ComposableNodeConfig",
+    "ConfigError",
+    "ContainerConfig",
+    "ContainerType",
+    "ParameterConfig",
+    "ParameterPayload",
+    "ParameterType",
+    "ParameterValue",
+    "Place",
+    "Problem",
+    "ProcessConfig",
+    "ReplayConfig",
+    "RestartLimits",
+    "StopLimits",
+    "load_config",
+]

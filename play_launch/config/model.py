@@ -1,0 +1,177 @@
+"""The configuration after validation: immutable, defaults filled in, names resolved.
+
+Nothing in here reads YAML. Durations are seconds, full names are absolute ROS names.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import IntEnum, StrEnum
+from pathlib import Path
+from types import MappingProxyType
+from typing import TypeAlias
+
+
+class ContainerType(StrEnum):
+    """Which executor a container spins its nodes with."""
+
+    STANDARD = "standard"
+    MT = "mt"
+
+
+class ParameterType(IntEnum):
+    """The types a ROS parameter can have; numbers as in `rcl_interfaces/msg/ParameterType`."""
+
+    BOOL = 1
+    INTEGER = 2
+    DOUBLE = 3
+    STRING = 4
+    BYTE_ARRAY = 5
+    BOOL_ARRAY = 6
+    INTEGER_ARRAY = 7
+    DOUBLE_ARRAY = 8
+    STRING_ARRAY = 9
+
+
+ParameterPayload: TypeAlias = (
+    bool
+    | int
+    | float
+    | str
+    | bytes
+    | tuple[bool, ...]
+    | tuple[int, ...]
+    | tuple[float, ...]
+    | tuple[str, ...]
+)
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterValue:
+    """A value and its ROS type; `value` is bytes for a byte array, a tuple for other arrays."""
+
+    type: ParameterType
+    value: ParameterPayload
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterConfig:
+    """One parameter; nested names are joined with dots."""
+
+    name: str
+    value: ParameterValue
+
+
+@dataclass(frozen=True, slots=True)
+class RestartLimits:
+    """How often something is brought back: at most `max_restarts` times `within` seconds.
+
+    The pause before a restart grows from `initial` to `maximum` seconds.
+    """
+
+    max_restarts: int = 5
+    within: float = 60.0
+    initial: float = 0.1
+    maximum: float = 30.0
+
+
+@dataclass(frozen=True, slots=True)
+class StopLimits:
+    """Seconds to wait after asking, after SIGINT and after SIGTERM before going further."""
+
+    ask: float = 3.0
+    sigint: float = 2.0
+    sigterm: float = 2.0
+
+
+def _no_environment() -> Mapping[str, str]:
+    return MappingProxyType({})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ComposableNodeConfig:
+    """A node to load into a container.
+
+    An empty `name` or `namespace` keeps the component's own. `declared_full_name` is the
+    absolute name where the name is known, else a label such as `/[demo::Talker]` that no ROS
+    node can have. It is unique in the configuration. `line` is where the node is declared.
+    """
+
+    package: str
+    plugin: str
+    name: str
+    namespace: str
+    declared_full_name: str
+    parameters: tuple[ParameterConfig, ...] = ()
+    remappings: tuple[tuple[str, str], ...] = ()
+    extra_arguments: tuple[ParameterConfig, ...] = ()
+    log_level: str | None = None
+    line: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ContainerConfig:
+    """A component container.
+
+    `environment` holds the variables of the whole system too, `thread_num` is None for
+    the container's own choice, `loading_timeout` is seconds.
+    """
+
+    name: str
+    namespace: str
+    full_name: str
+    container_type: ContainerType = ContainerType.STANDARD
+    thread_num: int | None = None
+    log_level: str | None = None
+    environment: Mapping[str, str] = field(default_factory=_no_environment)
+    ros_arguments: tuple[str, ...] = ()
+    restart: RestartLimits = RestartLimits()
+    loading_timeout: float = 10.0
+    composable_nodes: tuple[ComposableNodeConfig, ...] = ()
+    line: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProcessConfig:
+    """An ordinary executable: either `command`, or `executable` of `package`.
+
+    An empty `name` or `namespace` keeps the program's own; `full_name` is then a label such as
+    `/[listener]`, unique in the configuration. `arguments` is empty where `command` is given.
+    `environment` holds the variables of the whole system too.
+    """
+
+    name: str
+    namespace: str
+    full_name: str
+    command: tuple[str, ...] | None = None
+    package: str | None = None
+    executable: str | None = None
+    arguments: tuple[str, ...] = ()
+    parameters: tuple[ParameterConfig, ...] = ()
+    remappings: tuple[tuple[str, str], ...] = ()
+    environment: Mapping[str, str] = field(default_factory=_no_environment)
+    ros_arguments: tuple[str, ...] = ()
+    respawn: bool = False
+    restart: RestartLimits = RestartLimits()
+    log_level: str | None = None
+    line: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReplayConfig:
+    """A whole system.
+
+    `source` is the file it was read from and `text` its bytes, for the recording. `duration`
+    is the seconds after which the system is stopped, None for never.
+    """
+
+    name: str
+    source: Path
+    text: bytes
+    duration: float | None = None
+    log_dir: Path | None = None
+    environment: Mapping[str, str] = field(default_factory=_no_environment)
+    stop: StopLimits = StopLimits()
+    containers: tuple[ContainerConfig, ...] = ()
+    nodes: tuple[ProcessConfig, ...] = ()

@@ -1,0 +1,83 @@
+"""What can be wrong with a configuration, and where."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+_LONGEST_EXCERPT = 60
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Place:
+    """A character in a file: `line` and `column` count from 1, columns in characters."""
+
+    file: str
+    line: int
+    column: int
+
+    def __str__(self) -> str:
+        return f"{self.file}:{self.line}:{self.column}"
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Problem:
+    """One thing wrong with a configuration.
+
+    `path` leads to the value, for example `containers[0].composable_nodes[1].plugin`, or is
+    `(file)`, `(yaml)` or `(top level)` where no key is to blame. `line` and `column` count from 1.
+    """
+
+    file: str
+    line: int
+    column: int
+    path: str
+    message: str
+
+    def __str__(self) -> str:
+        return f"{self.file}:{self.line}:{self.column}: {self.path}: {self.message}"
+
+    @classmethod
+    def at(cls, place: Place, path: str, message: str) -> Problem:
+        """Make the problem `message` at `place`."""
+        return cls(place.file, place.line, place.column, path, message)
+
+
+class ConfigError(Exception):
+    """A configuration that cannot be used; `problems` holds everything found, one entry each.
+
+    Its text is one line for each problem: `file:line:column: path: message`.
+    """
+
+    def __init__(self, problems: tuple[Problem, ...]) -> None:
+        super().__init__(problems)
+        self.problems = problems
+
+    def __str__(self) -> str:
+        return "\n".join(str(problem) for problem in self.problems)
+
+
+def excerpt(text: str) -> str:
+    """Quote `text` for a message: on one line, printable, and shortened when it is long."""
+    if len(text) > _LONGEST_EXCERPT:
+        text = text[: _LONGEST_EXCERPT - 1] + "…"
+    return '"' + "".join(_printable(character) for character in text) + '"'
+
+
+def path_key(key: str) -> str:
+    """Write one key of a path so that the path stays on one line and can be read back."""
+    if key and all(character.isalnum() or character in "_-./~*" for character in key):
+        return key[:_LONGEST_EXCERPT]
+    return excerpt(key)
+
+
+def join_path(path: str, key: str) -> str:
+    """Append the mapping key `key` to `path`."""
+    return f"{path}.{path_key(key)}" if path else path_key(key)
+
+
+def _printable(character: str) -> str:
+    if character in '"\\':
+        return "\\" + character
+    if character.isprintable():
+        return character
+    return character.encode("unicode_escape").decode("ascii")
