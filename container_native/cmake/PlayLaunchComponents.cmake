@@ -1,0 +1,38 @@
+# play_launch_add_components(<library> <sources...> PLUGINS <Class...> [DEPENDS <ROS package...>])
+#
+# Builds a shared library of components for play-launch's container and registers it: the container
+# finds `package: <project name>, plugin: <Class>` through the ament resource
+# `play_launch_components`. PLUGINS are the names given to PLAY_LAUNCH_REGISTER_COMPONENT.
+# Install prefix: where ROS, or an overlay named in AMENT_PREFIX_PATH, is.
+
+function(play_launch_add_components library)
+  cmake_parse_arguments(PARSE_ARGV 1 arg "" "PACKAGE" "PLUGINS;DEPENDS")
+  if(NOT arg_PLUGINS)
+    message(FATAL_ERROR "play_launch_add_components(${library}): PLUGINS names no class")
+  endif()
+  if(NOT arg_UNPARSED_ARGUMENTS)
+    message(FATAL_ERROR "play_launch_add_components(${library}): no source files")
+  endif()
+  if(NOT arg_PACKAGE)
+    set(arg_PACKAGE "${PROJECT_NAME}")
+  endif()
+  add_library(${library} SHARED ${arg_UNPARSED_ARGUMENTS})
+  target_compile_features(${library} PUBLIC cxx_std_20)
+  target_link_libraries(${library} PRIVATE play_launch::component)
+  foreach(package IN LISTS arg_DEPENDS)
+    ros_package(${package})
+    target_link_libraries(${library} PRIVATE ros::${package})
+  endforeach()
+  ros_install_rpath(${library} "")
+
+  set(lines "")
+  foreach(plugin IN LISTS arg_PLUGINS)
+    string(APPEND lines "${plugin};lib/lib${library}.so\n")
+  endforeach()
+  set(index "share/ament_index/resource_index")
+  file(WRITE "${CMAKE_CURRENT_BINARY_DIR}/${index}/play_launch_components/${arg_PACKAGE}"
+       "${lines}")
+  file(WRITE "${CMAKE_CURRENT_BINARY_DIR}/${index}/packages/${arg_PACKAGE}" "")
+  install(TARGETS ${library} LIBRARY DESTINATION lib)
+  install(DIRECTORY "${CMAKE_CURRENT_BINARY_DIR}/${index}" DESTINATION share/ament_index)
+endfunction()

@@ -1,0 +1,93 @@
+"""PEP 517 backend: scikit-build-core, plus the ROS wheels where no ROS installation is sourced.
+
+The list of build requirements cannot be static: on a machine with ROS 2 sourced nothing from the
+wheels may get in the way, and without one the wheels are the only ROS there is.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sysconfig
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from scikit_build_core import build as skbuild
+
+get_requires_for_build_sdist = skbuild.get_requires_for_build_sdist
+build_sdist = skbuild.build_sdist
+
+Settings = Mapping[str, Any] | None
+
+
+def ros_is_sourced(environment: Mapping[str, str]) -> bool:
+    """Tell whether AMENT_PREFIX_PATH names a ROS installation that has rcl."""
+    prefixes = environment.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    return any(prefix and (Path(prefix) / "share" / "rcl").is_dir() for prefix in prefixes)
+
+
+def ros_wheels(pyproject: Path) -> list[str]:
+    """Return the pinned wheels to build against, from the one place that pins them."""
+    with pyproject.open("rb") as file:
+        settings = tomllib.load(file)
+    run: list[str] = settings["project"]["optional-dependencies"]["jazzy"]
+    build: list[str] = settings["tool"]["play-launch"]["build"]["wheels"]
+    return sorted({*run, *build})
+
+
+def missing_tools() -> str | None:
+    """Return one sentence on what the machine lacks to compile, or None."""
+    names = [os.environ.get("CXX", ""), "c++", "g++", "clang++"]
+    if not any(name and shutil.which(name) for name in names):
+        return (
+            "play-launch compiles its component container and needs a C++20 compiler; none was "
+            "found (looked for $CXX, c++, g++, clang++). On Debian and Ubuntu: apt install g++"
+        )
+    header = Path(sysconfig.get_path("include")) / "Python.h"
+    if not header.is_file():
+        return (
+            f"play-launch compiles Python extensions and needs the Python headers; {header} is "
+            "missing. On Debian and Ubuntu: apt install python3-dev"
+        )
+    return None
+
+
+def _require_tools() -> None:
+    problem = missing_tools()
+    if problem:
+        raise SystemExit(f"\n{problem}\n")
+
+
+def _wheel_requirements() -> list[str]:
+    _require_tools()
+    return [] if ros_is_sourced(os.environ) else ros_wheels(Path("pyproject.toml"))
+
+
+def get_requires_for_build_wheel(config_settings: Settings = None) -> list[str]:
+    """Return what must be installed before a wheel is built (PEP 517)."""
+    return [*skbuild.get_requires_for_build_wheel(config_settings), *_wheel_requirements()]
+
+
+def get_requires_for_build_editable(config_settings: Settings = None) -> list[str]:
+    """Return what must be installed before an editable wheel is built (PEP 660)."""
+    return [*skbuild.get_requires_for_build_editable(config_settings), *_wheel_requirements()]
+
+
+def build_wheel(
+    wheel_directory: str, config_settings: Settings = None, metadata_directory: str | None = None
+) -> str:
+    """Build the wheel (PEP 517)."""
+    _require_tools()
+    name: str = skbuild.build_wheel(wheel_directory, config_settings, metadata_directory)
+    return name
+
+
+def build_editable(
+    wheel_directory: str, config_settings: Settings = None, metadata_directory: str | None = None
+) -> str:
+    """Build an editable wheel (PEP 660): Python from the checkout, the native part as built now."""
+    _require_tools()
+    name: str = skbuild.build_editable(wheel_directory, config_settings, metadata_directory)
+    return name

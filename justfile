@@ -1,0 +1,33 @@
+# Daily work. `just` lists the recipes; each is one command that can be typed without just, too.
+
+python := ".venv/bin/python"
+
+_list:
+    @just --list
+
+# Make .venv with an editable install; run it again after a change in C++.
+setup:
+    test -x {{python}} || python3 -m venv .venv
+    {{python}} -m pip install --editable '.[jazzy,test]'
+
+# Run the demo.
+demo:
+    .venv/bin/play-launch replay configs/demo.yaml
+
+# Run all tests, or what is named: just test tests/core -k restart
+test *arguments:
+    {{python}} -m pytest {{arguments}}
+
+# Check style and types.
+lint:
+    {{python}} -m pytest tests/style
+
+# Put C++ and Python into shape.
+format:
+    .venv/bin/clang-format -i $(git ls-files '*.cpp' '*.hpp')
+    .venv/bin/ruff format .
+    .venv/bin/ruff check --fix .
+
+# Measure: just bench bring_up
+bench name *arguments:
+    {{python}} -m benchmarks.{{name}} {{arguments}}
