@@ -6,6 +6,7 @@ wheels may get in the way, and without one the wheels are the only ROS there is.
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import shutil
 import sysconfig
@@ -54,14 +55,27 @@ def missing_tools() -> str | None:
     return None
 
 
-def _require_tools() -> None:
-    problem = missing_tools()
+def missing_ros(environment: Mapping[str, str]) -> str | None:
+    """Return one sentence when there is no ROS to build against, or None.
+
+    With build isolation pip has installed the wheels by now; without it they may be missing.
+    """
+    if ros_is_sourced(environment) or importlib.util.find_spec("ament_package"):
+        return None
+    return (
+        "play-launch found no ROS 2 to build against: source a ROS 2 Jazzy installation "
+        "(. /opt/ros/jazzy/setup.sh), or let pip build with isolation (leave out "
+        "--no-build-isolation), which brings the ROS wheels"
+    )
+
+
+def _stop_on(problem: str | None) -> None:
     if problem:
         raise SystemExit(f"\n{problem}\n")
 
 
 def _wheel_requirements() -> list[str]:
-    _require_tools()
+    _stop_on(missing_tools())
     return [] if ros_is_sourced(os.environ) else ros_wheels(Path("pyproject.toml"))
 
 
@@ -79,7 +93,7 @@ def build_wheel(
     wheel_directory: str, config_settings: Settings = None, metadata_directory: str | None = None
 ) -> str:
     """Build the wheel (PEP 517)."""
-    _require_tools()
+    _stop_on(missing_tools() or missing_ros(os.environ))
     name: str = skbuild.build_wheel(wheel_directory, config_settings, metadata_directory)
     return name
 
@@ -88,6 +102,6 @@ def build_editable(
     wheel_directory: str, config_settings: Settings = None, metadata_directory: str | None = None
 ) -> str:
     """Build an editable wheel (PEP 660): Python from the checkout, the native part as built now."""
-    _require_tools()
+    _stop_on(missing_tools() or missing_ros(os.environ))
     name: str = skbuild.build_editable(wheel_directory, config_settings, metadata_directory)
     return name
