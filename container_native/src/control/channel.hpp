@@ -1,0 +1,94 @@
+#ifndef PLAY_LAUNCH_SRC__CONTROL__CHANNEL_HPP_
+#define PLAY_LAUNCH_SRC__CONTROL__CHANNEL_HPP_
+
+#include <atomic>
+#include <chrono>
+#include <condition_variable>
+#include <cstddef>
+#include <cstdint>
+#include <deque>
+#include <mutex>
+#include <span>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "control/frame_codec.hpp"
+#include "control/unique_fd.hpp"
+
+namespace play_launch::control {
+
+/// Receives what comes in on a Channel. All calls come from the channel's reader thread.
+class ChannelHandler {
+ public:
+  virtual ~ChannelHandler() = default;
+  /// May throw ProtocolError, which is treated like a broken frame.
+  virtual void on_frame(const Frame& frame) = 0;
+  /// The peer closed its end or is gone. The last call.
+  virtual void on_closed() = 0;
+  /// The peer broke the protocol. The last call.
+  virtual void on_protocol_error(const std::string& what) = 0;
+};
+
+/// One end of the control channel: frames over a stream socket.
+///
+/// A thread reads and another one writes, so that nobody who sends or handles a frame ever waits
+/// for the peer. Outgoing frames wait in a queue of bounded length; a frame that finds it full is
+/// dropped and counted, which leaves the order of the others as it was.
+class Channel {
+ public:
+  static constexpr std::size_t kQueueCapacity = 4096;  // frames
+
+  explicit Channel(UniqueFd socket, std::size_t queue_capacity = kQueueCapacity);
+  Channel(const Channel&) = delete;
+  Channel& operator=(const Channel&) = delete;
+  ~Channel();
+
+  /// Starts both threads. Until open_gate() incoming frames are left in the socket, but the end
+  /// of the stream is noticed: a peer that dies while this process starts must not be missed.
+  void start(ChannelHandler& handler);
+  void open_gate();
+
+  /// Queues a frame; never blocks. False: it was dropped, because the queue was full or the peer
+  /// is gone.
+  bool send(FrameKind kind, std::span<const std::uint8_t> payload);
+
+  /// Waits until everything queued so far went out. False: not by the deadline, or the peer is
+  /// gone.
+  bool flush(std::chrono::steady_clock::time_point deadline);
+
+  /// Frames that send() dropped since the start.
+  std::uint64_t dropped() const { return dropped_.load(std::memory_order_relaxed); }
+
+  /// Ends both threads; frames still queued are lost. No call to the handler comes afterwards.
+  void stop();
+
+ private:
+  void read_loop();
+  void write_loop();
+  bool wait_readable();
+  bool write_all(std::span<const std::uint8_t> bytes);
+
+  const UniqueFd socket_;
+  const UniqueFd wake_reader_;
+  const UniqueFd wake_writer_;
+  const std::size_t capacity_;
+  ChannelHandler* handler_ = nullptr;
+
+  std::atomic<bool> stopping_{false};
+  std::atomic<bool> gate_open_{false};
+  std::atomic<std::uint64_t> dropped_{0};
+
+  std::mutex mutex_;  // guards what follows
+  std::condition_variable changed_;
+  std::deque<std::vector<std::uint8_t>> queue_;
+  bool writing_ = false;  // a frame is out of the queue, but not wholly in the socket
+  bool broken_ = false;   // the peer does not read any more
+
+  std::thread reader_;
+  std::thread writer_;
+};
+
+}  // namespace play_launch::control
+
+#endif  // PLAY_LAUNCH_SRC__CONTROL__CHANNEL_HPP_

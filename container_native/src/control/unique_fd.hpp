@@ -1,0 +1,42 @@
+#ifndef PLAY_LAUNCH_SRC__CONTROL__UNIQUE_FD_HPP_
+#define PLAY_LAUNCH_SRC__CONTROL__UNIQUE_FD_HPP_
+
+#include <unistd.h>
+
+#include <utility>
+
+namespace play_launch::control {
+
+/// Owns one file descriptor and closes it when it goes.
+class UniqueFd {
+ public:
+  UniqueFd() = default;
+  explicit UniqueFd(int fd) : fd_(fd) {}
+  UniqueFd(UniqueFd&& other) noexcept : fd_(std::exchange(other.fd_, -1)) {}
+  UniqueFd& operator=(UniqueFd&& other) noexcept {
+    if (this != &other) {
+      reset(std::exchange(other.fd_, -1));
+    }
+    return *this;
+  }
+  UniqueFd(const UniqueFd&) = delete;
+  UniqueFd& operator=(const UniqueFd&) = delete;
+  ~UniqueFd() { reset(); }
+
+  int get() const { return fd_; }
+  explicit operator bool() const { return fd_ >= 0; }
+
+  void reset(int fd = -1) {
+    if (fd_ >= 0) {
+      ::close(fd_);
+    }
+    fd_ = fd;
+  }
+
+ private:
+  int fd_ = -1;
+};
+
+}  // namespace play_launch::control
+
+#endif  // PLAY_LAUNCH_SRC__CONTROL__UNIQUE_FD_HPP_
