@@ -1,0 +1,34 @@
+#pragma once
+
+#include <deque>
+#include <memory>
+
+namespace play_launch {
+
+struct ReadyEntry;
+
+/// Decides which callbacks of a node may run at the same time in a multi-threaded executor.
+class CallbackGroup {
+ public:
+  enum class Kind {
+    mutually_exclusive,  ///< one callback of the group at a time, in the order they became ready
+    reentrant,           ///< any number at once, even the same callback with several messages
+  };
+
+  explicit CallbackGroup(Kind kind);
+  ~CallbackGroup();
+  CallbackGroup(const CallbackGroup&) = delete;
+  CallbackGroup& operator=(const CallbackGroup&) = delete;
+
+  [[nodiscard]] Kind kind() const noexcept { return kind_; }
+
+ private:
+  friend class Executor;
+
+  const Kind kind_;
+  // Guarded by the executor that holds the group's node.
+  std::deque<ReadyEntry> waiting_;
+  bool scheduled_ = false;
+};
+
+}  // namespace play_launch

@@ -1,0 +1,90 @@
+#pragma once
+
+#include <cstddef>
+#include <memory>
+#include <mutex>
+
+namespace play_launch {
+
+class CallbackGroup;
+class Node;
+struct ExecutorState;
+struct ReadyEntry;
+
+/// Runs the callbacks of nodes. Nodes, and what nodes contain, may come and go while it spins. It
+/// holds no lock while user code runs, and starts no thread outside of spin().
+///
+/// An exception that leaves a callback is logged as FATAL with the node's name and goes on: out of
+/// SingleThreadedExecutor::spin(); in a MultiThreadedExecutor it terminates the process.
+class Executor {
+ public:
+  /// Removes the nodes that are left. spin() must have returned.
+  virtual ~Executor();
+  Executor(const Executor&) = delete;
+  Executor& operator=(const Executor&) = delete;
+
+  /// Runs callbacks until cancel(), or until the context of one of its nodes is shut down. Throws
+  /// std::logic_error when it is spinning already.
+  virtual void spin() = 0;
+
+  /// Makes spin() return after the callbacks that run now; also one that starts later: an executor
+  /// is not used again after this. May be called from any thread and from a signal handler.
+  void cancel() noexcept;
+
+  /// Keeps the node and runs its callbacks. Throws std::logic_error when an executor has it.
+  void add_node(std::shared_ptr<Node> node);
+
+  /// Returns when no callback of the node is running; none will run afterwards. A node that is not
+  /// here is ignored. Throws std::logic_error when called from a callback of that very node.
+  void remove_node(const std::shared_ptr<Node>& node);
+
+ protected:
+  Executor();
+
+  /// Works in the calling thread until cancelled.
+  void work();
+  /// Marks the executor as spinning for the life of the object.
+  class Spinning {
+   public:
+    explicit Spinning(Executor& executor);
+    ~Spinning();
+    Spinning(const Spinning&) = delete;
+    Spinning& operator=(const Spinning&) = delete;
+
+   private:
+    Executor& executor_;
+  };
+
+ private:
+  bool next(ReadyEntry& entry);
+  void admit(ReadyEntry entry);
+  void schedule(ReadyEntry entry);
+  void drain();
+  void expire_timers();
+  void run(ReadyEntry entry, std::unique_lock<std::mutex>& lock);
+  void purge(const ReadyEntry& of_node);
+  void wait_for_work(std::uint32_t seen, std::unique_lock<std::mutex>& lock);
+
+  std::unique_ptr<ExecutorState> state_;
+};
+
+/// Runs all callbacks one after the other, in the thread that calls spin().
+class SingleThreadedExecutor final : public Executor {
+ public:
+  void spin() override;
+};
+
+/// Runs callbacks in several threads, as their callback groups allow.
+class MultiThreadedExecutor final : public Executor {
+ public:
+  /// `threads` work in spin(), the calling one included; 0 = one per CPU, at least 2.
+  explicit MultiThreadedExecutor(std::size_t threads = 0);
+
+  void spin() override;
+  [[nodiscard]] std::size_t threads() const noexcept { return threads_; }
+
+ private:
+  const std::size_t threads_;
+};
+
+}  // namespace play_launch
