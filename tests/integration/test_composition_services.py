@@ -1,0 +1,313 @@
+"""The container seen by somebody who knows nothing of play-launch: plain rclpy."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from composition_interfaces.srv import ListNodes, LoadNode, UnloadNode
+from rcl_interfaces.msg import Log, Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
+from std_msgs.msg import String
+from support.container import running_container
+from support.ros import LATCHED, Probe
+
+from play_launch_msgs.msg import ComponentEvent
+
+DEMO = "play_launch_demo"
+CONTAINER = "/container"
+
+
+def load_request(plugin: str, **fields: object) -> LoadNode.Request:
+    request = LoadNode.Request(package_name=DEMO, plugin_name=f"{DEMO}::{plugin}")
+    for name, value in fields.items():
+        setattr(request, name, value)
+    return request
+
+
+def parameter(name: str, kind: int, **value: object) -> Parameter:
+    return Parameter(name=name, value=ParameterValue(type=kind, **value))
+
+
+def load(probe: Probe, plugin: str, **fields: object) -> LoadNode.Response:
+    return probe.call(LoadNode, f"{CONTAINER}/_container/load_node", load_request(plugin, **fields))
+
+
+def names(probe: Probe) -> dict[str, int]:
+    answer = probe.call(ListNodes, f"{CONTAINER}/_container/list_nodes", ListNodes.Request())
+    return dict(zip(answer.full_node_names, answer.unique_ids, strict=True))
+
+
+@pytest.fixture
+def probe() -> Iterator[Probe]:
+    with Probe() as probe:
+        yield probe
+
+
+@pytest.fixture(
+    params=[(), ("--use_multi_threaded_executor",)], ids=["standard", "mt"], name="container"
+)
+def _container(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Path]:
+    log = tmp_path / "container.log"
+    with running_container(*request.param, log=log) as process:
+        yield log
+        assert process.poll() is None, f"the container died: {log.read_text()}"
+
+
+@pytest.mark.usefixtures("container")
+def test_nodes_are_loaded_listed_and_unloaded(probe: Probe) -> None:
+    talker = load(probe, "Talker", node_name="speaker", node_namespace="/front")
+    assert (talker.success, talker.full_node_name) == (True, "/front/speaker"), talker
+    listener = load(probe, "Listener")
+    assert (listener.success, listener.full_node_name) == (True, "/listener"), listener
+    assert names(probe) == {
+        "/front/speaker": talker.unique_id,
+        "/listener": listener.unique_id,
+    }
+
+    unload = f"{CONTAINER}/_container/unload_node"
+    gone = probe.call(UnloadNode, unload, UnloadNode.Request(unique_id=talker.unique_id))
+    assert gone.success, gone.error_message
+    assert names(probe) == {"/listener": listener.unique_id}
+
+    again = probe.call(UnloadNode, unload, UnloadNode.Request(unique_id=talker.unique_id))
+    assert not again.success
+    assert str(talker.unique_id) in again.error_message
+
+
+@pytest.mark.usefixtures("container")
+def test_a_plain_listener_hears_the_talker(probe: Probe) -> None:
+    assert load(
+        probe, "Talker", parameters=[parameter("rate", ParameterType.PARAMETER_DOUBLE, double_value=50.0)]
+    ).success
+    heard = [message.data for message in probe.collect(String, "/chatter", count=5)]
+    counts = [int(text.rsplit(": ", 1)[1]) for text in heard]
+    assert counts == list(range(counts[0], counts[0] + 5))
+
+
+@pytest.mark.usefixtures("container")
+def test_what_the_request_says_arrives_in_the_node_unchanged(probe: Probe) -> None:
+    parameters = [
+        parameter("flag", ParameterType.PARAMETER_BOOL, bool_value=True),
+        parameter("count", ParameterType.PARAMETER_INTEGER, integer_value=-(2**63)),
+        parameter("gain", ParameterType.PARAMETER_DOUBLE, double_value=1.0),
+        parameter("word", ParameterType.PARAMETER_STRING, string_value="true"),
+        parameter(
+            "bytes", ParameterType.PARAMETER_BYTE_ARRAY, byte_array_value=[b"\x00", b"\xff"]
+        ),
+        parameter("flags", ParameterType.PARAMETER_BOOL_ARRAY, bool_array_value=[True, False]),
+        parameter(
+            "counts", ParameterType.PARAMETER_INTEGER_ARRAY, integer_array_value=[1, 2**63 - 1]
+        ),
+        parameter("gains", ParameterType.PARAMETER_DOUBLE_ARRAY, double_array_value=[0.1, 1e300]),
+        parameter(
+            "words", ParameterType.PARAMETER_STRING_ARRAY, string_array_value=["1", 'ü "q"', ""]
+        ),
+    ]
+    answer = load(
+        probe,
+        "Echo",
+        node_name="parrot",
+        node_namespace="/zoo",
+        remap_rules=["plain_topic:=/other/topic"],
+        log_level=Log.WARN[0] if isinstance(Log.WARN, bytes) else Log.WARN,
+        parameters=parameters,
+        extra_arguments=[
+            parameter(
+                "use_intra_process_comms", ParameterType.PARAMETER_BOOL, bool_value=True
+            ),
+            parameter("of_my_own", ParameterType.PARAMETER_STRING, string_value="kept"),
+        ],
+    )
+    assert answer.success, answer.error_message
+    told = json.loads(probe.collect(String, "/zoo/parrot/echo", qos=LATCHED)[0].data)
+    assert told["full_name"] == "/zoo/parrot"
+    assert told["topic"] == "/other/topic"
+    assert told["log_level"] == 30
+    assert told["intra_process"] is True
+    assert told["extra_arguments"]["of_my_own"] == [4, "kept"]
+    assert told["parameters"] == {
+        "flag": [1, True],
+        "count": [2, -(2**63)],
+        "gain": [3, "1"],
+        "word": [4, "true"],
+        "bytes": [5, [0, 255]],
+        "flags": [6, [True, False]],
+        "counts": [7, [1, 2**63 - 1]],
+        "gains": [8, ["0.10000000000000001", "1.0000000000000001e+300"]],
+        "words": [9, ["1", 'ü "q"', ""]],
+    }
+
+    answer = probe.call(
+        GetParameters,
+        "/zoo/parrot/get_parameters",
+        GetParameters.Request(names=[each.name for each in parameters]),
+    )
+    assert [value.type for value in answer.values] == list(range(1, 10))
+    assert answer.values == [each.value for each in parameters]
+
+
+@pytest.mark.usefixtures("container")
+def test_parameters_can_be_listed_and_set_like_those_of_any_node(probe: Probe) -> None:
+    assert load(probe, "Talker").success
+    listed = probe.call(ListParameters, "/talker/list_parameters", ListParameters.Request())
+    assert {"rate", "text"} <= set(listed.result.names)
+    answer = probe.call(
+        SetParameters,
+        "/talker/set_parameters",
+        SetParameters.Request(
+            parameters=[
+                parameter("text", ParameterType.PARAMETER_STRING, string_value="changed"),
+                parameter("text", ParameterType.PARAMETER_INTEGER, integer_value=1),
+                parameter("not_there", ParameterType.PARAMETER_INTEGER, integer_value=1),
+            ]
+        ),
+    )
+    good, wrong_type, unknown = answer.results
+    assert good.successful
+    assert not wrong_type.successful
+    assert "text" in wrong_type.reason
+    assert not unknown.successful
+    assert "not_there" in unknown.reason
+
+
+FAILURES = {
+    "unknown package": ({"package_name": "no_such_package"}, ["no_such_package"]),
+    "unknown plugin": (
+        {"plugin_name": f"{DEMO}::Nobody"},
+        ["Nobody", f"{DEMO}::Talker"],
+    ),
+    "missing library": (
+        {
+            "package_name": "play_launch_broken",
+            "plugin_name": "play_launch_broken::MissingLibrary",
+        },
+        ["libplay_launch_not_there.so"],
+    ),
+    "missing symbol": (
+        {
+            "package_name": "play_launch_broken",
+            "plugin_name": "play_launch_broken::MissingSymbol",
+        },
+        ["undefined symbol", "defined_nowhere"],
+    ),
+    "class not in its library": (
+        {
+            "package_name": "play_launch_broken",
+            "plugin_name": "play_launch_broken::NotInTheLibrary",
+        },
+        ["NotInTheLibrary", "libplay_launch_demo.so"],
+    ),
+    "throwing constructor": (
+        {"plugin_name": f"{DEMO}::ThrowingConstructor"},
+        ["no such camera"],
+    ),
+    "constructor that throws no exception object": (
+        {
+            "plugin_name": f"{DEMO}::ThrowingConstructor",
+            "parameters": [
+                parameter(
+                    "standard_exception", ParameterType.PARAMETER_BOOL, bool_value=False
+                )
+            ],
+        },
+        ["ThrowingConstructor"],
+    ),
+    "parameter of the wrong type": (
+        {
+            "parameters": [
+                parameter("rate", ParameterType.PARAMETER_STRING, string_value="fast")
+            ]
+        },
+        ["rate", "double", "string"],
+    ),
+    "parameter value that the node refuses": (
+        {"parameters": [parameter("rate", ParameterType.PARAMETER_DOUBLE, double_value=-1.0)]},
+        ["rate", "-1"],
+    ),
+    "extra argument of the wrong type": (
+        {
+            "extra_arguments": [
+                parameter(
+                    "use_intra_process_comms", ParameterType.PARAMETER_INTEGER, integer_value=1
+                )
+            ]
+        },
+        ["use_intra_process_comms", "bool"],
+    ),
+    "bad node name": ({"node_name": "1st talker"}, ["1st talker"]),
+    "bad namespace": ({"node_namespace": "not absolute!"}, ["not absolute!"]),
+    "bad remap rule": ({"remap_rules": ["chatter"]}, ["chatter"]),
+    "name that is taken": ({"node_name": "taken"}, ["/taken"]),
+}
+
+
+@pytest.mark.usefixtures("container")
+def test_every_failure_has_its_reason_and_the_container_lives_on(probe: Probe) -> None:
+    events = probe.listen(ComponentEvent, f"{CONTAINER}/_container/component_events", LATCHED)
+    first = load(probe, "Talker", node_name="taken")
+    assert first.success
+    for case, (fields, expected) in FAILURES.items():
+        answer = load(probe, "Talker", **fields)
+        assert not answer.success, case
+        for part in expected:
+            assert part in answer.error_message, (case, answer.error_message)
+
+    probe.spin_until(
+        lambda: sum(e.event_type == ComponentEvent.LOAD_FAILED for e in events) >= len(FAILURES),
+        10,
+        "an event per failure",
+    )
+    for event in events:
+        assert (event.error_message != "") == (event.event_type == ComponentEvent.LOAD_FAILED)
+    assert names(probe) == {"/taken": first.unique_id}
+    assert load(probe, "Listener").success
+
+
+@pytest.mark.usefixtures("container")
+def test_a_slow_constructor_blocks_nobody(probe: Probe) -> None:
+    slow = probe.start_call(
+        LoadNode,
+        f"{CONTAINER}/_container/load_node",
+        load_request(
+            "SlowConstructor",
+            parameters=[
+                parameter("seconds", ParameterType.PARAMETER_DOUBLE, double_value=3600.0)
+            ],
+        ),
+    )
+    talker = load(probe, "Talker")
+    assert talker.success
+    assert names(probe) == {"/talker": talker.unique_id}
+    assert probe.call(
+        UnloadNode,
+        f"{CONTAINER}/_container/unload_node",
+        UnloadNode.Request(unique_id=talker.unique_id),
+    ).success
+    assert not slow.done()
+
+
+def test_events_tell_the_story_to_those_who_come_late(container: Path, probe: Probe) -> None:
+    loaded = load(probe, "Talker")
+    probe.call(
+        UnloadNode,
+        f"{CONTAINER}/_container/unload_node",
+        UnloadNode.Request(unique_id=loaded.unique_id),
+    )
+    with Probe("late") as late:
+        events = late.collect(
+            ComponentEvent, f"{CONTAINER}/_container/component_events", count=3, qos=LATCHED
+        )
+    assert [event.event_type for event in events] == [
+        ComponentEvent.LOADING,
+        ComponentEvent.LOADED,
+        ComponentEvent.UNLOADED,
+    ]
+    assert {event.unique_id for event in events} == {loaded.unique_id}
+    assert {event.plugin_name for event in events} == {f"{DEMO}::Talker"}
+    pids = {event.pid for event in events}
+    assert len(pids) == 1
+    assert os.path.exists(f"/proc/{pids.pop()}"), container.read_text()

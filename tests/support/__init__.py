@@ -1,0 +1,1 @@
+"""What several tests need to talk to the real things."""

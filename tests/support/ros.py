@@ -1,0 +1,84 @@
+"""A plain rclpy node for tests: it knows nothing of play-launch."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any, Self
+
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+
+LATCHED = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+class Probe:
+    """An rclpy node in a context of its own; every wait is bounded and ends on the event."""
+
+    def __init__(self, name: str = "probe") -> None:
+        self._context = Context()
+        rclpy.init(context=self._context)
+        self.node = Node(name, context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._executor.shutdown()
+        self.node.destroy_node()
+        self._context.try_shutdown()
+
+    def spin_until(self, done: Callable[[], bool], timeout: float, what: str) -> None:
+        """Handle events until ``done``; AssertionError naming ``what`` after ``timeout`` seconds."""
+        deadline = time.monotonic() + timeout
+        while not done():
+            left = deadline - time.monotonic()
+            assert left > 0, f"waited {timeout} s for {what}"
+            # The graph has no event in rclpy, so it is looked at twenty times a second.
+            self._executor.spin_once(timeout_sec=min(left, 0.05))
+
+    def call(self, service: Any, name: str, request: Any, timeout: float = 15.0) -> Any:
+        """Call a service and return its response."""
+        client = self.node.create_client(service, name)
+        try:
+            self.spin_until(client.service_is_ready, timeout, f"service {name}")
+            future = client.call_async(request)
+            self.spin_until(future.done, timeout, f"the answer of {name}")
+            return future.result()
+        finally:
+            self.node.destroy_client(client)
+
+    def start_call(self, service: Any, name: str, request: Any, timeout: float = 15.0) -> Any:
+        """Send a request and return its future; the client lives as long as the probe."""
+        client = self.node.create_client(service, name)
+        self.spin_until(client.service_is_ready, timeout, f"service {name}")
+        return client.call_async(request)
+
+    def collect(
+        self, message: Any, topic: str, count: int = 1, timeout: float = 15.0, qos: Any = 10
+    ) -> list[Any]:
+        """Return ``count`` messages of a topic."""
+        heard: list[Any] = []
+        subscription = self.node.create_subscription(message, topic, heard.append, qos)
+        try:
+            self.spin_until(lambda: len(heard) >= count, timeout, f"{count} messages on {topic}")
+        finally:
+            self.node.destroy_subscription(subscription)
+        return heard
+
+    def listen(self, message: Any, topic: str, qos: Any = 10) -> list[Any]:
+        """Return a list that fills with the messages of a topic while this probe spins."""
+        heard: list[Any] = []
+        self.node.create_subscription(message, topic, heard.append, qos)
+        return heard
