@@ -1,0 +1,107 @@
+"""What the build asks for, and what it says when the machine lacks something."""
+
+from __future__ import annotations
+
+import importlib.util
+import subprocess
+import sys
+import sysconfig
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+BACKEND = ROOT / "container_native" / "packaging" / "play_launch_build.py"
+
+
+@pytest.fixture(scope="module")
+def backend() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("play_launch_build", BACKEND)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_wheels_are_pinned_once(backend: ModuleType) -> None:
+    wheels = backend.ros_wheels(ROOT / "pyproject.toml")
+    assert "ros-jazzy-rclpy==7.1.6" in wheels
+    names = [wheel.split("=")[0].split(">")[0].split("<")[0] for wheel in wheels]
+    ros = [wheel for wheel in wheels if wheel.startswith("ros-")]
+    assert all("==" in wheel for wheel in ros)
+    assert len([name for name in names if name.startswith("ros-")]) == len(set(ros))
+
+
+def test_no_wheel_is_asked_for_where_ros_is_sourced(
+    backend: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(ROOT)
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
+    assert any(name.startswith("ros-") for name in backend.get_requires_for_build_wheel())
+    (tmp_path / "share" / "rcl").mkdir(parents=True)
+    assert not any(name.startswith("ros-") for name in backend.get_requires_for_build_wheel())
+    assert not any(name.startswith("ros-") for name in backend.get_requires_for_build_editable())
+
+
+def test_a_missing_compiler_is_one_sentence(
+    backend: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(ROOT)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("CXX", raising=False)
+    with pytest.raises(SystemExit) as stop:
+        backend.build_wheel(str(tmp_path))
+    message = str(stop.value).strip()
+    assert "needs a C++20 compiler" in message
+    assert "apt install g++" in message
+    assert "\n" not in message
+
+
+def test_missing_python_headers_are_one_sentence(
+    backend: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sysconfig, "get_path", lambda _: str(tmp_path))
+    message = backend.missing_tools()
+    assert message is not None
+    assert str(tmp_path / "Python.h") in message
+    assert "\n" not in message
+
+
+def test_a_missing_ros_is_one_sentence(
+    backend: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
+    monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
+    with pytest.raises(SystemExit) as stop:
+        backend.build_wheel(str(tmp_path))
+    message = str(stop.value).strip()
+    assert "no ROS 2" in message
+    assert "\n" not in message
+
+
+def test_cmake_says_in_one_sentence_that_ros_is_missing(tmp_path: Path) -> None:
+    cmake = Path(sys.executable).parent / "cmake"
+    result = subprocess.run(
+        [
+            cmake,
+            "-G",
+            "Ninja",
+            f"-DCMAKE_MAKE_PROGRAM={cmake.parent / 'ninja'}",
+            "-DCMAKE_FIND_USE_CMAKE_ENVIRONMENT_PATH=OFF",
+            "-DCMAKE_FIND_USE_SYSTEM_ENVIRONMENT_PATH=OFF",
+            "-DCMAKE_FIND_USE_PACKAGE_REGISTRY=OFF",
+            "-DCMAKE_FIND_USE_CMAKE_SYSTEM_PATH=OFF",
+            "-B",
+            tmp_path,
+            "-S",
+            ROOT / "container_native",
+        ],
+        check=False,
+        capture_output=True,
+        text=True,
+    )
+    assert result.returncode != 0
+    assert "no ROS 2 Jazzy found" in result.stderr
+    assert result.stderr.count("CMake Error") == 1
