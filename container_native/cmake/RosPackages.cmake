@@ -83,7 +83,8 @@ endfunction()
 
 # Lets a program or library in <prefix>/lib/... find ROS without LD_LIBRARY_PATH. `up` leads from
 # its folder to <prefix>/lib. DT_RPATH, not RUNPATH: it must hold for the libraries' own
-# dependencies too.
+# dependencies too. With ROS_RPATH_ABSOLUTE the prefix of ROS is written in as well: for projects
+# that are installed elsewhere.
 function(ros_install_rpath target up)
   ros_bundled_folders("${ROS_PREFIX}" folders)
   set(paths "$ORIGIN${up}")
@@ -91,6 +92,12 @@ function(ros_install_rpath target up)
     list(APPEND paths "$ORIGIN${up}/${folder}")
     target_link_options(${target} PRIVATE "-Wl,-rpath-link,${ROS_PREFIX}/lib/${folder}")
   endforeach()
+  if(ROS_RPATH_ABSOLUTE)
+    list(APPEND paths "${ROS_PREFIX}/lib")
+    foreach(folder IN LISTS folders)
+      list(APPEND paths "${ROS_PREFIX}/lib/${folder}")
+    endforeach()
+  endif()
   set_target_properties(${target} PROPERTIES INSTALL_RPATH "${paths}")
   target_link_options(${target} PRIVATE "-Wl,--disable-new-dtags"
                       "-Wl,-rpath-link,${ROS_PREFIX}/lib")

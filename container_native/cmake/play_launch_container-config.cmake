@@ -12,6 +12,7 @@ if(NOT ROS_PREFIX)
   # AMENT_PREFIX_PATH.
   set(ROS_PREFIX "${play_launch_container_PREFIX}")
 endif()
+set(ROS_RPATH_ABSOLUTE ON)
 
 if(NOT TARGET play_launch::component)
   foreach(package IN ITEMS rcl rcl_interfaces rosidl_typesupport_cpp rosidl_runtime_cpp)

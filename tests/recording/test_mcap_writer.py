@@ -1,0 +1,248 @@
+from __future__ import annotations
+
+import errno
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+from typing import TYPE_CHECKING
+
+import pytest
+from mcap.reader import make_reader
+from mcap.records import Attachment, Channel, Chunk, Header, Metadata, Schema
+from mcap.stream_reader import StreamReader
+from rosbags.rosbag2.errors import ReaderError
+
+from play_launch.recording import mcap_writer
+from play_launch.recording.cdr import log_message
+from play_launch.recording.errors import WriteFailedError
+from play_launch.recording.mcap_writer import McapBagWriter
+from play_launch.recording.topics import ALL_TOPICS, LOG, OUTPUT
+from tests.recording.reading import messages, raw_messages, records
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def write_lines(writer: McapBagWriter, channel: int, first: int, count: int) -> None:
+    for number in range(first, first + count):
+        data = log_message(number, 20, "/a", f"line {number}", file="stdout")
+        writer.write(channel, data, log_time=number, publish_time=number)
+
+
+def test_a_bag_follows_the_ros2_profile(tmp_path: Path) -> None:
+    writer = McapBagWriter(tmp_path / "x.mcap")
+    writer.attach("config.yaml", "application/yaml", b"a: 1\n", time=5)
+    writer.metadata("play_launch.session", {"id": "1"})
+    channels = [writer.register(topic) for topic in ALL_TOPICS]
+    write_lines(writer, channels[ALL_TOPICS.index(OUTPUT)], 1, 3)
+    writer.flush()
+    writer.close()
+
+    assert writer.path == tmp_path / "x.mcap"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["x.mcap"]
+    assert writer.bytes_written == writer.path.stat().st_size
+    found = list(records(writer.path))
+    header, attachment, metadata = found[:3]
+    assert isinstance(header, Header)
+    assert (header.profile, header.library) == ("ros2", "play_launch")
+    assert isinstance(attachment, Attachment)
+    assert attachment.data == b"a: 1\n"
+    assert isinstance(metadata, Metadata)
+    for record in found:
+        if isinstance(record, Channel):
+            assert record.message_encoding == "cdr"
+            assert record.metadata["offered_qos_profiles"]
+        elif isinstance(record, Schema):
+            assert record.encoding == "ros2msg"
+    with writer.path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    assert summary.statistics.message_count == 3
+    assert {channel.topic for channel in summary.channels.values()} == {
+        topic.name for topic in ALL_TOPICS
+    }
+
+
+def test_chunks_are_compressed_and_at_most_one_mebibyte(tmp_path: Path) -> None:
+    writer = McapBagWriter(tmp_path / "x.mcap")
+    channel = writer.register(OUTPUT)
+    for number in range(200):
+        data = log_message(number, 20, "/a", "x" * 16_000)
+        writer.write(channel, data, log_time=number, publish_time=number)
+    writer.close()
+    with writer.path.open("rb") as file:
+        chunks = [
+            record
+            for record in StreamReader(file, emit_chunks=True).records
+            if isinstance(record, Chunk)
+        ]
+    assert len(chunks) > 2
+    assert {chunk.compression for chunk in chunks} == {"zstd"}
+    assert max(chunk.uncompressed_size for chunk in chunks) <= 1024 * 1024
+
+
+def test_quality_of_service_is_read_by_others(tmp_path: Path) -> None:
+    from rosbags.highlevel import AnyReader
+
+    writer = McapBagWriter(tmp_path / "x.mcap")
+    for topic in ALL_TOPICS:
+        write_lines(writer, writer.register(topic), 1, 1)
+    writer.close()
+    with AnyReader([writer.path]) as reader:
+        profiles = {
+            connection.topic: connection.ext.offered_qos_profiles[0]  # type: ignore[union-attr]
+            for connection in reader.connections
+        }
+    for topic in ALL_TOPICS:
+        profile = profiles[topic.name]
+        assert profile.history.name == "KEEP_LAST"
+        assert profile.depth == topic.depth
+        assert profile.reliability.name == "RELIABLE"
+        assert profile.durability.name == ("TRANSIENT_LOCAL" if topic.latched else "VOLATILE")
+        assert profile.liveliness.name == "AUTOMATIC"
+
+
+def test_what_was_flushed_can_be_read_while_it_is_written(tmp_path: Path) -> None:
+    writer = McapBagWriter(tmp_path / "x.mcap")
+    channel = writer.register(LOG)
+    write_lines(writer, channel, 1, 10)
+    writer.flush()
+    write_lines(writer, channel, 11, 5)
+    assert writer.path == tmp_path / "x.mcap.active"
+    assert [message.log_time for message in raw_messages(writer.path, LOG.name)] == [*range(1, 11)]
+    writer.close()
+    assert len(messages(writer.path)) == 15
+
+
+def test_a_killed_writer_leaves_what_it_flushed(tmp_path: Path) -> None:
+    program = """
+        import sys
+        from pathlib import Path
+        from play_launch.recording.cdr import log_message
+        from play_launch.recording.mcap_writer import McapBagWriter
+        from play_launch.recording.topics import OUTPUT
+        writer = McapBagWriter(Path(sys.argv[1]))
+        writer.attach("config.yaml", "application/yaml", b"a: 1", time=1)
+        channel = writer.register(OUTPUT)
+        number = 0
+        while True:
+            for _ in range(100):
+                number += 1
+                data = log_message(number, 20, "/a", f"line {number}")
+                writer.write(channel, data, log_time=number, publish_time=number)
+            writer.flush()
+            print(number, flush=True)
+    """
+    process = subprocess.Popen(
+        [sys.executable, "-c", textwrap.dedent(program), str(tmp_path / "x.mcap")],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None
+    with process.stdout as told:
+        flushed = [int(told.readline()) for _ in range(50)][-1]
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        flushed = max([flushed, *(int(line) for line in told if line.endswith("\n"))])
+
+    path = tmp_path / "x.mcap.active"
+    found = raw_messages(path, OUTPUT.name)
+    assert len(found) >= flushed
+    assert [message.log_time for message in found] == list(range(1, len(found) + 1))
+    assert [record.name for record in records(path) if isinstance(record, Attachment)] == [
+        "config.yaml"
+    ]
+
+
+@pytest.mark.parametrize("cut", [1, 30, 300])
+def test_a_cut_file_gives_its_whole_chunks(tmp_path: Path, cut: int) -> None:
+    writer = McapBagWriter(tmp_path / "x.mcap")
+    channel = writer.register(OUTPUT)
+    ends = []
+    for number in range(5):
+        write_lines(writer, channel, number * 10, 10)
+        writer.flush()
+        ends.append(writer.bytes_written)
+    writer.abandon()
+    path = writer.path
+    os.truncate(path, ends[3] - cut)
+    whole = sum(end <= ends[3] - cut for end in ends)
+    # What is cut may be the index behind the chunk: then the chunk itself is still there.
+    assert len(raw_messages(path, OUTPUT.name)) in (whole * 10, whole * 10 + 10)
+    with pytest.raises(ReaderError):
+        messages(path)
+
+
+def test_a_chunk_that_was_damaged_is_noticed(tmp_path: Path) -> None:
+    writer = McapBagWriter(tmp_path / "x.mcap")
+    channel = writer.register(OUTPUT)
+    write_lines(writer, channel, 0, 100)
+    writer.flush()
+    middle = writer.bytes_written // 2
+    writer.close()
+    with writer.path.open("r+b") as file:
+        file.seek(middle)
+        byte = file.read(1)[0]
+        file.seek(middle)
+        file.write(bytes([byte ^ 0xFF]))
+    with pytest.raises(Exception, match=r".+"):
+        messages(writer.path)
+
+
+class FullDisk:
+    """Stands for ``os.write`` on a file system with a given number of bytes left."""
+
+    def __init__(self, left: int) -> None:
+        self.left = left
+        self.write = os.write
+
+    def __call__(self, descriptor: int, data: memoryview) -> int:
+        if self.left == 0:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        count = self.write(descriptor, data[: self.left])
+        self.left -= count
+        return count
+
+
+def test_a_full_disk_keeps_every_complete_chunk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    writer = McapBagWriter(tmp_path / "x.mcap")
+    channel = writer.register(OUTPUT)
+    write_lines(writer, channel, 0, 10)
+    writer.flush()
+    before = writer.bytes_written
+    monkeypatch.setattr(mcap_writer.os, "write", FullDisk(100))
+    write_lines(writer, channel, 10, 10)
+    with pytest.raises(WriteFailedError, match=r"No space left on device; free some space") as caught:
+        writer.flush()
+    assert str(writer.path) in str(caught.value)
+    assert writer.path.stat().st_size == before + 100
+    writer.abandon()
+    assert writer.path.name == "x.mcap.active"
+    assert writer.path.stat().st_size == before
+    assert len(raw_messages(writer.path, OUTPUT.name)) == 10
+
+
+def test_a_disk_that_is_full_at_the_end_leaves_the_active_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    writer = McapBagWriter(tmp_path / "x.mcap")
+    write_lines(writer, writer.register(OUTPUT), 0, 10)
+    writer.flush()
+    monkeypatch.setattr(mcap_writer.os, "write", FullDisk(20))
+    with pytest.raises(WriteFailedError):
+        writer.close()
+    writer.abandon()
+    assert [entry.name for entry in tmp_path.iterdir()] == ["x.mcap.active"]
+    assert len(raw_messages(writer.path, OUTPUT.name)) == 10
+
+
+def test_an_existing_file_is_never_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "x.mcap.active").write_bytes(b"precious")
+    with pytest.raises(WriteFailedError, match="File exists"):
+        McapBagWriter(tmp_path / "x.mcap")
+    assert (tmp_path / "x.mcap.active").read_bytes() == b"precious"

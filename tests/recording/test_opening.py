@@ -1,0 +1,114 @@
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+from typing import TYPE_CHECKING
+
+import pytest
+from mcap.records import Attachment, Header, Metadata
+
+from play_launch.core.events import LogRecord, OutputLine, Stream
+from play_launch.recording.errors import RecordingError
+from play_launch.recording.opening import SessionDescription, open_session
+from tests.recording.reading import messages, raw_messages, records
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+
+def description(*parameter_files: Path) -> SessionDescription:
+    return SessionDescription(
+        name="demo",
+        config_name="my.yml",
+        config_text=b"version: 1 # as given\n",
+        resolved_config='{"name": "demo"}',
+        argv=["play-launch", "replay", "my.yml"],
+        environ={"ROS_DOMAIN_ID": "7", "SOME_TOKEN": "hidden", "RMW_IMPLEMENTATION": "rmw_x"},
+        parameter_files=parameter_files,
+    )
+
+
+def fail_test(message: str) -> None:
+    pytest.fail(f"the recording stopped: {message}")
+
+
+def test_the_head_of_a_recording_tells_everything_about_the_run(tmp_path: Path) -> None:
+    parameters = tmp_path / "p.yaml"
+    parameters.write_text("a: 1\n", encoding="utf-8")
+    gone = tmp_path / "gone.yaml"
+    session = open_session(
+        description(parameters, gone), on_failure=fail_test, log_folder=tmp_path / "logs"
+    )
+    # Complete before anything has happened: a crash in the first moment keeps it.
+    found = list(records(session.folder.bag.with_name("session.mcap.active")))
+    assert isinstance(found[0], Header)
+    attachments = {record.name: record for record in found if isinstance(record, Attachment)}
+    assert [*attachments] == [
+        "config.yml",
+        "parameters/0-p.yaml",
+        "parameters/1-gone.yaml",
+        "resolved_config.json",
+        "environment.json",
+        "host.json",
+    ]
+    assert attachments["config.yml"].data == b"version: 1 # as given\n"
+    assert attachments["parameters/0-p.yaml"].data == b"a: 1\n"
+    assert b"No such file" in attachments["parameters/1-gone.yaml"].data
+    assert json.loads(attachments["environment.json"].data)["ROS_DOMAIN_ID"] == "7"
+    assert b"hidden" not in attachments["environment.json"].data
+    assert json.loads(attachments["host.json"].data)["cpus"] > 0
+    (metadata,) = [record for record in found if isinstance(record, Metadata)]
+    assert metadata.name == "play_launch.session"
+    values = metadata.metadata
+    assert values["schema_version"] == "1"
+    assert values["id"] == session.id
+    assert json.loads(values["argv"]) == ["play-launch", "replay", "my.yml"]
+    assert values["rmw_implementation"] == "rmw_x"
+    assert values["kernel"] == os.uname().release
+    assert "python" in json.loads(values["versions"])
+    assert set(values) >= {"boot_id", "started_ns", "name", "ros_domain_id"}
+
+    session.recorder.publish(LogRecord(stamp_ns=1, level=20, name="n", message="m"))
+    summary = session.recorder.close()
+    assert summary.path == session.folder.bag
+    assert (tmp_path / "logs" / "latest" / "session.mcap").samefile(summary.path)
+    assert [read.message.msg for read in messages(summary.path)] == ["m"]
+
+
+def test_a_log_folder_that_cannot_be_used_is_explained(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(RecordingError, match="--log-dir"):
+        open_session(description(), on_failure=fail_test, log_folder=tmp_path / "file")
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system of 256 KiB; needs the right to mount."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    command = ["mount", "-t", "tmpfs", "-o", "size=256k", "tmpfs", str(folder)]
+    mounted = subprocess.run(command, check=False, capture_output=True)
+    if mounted.returncode != 0:
+        pytest.skip("mounting needs privileges; an injected full disk covers the same path")
+    yield folder
+    subprocess.run(["umount", str(folder)], check=True)
+
+
+def test_a_disk_that_really_is_full_ends_the_recording_not_the_run(small_disk: Path) -> None:
+    told: list[str] = []
+    session = open_session(description(), on_failure=told.append, log_folder=small_disk)
+    noise = iter(lambda: os.urandom(1500).hex(), None)
+    for number in range(1000):
+        session.recorder.publish(
+            OutputLine(
+                stamp_ns=number, process="/a", pid=1, stream=Stream.STDOUT, text=next(noise)
+            )
+        )
+    summary = session.recorder.close()
+    assert told == [summary.error]
+    assert "No space left on device" in summary.error
+    assert summary.path == session.folder.path / "session.mcap.active"
+    readable = raw_messages(summary.path, "/play_launch/output")
+    assert [message.publish_time for message in readable] == list(range(len(readable)))
