@@ -1,0 +1,344 @@
+"""A process that we started, from its start until nothing of it is left."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+import shutil
+import signal
+import subprocess
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from typing import TypeAlias
+
+from play_launch.core.events import Stream
+from play_launch.process.exit import Exit
+from play_launch.process.identity import ProcessIdentity, ProcessStat, read_stat
+from play_launch.process.lines import Line, LineReader
+from play_launch.process.session import session_members, signal_each, wait_all_ended
+
+OutputCallback: TypeAlias = Callable[[Stream, Sequence[Line]], None]
+"""Gets each batch of lines; it is called on the loop's thread and must not block."""
+
+OUTPUT_GRACE = 0.5
+"""Seconds that output is read on after everything we could kill is dead."""
+_STRAGGLER_ROUNDS = 5
+_STRAGGLER_LIMIT = 1.0
+
+_log = logging.getLogger(__name__)
+
+
+class SpawnError(Exception):
+    """A program could not be started.
+
+    Attributes:
+        argv: The command line.
+        errno: The error number, 0 where the arguments themselves are unusable.
+    """
+
+    def __init__(self, argv: Sequence[str], reason: str, errno: int = 0) -> None:
+        program = argv[0] if argv else "a program without a name"
+        super().__init__(f"cannot start {program}: {reason}")
+        self.argv = tuple(argv)
+        self.errno = errno
+
+    @classmethod
+    def of(cls, argv: Sequence[str], error: OSError) -> SpawnError:
+        """Put an error of the system into words."""
+        reason = error.strerror or str(error)
+        named = error.filename
+        if named is not None and str(named) != argv[0]:
+            reason = f"{reason}: {named}"
+        return cls(argv, reason, error.errno or 0)
+
+
+class Child:
+    """A running or ended child: pid, start time and pidfd, its session and its output.
+
+    The child leads its own session and process group. When it ends, the rest of its session is
+    killed, its output is read to the end and only then is it waited for, so that until `gone`
+    its pid and group number cannot mean anybody else.
+
+    The end is seen through the pidfd on the event loop: no thread per child (as asyncio has in
+    Python 3.11), no SIGCHLD handler.
+    """
+
+    def __init__(
+        self,
+        argv: Sequence[str],
+        identity: ProcessIdentity,
+        pidfd: int,
+        readers: Sequence[LineReader],
+    ) -> None:
+        self.argv = tuple(argv)
+        self.identity = identity
+        self._pidfd = pidfd
+        self._readers = tuple(readers)
+        self._loop = asyncio.get_running_loop()
+        self._exit: Exit | None = None
+        self._exited = asyncio.Event()
+        self._holders = 0
+        self._unheld = asyncio.Event()
+        self._unheld.set()
+        self._gone: asyncio.Future[Exit] = self._loop.create_future()
+        self._finishing: asyncio.Task[None] | None = None
+        self._loop.add_reader(pidfd, self._on_exit)
+
+    @property
+    def pid(self) -> int:
+        """The pid; it also numbers the process group and the session."""
+        return self.identity.pid
+
+    @property
+    def start_time(self) -> int:
+        """Clock ticks after boot (`/proc/<pid>/stat`, field 22)."""
+        return self.identity.start_time
+
+    @property
+    def exit(self) -> Exit | None:
+        """How it ended; None while it runs."""
+        return self._exit
+
+    @property
+    def is_running(self) -> bool:
+        """Whether its end was not seen yet."""
+        return self._exit is None
+
+    async def wait(self) -> Exit:
+        """Wait until the process itself ends. Output and grandchildren may follow: see `gone`."""
+        await self._exited.wait()
+        assert self._exit is not None
+        return self._exit
+
+    async def gone(self) -> Exit:
+        """Wait until nothing is left.
+
+        The process was waited for, the rest of its session killed, all its output handed over
+        and every descriptor closed. Output that a process outside the session still holds open
+        is given up `OUTPUT_GRACE` seconds after the end.
+        """
+        return await asyncio.shield(self._gone)
+
+    def send_signal(self, number: signal.Signals) -> bool:
+        """Send a signal to the process alone; False when it has ended."""
+        if self._pidfd < 0:
+            return False
+        try:
+            signal.pidfd_send_signal(self._pidfd, number)
+        except ProcessLookupError:
+            return False
+        return self._exit is None
+
+    def signal_group(self, number: signal.Signals) -> bool:
+        """Send a signal to its whole process group; False when nothing of it is left."""
+        # As long as nobody waited for the leader, the kernel gives its number to no other group.
+        if self._pidfd < 0:
+            return False
+        try:
+            os.killpg(self.pid, number)
+        except ProcessLookupError:
+            return False
+        except PermissionError:  # everybody left in it belongs to another user (setuid programs)
+            return False
+        return True
+
+    async def members(self) -> list[ProcessStat]:
+        """The other living processes of its session and group; none once it is gone."""
+        if self._pidfd < 0:
+            return []
+        found = await session_members(self.pid)
+        return found if self._pidfd >= 0 else []
+
+    @contextmanager
+    def holding_session(self) -> Iterator[None]:
+        """Leave the rest of the session alive when the process ends, until the block is left.
+
+        For whoever stops it and wants to give its children their time, too.
+        """
+        self._holders += 1
+        self._unheld.clear()
+        try:
+            yield
+        finally:
+            self._holders -= 1
+            if self._holders == 0:
+                self._unheld.set()
+
+    def _on_exit(self) -> None:
+        try:
+            # WNOWAIT: the zombie stays and with it the number of its group, see signal_group.
+            flags = os.WEXITED | os.WNOHANG | os.WNOWAIT
+            result = os.waitid(os.P_PIDFD, self._pidfd, flags)
+            if result is None:
+                return  # not yet: the pidfd stays readable and calls again
+            self._exit = Exit.of(result)
+        except ChildProcessError:
+            self._exit = Exit.lost()
+        self._loop.remove_reader(self._pidfd)
+        self._exited.set()
+        self._finishing = self._loop.create_task(self._finish())
+
+    async def _finish(self) -> None:
+        assert self._exit is not None
+        try:
+            await self._unheld.wait()
+            await self._kill_rest()
+        finally:
+            self._reap()
+            try:
+                async with asyncio.timeout(OUTPUT_GRACE):
+                    for reader in self._readers:
+                        await reader.wait_end()
+            except TimeoutError:
+                _log.warning(
+                    "%s (pid %d) %s, but another process keeps its output open; no longer reading",
+                    self.argv[0],
+                    self.pid,
+                    self._exit,
+                )
+            finally:
+                for reader in self._readers:
+                    reader.close()
+                self._gone.set_result(self._exit)
+
+    async def _kill_rest(self) -> None:
+        self.signal_group(signal.SIGKILL)
+        # Whoever forks while we look is found in the next round.
+        for _ in range(_STRAGGLER_ROUNDS):
+            rest = [member.identity for member in await self.members()]
+            if not rest:
+                return
+            signal_each(rest, signal.SIGKILL)
+            try:
+                async with asyncio.timeout(_STRAGGLER_LIMIT):
+                    await wait_all_ended(rest)
+            except TimeoutError:
+                continue
+        _log.error("processes of the session of %s (pid %d) do not die", self.argv[0], self.pid)
+
+    def _reap(self) -> None:
+        pidfd, self._pidfd = self._pidfd, -1
+        try:
+            os.waitid(os.P_PIDFD, pidfd, os.WEXITED | os.WNOHANG)
+        except ChildProcessError:
+            pass  # somebody else did, see Exit.lost
+        finally:
+            os.close(pidfd)
+
+    def __repr__(self) -> str:
+        state = "running" if self._exit is None else str(self._exit)
+        return f"<Child {self.argv[0]}: pid {self.pid}, start time {self.start_time}, {state}>"
+
+
+def spawn(
+    argv: Sequence[str],
+    *,
+    env: Mapping[str, str],
+    guard: Path | None,
+    cwd: Path | None = None,
+    pass_fds: Sequence[int] = (),
+    on_output: OutputCallback | None = None,
+) -> Child:
+    """Start a program in a session of its own; about a millisecond, on the loop's thread.
+
+    Args:
+        argv: The command line; the program is looked up in the PATH of `env`.
+        env: The whole environment.
+        guard: The program `spawn_guard`, which makes the kernel kill the child when the thread
+            that called this ends (PR_SET_PDEATHSIG). Call from the main thread therefore. None
+            starts the program without it.
+        cwd: Its working directory.
+        pass_fds: Descriptors that it inherits under the same numbers. All others are closed.
+        on_output: Gets its lines; None sends its output to /dev/null.
+
+    Raises:
+        SpawnError: When it cannot be started: no such program, not executable, too many open
+            files. What fails after the guard has taken over appears as exit status 126 or 127.
+    """
+    _check_program(argv, env, cwd)
+    command = list(argv)
+    if guard is not None:
+        command = [os.fspath(guard), str(os.getpid()), "--", *argv]
+    _keep_exit_statuses()
+    with ExitStack() as opened:
+        try:
+            pipes: dict[Stream, tuple[int, int]] = {}
+            if on_output is not None:
+                for stream in Stream:
+                    pipes[stream] = ends = os.pipe()
+                    for end in ends:
+                        opened.callback(_close_if_open, end)
+            # Popen forks with vfork(), which costs the same however large we are.
+            process = subprocess.Popen(
+                command,
+                env=dict(env),
+                cwd=cwd,
+                stdin=subprocess.DEVNULL,
+                stdout=pipes[Stream.STDOUT][1] if pipes else subprocess.DEVNULL,
+                stderr=pipes[Stream.STDERR][1] if pipes else subprocess.DEVNULL,
+                start_new_session=True,
+                close_fds=True,
+                pass_fds=tuple(pass_fds),
+            )
+        except OSError as error:
+            raise SpawnError.of(argv, error) from None
+        except ValueError as error:  # a NUL byte in an argument
+            raise SpawnError(argv, str(error)) from None
+        try:
+            pidfd = os.pidfd_open(process.pid)
+        except OSError as error:
+            process.kill()
+            process.wait()
+            raise SpawnError.of(argv, error) from None
+        # From here on the pidfd alone is waited for. A Popen without a return code would wait
+        # for the bare pid when it is collected.
+        process.returncode = 0
+        # Not waited for, so /proc shows it even if it has ended already.
+        identity = read_stat(process.pid).identity
+        for _, write_end in pipes.values():
+            os.close(write_end)
+        opened.pop_all()
+    return Child(
+        argv,
+        identity,
+        pidfd,
+        [_reader(read_end, stream, on_output) for stream, (read_end, _) in pipes.items()]
+        if on_output is not None
+        else [],
+    )
+
+
+def _reader(descriptor: int, stream: Stream, on_output: OutputCallback) -> LineReader:
+    return LineReader(descriptor, lambda lines: on_output(stream, lines))
+
+
+def _check_program(argv: Sequence[str], env: Mapping[str, str], cwd: Path | None) -> None:
+    """Say what is wrong before the guard runs: its own complaint would come as output."""
+    if not argv or not argv[0]:
+        raise SpawnError(argv, "the command line is empty")
+    program = argv[0]
+    if "/" in program:
+        path = Path(cwd or ".") / program
+        if not path.exists():
+            raise SpawnError.of(argv, FileNotFoundError(2, "no such file"))
+        if path.is_dir() or not os.access(path, os.X_OK):
+            raise SpawnError.of(argv, PermissionError(13, "it is not an executable file"))
+    elif shutil.which(program, path=env.get("PATH", os.defpath)) is None:
+        raise SpawnError.of(argv, FileNotFoundError(2, "no such program in PATH"))
+
+
+def _keep_exit_statuses() -> None:
+    """Undo an ignored SIGCHLD, which a parent may have left us: the kernel would reap for us."""
+    if (
+        signal.getsignal(signal.SIGCHLD) is signal.SIG_IGN
+        and threading.current_thread() is threading.main_thread()
+    ):
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+
+
+def _close_if_open(descriptor: int) -> None:
+    with suppress(OSError):
+        os.close(descriptor)

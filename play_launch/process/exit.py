@@ -1,0 +1,56 @@
+"""How a process ended."""
+
+from __future__ import annotations
+
+import os
+import signal as signals
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Exit:
+    """The end of a process: an exit status, or the number of the signal that killed it.
+
+    `code` is 0 where a signal ended it, `signal` is 0 where none did. Where somebody else took
+    the status away, `is_lost` is set and `code` is 255.
+    """
+
+    code: int = 0
+    signal: int = 0
+    core_dumped: bool = False
+    is_lost: bool = False
+
+    @property
+    def ok(self) -> bool:
+        """Whether it ended with status 0."""
+        return self.code == 0 and self.signal == 0
+
+    @classmethod
+    def of(cls, result: os.waitid_result) -> Exit:
+        """Translate what waitid(2) reported."""
+        if result.si_code == os.CLD_EXITED:
+            return cls(code=result.si_status)
+        return cls(signal=result.si_status, core_dumped=result.si_code == os.CLD_DUMPED)
+
+    @classmethod
+    def lost(cls) -> Exit:
+        """The process ended, and nobody can say how."""
+        return cls(code=255, is_lost=True)
+
+    def __str__(self) -> str:
+        if self.is_lost:
+            return "ended, with a status that somebody else took"
+        if not self.signal:
+            return f"exited with status {self.code}"
+        core = ", core dumped" if self.core_dumped else ""
+        return f"exited with signal {self.signal} ({_signal_name(self.signal)}{core})"
+
+    def __repr__(self) -> str:
+        return f"<Exit: {self}>"
+
+
+def _signal_name(number: int) -> str:
+    try:
+        return signals.Signals(number).name
+    except ValueError:  # most of the real-time signals have no name of their own
+        return f"SIGRTMIN+{number - signals.SIGRTMIN}"

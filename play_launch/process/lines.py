@@ -1,0 +1,163 @@
+"""What a process writes, as whole lines.
+
+`LineSplitter` is pure. `LineReader` feeds one from a pipe on the event loop.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, TypeAlias
+
+MAX_LINE_BYTES = 16 * 1024
+"""Longer lines are cut here and marked as truncated."""
+_READ_BYTES = 64 * 1024
+
+
+class Line(NamedTuple):
+    """One line without its line end; of a truncated one the rest is dropped."""
+
+    text: str
+    truncated: bool = False
+
+
+LinesCallback: TypeAlias = Callable[[Sequence[Line]], None]
+
+
+class LineSplitter:
+    r"""Cuts bytes that arrive in pieces of any size into lines.
+
+    A line ends with `\n`, `\r\n` or `\r` (progress bars), as terminals show it, wherever the
+    pieces are cut. Bytes that are not UTF-8 become U+FFFD. At most `max_bytes` of a line are
+    kept: the first ones, cut before an incomplete character; memory is bounded by that.
+    """
+
+    def __init__(self, max_bytes: int = MAX_LINE_BYTES) -> None:
+        self._max_bytes = max_bytes
+        self._partial = b""
+        self._skipping = False  # the rest of a truncated line
+        self._after_return = False  # a \n now belongs to the \r before
+
+    def feed(self, data: bytes) -> list[Line]:
+        """Take the next piece and give the lines that it ends, or that grew too long."""
+        if not data:
+            return []
+        if self._after_return and data.startswith(b"\n"):
+            data = data[1:]
+        self._after_return = data.endswith(b"\r") if data else False
+        pieces = data.splitlines(keepends=True)
+        lines: list[Line] = []
+        for piece in pieces:
+            if piece.endswith((b"\n", b"\r")):
+                self._end_line(piece.rstrip(b"\r\n"), lines)
+            else:
+                self._extend(piece, lines)
+        return lines
+
+    def finish(self) -> list[Line]:
+        """Give the line that the end of the output left without a line end, if there is one."""
+        lines = [] if self._skipping or not self._partial else [_line(self._partial)]
+        self._partial = b""
+        self._skipping = False
+        self._after_return = False
+        return lines
+
+    def _end_line(self, rest: bytes, lines: list[Line]) -> None:
+        if self._skipping:
+            self._skipping = False
+            return
+        content = self._partial + rest if self._partial else rest
+        self._partial = b""
+        if len(content) > self._max_bytes:
+            lines.append(self._cut(content))
+        else:
+            lines.append(_line(content))
+
+    def _extend(self, piece: bytes, lines: list[Line]) -> None:
+        if self._skipping:
+            return
+        self._partial += piece
+        if len(self._partial) > self._max_bytes:
+            lines.append(self._cut(self._partial))
+            self._partial = b""
+            self._skipping = True
+
+    def _cut(self, content: bytes) -> Line:
+        end = self._max_bytes
+        for start in range(end - 1, max(end - 4, -1), -1):
+            byte = content[start]
+            if byte < 0x80:
+                break
+            if byte >= 0xC0:  # the first byte of a character: keep it only when it is whole
+                length = 2 if byte < 0xE0 else 3 if byte < 0xF0 else 4
+                if start + length > end:
+                    end = start
+                break
+        return Line(content[:end].decode(errors="replace"), truncated=True)
+
+
+def _line(content: bytes) -> Line:
+    return Line(content.decode(errors="replace"))
+
+
+class LineReader:
+    """Reads a pipe on the event loop until its end and hands over lines in batches.
+
+    It owns the descriptor from the start and closes it at the end of the output or on `close`.
+    One batch is what one read gave, so a process that writes without pause cannot keep the loop
+    from its other work.
+    """
+
+    def __init__(self, descriptor: int, on_lines: LinesCallback) -> None:
+        self._descriptor = descriptor
+        self._on_lines = on_lines
+        self._splitter = LineSplitter()
+        self._loop = asyncio.get_running_loop()
+        self._ended = asyncio.Event()
+        os.set_blocking(descriptor, False)
+        self._loop.add_reader(descriptor, self._read)
+
+    @property
+    def is_open(self) -> bool:
+        """Whether more output may come."""
+        return self._descriptor >= 0
+
+    async def wait_end(self) -> None:
+        """Wait until nobody can write any more and everything was handed over."""
+        await self._ended.wait()
+
+    def close(self) -> None:
+        """Give up reading, after handing over what the pipe holds; may be called twice.
+
+        For a pipe that some process outside our reach keeps open after its owner died.
+        """
+        if self._descriptor < 0:
+            return
+        # As much as a pipe holds by default; an endless writer must not keep us here.
+        if self._read():
+            self._end()
+
+    def _read(self) -> bool:
+        try:
+            data = os.read(self._descriptor, _READ_BYTES)
+        except (BlockingIOError, InterruptedError):
+            return True
+        except OSError:
+            data = b""
+        if not data:
+            self._end()
+            return False
+        lines = self._splitter.feed(data)
+        if lines:
+            self._on_lines(lines)
+        return True
+
+    def _end(self) -> None:
+        self._loop.remove_reader(self._descriptor)
+        os.close(self._descriptor)
+        self._descriptor = -1
+        self._ended.set()
+        lines = self._splitter.finish()
+        if lines:
+            self._on_lines(lines)

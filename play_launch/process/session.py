@@ -1,0 +1,92 @@
+"""The processes of a session: what a child of ours has started and not left behind.
+
+Every child leads a session of its own, so that whatever it forks can be found after its death.
+A process that calls setsid(2) itself escapes this.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from contextlib import ExitStack
+from typing import TYPE_CHECKING
+from weakref import WeakKeyDictionary
+
+from play_launch.process.identity import (
+    NoSuchProcessError,
+    ProcessHandle,
+    ProcessIdentity,
+    ProcessStat,
+    list_processes,
+)
+
+if TYPE_CHECKING:
+    import signal
+    from collections.abc import Iterable, Sequence
+
+
+class _Scans:
+    """Looks through `/proc` for many askers at once.
+
+    When a system stops, a hundred containers ask within a few milliseconds. Everyone gets a scan
+    that began after the question, and all who wait for the same one share it.
+    """
+
+    def __init__(self) -> None:
+        self._running: asyncio.Task[list[ProcessStat]] | None = None
+        self._next: asyncio.Task[list[ProcessStat]] | None = None
+
+    async def table(self) -> list[ProcessStat]:
+        if self._next is None:
+            self._next = asyncio.create_task(self._scan(self._running))
+        return await asyncio.shield(self._next)
+
+    async def _scan(self, before: asyncio.Task[list[ProcessStat]] | None) -> list[ProcessStat]:
+        if before is not None:
+            await asyncio.wait({before})
+        self._running, self._next = self._next, None
+        return await asyncio.to_thread(list_processes)
+
+
+_scans: WeakKeyDictionary[asyncio.AbstractEventLoop, _Scans] = WeakKeyDictionary()
+
+
+async def session_members(leader: int) -> list[ProcessStat]:
+    """Find what lives in the session or the process group of `leader`, besides the leader.
+
+    Valid only while the leader was not waited for: until then its number cannot mean another
+    session.
+    """
+    scans = _scans.setdefault(asyncio.get_running_loop(), _Scans())
+    return [
+        stat
+        for stat in await scans.table()
+        if leader in (stat.session, stat.group) and stat.pid != leader and stat.is_alive
+    ]
+
+
+def signal_each(processes: Iterable[ProcessIdentity], number: signal.Signals) -> None:
+    """Send a signal to those that still exist."""
+    for identity in processes:
+        try:
+            with ProcessHandle.open(identity) as handle:
+                handle.send_signal(number)
+        except NoSuchProcessError:
+            continue
+
+
+async def wait_all_ended(processes: Sequence[ProcessIdentity]) -> None:
+    """Wait until none of them runs any more; they need not be children of ours."""
+    loop = asyncio.get_running_loop()
+    with ExitStack() as opened:
+        ends = []
+        for identity in processes:
+            try:
+                handle = opened.enter_context(ProcessHandle.open(identity))
+            except NoSuchProcessError:
+                continue
+            ended = asyncio.Event()
+            loop.add_reader(handle.fileno(), ended.set)
+            opened.callback(loop.remove_reader, handle.fileno())
+            ends.append(ended)
+        for ended in ends:
+            await ended.wait()

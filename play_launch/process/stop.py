@@ -1,0 +1,178 @@
+"""The one way in which a process is stopped: ask, SIGINT, SIGTERM, SIGKILL.
+
+`plan` and `left_in_hurry` decide and are pure; `stop` carries it out.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import TYPE_CHECKING, Any
+
+from play_launch.process.session import signal_each, wait_all_ended
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from play_launch.process.child import Child
+    from play_launch.process.exit import Exit
+    from play_launch.process.identity import ProcessStat
+
+
+class StopLevel(IntEnum):
+    """How far one had to go."""
+
+    NONE = 0
+    """It had ended by itself."""
+    ASK = 1
+    SIGINT = 2
+    SIGTERM = 3
+    SIGKILL = 4
+
+
+_SIGNALS = {
+    StopLevel.SIGINT: signal.SIGINT,
+    StopLevel.SIGTERM: signal.SIGTERM,
+    StopLevel.SIGKILL: signal.SIGKILL,
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StopPolicy:
+    """Seconds to wait at each level before the next; 0 leaves a level out.
+
+    `hurried` is what is left of the present level, and all the later ones get at most, once
+    somebody is in a hurry. `sigkill` bounds the wait for the kernel: a process in an
+    uninterruptible system call does not die.
+    """
+
+    ask: float = 3.0
+    sigint: float = 2.0
+    sigterm: float = 2.0
+    sigkill: float = 5.0
+    hurried: float = 0.3
+
+
+@dataclass(frozen=True, slots=True)
+class StopStep:
+    """One level and its limit in seconds."""
+
+    level: StopLevel
+    limit: float
+
+
+@dataclass(frozen=True, slots=True)
+class StopOutcome:
+    """How a stop went.
+
+    Attributes:
+        level: What the process itself needed.
+        exit: How it ended; None when even SIGKILL did not end it in time.
+        stragglers: How many others of its session had to be killed with SIGKILL.
+    """
+
+    level: StopLevel
+    exit: Exit | None
+    stragglers: int = 0
+
+
+def plan(policy: StopPolicy, *, can_ask: bool) -> tuple[StopStep, ...]:
+    """The levels to go through; SIGKILL is always the last."""
+    limits = {
+        StopLevel.ASK: policy.ask if can_ask else 0.0,
+        StopLevel.SIGINT: policy.sigint,
+        StopLevel.SIGTERM: policy.sigterm,
+    }
+    gentle = [StopStep(level, limit) for level, limit in limits.items() if limit > 0]
+    return (*gentle, StopStep(StopLevel.SIGKILL, policy.sigkill))
+
+
+def left_in_hurry(policy: StopPolicy, step: StopStep, elapsed: float) -> float:
+    """Seconds that a step has left when somebody gets into a hurry `elapsed` seconds into it."""
+    left = step.limit - elapsed
+    if step.level is not StopLevel.SIGKILL:
+        left = min(left, policy.hurried)
+    return max(0.0, left)
+
+
+async def stop(
+    child: Child,
+    policy: StopPolicy,
+    *,
+    ask: Callable[[], bool] | None = None,
+    hurry: asyncio.Event | None = None,
+) -> StopOutcome:
+    """Stop a child and everything in its session, as gently as it allows.
+
+    Signals go to the whole session. The processes that the child leaves behind get the time that
+    the present level has left, then the next levels. Afterwards nothing of it runs and it was
+    waited for (as after `Child.gone`). When this is cancelled, whatever the child leaves is
+    killed at once as soon as the child itself ends.
+
+    Args:
+        child: Whom to stop; one that has ended already is fine.
+        policy: The limits.
+        ask: Asks it to stop, in its own language; False when it could not be asked.
+        hurry: Set by somebody who does not want to wait any longer.
+    """
+    level = StopLevel.NONE
+    stragglers = 0
+    with child.holding_session():
+        for step in plan(policy, can_ask=ask is not None):
+            others = await child.members()
+            if not child.is_running and not others:
+                break
+            if step.level is StopLevel.ASK:
+                if not child.is_running or ask is None or not ask():
+                    continue
+            else:
+                _signal_session(child, others, _SIGNALS[step.level])
+            if child.is_running:
+                level = step.level
+            elif step.level is StopLevel.SIGKILL:
+                stragglers = len(others)
+            await _session_ended(child, policy, step, hurry)
+    if child.is_running:
+        return StopOutcome(level, None, stragglers)
+    return StopOutcome(level, await child.gone(), stragglers)
+
+
+def _signal_session(child: Child, members: list[ProcessStat], number: signal.Signals) -> None:
+    child.signal_group(number)
+    # A shell with job control puts its jobs into groups of their own. Nobody gets it twice: to
+    # many programs a second SIGINT means something else.
+    signal_each((m.identity for m in members if m.group != child.pid), number)
+    if number is signal.SIGTERM:
+        # A process that is stopped (SIGSTOP, a debugger) sees the signal only when continued.
+        child.signal_group(signal.SIGCONT)
+
+
+async def _session_ended(
+    child: Child, policy: StopPolicy, step: StopStep, hurry: asyncio.Event | None
+) -> None:
+    """Wait for the end of the whole session, as long as the step allows."""
+
+    async def ended() -> None:
+        await child.wait()
+        while rest := await child.members():
+            await wait_all_ended([member.identity for member in rest])
+
+    loop = asyncio.get_running_loop()
+    began = loop.time()
+    ending = asyncio.ensure_future(ended())
+    waits: set[asyncio.Future[Any]] = {ending}
+    if hurry is not None:
+        waits.add(asyncio.ensure_future(hurry.wait()))
+    try:
+        await asyncio.wait(waits, timeout=step.limit, return_when=asyncio.FIRST_COMPLETED)
+        if hurry is not None and hurry.is_set() and not ending.done():
+            left = left_in_hurry(policy, step, loop.time() - began)
+            await asyncio.wait({ending}, timeout=left)
+        if ending.done():
+            ending.result()  # an error in here must not look like a limit that ran out
+    finally:
+        for task in waits:
+            task.cancel()
+        await asyncio.gather(*waits, return_exceptions=True)
