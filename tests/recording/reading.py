@@ -29,7 +29,10 @@ class Read:
 
 
 def messages(path: Path) -> list[Read]:
-    """All messages of a complete bag, decoded with the schemas that it carries itself."""
+    """All messages of a bag, decoded with the schemas that it carries itself.
+
+    A reader goes by the file's name, so one that ends in ``.active`` has to be renamed before.
+    """
     with AnyReader([path]) as reader:
         return [
             Read(

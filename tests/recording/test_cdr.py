@@ -26,9 +26,7 @@ def test_the_bytes_are_those_of_other_serialisers(
 ) -> None:
     expected = Log(level=level, name=name, msg=message, file=file, function=function, line=line)
     expected.stamp.sec, expected.stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
-    data = log_message(
-        stamp_ns, level, name, message, file=file, function=function, line=line
-    )
+    data = log_message(stamp_ns, level, name, message, file=file, function=function, line=line)
     assert deserialize_message(data, Log) == expected
     # Fast CDR leaves in its padding what the memory held before, so only the size is compared.
     assert len(data) == len(serialize_message(expected))

@@ -56,7 +56,9 @@ def test_the_severity_of_a_line_decides_on_either_stream(text: str, level: int) 
         assert converted(line(text, stream))["/play_launch/output"].level == level
 
 
-@pytest.mark.parametrize("text", ["hello", "", "[1, 2, 3]", "[SOMETHING] x", "x [ERROR] y", "[INFO"])
+@pytest.mark.parametrize(
+    "text", ["hello", "", "[1, 2, 3]", "[SOMETHING] x", "x [ERROR] y", "[INFO"]
+)
 def test_a_line_without_severity_counts_by_its_stream(text: str) -> None:
     assert converted(line(text))["/play_launch/output"].level == 20
     assert converted(line(text, Stream.STDERR))["/play_launch/output"].level == 30
@@ -117,10 +119,18 @@ def test_component_events_keep_every_field() -> None:
     assert (message.stamp.sec, message.stamp.nanosec) == divmod(STAMP, 10**9)
     assert message.error_message == r"why\x00"
     assert message.backtrace == ["one", "two"]
-    for name in (
-        "unique_id attempt full_node_name package_name plugin_name pid start_time exit_code "
-        "signal confirmed_by"
-    ).split():
+    for name in [
+        "unique_id",
+        "attempt",
+        "full_node_name",
+        "package_name",
+        "plugin_name",
+        "pid",
+        "start_time",
+        "exit_code",
+        "signal",
+        "confirmed_by",
+    ]:
         assert getattr(message, name) == getattr(event, name), name
 
 
@@ -141,7 +151,7 @@ def test_process_events_keep_every_field() -> None:
     assert message.event_type == ProcessMessage.RESTARTING
     assert (message.stamp.sec, message.stamp.nanosec) == divmod(STAMP, 10**9)
     assert message.command == ["a", "b c"]
-    for name in "name pid start_time exit_code signal restarts message".split():
+    for name in ["name", "pid", "start_time", "exit_code", "signal", "restarts", "message"]:
         assert getattr(message, name) == getattr(event, name), name
 
 

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 import pytest
 from mcap.reader import make_reader
 from mcap.records import Attachment, Channel, Chunk, Header, Metadata, Schema
-from mcap.stream_reader import StreamReader
-from rosbags.rosbag2.errors import ReaderError
+from mcap.stream_reader import CRCValidationError, StreamReader
+from rosbags.highlevel.anyreader import AnyReaderError
+from zstandard import ZstdError
 
 from play_launch.recording import mcap_writer
 from play_launch.recording.cdr import log_message
@@ -172,8 +173,9 @@ def test_a_cut_file_gives_its_whole_chunks(tmp_path: Path, cut: int) -> None:
     whole = sum(end <= ends[3] - cut for end in ends)
     # What is cut may be the index behind the chunk: then the chunk itself is still there.
     assert len(raw_messages(path, OUTPUT.name)) in (whole * 10, whole * 10 + 10)
-    with pytest.raises(ReaderError):
-        messages(path)
+    # Other readers want to see it rebuilt first.
+    with pytest.raises(AnyReaderError):
+        messages(path.rename(tmp_path / "x.mcap"))
 
 
 def test_a_chunk_that_was_damaged_is_noticed(tmp_path: Path) -> None:
@@ -188,8 +190,8 @@ def test_a_chunk_that_was_damaged_is_noticed(tmp_path: Path) -> None:
         byte = file.read(1)[0]
         file.seek(middle)
         file.write(bytes([byte ^ 0xFF]))
-    with pytest.raises(Exception, match=r".+"):
-        messages(writer.path)
+    with pytest.raises((CRCValidationError, ZstdError)), writer.path.open("rb") as file:
+        list(StreamReader(file, validate_crcs=True).records)
 
 
 class FullDisk:
@@ -217,7 +219,7 @@ def test_a_full_disk_keeps_every_complete_chunk(
     before = writer.bytes_written
     monkeypatch.setattr(mcap_writer.os, "write", FullDisk(100))
     write_lines(writer, channel, 10, 10)
-    with pytest.raises(WriteFailedError, match=r"No space left on device; free some space") as caught:
+    with pytest.raises(WriteFailedError, match=r"No space left .*; free some space") as caught:
         writer.flush()
     assert str(writer.path) in str(caught.value)
     assert writer.path.stat().st_size == before + 100

@@ -102,9 +102,7 @@ def test_a_disk_that_really_is_full_ends_the_recording_not_the_run(small_disk: P
     noise = iter(lambda: os.urandom(1500).hex(), None)
     for number in range(1000):
         session.recorder.publish(
-            OutputLine(
-                stamp_ns=number, process="/a", pid=1, stream=Stream.STDOUT, text=next(noise)
-            )
+            OutputLine(stamp_ns=number, process="/a", pid=1, stream=Stream.STDOUT, text=next(noise))
         )
     summary = session.recorder.close()
     assert told == [summary.error]

@@ -26,7 +26,7 @@ def test_a_definition_carries_what_it_uses_once_and_the_top_first(tmp_path: Path
         tmp_path,
         "a/msg/Top",
         "# Comment/With a slash\nb/Inner[] many\nInner near\nb/msg/Inner one # b/Unused x\n"
-        "string<=10 name\nfloat64[<=3] values\nuint8 KIND=1\nstring words \"Fake other\"\n",
+        'string<=10 name\nfloat64[<=3] values\nuint8 KIND=1\nstring words "Fake other"\n',
     )
     define(tmp_path, "a/msg/Inner", "int32 x")
     define(tmp_path, "b/msg/Inner", "builtin_interfaces/Time[2] stamps\n")

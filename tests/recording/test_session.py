@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import os
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -25,7 +24,7 @@ def test_a_session_has_a_folder_and_latest_points_to_it(tmp_path: Path) -> None:
     first = create_session_folder(root, "demo", NOW)
     assert first.path == root / "2026-11-21-06-36-25-demo"
     assert first.bag == first.path / "session.mcap"
-    assert os.readlink(root / "latest") == first.path.name
+    assert (root / "latest").readlink() == Path(first.path.name)
 
     second = create_session_folder(root, "demo", NOW)
     third = create_session_folder(root, "demo", NOW)
@@ -59,9 +58,7 @@ def test_a_log_folder_that_is_a_file_is_explained(tmp_path: Path) -> None:
     assert str(tmp_path / "file") in str(caught.value)
 
 
-def test_a_session_does_not_need_latest(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_session_does_not_need_latest(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     (tmp_path / "latest" / "somebody's").mkdir(parents=True)
     folder = create_session_folder(tmp_path, "demo", NOW)
     assert folder.path.is_dir()

@@ -1,0 +1,41 @@
+"""The severity of a line of console output."""
+
+from __future__ import annotations
+
+import re
+from typing import Final
+
+from play_launch.core.events import OutputLine, Stream
+
+DEBUG: Final = 10
+INFO: Final = 20
+WARN: Final = 30
+ERROR: Final = 40
+FATAL: Final = 50
+
+_LEVELS: Final = {
+    "DEBUG": DEBUG,
+    "INFO": INFO,
+    "WARN": WARN,
+    "WARNING": WARN,
+    "ERROR": ERROR,
+    "FATAL": FATAL,
+    "CRITICAL": FATAL,
+}
+_SEVERITY: Final = re.compile(r"(?:\x1b\[[0-9;]*m)*\[\s*([A-Z]{4,8})\s*\](?!\w)")
+
+
+def line_level(line: OutputLine) -> int:
+    """The level (as in ``rcl_interfaces/Log``) at which a process wrote a line.
+
+    ROS's console format begins with ``[WARN] [time] [logger]: ``, perhaps after a colour; a line
+    without a severity counts as INFO on stdout and as WARN on stderr.
+    """
+    text = line.text
+    if text[:1] in ("[", "\x1b"):
+        match = _SEVERITY.match(text)
+        if match:
+            level = _LEVELS.get(match[1])
+            if level is not None:
+                return level
+    return INFO if line.stream is Stream.STDOUT else WARN

@@ -1,0 +1,56 @@
+"""What can go wrong with a recording; each message says what to do about it."""
+
+from __future__ import annotations
+
+import errno
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+class RecordingError(Exception):
+    """The recording cannot be started or cannot go on."""
+
+
+class SessionFolderError(RecordingError):
+    """No folder for the session could be made below the log folder."""
+
+    def __init__(self, folder: Path, cause: OSError) -> None:
+        """``folder`` is what could not be made, ``cause`` the system's answer."""
+        super().__init__(
+            f"cannot make the session folder {folder}: {reason(cause)}; "
+            "choose another place with --log-dir DIR or PLAY_LAUNCH_LOG_DIR"
+        )
+
+
+class WriteFailedError(RecordingError):
+    """The file took no more data; ``path`` holds everything up to the last complete chunk."""
+
+    def __init__(self, path: Path, cause: OSError) -> None:
+        """``path`` is the file that was being written, ``cause`` the system's answer."""
+        super().__init__(f"cannot write {path}: {reason(cause)}; {_way_out(cause)}")
+        self.path = path
+
+
+class SchemaNotFoundError(RecordingError):
+    """The definition of a message type is not installed."""
+
+    def __init__(self, type_name: str, searched: tuple[Path, ...]) -> None:
+        """``searched`` are the prefixes that were looked at."""
+        places = ", ".join(str(place) for place in searched)
+        super().__init__(
+            f"message definition {type_name} not found below {places}; source the setup file of "
+            "your ROS installation, or install play-launch-py again"
+        )
+
+
+def reason(cause: OSError) -> str:
+    """The system's words for an error, without Python's decoration."""
+    return cause.strerror or str(cause)
+
+
+def _way_out(cause: OSError) -> str:
+    if cause.errno in (errno.ENOSPC, errno.EDQUOT):
+        return "free some space, or choose another place with --log-dir DIR"
+    return "choose another place with --log-dir DIR"
