@@ -1,0 +1,46 @@
+"""The exit code of a run.
+
+====== ==========================================================
+0      everything that was declared was there when the run ended
+1      a node failed: it did not load, crashed or was given up
+3      nobody failed, but nodes were still missing
+128+n  the run was ended by signal n
+====== ==========================================================
+
+A signal comes first, as shells expect it. (2 is for the command line and the configuration; a run
+never gets that far.)
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from play_launch.core.view import SystemView
+
+
+class ExitCode(IntEnum):
+    """What the codes mean."""
+
+    OK = 0
+    NODE_FAILED = 1
+    USAGE = 2
+    NODES_MISSING = 3
+    SIGNAL_BASE = 128
+
+
+def exit_code(view: SystemView, signum: int | None) -> int:
+    """Give the exit code.
+
+    Args:
+        view: The system at the moment in which the run began to end, so before it was stopped.
+        signum: The signal that ended the run; None when it ended by itself or by its duration.
+    """
+    if signum is not None:
+        return ExitCode.SIGNAL_BASE + signum
+    if view.failed or view.gave_up or view.failed_processes:
+        return ExitCode.NODE_FAILED
+    if view.waiting:
+        return ExitCode.NODES_MISSING
+    return ExitCode.OK

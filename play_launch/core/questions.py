@@ -1,0 +1,99 @@
+"""Asking a container about its nodes, and reading the answer.
+
+A question remembers which attempts it was about. So an answer that comes late, when a newer
+attempt is under way, is still read as one about the old attempt.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import TYPE_CHECKING, NamedTuple
+
+from play_launch.core.lifecycle import NodeInput
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+
+class ListedState(IntEnum):
+    """``play_launch_msgs/NodeStatus.state``."""
+
+    CONSTRUCTING = 0
+    LOADED = 1
+    UNLOADING = 2
+
+
+class Asked(NamedTuple):
+    """A node that a question is about."""
+
+    position: int
+    """Place in the container's declaration."""
+    attempt: int
+    unique_id: int
+    """0 while the container has not told it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Listed:
+    """A node in the answer."""
+
+    unique_id: int
+    attempt: int
+    state: int
+    full_node_name: str = ""
+    pid: int = 0
+    start_time: int = 0
+    elapsed_ns: int = 0
+    cpu_time_ns: int = 0
+
+
+class Answer(NamedTuple):
+    """What the container said about one of the nodes asked for."""
+
+    asked: Asked
+    said: NodeInput
+    listed: Listed | None
+    """None when the container does not know the node."""
+
+
+_SAID = {
+    ListedState.CONSTRUCTING: NodeInput.STATUS_CONSTRUCTING,
+    ListedState.LOADED: NodeInput.STATUS_LOADED,
+    ListedState.UNLOADING: NodeInput.STATUS_UNLOADING,
+}
+
+
+def ids_to_ask(asked: Iterable[Asked]) -> tuple[int, ...]:
+    """Give the unique_ids for the query; empty, which means all, where one is not known."""
+    ids = tuple(each.unique_id for each in asked)
+    return ids if all(ids) else ()
+
+
+def read_answer(asked: Sequence[Asked], listed: Iterable[Listed]) -> list[Answer]:
+    """Say for each node asked about what the answer means.
+
+    A node whose unique_id is listed under another attempt, or in a state without a meaning, is
+    left out: that answers nothing.
+    """
+    by_attempt: dict[int, Listed] = {}
+    by_id: dict[int, Listed] = {}
+    for entry in listed:
+        by_attempt.setdefault(entry.attempt, entry)
+        by_id.setdefault(entry.unique_id, entry)
+    answers: list[Answer] = []
+    for each in asked:
+        found = by_attempt.get(each.attempt)
+        if found is None:
+            if each.unique_id == 0 or each.unique_id not in by_id:
+                answers.append(Answer(each, NodeInput.STATUS_UNKNOWN, None))
+        elif (said := _said(found.state)) is not None:
+            answers.append(Answer(each, said, found))
+    return answers
+
+
+def _said(state: int) -> NodeInput | None:
+    try:
+        return _SAID[ListedState(state)]
+    except ValueError:
+        return None

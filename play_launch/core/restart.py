@@ -1,0 +1,90 @@
+"""Whether, and after which pause, something that died is started again.
+
+At most so many restarts within a sliding window, as OTP's supervisors and systemd do it; the pause
+grows exponentially and has a random part, so that things that died together do not all come back
+at the same instant. A life that lasted longer than the window starts the pauses anew.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+_EXPONENT_LIMIT: Final = 60
+
+PERMANENT_EXIT_CODES: Final = {
+    64: "its arguments were not understood",
+    125: "its supervisor was gone when it started",
+    126: "its program cannot be executed",
+    127: "its program was not found",
+}
+"""Exit codes (sysexits, shells, spawn_guard) that the next start would only repeat."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RestartBounds:
+    """Times are in seconds."""
+
+    max_restarts: int
+    within: float
+    """Length of the window; also how long a life is healthy."""
+    initial: float
+    """First pause."""
+    maximum: float
+    """Longest pause."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RestartHistory:
+    """What has to be remembered between two deaths."""
+
+    recent: tuple[float, ...] = ()
+    """When the restarts of the last window were due, in seconds, oldest first."""
+    streak: int = 0
+    """Restarts since the last healthy life."""
+    total: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Restart:
+    """Start again after ``delay`` seconds."""
+
+    delay: float
+
+
+@dataclass(frozen=True, slots=True)
+class GiveUp:
+    """Do not start again."""
+
+    reason: str
+
+
+def decide(
+    history: RestartHistory,
+    bounds: RestartBounds,
+    *,
+    now: float,
+    lived: float,
+    jitter: float,
+) -> tuple[RestartHistory, Restart | GiveUp]:
+    """Decide about a death.
+
+    Args:
+        history: What was decided before.
+        bounds: The limits.
+        now: Time of the death, seconds of a monotonic clock.
+        lived: How long it was ready before it died, in seconds; 0 when it never was.
+        jitter: A random number in [0, 1); the pause is between half and all of its length.
+    """
+    recent = tuple(due for due in history.recent if now - due < bounds.within)
+    streak = 0 if lived >= bounds.within else history.streak
+    if len(recent) >= bounds.max_restarts:
+        times = f"{len(recent)} restarts within {bounds.within:g} s"
+        reason = f"{times} did not help" if recent else "restarting is switched off"
+        return replace(history, recent=recent, streak=streak), GiveUp(reason)
+    full = min(bounds.maximum, bounds.initial * 2.0 ** min(streak, _EXPONENT_LIMIT))
+    delay = full * (0.5 + 0.5 * jitter)
+    after = RestartHistory(
+        recent=(*recent, now + delay), streak=streak + 1, total=history.total + 1
+    )
+    return after, Restart(delay)

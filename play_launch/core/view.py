@@ -1,0 +1,222 @@
+"""The whole run as it stands, folded from its events.
+
+Views are immutable: ``view.after(event)`` is a new one. The live display, the summary and the exit
+code read nothing else, so all of them can be made from a recording as well.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import TYPE_CHECKING, TypeVar
+
+from play_launch.core.events import (
+    ContainerState,
+    ContainerStateChanged,
+    NodeState,
+    NodeStateChanged,
+    ProcessEvent,
+    ProcessEventKind,
+    RunEvent,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+_Key = TypeVar("_Key")
+_Value = TypeVar("_Value")
+
+FAILED_STATES = frozenset({NodeState.LOAD_FAILED, NodeState.CRASHED})
+WAITING_STATES = frozenset(
+    {NodeState.PENDING, NodeState.REQUESTED, NodeState.LOADING, NodeState.LOST}
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NodeView:
+    """One declared composable node."""
+
+    container: str
+    node: str
+    index: int
+    state: NodeState
+    since_ns: int
+    """Wall-clock time since which it is in this state, nanoseconds since the epoch."""
+    elapsed_ns: int = 0
+    reason: str = ""
+    pid: int = 0
+    unique_id: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProcessView:
+    """One process that the supervisor owns."""
+
+    name: str
+    kind: ProcessEventKind = ProcessEventKind.STARTED
+    """The latest thing that happened to it."""
+    since_ns: int = 0
+    pid: int = 0
+    """0 when it does not run."""
+    exit_code: int = 0
+    signal: int = 0
+    restarts: int = 0
+    message: str = ""
+
+    @property
+    def ended_well(self) -> bool:
+        """Whether it ended with status 0 and stays so."""
+        ended = self.kind is ProcessEventKind.EXITED
+        return ended and self.exit_code == 0 and self.signal == 0
+
+    @property
+    def failed(self) -> bool:
+        """Whether it ended otherwise than with status 0, or was given up."""
+        if self.kind is ProcessEventKind.GAVE_UP:
+            return True
+        return self.kind is ProcessEventKind.EXITED and not self.ended_well
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ContainerView:
+    """One container and its nodes, these by their place in the declaration."""
+
+    name: str
+    state: ContainerState = ContainerState.STOPPED
+    since_ns: int = 0
+    reason: str = ""
+    process: ProcessView
+    nodes: Mapping[int, NodeView] = field(default_factory=lambda: MappingProxyType({}))
+
+    @property
+    def total(self) -> int:
+        """How many nodes are declared."""
+        return len(self.nodes)
+
+    @property
+    def loaded(self) -> int:
+        """How many of them are loaded."""
+        return sum(node.state is NodeState.LOADED for node in self.nodes.values())
+
+    @property
+    def waiting(self) -> tuple[NodeView, ...]:
+        """The nodes that are not there yet, or not any more but may come back."""
+        return tuple(node for node in self.nodes.values() if node.state in WAITING_STATES)
+
+    @property
+    def failed(self) -> tuple[NodeView, ...]:
+        """The nodes that failed to load or crashed."""
+        return tuple(node for node in self.nodes.values() if node.state in FAILED_STATES)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SystemView:
+    """Containers and ordinary processes by full name."""
+
+    containers: Mapping[str, ContainerView] = field(default_factory=lambda: MappingProxyType({}))
+    processes: Mapping[str, ProcessView] = field(default_factory=lambda: MappingProxyType({}))
+
+    @property
+    def loaded(self) -> int:
+        """How many composable nodes are loaded."""
+        return sum(container.loaded for container in self.containers.values())
+
+    @property
+    def total(self) -> int:
+        """How many composable nodes are declared."""
+        return sum(container.total for container in self.containers.values())
+
+    @property
+    def waiting(self) -> tuple[NodeView, ...]:
+        """All nodes that are not there (yet)."""
+        return tuple(node for each in self.containers.values() for node in each.waiting)
+
+    @property
+    def failed(self) -> tuple[NodeView, ...]:
+        """All nodes that failed to load or crashed."""
+        return tuple(node for each in self.containers.values() for node in each.failed)
+
+    @property
+    def gave_up(self) -> tuple[str, ...]:
+        """Names of the containers that are not started again."""
+        return tuple(
+            each.name for each in self.containers.values() if each.state is ContainerState.GAVE_UP
+        )
+
+    @property
+    def failed_processes(self) -> tuple[ProcessView, ...]:
+        """The ordinary processes that failed."""
+        return tuple(each for each in self.processes.values() if each.failed)
+
+    def after(self, event: RunEvent) -> SystemView:
+        """Give the view that follows; the same object when the event changes nothing."""
+        match event:
+            case NodeStateChanged():
+                return self._with_container(_node_changed(self._container(event.container), event))
+            case ContainerStateChanged():
+                container = self._container(event.container)
+                return self._with_container(
+                    replace(
+                        container,
+                        state=event.state,
+                        since_ns=event.stamp_ns,
+                        reason=event.reason,
+                    )
+                )
+            case ProcessEvent() if event.name in self.containers:
+                container = self.containers[event.name]
+                process = _process_changed(container.process, event)
+                return self._with_container(replace(container, process=process))
+            case ProcessEvent():
+                process = self.processes.get(event.name, ProcessView(name=event.name))
+                changed = _with(self.processes, event.name, _process_changed(process, event))
+                return replace(self, processes=changed)
+            case _:
+                return self
+
+    def _container(self, name: str) -> ContainerView:
+        known = self.containers.get(name)
+        return known or ContainerView(name=name, process=ProcessView(name=name))
+
+    def _with_container(self, container: ContainerView) -> SystemView:
+        return replace(self, containers=_with(self.containers, container.name, container))
+
+
+def _node_changed(container: ContainerView, event: NodeStateChanged) -> ContainerView:
+    before = container.nodes.get(event.index)
+    repeated = before is not None and before.state is event.state
+    node = NodeView(
+        container=event.container,
+        node=event.node,
+        index=event.index,
+        state=event.state,
+        since_ns=before.since_ns if repeated and before else event.stamp_ns,
+        elapsed_ns=event.elapsed_ns,
+        reason=event.reason,
+        pid=event.pid,
+        unique_id=event.unique_id,
+    )
+    return replace(container, nodes=_with(container.nodes, event.index, node))
+
+
+def _process_changed(process: ProcessView, event: ProcessEvent) -> ProcessView:
+    alive = event.kind not in {
+        ProcessEventKind.EXITED,
+        ProcessEventKind.RESTARTING,
+        ProcessEventKind.GAVE_UP,
+    }
+    ended = event.kind is ProcessEventKind.EXITED
+    return replace(
+        process,
+        kind=event.kind,
+        since_ns=event.stamp_ns,
+        pid=event.pid if alive else 0,
+        exit_code=event.exit_code if ended else process.exit_code,
+        signal=event.signal if ended else process.signal,
+        restarts=event.restarts,
+        message=event.message,
+    )
+
+
+def _with(mapping: Mapping[_Key, _Value], key: _Key, value: _Value) -> Mapping[_Key, _Value]:
+    return MappingProxyType({**mapping, key: value})

@@ -1,0 +1,178 @@
+from __future__ import annotations
+
+import itertools
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from play_launch.core.events import NodeState
+from play_launch.core.lifecycle import (
+    TABLE,
+    WAITING,
+    NodeAction,
+    NodeInput,
+    NodeRecord,
+    Patience,
+    Step,
+    is_silent,
+    step,
+)
+from play_launch.core.questions import Asked, Listed, ListedState, ids_to_ask, read_answer
+
+PATIENCE = Patience(loading_timeout=10.0, report_interval=15.0)
+SENDS_LOAD = {NodeAction.SEND_LOAD, NodeAction.RESEND_LOAD}
+
+
+def run(record: NodeRecord, said: NodeInput, now: float = 0.0, **about: int) -> Step:
+    return step(record, said, now=now, patience=PATIENCE, next_attempt=record.attempt + 1, **about)
+
+
+def requested() -> NodeRecord:
+    return run(NodeRecord(), NodeInput.CONTAINER_READY).record
+
+
+def loading() -> NodeRecord:
+    return run(requested(), NodeInput.ACCEPTED, attempt=1, unique_id=7).record
+
+
+def loaded() -> NodeRecord:
+    return run(loading(), NodeInput.LOADED, attempt=1, unique_id=7).record
+
+
+@pytest.mark.parametrize(("state", "said"), list(itertools.product(NodeState, NodeInput)))
+def test_every_pair_has_an_entry(state: NodeState, said: NodeInput) -> None:
+    transition = TABLE[state][said]
+    assert set(transition.actions) <= set(NodeAction)
+    if SENDS_LOAD & set(transition.actions):
+        assert transition.state is NodeState.REQUESTED
+    if transition.state is NodeState.LOADED and state is not NodeState.LOADED:
+        assert state in WAITING
+
+
+def test_the_ordinary_way() -> None:
+    assert requested().attempt == 1
+    assert loading().unique_id == 7
+    result = run(loading(), NodeInput.LOADED, attempt=1, unique_id=7)
+    assert result.record.state is NodeState.LOADED
+    assert result.actions == (NodeAction.REPORT_LOADED,)
+
+
+def test_silence_is_a_question_and_only_the_owner_answers_it() -> None:
+    record = loading()
+    assert not is_silent(record, 9.9)
+    assert is_silent(record, 10.0)
+    silent = run(record, NodeInput.SILENT, now=10.0)
+    assert silent.record.state is NodeState.LOADING
+    assert silent.actions == (NodeAction.SEND_QUERY,)
+    confirmed = run(silent.record, NodeInput.STATUS_LOADED, now=10.1, attempt=1, unique_id=7)
+    assert confirmed.record.state is NodeState.LOADED
+    assert confirmed.actions == (NodeAction.REPORT_CONFIRMED,)
+
+
+def test_a_slow_constructor_is_reported_every_interval() -> None:
+    record = loading()
+    reports = []
+    for tenth in range(600):
+        now = tenth / 10
+        if is_silent(record, now):
+            record = run(record, NodeInput.SILENT, now=now).record
+            answer = run(record, NodeInput.STATUS_CONSTRUCTING, now=now, attempt=1, unique_id=7)
+            record = answer.record
+            assert answer.actions == (NodeAction.REPORT_SLOW,)
+            reports.append(now)
+    assert reports == [10.0, 25.0, 40.0, 55.0]
+
+
+def test_a_load_is_sent_anew_once_and_under_a_new_number() -> None:
+    again = run(loading(), NodeInput.STATUS_UNKNOWN, attempt=1, unique_id=7)
+    assert again.actions == (NodeAction.RESEND_LOAD,)
+    assert (again.record.attempt, again.record.unique_id) == (2, 0)
+    late = run(again.record, NodeInput.LOADED, attempt=1, unique_id=7)
+    assert late.record == again.record
+    assert "attempt 1" in late.ignored
+    over = run(again.record, NodeInput.STATUS_UNKNOWN, attempt=2)
+    assert over.record.state is NodeState.LOAD_FAILED
+    assert over.actions == (NodeAction.REPORT_FORGOTTEN,)
+
+
+def test_another_unique_id_of_the_same_attempt_does_not_count() -> None:
+    result = run(loading(), NodeInput.LOADED, attempt=1, unique_id=8)
+    assert result.record == loading()
+    assert "unique_id 8" in result.ignored
+
+
+def test_a_contradiction_is_a_question() -> None:
+    result = run(loaded(), NodeInput.LOAD_FAILED, attempt=1, unique_id=7)
+    assert result.record.state is NodeState.LOADED
+    assert result.actions == (NodeAction.SEND_QUERY,)
+
+
+def test_an_unwanted_node_does_not_come_back_with_its_container() -> None:
+    record = run(loaded(), NodeInput.UNLOAD_REQUESTED).record
+    record = run(record, NodeInput.CONTAINER_LOST).record
+    assert record.state is NodeState.UNLOADED
+    assert not run(record, NodeInput.CONTAINER_READY).actions
+
+
+def test_a_node_that_its_container_unloaded_comes_back_with_the_next() -> None:
+    record = run(loaded(), NodeInput.UNLOADED, attempt=1, unique_id=7).record
+    record = run(record, NodeInput.CONTAINER_LOST).record
+    assert run(record, NodeInput.CONTAINER_READY).actions == (NodeAction.SEND_LOAD,)
+
+
+@given(
+    st.lists(
+        st.tuples(
+            st.sampled_from(NodeInput), st.integers(-1, 1), st.integers(0, 3), st.floats(0, 20)
+        ),
+        max_size=60,
+    )
+)
+def test_no_lie_makes_it_load_without_a_reason(
+    words: list[tuple[NodeInput, int, int, float]],
+) -> None:
+    """A container that says anything at all, also in ways that contradict each other."""
+    record, now, resent = NodeRecord(), 0.0, False
+    for said, offset, unique_id, seconds in words:
+        now += seconds
+        before = record
+        about = max(record.attempt + offset, 0)
+        result = run(record, said, now=now, attempt=about, unique_id=unique_id)
+        record = result.record
+        if result.ignored:
+            assert record == before
+            assert not result.actions
+        if NodeAction.SEND_LOAD in result.actions:
+            assert said in {NodeInput.CONTAINER_READY, NodeInput.RELOAD_DUE}
+            assert before.state not in WAITING | {NodeState.LOADED}
+            resent = False
+        if NodeAction.RESEND_LOAD in result.actions:
+            assert said is NodeInput.STATUS_UNKNOWN
+            assert about == before.attempt
+            assert not resent
+            resent = True
+        if record.state is NodeState.LOADED and before.state is not NodeState.LOADED:
+            assert before.state in WAITING
+            assert about == record.attempt == before.attempt
+
+
+def test_a_question_names_ids_only_where_all_are_known() -> None:
+    assert ids_to_ask([Asked(0, 1, 7), Asked(1, 2, 8)]) == (7, 8)
+    assert ids_to_ask([Asked(0, 1, 7), Asked(1, 2, 0)]) == ()
+
+
+def test_an_answer_is_read_by_attempt() -> None:
+    asked = [Asked(0, 1, 7), Asked(1, 2, 8), Asked(2, 3, 0), Asked(3, 4, 9), Asked(4, 5, 0)]
+    listed = [
+        Listed(unique_id=7, attempt=1, state=ListedState.LOADED),
+        Listed(unique_id=8, attempt=99, state=ListedState.LOADED),
+        Listed(unique_id=5, attempt=3, state=ListedState.CONSTRUCTING),
+        Listed(unique_id=6, attempt=5, state=77),
+    ]
+    answers = {each.asked.position: each.said for each in read_answer(asked, listed)}
+    assert answers == {
+        0: NodeInput.STATUS_LOADED,
+        2: NodeInput.STATUS_CONSTRUCTING,
+        3: NodeInput.STATUS_UNKNOWN,
+    }

@@ -1,0 +1,57 @@
+from __future__ import annotations
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from play_launch.core.restart import (
+    GiveUp,
+    Restart,
+    RestartBounds,
+    RestartHistory,
+    decide,
+)
+
+BOUNDS = st.builds(
+    RestartBounds,
+    max_restarts=st.integers(0, 6),
+    within=st.floats(0.1, 100),
+    initial=st.floats(0.001, 2),
+    maximum=st.floats(0.001, 60),
+)
+JITTER = st.floats(0, 1, exclude_max=True)
+
+
+@given(BOUNDS, st.lists(st.tuples(st.floats(0, 200), JITTER), max_size=60))
+def test_no_window_holds_more_restarts_than_allowed(
+    bounds: RestartBounds, lives: list[tuple[float, float]]
+) -> None:
+    history, now, restarts = RestartHistory(), 0.0, []
+    for lived, jitter in lives:
+        now += lived
+        history, verdict = decide(history, bounds, now=now, lived=lived, jitter=jitter)
+        if isinstance(verdict, GiveUp):
+            break
+        assert 0 <= verdict.delay <= bounds.maximum
+        now += verdict.delay
+        restarts.append(now)
+        recent = [due for due in restarts if now - due < bounds.within]
+        assert len(recent) <= bounds.max_restarts
+    assert history.total == len(restarts)
+
+
+def test_pauses_grow_to_the_maximum_and_start_anew_after_a_healthy_life() -> None:
+    bounds = RestartBounds(max_restarts=100, within=60.0, initial=0.1, maximum=1.0)
+    history, delays = RestartHistory(), []
+    for _ in range(6):
+        history, verdict = decide(history, bounds, now=0.0, lived=0.0, jitter=0.0)
+        assert isinstance(verdict, Restart)
+        delays.append(round(verdict.delay, 3))
+    assert delays == [0.05, 0.1, 0.2, 0.4, 0.5, 0.5]
+    _, verdict = decide(history, bounds, now=100.0, lived=60.0, jitter=0.0)
+    assert verdict == Restart(0.05)
+
+
+def test_giving_up_says_why() -> None:
+    never = RestartBounds(max_restarts=0, within=60.0, initial=0.1, maximum=1.0)
+    _, verdict = decide(RestartHistory(), never, now=0.0, lived=5.0, jitter=0.0)
+    assert verdict == GiveUp("restarting is switched off")

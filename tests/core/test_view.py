@@ -1,0 +1,101 @@
+from __future__ import annotations
+
+import signal
+from typing import Any
+
+import pytest
+
+from play_launch.core.events import (
+    ContainerState,
+    ContainerStateChanged,
+    NodeState,
+    NodeStateChanged,
+    OutputLine,
+    ProcessEvent,
+    ProcessEventKind,
+    RunEvent,
+    Stream,
+)
+from play_launch.core.exit_code import ExitCode, exit_code
+from play_launch.core.view import SystemView
+
+
+def node(state: NodeState, index: int = 0, stamp_ns: int = 1, **more: Any) -> NodeStateChanged:
+    return NodeStateChanged(
+        stamp_ns=stamp_ns, container="/c", node=f"/n{index}", index=index, state=state, **more
+    )
+
+
+def process(kind: ProcessEventKind, name: str = "/p", **more: Any) -> ProcessEvent:
+    return ProcessEvent(stamp_ns=1, kind=kind, name=name, **more)
+
+
+def container(state: ContainerState) -> ContainerStateChanged:
+    return ContainerStateChanged(stamp_ns=1, container="/c", state=state)
+
+
+def fold(*events: RunEvent) -> SystemView:
+    view = SystemView()
+    for event in events:
+        view = view.after(event)
+    return view
+
+
+def test_counts_declared_and_loaded_nodes() -> None:
+    view = fold(
+        container(ContainerState.RUNNING),
+        node(NodeState.LOADING, 0, 5),
+        node(NodeState.PENDING, 1),
+        node(NodeState.LOADED, 1),
+        node(NodeState.LOAD_FAILED, 2, reason="no such plugin"),
+    )
+    assert (view.loaded, view.total) == (1, 3)
+    assert [each.node for each in view.waiting] == ["/n0"]
+    assert [each.reason for each in view.failed] == ["no such plugin"]
+
+
+def test_a_repeated_report_does_not_move_the_beginning() -> None:
+    view = fold(node(NodeState.LOADING, stamp_ns=5), node(NodeState.LOADING, stamp_ns=9))
+    assert view.waiting[0].since_ns == 5
+
+
+def test_a_container_s_process_is_no_process_of_its_own() -> None:
+    view = fold(
+        container(ContainerState.STARTING),
+        process(ProcessEventKind.STARTED, "/c", pid=12),
+        process(ProcessEventKind.STARTED, "/p", pid=13),
+    )
+    assert view.containers["/c"].process.pid == 12
+    assert list(view.processes) == ["/p"]
+
+
+def test_output_changes_nothing() -> None:
+    view = fold(node(NodeState.LOADED))
+    line = OutputLine(stamp_ns=1, process="/c", pid=1, stream=Stream.STDOUT, text="hello")
+    assert view.after(line) is view
+
+
+@pytest.mark.parametrize(
+    ("events", "code"),
+    [
+        ([], ExitCode.OK),
+        ([node(NodeState.LOADED)], ExitCode.OK),
+        ([node(NodeState.UNLOADED)], ExitCode.OK),
+        ([node(NodeState.LOADED), node(NodeState.LOADING, 1)], ExitCode.NODES_MISSING),
+        ([node(NodeState.LOST)], ExitCode.NODES_MISSING),
+        ([node(NodeState.LOST), node(NodeState.LOAD_FAILED, 1)], ExitCode.NODE_FAILED),
+        ([node(NodeState.CRASHED)], ExitCode.NODE_FAILED),
+        ([container(ContainerState.GAVE_UP)], ExitCode.NODE_FAILED),
+        ([process(ProcessEventKind.EXITED)], ExitCode.OK),
+        ([process(ProcessEventKind.EXITED, exit_code=3)], ExitCode.NODE_FAILED),
+        ([process(ProcessEventKind.EXITED, signal=9)], ExitCode.NODE_FAILED),
+        ([process(ProcessEventKind.GAVE_UP)], ExitCode.NODE_FAILED),
+        (
+            [process(ProcessEventKind.EXITED, signal=9), process(ProcessEventKind.RESTARTING)],
+            ExitCode.OK,
+        ),
+    ],
+)
+def test_exit_code(events: list[RunEvent], code: ExitCode) -> None:
+    assert exit_code(fold(*events), None) == code
+    assert exit_code(fold(*events), signal.SIGINT) == 130
