@@ -1,0 +1,161 @@
+"""Where ROS is, and where our own programs are.
+
+ROS comes either from a sourced installation (`/opt/ros/...`, a workspace: then AMENT_PREFIX_PATH
+names it) or from wheels in the environment of this very Python. Both at once mix libraries of
+two builds in one process, which ends in crashes that nobody can explain, so it is refused.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import sysconfig
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+_PROGRAMS = Path("lib") / "play_launch_container"
+_MARKER = Path("share") / "rcl" / "package.xml"
+
+
+class NotInstalledError(Exception):
+    """Something this program needs is not there; the text says what to do about it."""
+
+
+class MixedInstallationError(Exception):
+    """ROS is there twice."""
+
+    def __init__(self, prefix: Path, sourced: Sequence[Path]) -> None:
+        super().__init__(
+            f"ROS is installed twice: as wheels in {prefix} and sourced from "
+            f"{', '.join(map(str, sourced))}. Start again in a shell in which nothing is sourced "
+            "(AMENT_PREFIX_PATH is empty), or in an environment without the extra 'jazzy'"
+        )
+        self.prefix = prefix
+        self.sourced = tuple(sourced)
+
+
+class RosSource(StrEnum):
+    """Where ROS comes from."""
+
+    SYSTEM = "system"
+    """A sourced installation."""
+    WHEELS = "wheels"
+    """Python packages in our own environment."""
+
+
+@dataclass(frozen=True, slots=True)
+class RosInstallation:
+    """The facts about the ROS that this Python uses.
+
+    Attributes:
+        source: Where it comes from.
+        prefix: Where our own files are installed (`sys.prefix`); with wheels ROS is there, too.
+        library_dirs: What native programs need in LD_LIBRARY_PATH, most important first. With a
+            sourced ROS only our own: its setup files have named the others already.
+    """
+
+    source: RosSource
+    prefix: Path
+    library_dirs: tuple[Path, ...]
+
+
+def ros_installation(
+    environ: Mapping[str, str] | None = None,
+    *,
+    prefix: Path | None = None,
+    site_packages: Path | None = None,
+) -> RosInstallation:
+    """Find out which ROS this is.
+
+    Args:
+        environ: The environment; None for our own.
+        prefix: Prefix of the Python environment; None for our own.
+        site_packages: Where its packages are; None for our own.
+
+    Raises:
+        MixedInstallationError: When ROS is sourced and there as wheels, too.
+        NotInstalledError: When it is neither.
+    """
+    environ = os.environ if environ is None else environ
+    prefix = Path(sys.prefix) if prefix is None else prefix
+    if site_packages is None:
+        site_packages = Path(sysconfig.get_path("platlib"))
+    sourced = [
+        entry
+        for entry in ament_prefixes(environ)
+        if _holds_rcl(entry) and not _is_same(entry, prefix)
+    ]
+    # An interface package or a component of our own does not make an environment one with wheels.
+    wheels = _holds_rcl(prefix) and (site_packages / "rclpy").is_dir()
+    if wheels and sourced:
+        raise MixedInstallationError(prefix, sourced)
+    if wheels:
+        bundled = sorted(path for path in site_packages.glob("ros_*.libs") if path.is_dir())
+        return RosInstallation(RosSource.WHEELS, prefix, (prefix / "lib", *bundled))
+    if sourced:
+        return RosInstallation(RosSource.SYSTEM, prefix, (prefix / "lib",))
+    raise NotInstalledError(
+        "there is no ROS 2: source an installation (source /opt/ros/jazzy/setup.sh), or install "
+        "the wheels into this environment (pip install 'play-launch-py[jazzy]')"
+    )
+
+
+def component_container(
+    environ: Mapping[str, str] | None = None, *, prefix: Path | None = None
+) -> Path:
+    """Find the container's program.
+
+    Raises:
+        NotInstalledError: When it is nowhere.
+    """
+    return _program("component_container", environ, prefix)
+
+
+def spawn_guard(environ: Mapping[str, str] | None = None, *, prefix: Path | None = None) -> Path:
+    """Find the program that ties a child's life to ours.
+
+    Raises:
+        NotInstalledError: When it is nowhere.
+    """
+    return _program("spawn_guard", environ, prefix)
+
+
+def ament_prefixes(environ: Mapping[str, str]) -> list[Path]:
+    """List the entries of AMENT_PREFIX_PATH."""
+    return [
+        Path(entry) for entry in environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if entry
+    ]
+
+
+def _program(name: str, environ: Mapping[str, str] | None, prefix: Path | None) -> Path:
+    environ = os.environ if environ is None else environ
+    prefix = Path(sys.prefix) if prefix is None else prefix
+    for entry in _unique([prefix, *ament_prefixes(environ)]):
+        path = entry / _PROGRAMS / name
+        if path.is_file() and os.access(path, os.X_OK):
+            return path
+    raise NotInstalledError(
+        f"the program {name} is neither in {prefix / _PROGRAMS} nor in a prefix of "
+        "AMENT_PREFIX_PATH: install play-launch-py as a package (pip install .), a bare checkout "
+        "has no programs"
+    )
+
+
+def _holds_rcl(prefix: Path) -> bool:
+    return (prefix / _MARKER).is_file()
+
+
+def _is_same(one: Path, other: Path) -> bool:
+    try:
+        return one.samefile(other)
+    except OSError:
+        return False
+
+
+def _unique(paths: Sequence[Path]) -> Iterator[Path]:
+    return iter(dict.fromkeys(paths))
