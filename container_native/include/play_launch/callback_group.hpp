@@ -1,13 +1,13 @@
 #pragma once
 
-#include <deque>
-#include <memory>
+#include <list>
 
 namespace play_launch {
 
 struct ReadyEntry;
 
 /// Decides which callbacks of a node may run at the same time in a multi-threaded executor.
+/// Belongs to one node; made by Node::create_callback_group.
 class CallbackGroup {
  public:
   enum class Kind {
@@ -23,12 +23,12 @@ class CallbackGroup {
   [[nodiscard]] Kind kind() const noexcept { return kind_; }
 
  private:
-  friend class Executor;
+  friend class Scheduler;
 
   const Kind kind_;
   // Guarded by the executor that holds the group's node.
-  std::deque<ReadyEntry> waiting_;
-  bool scheduled_ = false;
+  std::list<ReadyEntry> waiting_;
+  bool scheduled_ = false;  // has its turn, or waits for it
 };
 
 }  // namespace play_launch

@@ -1,12 +1,12 @@
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
 #include <memory>
 #include <mutex>
 
 namespace play_launch {
 
-class CallbackGroup;
 class Node;
 struct ExecutorState;
 struct ReadyEntry;
@@ -56,13 +56,7 @@ class Executor {
   };
 
  private:
-  bool next(ReadyEntry& entry);
-  void admit(ReadyEntry entry);
-  void schedule(ReadyEntry entry);
-  void drain();
-  void expire_timers();
   void run(ReadyEntry entry, std::unique_lock<std::mutex>& lock);
-  void purge(const ReadyEntry& of_node);
   void wait_for_work(std::uint32_t seen, std::unique_lock<std::mutex>& lock);
 
   std::unique_ptr<ExecutorState> state_;

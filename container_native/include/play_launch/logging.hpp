@@ -29,8 +29,8 @@ class Logger {
   void write(int severity, const rcutils_log_location_t& location, const char* format,
              ...) const noexcept __attribute__((format(printf, 4, 5)));
 
-  /// Sends what is logged from now on to that publisher of rcl_interfaces/Log too, as long as it
-  /// lives. Used by Node.
+  /// Sends what is logged to that publisher of rcl_interfaces/Log too, as long as it lives. To be
+  /// called before the logger is handed out; used by Node.
   void publish_to(const std::shared_ptr<PublisherHandle>& rosout);
 
  private:

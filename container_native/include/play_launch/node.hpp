@@ -95,10 +95,10 @@ class Node {
   /// void(std::shared_ptr<PendingRequest<S>>) to answer later. Throws RclError.
   template <class S, class F>
   std::shared_ptr<Service<S>> create_service(const std::string& name, F callback,
-                                             std::shared_ptr<CallbackGroup> group = nullptr) {
-    auto service =
-        std::make_shared<CallbackService<S, F>>(handle_, name, QoS::services(), std::move(callback),
-                                                group_or_default(std::move(group)), logger_);
+                                             std::shared_ptr<CallbackGroup> group = nullptr,
+                                             const QoS& qos = QoS::services()) {
+    auto service = std::make_shared<CallbackService<S, F>>(
+        handle_, name, qos, std::move(callback), group_or_default(std::move(group)), logger_);
     add_waitable(service);
     return service;
   }

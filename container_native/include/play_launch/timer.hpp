@@ -27,7 +27,6 @@ class Timer final : public Waitable {
   [[nodiscard]] std::chrono::nanoseconds period() const;
 
   Work take() override;
-  [[nodiscard]] Clock::time_point next_due() const override;
 
  private:
   mutable std::mutex mutex_;

@@ -53,20 +53,23 @@ class Waitable {
   /// overlap. Throws RclError.
   virtual Work take() = 0;
 
-  /// When to call take() next: Clock::time_point::min() = as soon as notified (the default),
-  /// max() = not before the next notification.
-  [[nodiscard]] virtual Clock::time_point next_due() const { return Clock::time_point::min(); }
-
   [[nodiscard]] const std::shared_ptr<CallbackGroup>& group() const noexcept { return group_; }
   /// The node's logger, for what goes wrong while executing.
   [[nodiscard]] const Logger& logger() const noexcept { return logger_; }
   [[nodiscard]] const std::shared_ptr<WakeToken>& token() const noexcept { return token_; }
 
-  /// Tells the executor to look. Any thread; does not block.
+  /// Tells the executor to look; `events` is how many messages are new, as far as known. Any
+  /// thread; does not block.
   void notify(std::size_t events = 1) noexcept;
 
  protected:
-  Waitable(std::shared_ptr<CallbackGroup> group, Logger logger);
+  /// When take() may have something without a notification.
+  enum class Readiness { notified, timed };
+  Waitable(Readiness readiness, std::shared_ptr<CallbackGroup> group, Logger logger);
+
+  /// For timed ones: from when on take() has something; Clock::time_point::max() = never. Takes
+  /// effect with the next notification or when take() returns.
+  void set_due(Clock::time_point due) noexcept;
 
  private:
   std::shared_ptr<CallbackGroup> group_;

@@ -1,0 +1,113 @@
+#include <rcl/error_handling.h>
+#include <rcl/init.h>
+#include <rcl/init_options.h>
+#include <rcl/logging.h>
+
+#include <play_launch/context.hpp>
+#include <play_launch/error.hpp>
+#include <play_launch/intra_process.hpp>
+
+#include "ready_queue.hpp"
+
+namespace play_launch {
+namespace {
+
+/// Logging belongs to the process: the first context configures it, the last one ends it.
+std::mutex logging_mutex;
+std::size_t logging_users = 0;
+
+void begin_logging(const rcl_context_t& context) {
+  const std::lock_guard lock(logging_mutex);
+  if (logging_users == 0) {
+    const rcl_allocator_t allocator = rcl_get_default_allocator();
+    throw_unless_ok(rcl_logging_configure(&context.global_arguments, &allocator),
+                    "configure logging");
+  }
+  ++logging_users;
+}
+
+void end_logging() noexcept {
+  const std::lock_guard lock(logging_mutex);
+  if (--logging_users == 0 && rcl_logging_fini() != RCL_RET_OK) rcl_reset_error();
+}
+
+/// Options for rcl_init, finalised in every case.
+class InitOptions {
+ public:
+  InitOptions() {
+    throw_unless_ok(rcl_init_options_init(&options_, rcl_get_default_allocator()),
+                    "prepare the options of a context");
+  }
+  ~InitOptions() {
+    if (rcl_init_options_fini(&options_) != RCL_RET_OK) rcl_reset_error();
+  }
+  InitOptions(const InitOptions&) = delete;
+  InitOptions& operator=(const InitOptions&) = delete;
+  [[nodiscard]] const rcl_init_options_t* rcl() const noexcept { return &options_; }
+
+ private:
+  rcl_init_options_t options_ = rcl_get_zero_initialized_init_options();
+};
+
+}  // namespace
+
+Context::Context()
+    : own_(rcl_get_zero_initialized_context()), hub_(std::make_unique<IntraProcessHub>()) {}
+
+std::shared_ptr<Context> Context::create(int argc, const char* const* argv) {
+  std::shared_ptr<Context> context(new Context());
+  const InitOptions options;
+  throw_unless_ok(rcl_init(argc, argv, options.rcl(), &context->own_), "initialise a context");
+  context->context_ = &context->own_;
+  begin_logging(context->own_);
+  context->owns_logging_ = true;
+  return context;
+}
+
+std::shared_ptr<Context> Context::borrow(rcl_context_t* context) {
+  if (context == nullptr || !rcl_context_is_valid(context)) {
+    throw RclError("borrow a context that is not initialised", RCL_RET_INVALID_ARGUMENT);
+  }
+  std::shared_ptr<Context> borrower(new Context());
+  borrower->context_ = context;
+  return borrower;
+}
+
+Context::~Context() {
+  shutdown();
+  if (context_ == &own_ && rcl_context_fini(&own_) != RCL_RET_OK) rcl_reset_error();
+  if (owns_logging_) end_logging();
+}
+
+bool Context::ok() const noexcept { return context_ != nullptr && rcl_context_is_valid(context_); }
+
+void Context::shutdown() {
+  std::vector<std::weak_ptr<ReadyQueue>> queues;
+  {
+    const std::lock_guard lock(mutex_);
+    if (shut_down_) return;
+    shut_down_ = true;
+    queues.swap(queues_);
+  }
+  if (context_ == &own_ && rcl_shutdown(&own_) != RCL_RET_OK) rcl_reset_error();
+  for (const auto& weak : queues) {
+    if (const auto queue = weak.lock()) queue->close();
+  }
+}
+
+void Context::close_on_shutdown(const std::shared_ptr<ReadyQueue>& queue) {
+  {
+    const std::lock_guard lock(mutex_);
+    if (!shut_down_) {
+      std::erase_if(queues_, [&queue](const auto& known) {
+        const auto alive = known.lock();
+        return alive == nullptr || alive == queue;
+      });
+      queues_.push_back(queue);
+      return;
+    }
+  }
+  queue->close();
+}
+
+}  // namespace play_launch

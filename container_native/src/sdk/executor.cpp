@@ -1,0 +1,247 @@
+#include <algorithm>
+#include <exception>
+#include <map>
+#include <play_launch/callback_group.hpp>
+#include <play_launch/context.hpp>
+#include <play_launch/executor.hpp>
+#include <play_launch/node.hpp>
+#include <stdexcept>
+#include <thread>
+#include <utility>
+#include <vector>
+
+#include "ready_queue.hpp"
+#include "scheduler.hpp"
+#include "waitable_registry.hpp"
+
+namespace play_launch {
+
+struct ExecutorState {
+  struct Held {
+    std::shared_ptr<Node> node;
+    std::shared_ptr<NodeSlot> slot;
+  };
+
+  const std::shared_ptr<ReadyQueue> queue = std::make_shared<ReadyQueue>();
+  std::mutex mutex;
+  // Guarded by the mutex from here on.
+  Scheduler scheduler{queue};
+  std::map<const Node*, Held> nodes;
+  bool spinning = false;
+  std::size_t idle = 0;
+  // Until when the one idle worker sleeps that looks after the timers; kNever when none does.
+  Nanoseconds timekeeper = kNever;
+  // Rings when the last callback of a removed node has returned.
+  Doorbell quiet;
+};
+
+namespace {
+
+/// Callbacks that are running in this thread, innermost first.
+struct RunningCallback {
+  const NodeSlot* slot;
+  const RunningCallback* outer;
+};
+thread_local const RunningCallback* running_callback = nullptr;
+
+class RunningCallbackScope {
+ public:
+  explicit RunningCallbackScope(const NodeSlot& slot) : callback_{&slot, running_callback} {
+    running_callback = &callback_;
+  }
+  ~RunningCallbackScope() { running_callback = callback_.outer; }
+  RunningCallbackScope(const RunningCallbackScope&) = delete;
+  RunningCallbackScope& operator=(const RunningCallbackScope&) = delete;
+
+ private:
+  const RunningCallback callback_;
+};
+
+bool runs_in_this_thread(const NodeSlot& slot) {
+  for (const auto* callback = running_callback; callback != nullptr; callback = callback->outer) {
+    if (callback->slot == &slot) return true;
+  }
+  return false;
+}
+
+/// What goes wrong here is the middleware's; the node can do nothing about it.
+Work take_or_report(Waitable& waitable) {
+  try {
+    return waitable.take();
+  } catch (const std::exception& error) {
+    PLAY_LAUNCH_ERROR(waitable.logger(), "%s", error.what());
+    return Work();
+  }
+}
+
+void call_user(Work& work, const Waitable& waitable, const NodeSlot& slot) {
+  const RunningCallbackScope scope(slot);
+  try {
+    work();
+  } catch (const std::exception& error) {
+    PLAY_LAUNCH_FATAL(waitable.logger(), "a callback of node %s threw: %s",
+                      waitable.logger().name().c_str(), error.what());
+    throw;
+  } catch (...) {
+    PLAY_LAUNCH_FATAL(waitable.logger(), "a callback of node %s threw something unknown",
+                      waitable.logger().name().c_str());
+    throw;
+  }
+}
+
+}  // namespace
+
+Executor::Executor() : state_(std::make_unique<ExecutorState>()) {}
+
+Executor::~Executor() {
+  while (true) {
+    std::shared_ptr<Node> node;
+    {
+      const std::lock_guard lock(state_->mutex);
+      if (state_->nodes.empty()) break;
+      node = state_->nodes.begin()->second.node;
+    }
+    remove_node(node);
+  }
+}
+
+void Executor::cancel() noexcept { state_->queue->close(); }
+
+void Executor::add_node(std::shared_ptr<Node> node) {
+  if (!node) throw std::invalid_argument("add_node: no node");
+  auto slot = std::make_shared<NodeSlot>(state_->queue);
+  node->waitables_->hold();
+  {
+    const std::lock_guard lock(state_->mutex);
+    state_->nodes.emplace(node.get(), ExecutorState::Held{node, slot});
+  }
+  node->context()->close_on_shutdown(state_->queue);
+  node->waitables_->attach(slot);
+}
+
+void Executor::remove_node(const std::shared_ptr<Node>& node) {
+  std::unique_lock lock(state_->mutex);
+  const auto found = state_->nodes.find(node.get());
+  if (found == state_->nodes.end()) return;
+  if (runs_in_this_thread(*found->second.slot)) {
+    throw std::logic_error("remove_node: called from a callback of that node");
+  }
+  const ExecutorState::Held held = std::move(found->second);
+  state_->nodes.erase(found);
+  held.slot->removed = true;
+  lock.unlock();
+
+  held.node->waitables_->detach();
+
+  lock.lock();
+  state_->scheduler.purge(*held.slot);
+  while (held.slot->running != 0) {
+    const auto seen = state_->quiet.rings();
+    lock.unlock();
+    state_->quiet.wait(seen);
+    lock.lock();
+  }
+  lock.unlock();
+  held.node->waitables_->release();
+}
+
+void Executor::work() {
+  std::unique_lock lock(state_->mutex);
+  while (true) {
+    // Read before looking: what comes later makes wait_for_work return at once.
+    const auto seen = state_->queue->doorbell().rings();
+    if (state_->queue->closed()) return;
+    state_->scheduler.collect();
+    ReadyEntry entry;
+    if (!state_->scheduler.next(entry)) {
+      wait_for_work(seen, lock);
+      continue;
+    }
+    const bool hand_over =
+        state_->idle > 0 &&
+        (state_->scheduler.has_runnable() ||
+         (state_->timekeeper == kNever && state_->scheduler.next_deadline() != kNever));
+    if (hand_over) state_->queue->doorbell().ring();
+    run(std::move(entry), lock);
+  }
+}
+
+void Executor::wait_for_work(std::uint32_t seen, std::unique_lock<std::mutex>& lock) {
+  // One idle worker wakes for the timers, the others for notifications only.
+  const Nanoseconds deadline = state_->scheduler.next_deadline();
+  const bool keeps_time = deadline < state_->timekeeper;
+  if (keeps_time) state_->timekeeper = deadline;
+  ++state_->idle;
+  lock.unlock();
+  state_->queue->doorbell().wait(seen, keeps_time ? deadline : kNever);
+  lock.lock();
+  --state_->idle;
+  if (keeps_time && state_->timekeeper == deadline) state_->timekeeper = kNever;
+}
+
+void Executor::run(ReadyEntry entry, std::unique_lock<std::mutex>& lock) {
+  bool look_again = false;
+  lock.unlock();
+  // Whatever happens below, the node must count as quiet afterwards.
+  struct Turn {
+    Executor& executor;
+    const ReadyEntry& entry;
+    const bool& look_again;
+    std::unique_lock<std::mutex>& lock;
+    ~Turn() {
+      lock.lock();
+      executor.state_->scheduler.finish(entry, look_again);
+      if (entry.slot->removed && entry.slot->running == 0) executor.state_->quiet.ring_all();
+    }
+  } const turn{*this, entry, look_again, lock};
+
+  const std::shared_ptr<Waitable> waitable = entry.token->lock();
+  if (!waitable) return;
+  const std::size_t events = entry.token->events.exchange(0);
+  Work work = take_or_report(*waitable);
+  if (!work) {
+    // A sample that could not be delivered may hide others.
+    look_again = events > 1;
+    return;
+  }
+  look_again = true;
+  if (entry.token->group->kind() == CallbackGroup::Kind::reentrant &&
+      (events > 1 || entry.token->timed)) {
+    entry.token->notify(events > 1 ? events - 1 : 0);  // another worker may go on meanwhile
+  }
+  call_user(work, *waitable, *entry.slot);
+}
+
+Executor::Spinning::Spinning(Executor& executor) : executor_(executor) {
+  const std::lock_guard lock(executor_.state_->mutex);
+  if (executor_.state_->spinning) throw std::logic_error("spin: the executor is spinning already");
+  executor_.state_->spinning = true;
+}
+
+Executor::Spinning::~Spinning() {
+  const std::lock_guard lock(executor_.state_->mutex);
+  executor_.state_->spinning = false;
+}
+
+void SingleThreadedExecutor::spin() {
+  const Spinning spinning(*this);
+  work();
+}
+
+MultiThreadedExecutor::MultiThreadedExecutor(std::size_t threads)
+    : threads_(threads != 0 ? threads
+                            : std::max<std::size_t>(2, std::thread::hardware_concurrency())) {}
+
+void MultiThreadedExecutor::spin() {
+  const Spinning spinning(*this);
+  std::vector<std::thread> others;
+  others.reserve(threads_ - 1);
+  while (others.size() < threads_ - 1) {
+    others.emplace_back([this] { work(); });
+  }
+  // An exception leaves joinable threads behind, which terminates as one in another thread does.
+  work();
+  for (auto& thread : others) thread.join();
+}
+
+}  // namespace play_launch

@@ -1,0 +1,184 @@
+#include "parameter_store.hpp"
+
+#include <rcutils/time.h>
+
+#include <algorithm>
+#include <play_launch/error.hpp>
+#include <rcl_interfaces/srv/list_parameters.hpp>
+#include <utility>
+
+namespace play_launch {
+namespace {
+
+constexpr char kSeparator = '.';
+
+bool within_depth(const std::string& name, std::size_t from, std::uint64_t depth) {
+  if (depth == rcl_interfaces::srv::ListParameters::Request::DEPTH_RECURSIVE) return true;
+  const auto below =
+      std::count(name.begin() + static_cast<std::ptrdiff_t>(from), name.end(), kSeparator);
+  return static_cast<std::uint64_t>(below) < depth;
+}
+
+bool listed_under(const std::string& name, const std::string& prefix, std::uint64_t depth) {
+  if (!name.starts_with(prefix)) return false;
+  if (name.size() == prefix.size()) return true;
+  return name[prefix.size()] == kSeparator && within_depth(name, prefix.size() + 1, depth);
+}
+
+}  // namespace
+
+ParameterStore::ParameterStore(std::string full_name,
+                               std::map<std::string, ParameterValue> overrides)
+    : full_name_(std::move(full_name)), overrides_(std::move(overrides)) {}
+
+ParameterValue ParameterStore::declare(const std::string& name, ParameterValue default_value) {
+  const std::size_t type = default_value.index();
+  return declare(name, std::move(default_value), type);
+}
+
+ParameterValue ParameterStore::declare_required(const std::string& name, std::size_t type) {
+  return declare(name, ParameterValue(), type);
+}
+
+ParameterValue ParameterStore::declare(const std::string& name, ParameterValue default_value,
+                                       std::size_t type) {
+  if (name.empty()) throw ParameterError("a parameter needs a name");
+  {
+    const std::lock_guard lock(mutex_);
+    if (entries_.contains(name)) throw ParameterAlreadyDeclared(name);
+  }
+  const auto given = overrides_.find(name);
+  ParameterValue value = given == overrides_.end() ? std::move(default_value) : given->second;
+  if (type != 0 && value.index() != type) {
+    throw ParameterTypeError(name, parameter_type_name(type), parameter_type_name(value));
+  }
+  if (const auto ask = callback()) {
+    const Verdict verdict = (*ask)({{name, value}});
+    if (!verdict.ok) throw ParameterRejected(name, verdict.reason);
+  }
+  {
+    const std::lock_guard lock(mutex_);
+    if (!entries_.emplace(name, Entry{value, type}).second) throw ParameterAlreadyDeclared(name);
+  }
+  if (value.index() != 0) {
+    rcl_interfaces::msg::ParameterEvent event;
+    event.new_parameters.push_back(to_message(Parameter{name, value}));
+    announce(std::move(event));
+  }
+  return value;
+}
+
+ParameterStore::Verdict ParameterStore::check_locked(
+    const std::vector<Parameter>& parameters) const {
+  for (const auto& [name, value] : parameters) {
+    const auto entry = entries_.find(name);
+    if (entry == entries_.end()) return {false, ParameterNotDeclared(name).what()};
+    const std::size_t type = entry->second.type;
+    if (type != 0 && type != value.index()) {
+      return {
+          false,
+          ParameterTypeError(name, parameter_type_name(type), parameter_type_name(value)).what()};
+    }
+  }
+  return {};
+}
+
+ParameterStore::Verdict ParameterStore::set(const std::vector<Parameter>& parameters) {
+  {
+    const std::lock_guard lock(mutex_);
+    Verdict verdict = check_locked(parameters);
+    if (!verdict.ok) return verdict;
+  }
+  // Parameters are never undeclared and keep their type, so what was checked stays true.
+  if (const auto ask = callback()) {
+    Verdict verdict = (*ask)(parameters);
+    if (!verdict.ok) {
+      if (verdict.reason.empty()) verdict.reason = "the node refused the value";
+      return verdict;
+    }
+  }
+  rcl_interfaces::msg::ParameterEvent event;
+  {
+    const std::lock_guard lock(mutex_);
+    for (const auto& parameter : parameters) {
+      Entry& entry = entries_.at(parameter.name);
+      const bool was_set = entry.value.index() != 0;
+      const bool is_set = parameter.value.index() != 0;
+      entry.value = parameter.value;
+      if (is_set) {
+        (was_set ? event.changed_parameters : event.new_parameters)
+            .push_back(to_message(parameter));
+      } else if (was_set) {
+        event.deleted_parameters.push_back(to_message(parameter));
+      }
+    }
+  }
+  announce(std::move(event));
+  return {};
+}
+
+void ParameterStore::set_callback(Callback callback) {
+  auto shared = callback ? std::make_shared<const Callback>(std::move(callback)) : nullptr;
+  const std::lock_guard lock(mutex_);
+  callback_.swap(shared);
+}
+
+std::shared_ptr<const ParameterStore::Callback> ParameterStore::callback() const {
+  const std::lock_guard lock(mutex_);
+  return callback_;
+}
+
+std::optional<ParameterValue> ParameterStore::get(const std::string& name) const {
+  const std::lock_guard lock(mutex_);
+  const auto entry = entries_.find(name);
+  if (entry == entries_.end()) return std::nullopt;
+  return entry->second.value;
+}
+
+std::optional<rcl_interfaces::msg::ParameterDescriptor> ParameterStore::describe(
+    const std::string& name) const {
+  const std::lock_guard lock(mutex_);
+  const auto entry = entries_.find(name);
+  if (entry == entries_.end()) return std::nullopt;
+  rcl_interfaces::msg::ParameterDescriptor descriptor;
+  descriptor.name = name;
+  descriptor.type = static_cast<std::uint8_t>(entry->second.value.index());
+  descriptor.dynamic_typing = entry->second.type == 0;
+  return descriptor;
+}
+
+rcl_interfaces::msg::ListParametersResult ParameterStore::list(
+    const std::vector<std::string>& prefixes, std::uint64_t depth) const {
+  rcl_interfaces::msg::ListParametersResult result;
+  const std::lock_guard lock(mutex_);
+  for (const auto& [name, entry] : entries_) {
+    const bool listed = prefixes.empty() ? within_depth(name, 0, depth)
+                                         : std::any_of(prefixes.begin(), prefixes.end(),
+                                                       [&](const std::string& prefix) {
+                                                         return listed_under(name, prefix, depth);
+                                                       });
+    if (!listed) continue;
+    result.names.push_back(name);
+    const auto last = name.rfind(kSeparator);
+    if (last == std::string::npos) continue;
+    auto own_prefix = name.substr(0, last);
+    if (std::find(result.prefixes.begin(), result.prefixes.end(), own_prefix) ==
+        result.prefixes.end()) {
+      result.prefixes.push_back(std::move(own_prefix));
+    }
+  }
+  return result;
+}
+
+void ParameterStore::announce(rcl_interfaces::msg::ParameterEvent event) const {
+  // Nothing is kept for late joiners, so without a subscription there is nobody to tell.
+  if (!events_ || events_->subscription_count() == 0) return;
+  rcutils_time_point_value_t now = 0;
+  if (rcutils_system_time_now(&now) != RCUTILS_RET_OK) rcutils_reset_error();
+  event.stamp.sec = static_cast<std::int32_t>(now / 1'000'000'000);
+  event.stamp.nanosec = static_cast<std::uint32_t>(now % 1'000'000'000);
+  event.node = full_name_;
+  events_->publish(event);
+}
+
+}  // namespace play_launch
