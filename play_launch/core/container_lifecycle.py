@@ -20,6 +20,7 @@ class ContainerInput(StrEnum):
 
     START_REQUESTED = auto()
     HELLO = auto()
+    """It said hello and was answered."""
     HELLO_MISMATCH = auto()
     """It speaks another version of the protocol."""
     HELLO_OVERDUE = auto()
@@ -37,7 +38,6 @@ class ContainerAction(StrEnum):
     """What the actor has to do."""
 
     SPAWN = auto()
-    GREET = auto()
     LOAD_NODES = auto()
     LOSE_NODES = auto()
     KILL = auto()
@@ -82,7 +82,7 @@ TABLE: Final[Mapping[ContainerState, Mapping[ContainerInput, ContainerTransition
     State.STARTING: _row(
         State.STARTING,
         {
-            Said.HELLO: (State.RUNNING, Do.GREET, Do.LOAD_NODES),
+            Said.HELLO: (State.RUNNING, Do.LOAD_NODES),
             # The next start would speak the same version.
             Said.HELLO_MISMATCH: (State.GAVE_UP, Do.KILL, Do.REPORT_GAVE_UP),
             # Its death follows, and with it the decision about a restart.

@@ -6,9 +6,8 @@ attempt is under way, is still read as one about the old attempt.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import IntEnum
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Generic, NamedTuple, Protocol, TypeVar
 
 from play_launch.core.lifecycle import NodeInput
 
@@ -34,26 +33,31 @@ class Asked(NamedTuple):
     """0 while the container has not told it."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Listed:
-    """A node in the answer."""
+class Listed(Protocol):
+    """A node in the answer, as ``play_launch_msgs/NodeStatus`` has it."""
 
-    unique_id: int
-    attempt: int
-    state: int
-    full_node_name: str = ""
-    pid: int = 0
-    start_time: int = 0
-    elapsed_ns: int = 0
-    cpu_time_ns: int = 0
+    @property
+    def unique_id(self) -> int:
+        """The container's number for it."""
+
+    @property
+    def attempt(self) -> int:
+        """The load that it came from."""
+
+    @property
+    def state(self) -> int:
+        """A :class:`ListedState`, if the container tells sense."""
 
 
-class Answer(NamedTuple):
+_ListedT = TypeVar("_ListedT", bound=Listed)
+
+
+class Answer(NamedTuple, Generic[_ListedT]):
     """What the container said about one of the nodes asked for."""
 
     asked: Asked
     said: NodeInput
-    listed: Listed | None
+    listed: _ListedT | None
     """None when the container does not know the node."""
 
 
@@ -70,18 +74,18 @@ def ids_to_ask(asked: Iterable[Asked]) -> tuple[int, ...]:
     return ids if all(ids) else ()
 
 
-def read_answer(asked: Sequence[Asked], listed: Iterable[Listed]) -> list[Answer]:
+def read_answer(asked: Sequence[Asked], listed: Iterable[_ListedT]) -> list[Answer[_ListedT]]:
     """Say for each node asked about what the answer means.
 
     A node whose unique_id is listed under another attempt, or in a state without a meaning, is
     left out: that answers nothing.
     """
-    by_attempt: dict[int, Listed] = {}
-    by_id: dict[int, Listed] = {}
+    by_attempt: dict[int, _ListedT] = {}
+    by_id: dict[int, _ListedT] = {}
     for entry in listed:
         by_attempt.setdefault(entry.attempt, entry)
         by_id.setdefault(entry.unique_id, entry)
-    answers: list[Answer] = []
+    answers: list[Answer[_ListedT]] = []
     for each in asked:
         found = by_attempt.get(each.attempt)
         if found is None:

@@ -6,7 +6,7 @@ from collections import deque
 from dataclasses import dataclass, field
 
 from play_launch.core.lifecycle import NodeInput
-from play_launch.core.questions import Listed, ListedState
+from play_launch.core.questions import ListedState
 
 
 @dataclass(frozen=True)
@@ -32,6 +32,13 @@ class Word:
     said: NodeInput
     attempt: int
     unique_id: int
+
+
+@dataclass(frozen=True)
+class Listed:
+    unique_id: int
+    attempt: int
+    state: int
 
 
 @dataclass(frozen=True)

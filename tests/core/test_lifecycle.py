@@ -18,7 +18,9 @@ from play_launch.core.lifecycle import (
     is_silent,
     step,
 )
-from play_launch.core.questions import Asked, Listed, ListedState, ids_to_ask, read_answer
+from play_launch.core.questions import Asked, ListedState, ids_to_ask, read_answer
+
+from .model_container import Listed
 
 PATIENCE = Patience(loading_timeout=10.0, report_interval=15.0)
 SENDS_LOAD = {NodeAction.SEND_LOAD, NodeAction.RESEND_LOAD}
