@@ -1,5 +1,4 @@
-#ifndef PLAY_LAUNCH_SRC__CONTROL__CHANNEL_HPP_
-#define PLAY_LAUNCH_SRC__CONTROL__CHANNEL_HPP_
+#pragma once
 
 #include <atomic>
 #include <chrono>
@@ -90,5 +89,3 @@ class Channel {
 };
 
 }  // namespace play_launch::control
-
-#endif  // PLAY_LAUNCH_SRC__CONTROL__CHANNEL_HPP_

@@ -1,5 +1,4 @@
-#ifndef PLAY_LAUNCH_SRC__CONTROL__FRAME_CODEC_HPP_
-#define PLAY_LAUNCH_SRC__CONTROL__FRAME_CODEC_HPP_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -70,5 +69,3 @@ class FrameDecoder {
 };
 
 }  // namespace play_launch::control
-
-#endif  // PLAY_LAUNCH_SRC__CONTROL__FRAME_CODEC_HPP_

@@ -1,5 +1,4 @@
-#ifndef PLAY_LAUNCH_SRC__CONTROL__MESSAGES_HPP_
-#define PLAY_LAUNCH_SRC__CONTROL__MESSAGES_HPP_
+#pragma once
 
 #include <cstdint>
 #include <rosidl_typesupport_cpp/message_type_support.hpp>
@@ -20,8 +19,8 @@ void deserialize_message(std::span<const std::uint8_t> bytes,
 
 template <class Message>
 std::vector<std::uint8_t> encode(const Message& message) {
-  return serialize_message(
-      &message, rosidl_typesupport_cpp::get_message_type_support_handle<Message>());
+  return serialize_message(&message,
+                           rosidl_typesupport_cpp::get_message_type_support_handle<Message>());
 }
 
 template <class Message>
@@ -33,5 +32,3 @@ Message decode(std::span<const std::uint8_t> bytes) {
 }
 
 }  // namespace play_launch::control
-
-#endif  // PLAY_LAUNCH_SRC__CONTROL__MESSAGES_HPP_

@@ -1,5 +1,4 @@
-#ifndef PLAY_LAUNCH_SRC__CONTROL__UNIQUE_FD_HPP_
-#define PLAY_LAUNCH_SRC__CONTROL__UNIQUE_FD_HPP_
+#pragma once
 
 #include <unistd.h>
 
@@ -38,5 +37,3 @@ class UniqueFd {
 };
 
 }  // namespace play_launch::control
-
-#endif  // PLAY_LAUNCH_SRC__CONTROL__UNIQUE_FD_HPP_

@@ -15,9 +15,9 @@
 
 namespace {
 
-constexpr int kRefused = 125;     // wrong usage, or the parent is gone
-constexpr int kCannotRun = 126;   // COMMAND is there, but cannot be executed
-constexpr int kNotFound = 127;    // COMMAND is not there
+constexpr int kRefused = 125;    // wrong usage, or the parent is gone
+constexpr int kCannotRun = 126;  // COMMAND is there, but cannot be executed
+constexpr int kNotFound = 127;   // COMMAND is not there
 constexpr int kFirstCommandArg = 3;
 
 /// 0 when `text` is no process id.

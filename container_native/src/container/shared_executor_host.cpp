@@ -1,0 +1,134 @@
+#include "container/shared_executor_host.hpp"
+
+#include <pthread.h>
+#include <unistd.h>
+
+#include <string>
+#include <utility>
+
+#include "container/failpoints.hpp"
+
+namespace play_launch::container {
+
+SharedExecutorHost::SharedExecutorHost(std::vector<std::unique_ptr<ComponentBackend>> backends,
+                                       const ExecutorChoice& choice)
+    : process_(identity_of(::getpid())) {
+  backends_.reserve(backends.size());
+  for (std::unique_ptr<ComponentBackend>& backend : backends) {
+    std::unique_ptr<ComponentExecutor> executor = backend->create_executor(choice);
+    ComponentExecutor* const spinning = executor.get();
+    std::thread spinner([spinning] {
+      ::pthread_setname_np(::pthread_self(), "executor");
+      spinning->spin();
+    });
+    backends_.push_back({std::move(backend), std::move(executor), std::move(spinner)});
+  }
+}
+
+SharedExecutorHost::~SharedExecutorHost() {
+  stop_spinning();
+  for (Backend& backend : backends_) {
+    backend.spinner.join();
+  }
+}
+
+std::optional<std::string> SharedExecutorHost::expected_full_name(
+    const LoadRequest& request) const {
+  // Which backend it will be is found out by whoever constructs, as that reads files. All of them
+  // must agree.
+  std::optional<std::string> name;
+  for (const Backend& backend : backends_) {
+    const std::optional<std::string> expected = backend.backend->expected_full_name(request);
+    if (!expected || (name && *name != *expected)) {
+      return std::nullopt;
+    }
+    name = expected;
+  }
+  return name;
+}
+
+void SharedExecutorHost::load(std::uint64_t unique_id, LoadRequest request) {
+  tasks_.run("load-" + std::to_string(unique_id),
+             [this, unique_id, request = std::move(request)] { construct(unique_id, request); });
+}
+
+void SharedExecutorHost::unload(std::uint64_t unique_id) {
+  tasks_.run("unload-" + std::to_string(unique_id), [this, unique_id] { destroy(unique_id); });
+}
+
+void SharedExecutorHost::stop_spinning() {
+  for (Backend& backend : backends_) {
+    backend.executor->cancel();
+  }
+}
+
+SharedExecutorHost::Backend& SharedExecutorHost::backend_for(const std::string& package) {
+  std::vector<ComponentIndex> indexes;
+  for (Backend& backend : backends_) {
+    if (backend.backend->index().has_package(package)) {
+      return backend;
+    }
+    indexes.push_back(backend.backend->index());
+  }
+  throw LoadError(no_such_package(package, indexes));
+}
+
+void SharedExecutorHost::construct(std::uint64_t unique_id, const LoadRequest& request) {
+  clockid_t cpu_clock = CLOCK_THREAD_CPUTIME_ID;
+  // Another thread reads it, for which the generic id of "this thread" would be its own.
+  ::pthread_getcpuclockid(::pthread_self(), &cpu_clock);
+  observer_->on_constructing(unique_id, process_, cpu_clock);
+  hit(Failpoint::before_construct);
+  Node node;
+  try {
+    Backend& backend = backend_for(request.package_name);
+    node.executor = backend.executor.get();
+    node.component = backend.backend->create(request);
+  } catch (...) {
+    observer_->on_load_failed(unique_id, describe_current_exception());
+    return;
+  }
+  hit(Failpoint::after_construct);
+  if (!observer_->on_constructed(unique_id, node.component->full_name())) {
+    node.component.reset();
+    observer_->on_gone(unique_id);
+    return;
+  }
+  Component& component = *node.component;
+  ComponentExecutor& executor = *node.executor;
+  {
+    // In the map before anybody can ask to unload it.
+    const std::lock_guard lock(mutex_);
+    nodes_.emplace(unique_id, std::move(node));
+  }
+  try {
+    executor.add(component);
+  } catch (...) {  // the constructor gave its node to an executor of its own
+    const std::string reason = describe_current_exception();
+    std::unique_lock lock(mutex_);
+    auto handle = nodes_.extract(unique_id);
+    lock.unlock();
+    handle.mapped().component.reset();
+    observer_->on_load_failed(unique_id, reason);
+    return;
+  }
+  observer_->on_loaded(unique_id);
+}
+
+void SharedExecutorHost::destroy(std::uint64_t unique_id) {
+  hit(Failpoint::before_unload);
+  Node node;
+  {
+    const std::lock_guard lock(mutex_);
+    auto handle = nodes_.extract(unique_id);
+    if (handle.empty()) {
+      return;
+    }
+    node = std::move(handle.mapped());
+  }
+  node.executor->remove(*node.component);
+  node.component.reset();
+  observer_->on_gone(unique_id);
+}
+
+}  // namespace play_launch::container
