@@ -8,7 +8,7 @@ _list:
 # Make .venv with an editable install; run it again after a change in C++.
 setup:
     test -x {{python}} || python3 -m venv .venv
-    {{python}} -m pip install --editable '.[jazzy,test]'
+    CI=1 {{python}} -m pip install --editable '.[jazzy,test]'
 
 # Run the demo.
 demo:
