@@ -289,6 +289,9 @@ def spawn(
             raise SpawnError(argv, str(error)) from None
         try:
             pidfd = os.pidfd_open(process.pid)
+            opened.callback(os.close, pidfd)
+            # Not waited for, so /proc shows it even if it has ended already.
+            identity = read_stat(process.pid).identity
         except OSError as error:
             process.kill()
             process.wait()
@@ -296,8 +299,6 @@ def spawn(
         # From here on the pidfd alone is waited for. A Popen without a return code would wait
         # for the bare pid when it is collected.
         process.returncode = 0
-        # Not waited for, so /proc shows it even if it has ended already.
-        identity = read_stat(process.pid).identity
         for _, write_end in pipes.values():
             os.close(write_end)
         opened.pop_all()

@@ -1,0 +1,43 @@
+"""Fixtures of the tests with real processes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+from blockbuster import blockbuster_ctx
+
+from play_launch.native.locate import spawn_guard
+from tests.process.programs import open_descriptors
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+
+@pytest.fixture
+def anyio_backend() -> str:
+    return "asyncio"
+
+
+@pytest.fixture(autouse=True)
+def _loop_is_never_blocked() -> Iterator[None]:
+    with blockbuster_ctx("play_launch") as blockbuster:
+        # Popen waits for the exec of its vforked child, and spawn looks for the program: neither
+        # can wait for anything but the file system.
+        blockbuster.functions["os.read"].can_block_in("subprocess.py", "_execute_child")
+        for name in ("os.stat", "os.access"):
+            blockbuster.functions[name].can_block_in("process/child.py", "_check_program")
+        yield
+
+
+@pytest.fixture(autouse=True)
+def _descriptors_do_not_leak() -> Iterator[None]:
+    before = open_descriptors()
+    yield
+    assert open_descriptors() == before
+
+
+@pytest.fixture(scope="session")
+def guard() -> Path:
+    return spawn_guard()

@@ -1,0 +1,319 @@
+"""Children: started, watched, and gone without a trace."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import os
+import resource
+import signal
+import threading
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from play_launch.core.events import Stream
+from play_launch.process.child import OUTPUT_GRACE, Child, SpawnError, spawn
+from play_launch.process.exit import Exit
+from play_launch.process.identity import read_stat
+from tests.process.programs import (
+    READY_THEN_SLEEP,
+    Output,
+    environment,
+    exists,
+    python,
+    shell,
+)
+
+pytestmark = pytest.mark.anyio
+
+
+def start(argv: list[str], guard: Path | None, output: Output | None = None) -> Child:
+    return spawn(argv, env=environment(), guard=guard, on_output=output)
+
+
+async def finished(child: Child) -> Exit:
+    async with asyncio.timeout(20):
+        end = await child.gone()
+    assert not exists(child.pid)
+    return end
+
+
+@pytest.fixture(params=["guarded", "bare"])
+def either(request: pytest.FixtureRequest, guard: Path) -> Path | None:
+    return guard if request.param == "guarded" else None
+
+
+async def test_an_exit_status_is_told(either: Path | None) -> None:
+    child = start(shell("exit 7"), either)
+    assert child.is_running
+    assert await child.wait() == Exit(code=7)
+    assert await finished(child) == Exit(code=7)
+    assert child.exit == Exit(code=7)
+    assert "exited with status 7" in repr(child)
+
+
+@pytest.mark.parametrize("number", [signal.SIGSEGV, signal.SIGKILL, signal.SIGTERM])
+async def test_a_signal_is_told(either: Path | None, number: signal.Signals) -> None:
+    child = start(python(f"import os; os.kill(os.getpid(), {number.value})"), either)
+    end = await finished(child)
+    assert (end.code, end.signal) == (0, number)
+
+
+async def test_a_child_has_its_own_session_and_identity(either: Path | None) -> None:
+    child = start(shell("exec sleep 600"), either)
+    stat = read_stat(child.pid)
+    assert stat.session == stat.group == child.pid
+    assert stat.start_time == child.start_time
+    assert stat.parent == os.getpid()
+    assert child.send_signal(signal.SIGTERM)
+    assert await finished(child) == Exit(signal=signal.SIGTERM)
+    # From here on the number may be anybody's.
+    assert not child.send_signal(signal.SIGTERM)
+    assert not child.signal_group(signal.SIGTERM)
+    assert await child.members() == []
+
+
+async def test_a_child_gets_its_environment_and_directory_and_nothing_else(
+    either: Path | None, tmp_path: Path
+) -> None:
+    read_end, write_end = os.pipe()
+    inheritable, other = os.pipe()
+    os.set_inheritable(inheritable, True)
+    os.set_inheritable(other, True)
+    output = Output()
+    code = (
+        "import os; print('cwd', os.getcwd()); print('env', os.environ['COLOUR'], len(os.environ));"
+        f"os.write({write_end}, b'hello');"
+        "print('fds', *sorted(int(n) for n in os.listdir('/proc/self/fd')));"
+        "print('stdin', os.readlink('/proc/self/fd/0'))"
+    )
+    child = spawn(
+        python(code),
+        env={"COLOUR": "red", "LC_CTYPE": "C.UTF-8"},
+        guard=either,
+        cwd=tmp_path,
+        pass_fds=[write_end],
+        on_output=output,
+    )
+    assert (await finished(child)).ok, output.texts(Stream.STDERR)
+    assert os.read(read_end, 10) == b"hello"
+    lines = dict(text.split(" ", 1) for text in output.texts())
+    assert lines["cwd"] == str(tmp_path)
+    assert lines["env"] == "red 2"
+    assert lines["stdin"] == "/dev/null"
+    # 3 is the directory it lists.
+    assert lines["fds"].split() == ["0", "1", "2", "3", str(write_end)]
+    for descriptor in (read_end, write_end, inheritable, other):
+        os.close(descriptor)
+
+
+async def test_all_output_arrives_before_a_child_is_gone(guard: Path) -> None:
+    output = Output()
+    code = (
+        "import sys\n"
+        "for n in range(20000): print('out', n)\n"
+        "for n in range(2000): print('err', n, file=sys.stderr)\n"
+        "sys.stdout.write('no line end'); sys.stdout.flush(); import os; os.abort()"
+    )
+    end = await finished(start(python(code), guard, output))
+    assert end.signal == signal.SIGABRT
+    assert output.texts() == [f"out {n}" for n in range(20000)] + ["no line end"]
+    assert output.texts(Stream.STDERR) == [f"err {n}" for n in range(2000)]
+
+
+async def test_ignored_and_blocked_signals_are_not_inherited(guard: Path) -> None:
+    before = signal.signal(signal.SIGUSR1, signal.SIG_IGN)
+    signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGUSR2])
+    try:
+        output = Output()
+        code = (
+            "for line in open('/proc/self/status'):\n"
+            "  if line.startswith(('SigBlk', 'SigIgn')): print(line.strip())"
+        )
+        await finished(start(python(code), guard, output))
+    finally:
+        signal.signal(signal.SIGUSR1, before)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGUSR2])
+    # Python itself ignores SIGPIPE and SIGXFSZ.
+    pythons = (1 << (signal.SIGPIPE - 1)) | (1 << (signal.SIGXFSZ - 1))
+    assert output.texts() == ["SigBlk:\t0000000000000000", f"SigIgn:\t{pythons:016x}"]
+
+
+async def test_an_ignored_sigchld_does_not_swallow_the_status(guard: Path) -> None:
+    before = signal.signal(signal.SIGCHLD, signal.SIG_IGN)
+    try:
+        assert await finished(start(shell("exit 3"), guard)) == Exit(code=3)
+    finally:
+        signal.signal(signal.SIGCHLD, before)
+
+
+async def test_a_status_that_somebody_else_took_is_said_to_be_lost() -> None:
+    child = start(shell("exit 3"), None)
+    os.waitpid(child.pid, 0)  # before the loop gets to look
+    assert await finished(child) == Exit.lost()
+
+
+async def test_no_thread_per_child_and_nothing_left_of_many(guard: Path) -> None:
+    outputs = [Output() for _ in range(40)]
+    threads = threading.active_count()
+    children = [start(python(READY_THEN_SLEEP), guard, output) for output in outputs]
+    for output in outputs:
+        await output.wait_line("ready")
+    assert threading.active_count() == threads
+    for child in children:
+        child.signal_group(signal.SIGKILL)
+    for child in children:
+        assert await finished(child) == Exit(signal=signal.SIGKILL)
+    gc.collect()  # a Popen that thinks it has to wait would complain here
+
+
+async def test_grandchildren_die_with_their_parent(either: Path | None) -> None:
+    output = Output()
+    # Two in its group, one in a group of its own (a job of an interactive shell).
+    script = (
+        "sleep 600 & sleep 601 & set -m; sleep 602 & echo pids $(jobs -p); echo done; kill -9 $$"
+    )
+    child = start(["/bin/bash", "-c", script], either, output)
+    assert (await finished(child)).signal == signal.SIGKILL
+    pids = [int(pid) for pid in (await output.wait_line("pids")).split()]
+    assert len(pids) == 3
+    # Nobody of ours waits for orphans, so "dead" is what can be asked for.
+    for pid in pids:
+        assert not exists(pid) or not read_stat(pid).is_alive
+
+
+async def test_an_escaped_grandchild_does_not_hold_up_the_end(
+    guard: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    output = Output()
+    code = (
+        "import subprocess;"
+        "p = subprocess.Popen(['sleep', '600'], start_new_session=True); print('pid', p.pid)"
+    )
+    child = start(python(code), guard, output)
+    await child.wait()
+    ended = asyncio.get_running_loop().time()
+    assert (await finished(child)).ok
+    assert asyncio.get_running_loop().time() - ended >= OUTPUT_GRACE
+    pid = int(await output.wait_line("pid"))
+    assert read_stat(pid).is_alive
+    assert "keeps its output open" in caplog.text
+    os.kill(pid, signal.SIGKILL)
+
+
+@pytest.mark.parametrize(
+    ("argv", "errno", "text"),
+    [
+        (["no-such-program"], 2, "cannot start no-such-program: no such program in PATH"),
+        (["/no/such/program"], 2, "cannot start /no/such/program: no such file"),
+        (["/etc/passwd"], 13, "cannot start /etc/passwd: it is not an executable file"),
+        (["/tmp"], 13, "it is not an executable file"),
+        ([""], 0, "the command line is empty"),
+        ([], 0, "cannot start a program without a name"),
+        (["/bin/sh", "-c", "\0"], 0, "embedded null byte"),
+    ],
+)
+async def test_what_cannot_start_is_said(
+    either: Path | None, argv: list[str], errno: int, text: str
+) -> None:
+    with pytest.raises(SpawnError) as caught:
+        start(argv, either, Output())
+    assert text in str(caught.value)
+    assert caught.value.errno == errno
+    assert caught.value.argv == tuple(argv)
+
+
+async def test_a_missing_directory_and_a_missing_guard_are_said(
+    guard: Path, tmp_path: Path
+) -> None:
+    missing = tmp_path / "missing"
+    with pytest.raises(SpawnError, match=f"No such file or directory: {missing}"):
+        spawn(shell("true"), env=environment(), guard=guard, cwd=missing)
+    with pytest.raises(SpawnError, match=f"No such file or directory: {missing}"):
+        spawn(shell("true"), env=environment(), guard=missing)
+
+
+async def test_a_script_without_interpreter_ends_with_127(guard: Path, tmp_path: Path) -> None:
+    script = tmp_path / "node"
+    script.write_text("#!/no/such/interpreter\n")
+    script.chmod(0o755)
+    output = Output()
+    assert await finished(start([str(script)], guard, output)) == Exit(code=127)
+    assert "No such file" in output.texts(Stream.STDERR)[0]
+    with pytest.raises(SpawnError, match="No such file"):
+        start([str(script)], None)
+
+
+async def test_too_many_open_files_leave_nothing_behind(guard: Path) -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (64, hard))
+    filling: list[int] = []
+    failures = 0
+    try:
+        with suppress(OSError):
+            while True:
+                filling.append(os.open(os.devnull, os.O_RDONLY))
+        # Each step has one descriptor more to go on with before it fails.
+        child = None
+        while child is None:
+            with suppress(SpawnError):
+                child = start(shell("exit 4"), guard, Output())
+            if child is None:
+                with pytest.raises(SpawnError, match="Too many open files") as caught:
+                    start(shell("exit 4"), guard, Output())
+                assert caught.value.errno == 24
+                failures += 1
+                os.close(filling.pop())
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+        for descriptor in filling:
+            os.close(descriptor)
+    assert await finished(child) == Exit(code=4)
+    assert failures >= 5
+    with pytest.raises(ChildProcessError):
+        os.waitpid(-1, os.WNOHANG)
+
+
+async def test_a_child_dies_with_a_killed_parent(guard: Path) -> None:
+    """The parent alone is killed; nobody has time to clean up."""
+    code = (
+        "import asyncio, sys\n"
+        "from pathlib import Path\n"
+        "from play_launch.process.child import spawn\n"
+        "async def main():\n"
+        f"    child = spawn(['/bin/sleep', '600'], env={{}}, guard=Path({str(guard)!r}))\n"
+        "    print('child', child.pid, flush=True)\n"
+        "    await child.wait()\n"
+        "asyncio.run(main())\n"
+    )
+    output = Output()
+    root = Path(__file__).resolve().parents[2]
+    # No guard for the parent, and its session is held: what dies here dies by PR_SET_PDEATHSIG.
+    parent = spawn(
+        ["/usr/bin/env", "python3", "-c", code],
+        env={**os.environ, "PYTHONPATH": str(root)},
+        guard=None,
+        on_output=output,
+    )
+    orphan = int(await output.wait_line("child"))
+    pidfd = os.pidfd_open(orphan)
+    ended = asyncio.Event()
+    loop = asyncio.get_running_loop()
+    loop.add_reader(pidfd, ended.set)
+    with parent.holding_session():
+        assert parent.send_signal(signal.SIGKILL)
+        async with asyncio.timeout(10):
+            await ended.wait()
+        assert not exists(orphan) or not read_stat(orphan).is_alive
+    loop.remove_reader(pidfd)
+    os.close(pidfd)
+    await finished(parent)
+
+
+async def test_the_guard_refuses_when_the_parent_is_gone(guard: Path) -> None:
+    output = Output()
+    child = start([str(guard), "1", "--", "/bin/echo", "started"], None, output)
+    assert await finished(child) == Exit(code=125)
+    assert output.texts() == []

@@ -1,0 +1,202 @@
+"""The one way to stop."""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+from typing import TYPE_CHECKING
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from play_launch.process.child import Child, spawn
+from play_launch.process.exit import Exit
+from play_launch.process.identity import read_stat
+from play_launch.process.stop import (
+    StopLevel,
+    StopPolicy,
+    StopStep,
+    left_in_hurry,
+    plan,
+    stop,
+)
+from tests.process.programs import (
+    READY_THEN_SLEEP,
+    Output,
+    deaf_to,
+    environment,
+    exists,
+    python,
+)
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+pytestmark = pytest.mark.anyio
+
+# Long enough that nothing but an answer ends a level in the tests about answers.
+PATIENT = StopPolicy(ask=30, sigint=30, sigterm=30)
+SECONDS = st.floats(0, 100)
+
+
+@given(ask=SECONDS, sigint=SECONDS, sigterm=SECONDS, can_ask=st.booleans())
+def test_levels_come_in_order_and_sigkill_last(
+    ask: float, sigint: float, sigterm: float, can_ask: bool
+) -> None:
+    policy = StopPolicy(ask=ask, sigint=sigint, sigterm=sigterm)
+    steps = plan(policy, can_ask=can_ask)
+    levels = [step.level for step in steps]
+    assert levels == sorted(set(levels))
+    assert steps[-1] == StopStep(StopLevel.SIGKILL, policy.sigkill)
+    assert (StopLevel.ASK in levels) == (can_ask and ask > 0)
+    assert (StopLevel.SIGTERM in levels) == (sigterm > 0)
+    assert all(step.limit > 0 for step in steps)
+
+
+@given(limit=SECONDS, elapsed=SECONDS, hurried=SECONDS)
+def test_hurry_only_shortens(limit: float, elapsed: float, hurried: float) -> None:
+    policy = StopPolicy(hurried=hurried)
+    left = left_in_hurry(policy, StopStep(StopLevel.SIGINT, limit), elapsed)
+    assert 0 <= left <= max(0.0, limit - elapsed)
+    assert left <= hurried
+    # The kernel gets its time: afterwards nobody would look any more.
+    last = left_in_hurry(policy, StopStep(StopLevel.SIGKILL, limit), elapsed)
+    assert last == max(0.0, limit - elapsed)
+
+
+async def ready(argv: list[str], guard: Path) -> tuple[Child, Output]:
+    output = Output()
+    child = spawn(argv, env=environment(), guard=guard, on_output=output)
+    await output.wait_line("ready")
+    return child, output
+
+
+async def test_asking_is_enough_for_who_listens(guard: Path) -> None:
+    child, _ = await ready(["/bin/sh", "-c", "echo ready; exec sleep 600"], guard)
+
+    def ask() -> bool:
+        return child.send_signal(signal.SIGUSR1)  # stands for a message
+
+    outcome = await stop(child, PATIENT, ask=ask)
+    assert outcome.level is StopLevel.ASK
+    assert outcome.exit == Exit(signal=signal.SIGUSR1)
+    assert not exists(child.pid)
+
+
+async def test_who_cannot_be_asked_gets_sigint_at_once(guard: Path) -> None:
+    child, _ = await ready(python(READY_THEN_SLEEP), guard)
+    outcome = await stop(child, PATIENT, ask=lambda: False)
+    assert (outcome.level, outcome.stragglers) == (StopLevel.SIGINT, 0)
+    assert outcome.exit == Exit(signal=signal.SIGINT)
+
+
+async def test_deaf_to_sigint_takes_sigterm(guard: Path) -> None:
+    child, _ = await ready(deaf_to("SIGINT"), guard)
+    outcome = await stop(child, StopPolicy(ask=0.1, sigint=0.1, sigterm=30), ask=lambda: True)
+    assert outcome.level is StopLevel.SIGTERM
+    assert outcome.exit == Exit(signal=signal.SIGTERM)
+
+
+async def test_deaf_to_everything_takes_sigkill(guard: Path) -> None:
+    child, _ = await ready(deaf_to("SIGINT", "SIGTERM", "SIGHUP"), guard)
+    outcome = await stop(child, StopPolicy(sigint=0.1, sigterm=0.1, sigkill=30))
+    assert outcome.level is StopLevel.SIGKILL
+    assert outcome.exit == Exit(signal=signal.SIGKILL)
+    assert not exists(child.pid)
+
+
+async def test_a_frozen_process_can_still_go_in_order(guard: Path) -> None:
+    code = (
+        "import signal, sys; signal.signal(signal.SIGTERM, lambda *_: sys.exit(5));"
+        "signal.signal(signal.SIGINT, signal.SIG_IGN);" + READY_THEN_SLEEP
+    )
+    child, _ = await ready(python(code), guard)
+    child.send_signal(signal.SIGSTOP)
+    outcome = await stop(child, StopPolicy(sigint=0.1, sigterm=30))
+    assert (outcome.level, outcome.exit) == (StopLevel.SIGTERM, Exit(code=5))
+
+
+async def test_hurry_goes_through_the_levels(guard: Path) -> None:
+    child, _ = await ready(deaf_to("SIGINT", "SIGTERM"), guard)
+    hurry = asyncio.Event()
+    policy = StopPolicy(ask=600, sigint=600, sigterm=600, hurried=0.05)
+    asked = asyncio.Event()
+
+    def ask() -> bool:
+        asked.set()
+        return True
+
+    stopping = asyncio.create_task(stop(child, policy, ask=ask, hurry=hurry))
+    await asked.wait()
+    hurry.set()
+    async with asyncio.timeout(20):
+        outcome = await stopping
+    assert outcome.level is StopLevel.SIGKILL
+
+
+async def test_an_ended_process_needs_nothing(guard: Path) -> None:
+    child = spawn(["/bin/true"], env=environment(), guard=guard)
+    await child.wait()
+    outcome = await stop(child, PATIENT)
+    assert (outcome.level, outcome.exit) == (StopLevel.NONE, Exit())
+    assert (await stop(child, PATIENT)).level is StopLevel.NONE
+
+
+# A parent that ends on SIGINT at once, and a child of it that takes its time or is deaf.
+FAMILY = (
+    "import subprocess, sys, time\n"
+    "p = subprocess.Popen([sys.executable, '-I', '-S', '-c', sys.argv[1]],"
+    " stdout=subprocess.PIPE{extra})\n"
+    "p.stdout.readline(); print('ready', p.pid, flush=True); time.sleep(600)\n"
+)
+
+
+@pytest.mark.parametrize("extra", ["", ", process_group=0"], ids=["same group", "own group"])
+async def test_what_a_child_leaves_gets_its_time_too(
+    guard: Path, extra: str, tmp_path: Path
+) -> None:
+    goodbye = tmp_path / "goodbye"
+    slow = (
+        "import signal, sys, time, pathlib\n"
+        "def end(*_):\n"
+        f"    time.sleep(0.3); pathlib.Path({str(goodbye)!r}).touch(); sys.exit()\n"
+        "signal.signal(signal.SIGINT, end); print('up', flush=True); time.sleep(600)\n"
+    )
+    child, output = await ready([*python(FAMILY.format(extra=extra)), slow], guard)
+    grandchild = int(await output.wait_line("ready"))
+    outcome = await stop(child, PATIENT)
+    assert (outcome.level, outcome.stragglers) == (StopLevel.SIGINT, 0)
+    assert goodbye.exists()
+    assert not exists(grandchild) or not read_stat(grandchild).is_alive
+
+
+async def test_deaf_leftovers_are_killed_and_counted(guard: Path) -> None:
+    deaf = deaf_to("SIGINT", "SIGTERM")[-1]
+    child, output = await ready([*python(FAMILY.format(extra="")), deaf], guard)
+    grandchild = int(await output.wait_line("ready"))
+    outcome = await stop(child, StopPolicy(sigint=0.3, sigterm=0.2))
+    assert (outcome.level, outcome.stragglers) == (StopLevel.SIGINT, 1)
+    assert not exists(grandchild) or not read_stat(grandchild).is_alive
+
+
+async def test_a_cancelled_stop_keeps_nobody_alive(guard: Path) -> None:
+    deaf = deaf_to("SIGINT", "SIGTERM")[-1]
+    child, output = await ready([*python(FAMILY.format(extra="")), deaf], guard)
+    grandchild = int(await output.wait_line("ready"))
+    stopping = asyncio.create_task(stop(child, PATIENT))
+    await child.wait()
+    stopping.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await stopping
+    async with asyncio.timeout(20):
+        await child.gone()
+    assert not exists(grandchild) or not read_stat(grandchild).is_alive
+
+
+async def test_many_stop_side_by_side(guard: Path) -> None:
+    started = [await ready(deaf_to("SIGINT"), guard) for _ in range(12)]
+    policy = StopPolicy(sigint=0.2, sigterm=30)
+    outcomes = await asyncio.gather(*(stop(child, policy) for child, _ in started))
+    assert {outcome.level for outcome in outcomes} == {StopLevel.SIGTERM}
+    assert not any(exists(child.pid) for child, _ in started)
