@@ -1,6 +1,7 @@
 """The configuration file: read it, check it, resolve it into an immutable model."""
 
-from play_launch.config.load import load_config
+from play_launch.config.description import describe
+from play_launch.config.load import load_config, parse_config
 from play_launch.config.model import (
     ComposableNodeConfig,
     ContainerConfig,
@@ -31,5 +32,7 @@ __all__ = [
     "ReplayConfig",
     "RestartLimits",
     "StopLimits",
+    "describe",
     "load_config",
+    "parse_config",
 ]

@@ -1,0 +1,54 @@
+"""Environment variables: strings, because that is what a process gets."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from play_launch.config.problems import excerpt, join_path
+from play_launch.config.yaml_scalars import ScalarKind
+from play_launch.config.yaml_tree import Mapping, Node, Scalar, describe_node
+
+if TYPE_CHECKING:
+    from play_launch.config.report import Report
+
+_OURS = frozenset({"PLAY_LAUNCH_CONTROL_FD"})
+_QUOTABLE = frozenset({ScalarKind.INTEGER, ScalarKind.FLOAT, ScalarKind.BOOL})
+
+
+def resolve_environment(node: Node | None, path: str, report: Report) -> dict[str, str]:
+    """Return the variables at `node`; names without `=`, values without NUL."""
+    if node is None or (isinstance(node, Scalar) and node.kind is ScalarKind.INVALID):
+        return {}
+    if not isinstance(node, Mapping):
+        message = f"expected a mapping of variables to strings, given {describe_node(node)}"
+        report.add(node.place, path, message)
+        return {}
+    variables: dict[str, str] = {}
+    for entry in node.entries:
+        where = join_path(path, entry.key)
+        if "=" in entry.key or "\x00" in entry.key:
+            report.add(entry.place, where, "the name of a variable cannot hold = or NUL")
+        elif entry.key in _OURS:
+            report.add(entry.place, where, f"{entry.key} is set by this program itself")
+        else:
+            value = _string(entry.value, where, report)
+            if value is not None:
+                variables[entry.key] = value
+    return variables
+
+
+def _string(node: Node, path: str, report: Report) -> str | None:
+    if isinstance(node, Scalar):
+        if node.kind is ScalarKind.STRING and "\x00" in node.text:
+            report.add(node.place, path, "an environment variable cannot hold a NUL character")
+            return None
+        if node.kind is ScalarKind.STRING:
+            return node.text
+        if node.kind is ScalarKind.INVALID:
+            return None
+        if node.kind in _QUOTABLE:
+            message = f"expected a string, given {describe_node(node)}"
+            report.add(node.place, path, f"{message}; quote it: {excerpt(node.text)}")
+            return None
+    report.add(node.place, path, f"expected a string, given {describe_node(node)}")
+    return None

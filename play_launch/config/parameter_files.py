@@ -1,0 +1,146 @@
+"""ROS parameter files: sections for nodes, each with `ros__parameters` below.
+
+Which sections are for a node is decided as rclcpp does it (`parameter_map_from`): a section's
+name is absolute, `*` stands for one part, `**` for any number of parts, sections count in the
+order of the file.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from play_launch.config.parameters import flatten
+from play_launch.config.problems import excerpt, join_path
+from play_launch.config.source import Refused, decode, read_bytes
+from play_launch.config.yaml_composer import compose
+from play_launch.config.yaml_scalars import ScalarKind
+from play_launch.config.yaml_tree import Mapping, Node, Scalar, describe_node
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from play_launch.config.model import ParameterValue
+    from play_launch.config.report import Report
+
+_PARAMETERS = "ros__parameters"
+_PATTERN = re.compile(r"(?:/(?:\*\*|\*|[A-Za-z_][A-Za-z0-9_]*))+", re.ASCII)
+_FOR_ALL = "/**"
+
+
+@dataclass(slots=True)
+class _Section:
+    pattern: str
+    mapping: Mapping
+    path: str
+    values: dict[str, ParameterValue] | None = None  # flattened when a node asks for it
+
+
+class ParameterFiles:
+    """The parameter files of one configuration, each read once.
+
+    Relative paths start at the directory of the configuration file.
+    """
+
+    def __init__(self, directory: Path, report: Report) -> None:
+        self._directory = directory
+        self._report = report
+        self._sections: dict[Path, list[_Section] | Refused] = {}
+
+    def select(self, source: Node, path: str, full_name: str | None) -> dict[str, ParameterValue]:
+        """Return what the file named at `source` holds for the node `full_name`."""
+        assert isinstance(source, Scalar)
+        if not source.text.strip() or "\x00" in source.text:
+            self._report.add(source.place, path, "expected the path of a parameter file")
+            return {}
+        file = self._directory / os.path.expanduser(source.text)  # noqa: PTH111 - never raises
+        if file not in self._sections:
+            self._sections[file] = self._read(file)
+        sections = self._sections[file]
+        if isinstance(sections, Refused):
+            if sections.inside:
+                self._report.add(sections.place, "(file)", sections.message)
+            else:
+                message = f"the parameter file {file}: {sections.message}"
+                self._report.add(source.place, path, message)
+            return {}
+        values: dict[str, ParameterValue] = {}
+        for section in sections:
+            if section.pattern != _FOR_ALL and full_name is None:
+                self._report.add(
+                    source.place,
+                    path,
+                    f"{file} has the section {excerpt(section.pattern)}, and without a name it is "
+                    "not known whether that is this node; give the node a name",
+                )
+                break
+            if full_name is None or _matches(section.pattern, full_name):
+                if section.values is None:
+                    section.values = flatten(section.mapping, section.path, self._report)
+                values.update(section.values)
+        return values
+
+    def _read(self, file: Path) -> list[_Section] | Refused:
+        content = read_bytes(file)
+        if isinstance(content, Refused):
+            return content
+        text = decode(content, str(file))
+        if isinstance(text, Refused):
+            return text
+        root = compose(text, str(file), self._report)
+        sections: list[_Section] = []
+        if isinstance(root, Mapping):
+            self._collect(root, "", "", sections)
+        elif root is not None and not (isinstance(root, Scalar) and root.kind is ScalarKind.NULL):
+            message = f"expected node names with {_PARAMETERS} below, given {describe_node(root)}"
+            self._report.add(root.place, "(top level)", message)
+        return sections
+
+    def _collect(self, mapping: Mapping, pattern: str, path: str, into: list[_Section]) -> None:
+        """Walk down namespaces and names to the sections; nested names are joined with `/`."""
+        for entry in mapping.entries:
+            where = join_path(path, entry.key)
+            if entry.key == _PARAMETERS:
+                if not pattern:
+                    message = f'{_PARAMETERS} needs a node name above it, or "{_FOR_ALL}" for all'
+                    self._report.add(entry.place, where, message)
+                elif isinstance(entry.value, Mapping):
+                    into.append(_Section(pattern, entry.value, where))
+                else:
+                    self._expected_mapping(entry.value, where, "parameter names and values")
+                continue
+            below = f"{pattern}/{entry.key.removeprefix('/')}"
+            if not _PATTERN.fullmatch(below):
+                message = f"{excerpt(entry.key)} is neither {_PARAMETERS} nor the name of a node"
+                self._report.add(entry.place, where, message)
+            elif isinstance(entry.value, Mapping):
+                self._collect(entry.value, below, where, into)
+            else:
+                self._expected_mapping(entry.value, where, f"{_PARAMETERS} below a node name")
+
+    def _expected_mapping(self, node: Node, path: str, what: str) -> None:
+        if not (isinstance(node, Scalar) and node.kind is ScalarKind.INVALID):
+            self._report.add(node.place, path, f"expected {what}, given {describe_node(node)}")
+
+
+def _matches(pattern: str, full_name: str) -> bool:
+    """Match part by part; taking `**` at its shortest first keeps one place to come back to."""
+    parts = pattern.split("/")[1:]
+    names = full_name.split("/")[1:]
+    part = name = 0
+    star: tuple[int, int] | None = None
+    while name < len(names):
+        if part < len(parts) and parts[part] == "**":
+            star = (part, name)
+            part += 1
+        elif part < len(parts) and parts[part] in ("*", names[name]):
+            part += 1
+            name += 1
+        elif star is not None:
+            star = (star[0], star[1] + 1)
+            part, name = star[0] + 1, star[1]
+        else:
+            return False
+    return all(left == "**" for left in parts[part:])

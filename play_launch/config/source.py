@@ -1,0 +1,143 @@
+"""Bytes of a file, and the text in them: the only input of this package."""
+
+from __future__ import annotations
+
+import os
+import re
+import stat
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from play_launch.config.problems import Place
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+LARGEST_FILE = 4 * 1024 * 1024
+"""Bytes; keeps reading under a few seconds and is far more than any hand-written system."""
+
+_BYTE_ORDER_MARK = b"\xef\xbb\xbf"
+_UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
+_LINE_END = re.compile(r"\r\n|\r|\n")
+# What YAML calls not printable, and the byte order mark, which belongs at the very beginning.
+_NOT_YAML = re.compile(
+    "[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufefe\uff00-\ufffd\U00010000-\U0010ffff]"
+)
+_KINDS = (
+    (stat.S_ISDIR, "is a directory"),
+    (stat.S_ISFIFO, "is a pipe"),
+    (stat.S_ISSOCK, "is a socket"),
+    (stat.S_ISCHR, "is a device"),
+    (stat.S_ISBLK, "is a device"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """Why a file is of no use, and where; `inside` is whether its content is to blame."""
+
+    place: Place
+    message: str
+    inside: bool = False
+
+
+def read_bytes(path: Path, largest: int = LARGEST_FILE) -> bytes | Refused:
+    """Read the regular file at `path`, at most `largest` bytes, without ever waiting for a writer.
+
+    The kind is looked up before opening, because opening alone can set off a device, and once
+    more afterwards, because the path may have changed its meaning; O_NONBLOCK covers the gap.
+    """
+    start = Place(str(path), 1, 1)
+    try:
+        kind = _unreadable_kind(os.stat(path).st_mode)  # noqa: PTH116 - bytes and NUL in paths
+        if kind is not None:
+            return Refused(start, f"{kind}, not a regular file")
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOCTTY)
+    except (OSError, ValueError) as error:
+        return Refused(start, _why_not_opened(path, error))
+    try:
+        kind = _unreadable_kind(os.fstat(descriptor).st_mode)
+        if kind is not None:
+            return Refused(start, f"{kind}, not a regular file")
+        content = _read_at_most(descriptor, largest + 1)
+    except OSError as error:
+        return Refused(start, f"cannot be read: {error.strerror}")
+    finally:
+        os.close(descriptor)
+    if len(content) > largest:
+        return Refused(
+            start,
+            f"is larger than {largest // (1024 * 1024)} MiB, the limit for one file; "
+            "move long parameter lists into parameter files",
+        )
+    return content
+
+
+def decode(content: bytes, file: str) -> str | Refused:
+    """Turn the bytes of `file` into text that a YAML parser takes without complaint."""
+    if content.startswith(_UTF16_MARKS):
+        return Refused(Place(file, 1, 1), "is UTF-16; save it as UTF-8", inside=True)
+    content = content.removeprefix(_BYTE_ORDER_MARK)
+    try:
+        text = content.decode("utf-8")
+    except UnicodeDecodeError as error:
+        before = content[: error.start].decode("utf-8")
+        return Refused(
+            place_after(before, file),
+            f"byte 0x{content[error.start]:02x} is not UTF-8; save the file as UTF-8",
+            inside=True,
+        )
+    found = _NOT_YAML.search(text)
+    if found is not None:
+        place = place_after(text[: found.start()], file)
+        if found.group() == "\x00":
+            message = "a NUL byte; is this UTF-16 or a binary file? Save it as UTF-8"
+            return Refused(place, message, inside=True)
+        return Refused(
+            place,
+            f"the control character U+{ord(found.group()):04X} cannot stand in YAML; remove it, "
+            'or write it as an escape in double quotes, such as "\\x1b"',
+            inside=True,
+        )
+    return text
+
+
+def place_after(text: str, file: str) -> Place:
+    """Return the place of the character that follows `text` at the beginning of `file`."""
+    line = 1
+    line_start = 0
+    for end in _LINE_END.finditer(text):
+        line += 1
+        line_start = end.end()
+    return Place(file, line, len(text) - line_start + 1)
+
+
+def _unreadable_kind(mode: int) -> str | None:
+    if stat.S_ISREG(mode):
+        return None
+    return next((name for test, name in _KINDS if test(mode)), "is something special")
+
+
+def _why_not_opened(path: Path, error: OSError | ValueError) -> str:
+    if isinstance(error, FileNotFoundError):
+        if os.path.islink(path):  # noqa: PTH114 - never raises
+            return "is a symbolic link to a file that does not exist"
+        return "no such file"
+    if isinstance(error, PermissionError):
+        return "cannot be read: permission denied"
+    if isinstance(error, OSError):
+        return f"cannot be opened: {error.strerror}"
+    return f"is not a path: {error}"
+
+
+def _read_at_most(descriptor: int, limit: int) -> bytes:
+    # A loop, because files of /proc give less than asked for and state no size.
+    chunks: list[bytes] = []
+    missing = limit
+    while missing > 0:
+        chunk = os.read(descriptor, min(missing, 1024 * 1024))
+        if not chunk:
+            break
+        chunks.append(chunk)
+        missing -= len(chunk)
+    return b"".join(chunks)

@@ -1,0 +1,193 @@
+"""Checks a mapping of the YAML tree against a pydantic model and puts errors in their place."""
+
+from __future__ import annotations
+
+import difflib
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from play_launch.config.problems import excerpt, join_path
+from play_launch.config.schema import RawNode, Section
+from play_launch.config.yaml_scalars import ScalarKind
+from play_launch.config.yaml_tree import Entry, Mapping, Node, Scalar, Sequence, describe_node
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from pydantic_core import ErrorDetails
+
+    from play_launch.config.report import Report
+
+SomeSection = TypeVar("SomeSection", bound=Section)
+
+_LONGEST_KEY_TO_GUESS = 40
+_MOST_GUESSES = 100  # guessing takes long beside everything else; a file with more is no typo
+_YAML_1_1_BOOL = {"yes": "true", "on": "true", "y": "true", "no": "false", "off": "false"}
+_EXPECTED = {
+    "string_type": "a string",
+    "int_type": "an integer",
+    "bool_type": "true or false",
+    "list_type": "a list",
+    "dict_type": "a mapping",
+    "model_type": "a mapping",
+    "model_attributes_type": "a mapping",
+}
+
+
+def validate_mapping(
+    section: type[SomeSection], node: Node, path: str, report: Report
+) -> SomeSection | None:
+    """Return `node` as `section`, or None after every problem in it has gone to `report`."""
+    if not isinstance(node, Mapping):
+        if not _is_invalid(node):
+            report.add(
+                node.place,
+                path or "(top level)",
+                f"expected a mapping ({_keys(section)}), given {describe_node(node)}",
+            )
+        return None
+    raw = {name for name, field in section.model_fields.items() if _is_raw(field.metadata)}
+    values = {
+        entry.key: entry.value if entry.key in raw else plain(entry.value) for entry in node.entries
+    }
+    refused = False
+    for entry in node.entries:
+        if entry.key in section.model_fields and entry.key not in raw:
+            refused |= _refuse_tags(entry.value, join_path(path, entry.key), report)
+    try:
+        checked = section.model_validate(values)
+    except ValidationError as error:
+        for details in error.errors(include_url=False, include_input=False):
+            _report_error(details, section, node, path, report)
+        return None
+    return None if refused else checked
+
+
+def items_of(node: Node | None, path: str, what: str, report: Report) -> Iterator[tuple[Node, str]]:
+    """Yield each element of the list at `node` with its path; report if it is not a list."""
+    if node is None or _is_invalid(node):
+        return
+    if not isinstance(node, Sequence) or node.array_tag is not None:
+        report.add(node.place, path, f"expected a list of {what}, given {describe_node(node)}")
+        return
+    for index, item in enumerate(node.items):
+        yield item, f"{path}[{index}]"
+
+
+def plain(node: Node) -> object:
+    """Return what stands at `node` without places, as pydantic takes it."""
+    if isinstance(node, Scalar):
+        return node.value
+    if isinstance(node, Sequence):
+        return [plain(item) for item in node.items]
+    return {entry.key: plain(entry.value) for entry in node.entries}
+
+
+def _is_raw(metadata: list[Any]) -> bool:
+    return any(isinstance(mark, RawNode) for mark in metadata)
+
+
+def _is_invalid(node: Node) -> bool:
+    return isinstance(node, Scalar) and node.kind is ScalarKind.INVALID
+
+
+def _refuse_tags(node: Node, path: str, report: Report) -> bool:
+    """Report tags that mean something for parameters only."""
+    tag = None
+    if isinstance(node, Sequence):
+        tag = node.array_tag
+    elif isinstance(node, Scalar) and node.kind is ScalarKind.BINARY:
+        tag = "!!binary"
+    if tag is None:
+        return False
+    report.add(node.place, path, f"the tag {tag} is for parameters only")
+    return True
+
+
+def _report_error(
+    details: ErrorDetails, section: type[Section], root: Mapping, path: str, report: Report
+) -> None:
+    where = path
+    node: Node = root
+    entry: Entry | None = None
+    owner: type[BaseModel] = section
+    steps = list(details["loc"])
+    missing = details["type"] == "missing"
+    last = steps.pop() if missing else None
+    for index, step in enumerate(steps):
+        if isinstance(node, Mapping):
+            entry = node.entry(str(step))
+            if entry is None:
+                break
+            if index < len(steps) - 1:
+                owner = _model_of(owner, entry.key)
+            where = join_path(where, entry.key)
+            node = entry.value
+        elif isinstance(node, Sequence) and isinstance(step, int):
+            where = f"{where}[{step}]"
+            node = node.items[step]
+    if missing:
+        message = f"the key {excerpt(str(last))} is missing"
+        report.add(node.place, where or "(top level)", message)
+    elif details["type"] == "extra_forbidden" and entry is not None:
+        report.add(entry.place, where, _unknown_key(entry.key, owner, report))
+    elif not _is_invalid(node):
+        report.add(node.place, where or "(top level)", _message(details, node))
+
+
+def _model_of(owner: type[BaseModel], key: str) -> type[BaseModel]:
+    field = owner.model_fields.get(key)
+    candidates = getattr(field.annotation, "__args__", ()) if field is not None else ()
+    for candidate in candidates:
+        if isinstance(candidate, type) and issubclass(candidate, BaseModel):
+            return candidate
+    return owner
+
+
+def _keys(section: type[BaseModel]) -> str:
+    return ", ".join(section.model_fields)
+
+
+def _unknown_key(key: str, section: type[BaseModel], report: Report) -> str:
+    known = list(section.model_fields)
+    message = f"unknown key {excerpt(key)}"
+    all_advice: dict[str, str] = getattr(section, "advice", {})
+    advice = all_advice.get(key)
+    if advice is not None:
+        if advice in known:
+            return f"{message}; did you mean {excerpt(advice)}?"
+        # Another spelling of a key that does not belong here either.
+        advice = all_advice.get(advice, advice)
+        if " " in advice:
+            return f"{message}; {advice}"
+    if len(key) <= _LONGEST_KEY_TO_GUESS and len(report) < _MOST_GUESSES:
+        close = difflib.get_close_matches(key.lower().replace("-", "_"), known, n=1)
+        if close:
+            return f"{message}; did you mean {excerpt(close[0])}?"
+    return f"{message}; known here: {', '.join(known)}"
+
+
+def _message(details: ErrorDetails, node: Node) -> str:
+    kind = details["type"]
+    context = details.get("ctx", {})
+    if kind == "value_error":
+        return str(context["error"])
+    if kind in _EXPECTED:
+        message = f"expected {_EXPECTED[kind]}, given {describe_node(node)}"
+        if kind == "string_type" and isinstance(node, Scalar) and node.kind in _QUOTABLE:
+            message += f"; quote it: {excerpt(node.text)}"
+        if kind == "bool_type" and isinstance(node, Scalar):
+            meant = _YAML_1_1_BOOL.get(node.text.lower())
+            message += f"; write {meant}" if meant is not None else ""
+        return message
+    if kind == "greater_than_equal":
+        return f"must be at least {context['ge']}, given {describe_node(node)}"
+    if kind == "less_than_equal":
+        return f"must be at most {context['le']}, given {describe_node(node)}"
+    if kind == "too_short":
+        return "the list cannot be empty"
+    return f"{details['msg']}, given {describe_node(node)}"
+
+
+_QUOTABLE = frozenset({ScalarKind.INTEGER, ScalarKind.FLOAT, ScalarKind.BOOL})
