@@ -1,0 +1,370 @@
+"""One container: its process, its control channel and, mirrored, its nodes."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import random
+from contextlib import ExitStack
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+from play_launch.actors.container_nodes import AttemptNumbers, ContainerNodes
+from play_launch.actors.deadline import first_of, happens_before
+from play_launch.actors.ports import StartError
+from play_launch.actors.process_reports import ProcessReports
+from play_launch.actors.restarter import Restarter
+from play_launch.core.container_lifecycle import (
+    TABLE,
+    ContainerAction,
+    ContainerInput,
+)
+from play_launch.core.events import (
+    ContainerState,
+    ContainerStateChanged,
+    ProcessEventKind,
+)
+from play_launch.core.lifecycle import Patience
+from play_launch.core.restart import PERMANENT_EXIT_CODES, GiveUp
+from play_launch.native.control import (
+    ChannelClosedError,
+    ControlError,
+    VersionMismatchError,
+)
+from play_launch.native.messages import Hello, Shutdown
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from play_launch.actors.ports import ControlLink, Launcher, ManagedProcess
+    from play_launch.actors.publisher import Publisher
+    from play_launch.actors.stop_requests import StopRequests
+    from play_launch.config.model import ContainerConfig
+    from play_launch.process.exit import Exit
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Limits:
+    """Seconds."""
+
+    hello: float = 30.0
+    """From the start of a container to its hello."""
+    last_words: float = 0.5
+    """From its end to the end of what it said on the control channel."""
+    exit_after_close: float = 2.0
+    """From its closing the control channel to its end."""
+    report_interval: float = 15.0
+    """Between two reports of a slow constructor."""
+
+
+LIMITS: Final = Limits()
+
+
+@dataclass(frozen=True, slots=True)
+class _Death:
+    """The end of a container process, or that it could not be started."""
+
+    reason: str
+    permanent: bool = False
+    lived: float = 0.0
+
+
+_STOPPED_EARLY: Final = _Death("it was stopped before it was started")
+
+
+class ContainerActor:
+    """Owns one container from the beginning of the run to its end."""
+
+    def __init__(
+        self,
+        config: ContainerConfig,
+        *,
+        launcher: Launcher,
+        publisher: Publisher,
+        stop: StopRequests,
+        attempts: AttemptNumbers,
+        starts: asyncio.Semaphore,
+        limits: Limits = LIMITS,
+        jitter: Callable[[], float] = random.random,
+    ) -> None:
+        """Know the container; ``starts`` bounds how many start up at the same time."""
+        self._config = config
+        self._name = config.full_name
+        self._launcher = launcher
+        self._publisher = publisher
+        self._stop = stop
+        self._starts = starts
+        self._limits = limits
+        self._loop = asyncio.get_running_loop()
+        self._reports = ProcessReports(self._name, publisher)
+        self._restarter = Restarter(config.restart, jitter)
+        self._delay = 0.0
+        self._state = ContainerState.STOPPED
+        self._nodes = ContainerNodes(
+            config,
+            publisher=publisher,
+            attempts=attempts,
+            patience=Patience(
+                loading_timeout=config.loading_timeout, report_interval=limits.report_interval
+            ),
+            clock=self._loop.time,
+            jitter=jitter,
+        )
+        self._deadlines_changed = asyncio.Event()
+        # Of the present process:
+        self._process: ManagedProcess | None = None
+        self._ended = False
+        self._killed_because = ""
+        self._link: ControlLink | None = None
+        self._hello_due: float | None = None
+        self._ready_at: float | None = None
+
+    @property
+    def state(self) -> ContainerState:
+        """What is known about the container."""
+        return self._state
+
+    def announce(self) -> None:
+        """Tell that it and its nodes are declared."""
+        self._publish_state("")
+        self._nodes.announce()
+
+    def unload(self, index: int) -> None:
+        """Have a node unloaded, by its place in the declaration; it stays unloaded."""
+        self._nodes.unload(index)
+        self._deadlines_changed.set()
+
+    async def run(self) -> None:
+        """Keep it running until the system stops or it is given up."""
+        actions = self._apply(ContainerInput.START_REQUESTED)
+        while ContainerAction.SPAWN in actions:
+            death = await self._live()
+            if ContainerAction.WAIT_FOR_RESTART not in self._die(death):
+                break
+            due = self._loop.time() + self._delay
+            await self._gone()
+            # A lock that a killed participant left would keep the next one waiting.
+            await self._launcher.clean_up()
+            if await happens_before(self._stop.requested, due):
+                actions = self._apply(ContainerInput.STOP_REQUESTED)
+            else:
+                actions = self._apply(ContainerInput.RESTART_DUE)
+        await self._gone()
+
+    async def _live(self) -> _Death:
+        """Run one process from its start to its end."""
+        with ExitStack() as starting:
+            if not await self._may_start(starting):
+                self._apply(ContainerInput.STOP_REQUESTED)
+                return _STOPPED_EARLY
+            try:
+                process, link = self._launcher.start_container(
+                    self._config, self._reports.on_output
+                )
+            except StartError as error:
+                return _Death(str(error), permanent=error.permanent)
+            self._process, self._link = process, link
+            try:
+                self._started(process)
+                return await self._accompany(process, link, starting)
+            except BaseException:
+                process.kill()
+                await self._gone()
+                raise
+            finally:
+                link.close()
+                self._link = None
+
+    async def _may_start(self, starting: ExitStack) -> bool:
+        """Wait for a free place to start in; False when a stop comes first."""
+        if not self._stop.requested.is_set():
+            waiting = asyncio.ensure_future(self._starts.acquire())
+            try:
+                await first_of(_wait(waiting), self._stop.requested.wait())
+            finally:
+                if waiting.done() and not waiting.cancelled():
+                    starting.callback(self._starts.release)
+                waiting.cancel()
+        return not self._stop.requested.is_set()
+
+    async def _accompany(
+        self, process: ManagedProcess, link: ControlLink, starting: ExitStack
+    ) -> _Death:
+        said_everything = asyncio.Event()
+        async with asyncio.TaskGroup() as tasks:
+            talking = tasks.create_task(self._listen(link, starting, said_everything))
+            waiting = tasks.create_task(self._watch_deadlines())
+            ending = tasks.create_task(process.wait())
+            stopping = tasks.create_task(self._stop_when_requested(process))
+            await asyncio.wait({ending, stopping}, return_when=asyncio.FIRST_COMPLETED)
+            immortal = stopping.done() and not stopping.result()
+            if not immortal:
+                exit_ = await ending
+                self._ended = True
+                self._reports.exited(exit_)
+                # What it said last is still in the socket.
+                limit = self._loop.time() + self._limits.last_words
+                await happens_before(said_everything, limit)
+            for task in (talking, waiting, ending):
+                task.cancel()
+            if self._state is ContainerState.STOPPING:
+                await stopping
+            stopping.cancel()
+        return self._immortal(process) if immortal else self._death(ending.result())
+
+    async def _listen(
+        self, link: ControlLink, starting: ExitStack, said_everything: asyncio.Event
+    ) -> None:
+        """Hear what the container says, up to the end of the channel."""
+        try:
+            hello = await link.handshake(self._launcher.hello())
+            starting.close()
+            self._greeted(link, hello)
+            while True:
+                message = await link.receive()
+                if isinstance(message, Hello):
+                    _log.warning("%s said hello again", self._name)
+                else:
+                    self._nodes.hear(message)
+                    self._deadlines_changed.set()
+        except VersionMismatchError as error:
+            self._apply(ContainerInput.HELLO_MISMATCH, str(error))
+        except ChannelClosedError as error:
+            said_everything.set()
+            # The channel ends a moment before the process does.
+            await asyncio.sleep(self._limits.exit_after_close)
+            self._apply(ContainerInput.CHANNEL_BROKEN, str(error))
+        except ControlError as error:
+            self._apply(ContainerInput.CHANNEL_BROKEN, str(error))
+        finally:
+            said_everything.set()
+
+    async def _watch_deadlines(self) -> None:
+        while True:
+            self._deadlines_changed.clear()
+            times = (self._hello_due, self._nodes.next_deadline())
+            due = min((time for time in times if time is not None), default=None)
+            if await happens_before(self._deadlines_changed, due):
+                continue
+            if self._hello_due is not None and self._loop.time() >= self._hello_due:
+                self._hello_due = None
+                reason = f"it did not say hello within {self._limits.hello:g} s"
+                self._apply(ContainerInput.HELLO_OVERDUE, reason)
+            self._nodes.on_time()
+
+    async def _stop_when_requested(self, process: ManagedProcess) -> bool:
+        """Stop it as soon as that is requested; tell whether it has ended."""
+        await self._stop.requested.wait()
+        ask = self._ask_to_stop if self._state is ContainerState.RUNNING else None
+        if ContainerAction.STOP_PROCESS not in self._apply(
+            ContainerInput.STOP_REQUESTED, self._stop.reason
+        ):
+            await process.wait()
+            return True
+        if not self._ended:
+            self._reports.publish(ProcessEventKind.STOPPING, message=self._stop.reason)
+        return await process.stop(ask=ask, hurry=self._stop.hurry)
+
+    def _ask_to_stop(self) -> bool:
+        if self._link is None:
+            return False
+        try:
+            self._link.send(Shutdown(reason=self._stop.reason))
+        except ControlError:
+            return False
+        return True
+
+    async def _gone(self) -> None:
+        """Wait until nothing of the ended process is left."""
+        process, self._process = self._process, None
+        if process is not None:
+            await self._reports.gone(process)
+
+    def _started(self, process: ManagedProcess) -> None:
+        self._ready_at = None
+        self._ended = False
+        self._killed_because = ""
+        self._hello_due = self._loop.time() + self._limits.hello
+        self._reports.started(process)
+
+    def _greeted(self, link: ControlLink, hello: Hello) -> None:
+        self._hello_due = None
+        actions = self._apply(ContainerInput.HELLO)
+        if ContainerAction.LOAD_NODES not in actions:
+            return
+        self._ready_at = self._loop.time()
+        if hello.full_node_name != self._name:
+            _log.warning("%s calls itself %s", self._name, hello.full_node_name)
+        kind = f"{hello.mode}, {hello.rmw_implementation}, domain {hello.domain_id}"
+        self._reports.publish(ProcessEventKind.READY, message=kind)
+        self._nodes.container_ready(link.send)
+        self._deadlines_changed.set()
+
+    def _death(self, exit_: Exit) -> _Death:
+        because = f"{self._killed_because}; " if self._killed_because else ""
+        if self._ready_at is None:
+            again = PERMANENT_EXIT_CODES.get(exit_.code, "")
+            reason = f"{exit_}: {again}" if again else str(exit_)
+            return _Death(f"{because}{reason}", permanent=bool(again))
+        return _Death(f"{because}{exit_}", lived=self._loop.time() - self._ready_at)
+
+    def _immortal(self, process: ManagedProcess) -> _Death:
+        reason = "does not die, not even of SIGKILL"
+        _log.error("%s (pid %d) %s", self._name, process.pid, reason)
+        self._process = None
+        return _Death(reason, permanent=True)
+
+    def _die(self, death: _Death) -> tuple[ContainerAction, ...]:
+        """Decide what follows from the end of the process."""
+        if self._state in {ContainerState.STOPPING, ContainerState.GAVE_UP}:
+            return self._apply(ContainerInput.DIED_FOR_GOOD, death.reason)
+        if death.permanent:
+            return self._apply(ContainerInput.DIED_FOR_GOOD, death.reason)
+        verdict = self._restarter.decide(now=self._loop.time(), lived=death.lived)
+        if isinstance(verdict, GiveUp):
+            reason = f"{death.reason}; {verdict.reason}"
+            return self._apply(ContainerInput.DIED_FOR_GOOD, reason)
+        self._delay = verdict.delay
+        self._reports.restarts = self._restarter.total
+        reason = f"{death.reason}; starts again in {verdict.delay:.2f} s"
+        actions = self._apply(ContainerInput.DIED_RESTART, reason)
+        _log.warning("%s: %s", self._name, reason)
+        self._reports.publish(ProcessEventKind.RESTARTING, message=reason)
+        return actions
+
+    def _apply(self, said: ContainerInput, reason: str = "") -> tuple[ContainerAction, ...]:
+        state, actions = TABLE[self._state][said]
+        if state is not self._state:
+            self._state = state
+            self._publish_state(reason)
+        for action in actions:
+            match action:
+                case ContainerAction.LOSE_NODES:
+                    self._nodes.container_lost(f"its container: {reason}")
+                case ContainerAction.KILL:
+                    _log.error("%s is killed: %s", self._name, reason)
+                    self._killed_because = reason
+                    assert self._process is not None
+                    self._process.kill()
+                case ContainerAction.REPORT_GAVE_UP:
+                    _log.error("%s is given up: %s", self._name, reason)
+                    self._reports.publish(ProcessEventKind.GAVE_UP, message=reason)
+                case _:
+                    pass  # the caller's part
+        return actions
+
+    def _publish_state(self, reason: str) -> None:
+        self._publisher.publish(
+            ContainerStateChanged(
+                stamp_ns=self._publisher.stamp_ns(),
+                container=self._name,
+                state=self._state,
+                reason=reason,
+            )
+        )
+
+
+async def _wait(future: asyncio.Future[Any]) -> None:
+    await future

@@ -1,0 +1,114 @@
+"""What the actors need of the outside world.
+
+:mod:`play_launch.actors.wiring` fulfils it with real processes, tests with scripted ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Protocol, TypeAlias
+
+from play_launch.core.events import Stream
+from play_launch.process.lines import Line
+
+if TYPE_CHECKING:
+    import asyncio
+
+    from play_launch.config.model import ContainerConfig, ProcessConfig
+    from play_launch.native.messages import Hello, Incoming, Outgoing
+    from play_launch.process.exit import Exit
+
+OutputCallback: TypeAlias = Callable[[Stream, Sequence[Line]], None]
+
+
+class StartError(Exception):
+    """A process could not be started.
+
+    Attributes:
+        permanent: Whether the next try would fail in the same way.
+    """
+
+    def __init__(self, reason: str, *, permanent: bool) -> None:
+        super().__init__(reason)
+        self.permanent = permanent
+
+
+class ManagedProcess(Protocol):
+    """A process that we started."""
+
+    @property
+    def pid(self) -> int:
+        """Its pid."""
+
+    @property
+    def start_time(self) -> int:
+        """Clock ticks after boot."""
+
+    @property
+    def argv(self) -> tuple[str, ...]:
+        """Its command line."""
+
+    async def wait(self) -> Exit:
+        """Wait until the process itself has ended."""
+
+    async def gone(self) -> Exit:
+        """Wait until nothing of it is left, its children and its output included."""
+
+    def kill(self) -> None:
+        """Kill it at once; harmless when it has ended."""
+
+    async def stop(self, *, ask: Callable[[], bool] | None, hurry: asyncio.Event) -> bool:
+        """Stop it and everything it left behind, from gentle to hard.
+
+        Args:
+            ask: Asks it in its own language; False when it could not be asked.
+            hurry: Set when somebody does not want to wait any longer.
+
+        Returns:
+            Whether it has ended; False when not even SIGKILL did it in time.
+        """
+
+
+class ControlLink(Protocol):
+    """Our end of a control channel; errors as :mod:`play_launch.native.control` has them."""
+
+    async def handshake(self, hello: Hello) -> Hello:
+        """Wait for the container's hello and answer it."""
+
+    async def receive(self) -> Incoming:
+        """Wait for the next message."""
+
+    def send(self, message: Outgoing) -> None:
+        """Send a message, without waiting."""
+
+    def close(self) -> None:
+        """Close it; a container that still lives stops by itself then."""
+
+
+class Launcher(Protocol):
+    """Starts processes; each call takes about a millisecond and does not wait for anything."""
+
+    def hello(self) -> Hello:
+        """Say who we are."""
+
+    def start_container(
+        self, config: ContainerConfig, on_output: OutputCallback
+    ) -> tuple[ManagedProcess, ControlLink]:
+        """Start a container.
+
+        Raises:
+            StartError: When that is not possible.
+        """
+
+    def start_process(self, config: ProcessConfig, on_output: OutputCallback) -> ManagedProcess:
+        """Start an ordinary executable.
+
+        Raises:
+            StartError: When that is not possible.
+        """
+
+    async def clean_up(self) -> None:
+        """Remove what killed processes left behind in the system."""
+
+    async def close(self) -> None:
+        """Give back what belongs to the launcher itself."""

@@ -1,0 +1,59 @@
+"""The one way from the actors to the outside."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING
+
+from play_launch.core.events import OutputLine
+from play_launch.core.view import SystemView
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from play_launch.actors.stop_requests import StopRequests
+    from play_launch.core.events import EventSink, RunEvent, Stream
+    from play_launch.process.lines import Line
+
+
+class Publisher:
+    """Hands every event to the sink and keeps the view that follows from them."""
+
+    def __init__(self, sink: EventSink, stamp_ns: Callable[[], int] = time.time_ns) -> None:
+        """Wrap a sink; ``stamp_ns`` gives the wall-clock time in nanoseconds."""
+        self._sink = sink
+        self.stamp_ns = stamp_ns
+        self.view = SystemView()
+        self._stop: StopRequests | None = None
+        self._view_before_stop: SystemView | None = None
+
+    @property
+    def view_before_stop(self) -> SystemView:
+        """The view as it was when the first stop was requested, or is as long as none was."""
+        return self._view_before_stop or self.view
+
+    def remember_view_before(self, stop: StopRequests) -> None:
+        """Keep the view that holds when a stop is requested: the first event after that is late."""
+        self._stop = stop
+
+    def publish(self, event: RunEvent) -> None:
+        """Take one event."""
+        if self._view_before_stop is None and self._stop and self._stop.requested.is_set():
+            self._view_before_stop = self.view
+        self.view = self.view.after(event)
+        self._sink.publish(event)
+
+    def publish_output(self, name: str, pid: int, stream: Stream, lines: Sequence[Line]) -> None:
+        """Take what a process wrote."""
+        stamp_ns = self.stamp_ns()
+        for line in lines:
+            self._sink.publish(
+                OutputLine(
+                    stamp_ns=stamp_ns,
+                    process=name,
+                    pid=pid,
+                    stream=stream,
+                    text=line.text,
+                    truncated=line.truncated,
+                )
+            )
