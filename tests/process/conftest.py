@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import psutil
 import pytest
 from blockbuster import blockbuster_ctx
 
@@ -36,6 +37,16 @@ def _descriptors_do_not_leak() -> Iterator[None]:
     before = open_descriptors()
     yield
     assert open_descriptors() == before
+
+
+@pytest.fixture(autouse=True)
+def _no_child_outlives_a_test() -> Iterator[None]:
+    yield
+    left = psutil.Process().children(recursive=True)
+    for process in left:
+        process.kill()
+    psutil.wait_procs(left)
+    assert not left
 
 
 @pytest.fixture(scope="session")

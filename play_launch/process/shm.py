@@ -1,0 +1,280 @@
+"""Removes what killed processes left of Fast DDS's shared memory.
+
+Fast DDS 2.14 (the RMW of ROS 2 Jazzy) keeps these files in `/dev/shm`:
+
+- `fastrtps_<16 hex digits>`: the data of one participant. The lock file `..._el` is locked with
+  flock(2) from before the segment is made until its owner ends.
+- `fastrtps_port<N>`: the queue of one receiver, mapped by every sender, too. Its receiver holds a
+  lock on `..._el` (one receiver) or `..._sl` (several).
+- `sem.fastrtps_port<N>_mutex`: a POSIX semaphore that is held while somebody opens or removes
+  that port.
+
+The kernel releases the locks of a killed process and leaves its files, which then fill the memory
+and are stumbled over by whoever gets the same port number next. Fast DDS itself takes a port whose
+lock file is there and unlocked for dead, and resets it; so do we. A port without any lock file
+(its sender opened it anew, or its receiver ended well while the count of users had been spoilt by
+a killed one) is dead when nobody maps it.
+
+A port is judged and removed while we hold its semaphore, so none can be opened meanwhile, and
+every lock is held until its file is gone. A participant that is just being created loses the race
+for its lock at worst: it then takes the next random number, as Fast DDS provides for.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import ctypes
+import errno
+import fcntl
+import os
+import re
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, field
+from enum import Enum
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+SHARED_MEMORY = Path("/dev/shm")  # noqa: S108 (where Linux keeps shared memory)
+
+_SEGMENT = re.compile(r"(fastrtps_[0-9a-f]{16})(?:_el)?")
+_PORT = re.compile(r"(?:sem\.)?(fastrtps_port\d+)(?:_el|_sl|_mutex)?")
+
+
+@dataclass(slots=True)
+class SweepReport:
+    """What a sweep found.
+
+    Attributes:
+        removed: Names of the files that are gone now.
+        in_use: How many participants' segments and ports somebody alive holds.
+        failed: Names of dead files that could not be removed, with the reason.
+    """
+
+    removed: list[str] = field(default_factory=list)
+    in_use: int = 0
+    failed: dict[str, str] = field(default_factory=dict)
+
+
+async def sweep_shared_memory() -> SweepReport:
+    """Run `sweep` in a thread."""
+    return await asyncio.to_thread(sweep)
+
+
+def sweep() -> SweepReport:
+    """Remove the segments and ports that nobody alive holds, whoever left them.
+
+    Takes a few milliseconds, with leftovers about one more per process of the machine. Processes
+    of other users cannot be looked into; where they hold a lock, that is respected all the same.
+    """
+    report = SweepReport()
+    names = _names()
+    segments = {match[1] for name in names if (match := _SEGMENT.fullmatch(name))}
+    ports = {match[1] for name in names if (match := _PORT.fullmatch(name))}
+    for name in sorted(segments):
+        _sweep_segment(name, report)
+    _sweep_ports(sorted(ports), report)
+    return report
+
+
+def _sweep_segment(name: str, report: SweepReport) -> None:
+    with ExitStack() as held:
+        lock = f"{name}_el"
+        state = _take_lock(lock, held)
+        if state is _Lock.ABSENT and _Mappings().users(name):
+            state = _Lock.BUSY
+        if state is _Lock.ABSENT and _exists(lock):
+            state = _Lock.BUSY  # the lock is made first: a new owner has just come
+        if state is _Lock.BUSY:
+            report.in_use += 1
+            return
+        _remove(name, report)
+        _remove(lock, report)
+
+
+class _Port:
+    """One port that is being judged."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.semaphore = f"sem.{name}_mutex"
+        # None: somebody has it, who may be dead. False: out of our reach.
+        self._mutex: bool | None = None
+        self._locks: set[_Lock] = set()
+
+    @property
+    def is_suspect(self) -> bool:
+        """Whether it may be dead, as far as can be told without looking who maps what."""
+        return self._mutex is None or (self._mutex and _Lock.BUSY not in self._locks)
+
+    def take(self, held: ExitStack) -> None:
+        """Take what somebody opening it would hold, and what its receiver would hold."""
+        with ExitStack() as taken:
+            try:
+                self._mutex = True if _take_semaphore(self.semaphore, taken) else None
+            except OSError:  # it belongs to somebody else
+                self._mutex = False
+                return
+            if self._mutex:
+                self._take_locks(taken)
+            # That of a living port is given back at once.
+            if self.is_suspect:
+                held.push(taken.pop_all())
+
+    def is_dead(self, mapped: _Mappings, held: ExitStack) -> bool:
+        """Whether nobody alive holds it; `mapped` was found after `take`."""
+        if self._mutex is None:
+            # Somebody is opening it, or died while doing so: everybody after him waits for 20 s
+            # then. We map the semaphore ourselves, just for having opened it.
+            us = os.getpid()
+            here = any(us in mapped.users(name) for name in _names() if _SEGMENT.fullmatch(name))
+            if mapped.users(self.semaphore) - {us} or here:
+                return False
+            self._take_locks(held)
+        if not self.is_suspect or _Lock.BUSY in self._locks:
+            return False
+        return _Lock.TAKEN in self._locks or not mapped.users(self.name)
+
+    def remove(self, mapped: _Mappings, report: SweepReport) -> None:
+        """Remove its files; a semaphore that somebody waits for stays."""
+        for name in (self.name, f"{self.name}_el", f"{self.name}_sl"):
+            _remove(name, report)
+        if not mapped.users(self.semaphore) - {os.getpid()}:
+            _remove(self.semaphore, report)
+
+    def _take_locks(self, held: ExitStack) -> None:
+        self._locks = {_take_lock(f"{self.name}{suffix}", held) for suffix in ("_el", "_sl")}
+
+
+def _sweep_ports(names: list[str], report: SweepReport) -> None:
+    with ExitStack() as held:
+        ports = [_Port(name) for name in names]
+        for port in ports:
+            port.take(held)
+        suspects = [port for port in ports if port.is_suspect]
+        report.in_use += len(ports) - len(suspects)
+        # Looked up only now: whoever comes later waits for a semaphore that we hold.
+        mapped = _Mappings(None if suspects else [])
+        for port in suspects:
+            if port.is_dead(mapped, held):
+                port.remove(mapped, report)
+            else:
+                report.in_use += 1
+
+
+class _Lock(Enum):
+    """What became of the attempt to lock a file."""
+
+    TAKEN = "taken"
+    BUSY = "busy"
+    ABSENT = "absent"
+
+
+def _take_lock(name: str, held: ExitStack) -> _Lock:
+    """Lock a lock file as its owner would, until `held` is closed; never create it."""
+    path = SHARED_MEMORY / name
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW)
+    except FileNotFoundError:
+        return _Lock.ABSENT
+    except OSError:
+        return _Lock.BUSY  # nothing of ours: let it be
+    with ExitStack() as opened:
+        opened.callback(os.close, descriptor)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return _Lock.BUSY
+        # It may have been removed, and made anew by somebody else, before we had the lock.
+        with suppress(FileNotFoundError):
+            if os.path.samestat(os.fstat(descriptor), path.stat()):
+                held.push(opened.pop_all())
+                return _Lock.TAKEN
+    return _Lock.BUSY
+
+
+def _take_semaphore(name: str, held: ExitStack) -> bool:
+    """Take a port's semaphore until `held` is closed; make it where it is missing.
+
+    Returns whether we have it.
+
+    Raises:
+        OSError: When it cannot be opened, or was removed while we did.
+    """
+    posix_name = name.removeprefix("sem.")
+    libc = _libc()
+    semaphore = libc.sem_open(f"/{posix_name}".encode(), os.O_CREAT, 0o644, 1)
+    if not semaphore:
+        number = ctypes.get_errno()
+        raise OSError(number, os.strerror(number), name)
+    # The semaphore is unmapped only when `held` is closed: until then nobody who looks for
+    # dead holders takes us for none.
+    held.callback(libc.sem_close, semaphore)
+    if libc.sem_trywait(semaphore) != 0:
+        return False
+    held.callback(libc.sem_post, semaphore)
+    if os.getpid() not in _Mappings(["self"]).users(name):
+        raise OSError(errno.ESTALE, "the semaphore was removed meanwhile", name)
+    return True
+
+
+@cache
+def _libc() -> ctypes.CDLL:
+    libc = ctypes.CDLL(None, use_errno=True)
+    libc.sem_open.restype = ctypes.c_void_p
+    for function in (libc.sem_trywait, libc.sem_post, libc.sem_close):
+        function.argtypes = [ctypes.c_void_p]
+    return libc
+
+
+class _Mappings:
+    """Which processes map which files of `/dev/shm`, at the time this is made.
+
+    Files are told apart by their inodes. The names in `/proc/<pid>/maps` are of no use: glibc makes
+    a semaphore under a temporary name, and its maker shows that name, deleted, for ever.
+    """
+
+    def __init__(self, processes: Iterable[str] | None = None) -> None:
+        """Look at `processes` (pids, or `self`), or at all."""
+        device = SHARED_MEMORY.stat().st_dev
+        mapping = re.compile(
+            rb" %02x:%02x (\d+) +/" % (os.major(device), os.minor(device))  # as proc_pid_maps(5)
+        )
+        if processes is None:
+            processes = [path.name for path in Path("/proc").iterdir() if path.name.isdecimal()]
+        self._users: dict[int, set[int]] = {}
+        for process in processes:
+            pid = os.getpid() if process == "self" else int(process)
+            # Gone meanwhile, a kernel thread, or a process of somebody else.
+            with suppress(OSError):
+                for match in mapping.finditer(Path(f"/proc/{process}/maps").read_bytes()):
+                    self._users.setdefault(int(match[1]), set()).add(pid)
+
+    def users(self, name: str) -> set[int]:
+        """Give the pids of those who map the file that has this name now."""
+        try:
+            return self._users.get((SHARED_MEMORY / name).stat().st_ino, set())
+        except FileNotFoundError:
+            return set()
+
+
+def _names() -> list[str]:
+    return [path.name for path in SHARED_MEMORY.iterdir()]
+
+
+def _exists(name: str) -> bool:
+    return (SHARED_MEMORY / name).exists()
+
+
+def _remove(name: str, report: SweepReport) -> None:
+    try:
+        (SHARED_MEMORY / name).unlink()
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        report.failed[name] = error.strerror or str(error)
+    else:
+        report.removed.append(name)
