@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 _NANOSECONDS: Final = 1_000_000_000
 
+_ON_THE_WAY: Final = frozenset({NodeState.REQUESTED, NodeState.LOADING})
 _STATE_LEVELS: Final[dict[NodeState | ContainerState, int]] = {
     NodeState.LOAD_FAILED: ERROR,
     NodeState.CRASHED: ERROR,
@@ -138,7 +139,11 @@ def _node_state(event: NodeStateChanged) -> bytes:
         facts.append(f"cpu {event.cpu_time_ns / _NANOSECONDS:.1f} s")
     text = event.state.value
     if event.elapsed_ns:
-        text += f" for {event.elapsed_ns / _NANOSECONDS:.1f} s"
+        elapsed = f"{event.elapsed_ns / _NANOSECONDS:.3f} s"
+        if event.state in _ON_THE_WAY:
+            text += f" for {elapsed}"
+        else:
+            facts.append(f"{elapsed} after the load was sent")
     if facts:
         text += f" ({', '.join(facts)})"
     return log_message(

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -177,7 +178,11 @@ def test_states_of_nodes_and_containers_are_readable() -> None:
         4,
     )
     assert message.msg == (
-        "loading for 12.5 s (pid 9, unique_id 1, attempt 2, cpu 3.0 s): its constructor runs"
+        "loading for 12.500 s (pid 9, unique_id 1, attempt 2, cpu 3.0 s): its constructor runs"
+    )
+    done = replace(slow, state=NodeState.LOADED, reason="")
+    assert converted(done)["/play_launch/states"].msg == (
+        "loaded (pid 9, unique_id 1, attempt 2, cpu 3.0 s, 12.500 s after the load was sent)"
     )
     ended = ContainerStateChanged(
         stamp_ns=STAMP, container="/c", state=ContainerState.GAVE_UP, reason="5 restarts in 60 s"

@@ -1,0 +1,108 @@
+"""``play-launch replay``: bring a system up, keep it, stop it."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path  # noqa: TC003 - typer evaluates the annotations
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from play_launch.cli.failure import fail
+
+if TYPE_CHECKING:
+    from play_launch.config import ReplayConfig
+
+
+def replay(
+    config: Annotated[
+        Path, typer.Argument(metavar="CONFIG", help="The YAML file.", show_default=False)
+    ],
+    log_dir: Annotated[
+        Path | None,
+        typer.Option(
+            help="Where to make the folder of this session; by default what the configuration "
+            "says, else $PLAY_LAUNCH_LOG_DIR, else $ROS_LOG_DIR/play_launch, else "
+            "~/.ros/play_launch.",
+            metavar="DIR",
+            show_default=False,
+        ),
+    ] = None,
+    duration: Annotated[
+        str | None,
+        typer.Option(
+            help="Stop after this time: 10s, 2min, 1h. Without it the system runs until Ctrl-C.",
+            metavar="TIME",
+            show_default=False,
+        ),
+    ] = None,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", "-q", help="Do not show what nodes print; it is recorded.")
+    ] = False,
+    as_json: Annotated[
+        bool,
+        typer.Option("--json", help="Show events as JSON, one object a line, for programs."),
+    ] = False,
+) -> None:
+    """Bring up a system, keep it running, record it.
+
+    Containers start in parallel and load their nodes; dead ones are brought back within the limits
+    of the configuration. Ctrl-C (or SIGTERM, SIGHUP) stops everything in order, a second one
+    hurries. At the end a table says what was up, and where the recording is: an MCAP file that
+    `ros2 bag info`, Foxglove and PlotJuggler read.
+
+    With a mistake in the configuration nothing is started; every problem is named with its place.
+    """
+    loaded = _load(config, duration)
+    _require_ros()
+    # With pydantic, rclpy and rich, this would slow down --help by half a second.
+    from play_launch.cli.run import RunOptions, run  # noqa: PLC0415
+    from play_launch.native.locate import NotInstalledError  # noqa: PLC0415
+    from play_launch.recording.errors import RecordingError  # noqa: PLC0415
+
+    try:
+        code = run(loaded, RunOptions(log_folder=log_dir, as_json=as_json, quiet=quiet))
+    except (RecordingError, NotInstalledError) as error:
+        fail(str(error))
+    raise typer.Exit(code)
+
+
+def _load(path: Path, duration: str | None) -> ReplayConfig:
+    from play_launch.config import ConfigError, load_config  # noqa: PLC0415
+    from play_launch.config.durations import parse_positive_duration  # noqa: PLC0415
+
+    try:
+        seconds = None if duration is None else parse_positive_duration(duration)
+    except ValueError as error:
+        fail(f"--duration: {error}")
+    try:
+        loaded = load_config(path)
+    except ConfigError as error:
+        fail(f"{path} cannot be used, nothing was started\n{error}")
+    return loaded if seconds is None else dataclasses.replace(loaded, duration=seconds)
+
+
+def _require_ros() -> None:
+    from play_launch.native.locate import (  # noqa: PLC0415
+        MixedInstallationError,
+        NotInstalledError,
+        component_container,
+        ros_installation,
+        spawn_guard,
+    )
+
+    try:
+        ros_installation()
+        component_container()
+        spawn_guard()
+    except (NotInstalledError, MixedInstallationError) as error:
+        fail(str(error))
+    try:
+        from play_launch.native.codec import preload  # noqa: PLC0415
+
+        preload()
+    except ImportError as error:
+        fail(
+            f"ROS does not work in this Python: {error}. Source a ROS 2 installation that fits "
+            "this Python, or install the wheels (pip install 'play-launch-py[jazzy]')"
+        )

@@ -1,0 +1,190 @@
+"""Runs a system: recording, display and signals around ``run_system``."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import logging
+import os
+import signal
+import sys
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from play_launch.cli.check import describe
+from play_launch.cli.display import Display, Style
+from play_launch.cli.json_style import JsonStyle, encode
+from play_launch.cli.resolved import resolved
+from play_launch.cli.terminal import is_terminal, say, surviving_the_reader, wants_colour
+from play_launch.cli.text_styles import LiveStyle, PlainStyle
+from play_launch.core.events import LogRecord, OutputLine, RunEvent
+from play_launch.core.view import SystemView
+from play_launch.recording.log_handler import LOGGER_NAME, EventLogHandler
+from play_launch.recording.opening import Session, SessionDescription, open_session
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+    from play_launch.actors.system import Outcome
+    from play_launch.config import ReplayConfig
+    from play_launch.recording.recorder import Recorder, RecordingSummary
+
+_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class RunOptions:
+    """How to show a run and where to record it."""
+
+    log_folder: Path | None
+    as_json: bool
+    quiet: bool
+
+
+class RunSink:
+    """The run's event sink: records, folds the view and shows."""
+
+    def __init__(self, recorder: Recorder, display: Display) -> None:
+        self._recorder = recorder
+        self._display = display
+        self._view = SystemView()
+
+    def publish(self, event: RunEvent) -> None:
+        """Take one event, in the loop's thread."""
+        self._recorder.publish(event)
+        before = self._view
+        if not isinstance(event, OutputLine):
+            self._view = before.after(event)
+        self._display.publish(event, before, self._view)
+
+    def publish_log(self, event: LogRecord) -> None:
+        """Take a record of the log, in any thread; it changes nothing in the view."""
+        self._recorder.publish(event)
+        self._display.publish(event, self._view, self._view)
+
+
+def run(config: ReplayConfig, options: RunOptions) -> int:
+    """Bring the system up, keep it until its end, and return the exit code.
+
+    Raises ``RecordingError`` when the session cannot be recorded from the start; nothing has been
+    started then.
+    """
+    session = open_session(
+        _description(config),
+        on_failure=lambda message: _log.error("the recording stopped: %s", message),
+        log_folder=options.log_folder or config.log_dir,
+    )
+    _announce(config, session, options)
+    display = Display(_style(options))
+    sink = RunSink(session.recorder, display)
+    try:
+        with _logging_to(sink):
+            outcome = asyncio.run(_until_the_end(config, sink))
+    finally:
+        display.close()
+        recording = session.recorder.close()
+    _report(outcome, recording, options)
+    return outcome.exit_code
+
+
+async def _until_the_end(config: ReplayConfig, sink: RunSink) -> Outcome:
+    # Imports rclpy; the caller has made sure that this works.
+    from play_launch.actors.stop_requests import StopRequests  # noqa: PLC0415
+    from play_launch.actors.system import run_system  # noqa: PLC0415
+
+    stop = StopRequests()
+    with _signals_to(stop.request):
+        return await run_system(config, sink, stop)
+
+
+@contextlib.contextmanager
+def _signals_to(request: Callable[[int], None]) -> Iterator[None]:
+    loop = asyncio.get_running_loop()
+
+    def on_signal(signum: signal.Signals) -> None:
+        request(signum)
+        _log.warning("%s: stopping; once more to hurry", signum.name)
+
+    handled = [
+        signum
+        for signum in _SIGNALS
+        # nohup ignores SIGHUP for us, and that is meant. SIGINT is ignored in the background jobs
+        # of scripts, by a habit of shells that nobody means.
+        if signum is not signal.SIGHUP or signal.getsignal(signum) is not signal.SIG_IGN
+    ]
+    for signum in handled:
+        loop.add_signal_handler(signum, on_signal, signum)
+    try:
+        yield
+    finally:
+        for signum in handled:
+            loop.remove_signal_handler(signum)
+
+
+@contextlib.contextmanager
+def _logging_to(sink: RunSink) -> Iterator[None]:
+    logger = logging.getLogger(LOGGER_NAME)
+    handler = EventLogHandler(sink.publish_log)
+    logger.addHandler(handler)
+    before = logger.level, logger.propagate
+    logger.setLevel(logging.DEBUG)
+    # The display shows what a person needs; another copy on stderr would disturb it.
+    logger.propagate = False
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+        logger.level, logger.propagate = before
+
+
+def _description(config: ReplayConfig) -> SessionDescription:
+    return SessionDescription(
+        name=config.name,
+        config_name=config.source.name,
+        config_text=config.text,
+        resolved_config=json.dumps(resolved(config), indent=2, ensure_ascii=False),
+        argv=sys.argv,
+        environ=os.environ,
+    )
+
+
+def _style(options: RunOptions) -> Style:
+    stream = sys.stdout
+    if options.as_json:
+        return JsonStyle(stream, quiet=options.quiet)
+    colour = wants_colour(stream)
+    if not is_terminal(stream) or os.environ.get("TERM") == "dumb":
+        return PlainStyle(stream, quiet=options.quiet, colour=colour)
+    from rich.console import Console  # noqa: PLC0415 - not needed where there is no terminal
+
+    console = Console(file=stream, no_color=not colour, highlight=False)
+    return LiveStyle(console, quiet=options.quiet, colour=colour)
+
+
+def _announce(config: ReplayConfig, session: Session, options: RunOptions) -> None:
+    if options.as_json:
+        values: dict[str, object] = {
+            "event": "session",
+            "id": session.id,
+            "name": config.name,
+            "folder": str(session.folder.path),
+        }
+        say(encode(values))
+    else:
+        say(f"{config.name}: {describe(config)}, recording to {session.folder.path}")
+
+
+def _report(outcome: Outcome, recording: RecordingSummary, options: RunOptions) -> None:
+    from play_launch.cli.summary import print_summary, summary_object  # noqa: PLC0415
+
+    if options.as_json:
+        values = summary_object(outcome.view, recording, exit_code=outcome.exit_code)
+        say(encode(values))
+        return
+    stream = sys.stdout
+    with surviving_the_reader():
+        print_summary(outcome.view, recording, stream=stream, colour=wants_colour(stream))
+        stream.flush()

@@ -1,0 +1,92 @@
+"""What a view of the system says in words; the same words on a terminal, in a pipe, at the end."""
+
+from __future__ import annotations
+
+import signal as signals
+from typing import TYPE_CHECKING, Final
+
+from play_launch.core.events import ContainerState, ProcessEventKind
+
+if TYPE_CHECKING:
+    from play_launch.core.view import ContainerView, NodeView, ProcessView
+
+_SECOND: Final = 1_000_000_000
+_SHOWN_AFTER: Final = 2 * _SECOND
+"""Waiting shorter than this is not worth a number."""
+
+
+def container_status(container: ContainerView, now_ns: int = 0) -> str:
+    """Describe a container and its nodes at ``now_ns`` (nanoseconds since the epoch).
+
+    For example ``loaded 3/4, waiting on /talker … 12 s``; without ``now_ns`` no time is told.
+    """
+    if container.state is ContainerState.STOPPED:
+        return _because("stopped", container.reason)
+    if container.state is ContainerState.STARTING:
+        return f"starting{_waited(container.since_ns, now_ns)}"
+    if container.state is not ContainerState.RUNNING:
+        return _because(container.state.value, container.reason)
+    parts = [f"loaded {container.loaded}/{container.total}"]
+    if container.failed:
+        parts.append(f"failed: {_names(container.failed)}")
+    if waiting := container.waiting:
+        oldest = min(node.since_ns for node in waiting)
+        parts.append(f"waiting on {_names(waiting)}{_waited(oldest, now_ns)}")
+    return ", ".join(parts)
+
+
+def is_complete(container: ContainerView) -> bool:
+    """Whether a container runs and has all of its nodes."""
+    return container.state is ContainerState.RUNNING and container.loaded == container.total
+
+
+def process_status(process: ProcessView) -> str:
+    """Describe an ordinary process: ``running``, ``exited with signal 11 (SIGSEGV)`` …."""
+    match process.kind:
+        case ProcessEventKind.EXITED:
+            return ending(process.exit_code, process.signal)
+        case ProcessEventKind.RESTARTING:
+            return _because("restarting", process.message)
+        case ProcessEventKind.GAVE_UP:
+            return _because("gave up", process.message)
+        case ProcessEventKind.STOPPING:
+            return "stopping"
+        case _:
+            return "running"
+
+
+def ending(exit_code: int, signal: int) -> str:
+    """Say how a process ended."""
+    if not signal:
+        return f"exited with status {exit_code}"
+    try:
+        return f"exited with signal {signal} ({signals.Signals(signal).name})"
+    except ValueError:
+        return f"exited with signal {signal}"
+
+
+def duration(nanoseconds: int) -> str:
+    """Write a time for people: ``0.8 s``, ``12 s``, ``3 min 20 s``, ``2 h 5 min``."""
+    seconds = nanoseconds / _SECOND
+    if seconds < 9.95:
+        return f"{seconds:.1f} s"
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60} s"
+    return f"{whole // 3600} h {whole // 60 % 60} min"
+
+
+def _waited(since_ns: int, now_ns: int) -> str:
+    waited = now_ns - since_ns
+    return f" … {duration(waited)}" if since_ns and waited >= _SHOWN_AFTER else ""
+
+
+def _names(nodes: tuple[NodeView, ...]) -> str:
+    more = f" and {len(nodes) - 1} more" if len(nodes) > 1 else ""
+    return f"{nodes[0].node}{more}"
+
+
+def _because(state: str, reason: str) -> str:
+    return f"{state}: {reason}" if reason else state

@@ -1,0 +1,78 @@
+"""Views and events for the tests of what is shown."""
+
+from __future__ import annotations
+
+from play_launch.core.events import (
+    ContainerState,
+    ContainerStateChanged,
+    NodeState,
+    NodeStateChanged,
+    OutputLine,
+    ProcessEvent,
+    ProcessEventKind,
+    RunEvent,
+    Stream,
+)
+from play_launch.core.view import SystemView
+
+SECOND = 1_000_000_000
+START = 1_700_000_000 * SECOND
+
+
+def container(
+    name: str, state: ContainerState = ContainerState.RUNNING, *, reason: str = "", at: float = 0
+) -> ContainerStateChanged:
+    stamp_ns = START + round(at * SECOND)
+    return ContainerStateChanged(stamp_ns=stamp_ns, container=name, state=state, reason=reason)
+
+
+def node(
+    owner: str,
+    index: int,
+    state: NodeState,
+    *,
+    at: float = 0,
+    elapsed: float = 0,
+    reason: str = "",
+) -> NodeStateChanged:
+    return NodeStateChanged(
+        stamp_ns=START + round(at * SECOND),
+        container=owner,
+        node=f"{owner}/n{index}",
+        index=index,
+        state=state,
+        elapsed_ns=round(elapsed * SECOND),
+        reason=reason,
+    )
+
+
+def process(
+    name: str,
+    kind: ProcessEventKind,
+    *,
+    exit_code: int = 0,
+    signal: int = 0,
+    restarts: int = 0,
+    message: str = "",
+) -> ProcessEvent:
+    return ProcessEvent(
+        stamp_ns=START,
+        kind=kind,
+        name=name,
+        pid=77,
+        exit_code=exit_code,
+        signal=signal,
+        restarts=restarts,
+        message=message,
+    )
+
+
+def output(text: str, stream: Stream = Stream.STDOUT, source: str = "/a") -> OutputLine:
+    return OutputLine(stamp_ns=START, process=source, pid=77, stream=stream, text=text)
+
+
+def view(*events: RunEvent) -> SystemView:
+    folded = SystemView()
+    for event in events:
+        folded = folded.after(event)
+    return folded

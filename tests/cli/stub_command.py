@@ -1,0 +1,96 @@
+"""The real command with a scripted system instead of processes: ``python -m`` this.
+
+The system has one container. What its node prints and how it ends comes from the environment
+variable ``STUB``: words out of ``deaf`` (ends on the second request only), ``flood`` (prints
+without end), ``slow`` (a second node never loads), ``ends`` (ends by itself), ``failing``.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import sys
+import time
+import types
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from play_launch.cli.app import main
+from play_launch.core.events import (
+    ContainerState,
+    ContainerStateChanged,
+    NodeState,
+    NodeStateChanged,
+    OutputLine,
+    RunEvent,
+    Stream,
+)
+from play_launch.core.exit_code import exit_code
+from play_launch.core.view import SystemView
+
+if TYPE_CHECKING:
+    from play_launch.actors.stop_requests import StopRequests
+    from play_launch.config import ReplayConfig
+    from play_launch.core.events import EventSink
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """As that of the real one, as far as the command looks."""
+
+    exit_code: int
+    view: SystemView
+
+
+async def run_system(config: ReplayConfig, sink: EventSink, stop: StopRequests) -> Outcome:
+    script = os.environ.get("STUB", "").split()
+    view = SystemView()
+
+    def publish(event: RunEvent) -> None:
+        nonlocal view
+        view = view.after(event)
+        sink.publish(event)
+
+    def say(text: str) -> None:
+        publish(
+            OutputLine(
+                stamp_ns=time.time_ns(), process="/c", pid=1, stream=Stream.STDOUT, text=text
+            )
+        )
+
+    publish(
+        ContainerStateChanged(stamp_ns=time.time_ns(), container="/c", state=ContainerState.RUNNING)
+    )
+    states = [NodeState.LOADED]
+    if "slow" in script:
+        states.append(NodeState.LOADING)
+    if "failing" in script:
+        states.append(NodeState.LOAD_FAILED)
+    for index, state in enumerate(states):
+        publish(
+            NodeStateChanged(
+                stamp_ns=time.time_ns(), container="/c", node=f"/n{index}", index=index, state=state
+            )
+        )
+    say("node is up")
+    while "flood" in script and not stop.requested.is_set():
+        for _ in range(100):
+            say("flood " * 20)
+        await asyncio.sleep(0)
+    if "ends" not in script:
+        try:
+            async with asyncio.timeout(config.duration):
+                await stop.requested.wait()
+        except TimeoutError:
+            say("time is over")
+    if "deaf" in script:
+        say("deaf to the first request")
+        await stop.hurry.wait()
+    return Outcome(exit_code(view, stop.signum), view)
+
+
+if __name__ == "__main__":
+    stand_in = types.ModuleType("play_launch.actors.system")
+    stand_in.run_system = run_system  # type: ignore[attr-defined]
+    sys.modules[stand_in.__name__] = stand_in
+    main()

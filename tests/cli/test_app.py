@@ -1,0 +1,202 @@
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from typing import TYPE_CHECKING
+
+import pytest
+from typer.testing import CliRunner
+
+from play_launch.cli import app as app_module
+from play_launch.cli.app import app, main
+from play_launch.native import locate
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+runner = CliRunner()
+
+GOOD = """
+version: 1
+containers:
+  - name: c
+    composable_nodes:
+      - {package: p, plugin: "p::N", name: n, parameters: {rate: 2.0, raw: [1, 2]}}
+      - {package: p, plugin: "p::N", name: m}
+"""
+BAD = "version: 1\ncontainers:\n  - nmae: c\n"
+
+
+@pytest.fixture
+def good(tmp_path: Path) -> Path:
+    path = tmp_path / "good.yaml"
+    path.write_text(GOOD, encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def bad(tmp_path: Path) -> Path:
+    path = tmp_path / "bad.yaml"
+    path.write_text(BAD, encoding="utf-8")
+    return path
+
+
+def test_help_says_what_there_is_and_gives_examples() -> None:
+    result = runner.invoke(app, ["--help"], prog_name="play-launch")
+    assert result.exit_code == 0
+    for word in ("replay", "check", "version", "Examples:", "Exit codes:"):
+        assert word in result.output
+    bare = runner.invoke(app, [], prog_name="play-launch")
+    assert bare.exit_code == 2
+    assert "Examples:" in bare.output
+
+
+@pytest.mark.parametrize("verb", ["replay", "check", "version"])
+def test_each_verb_has_help(verb: str) -> None:
+    result = runner.invoke(app, [verb, "-h"])
+    assert result.exit_code == 0
+    assert "--json" in result.output
+
+
+def test_help_does_not_import_what_is_slow() -> None:
+    program = (
+        "import sys\n"
+        "from play_launch.cli.app import main\n"
+        "sys.argv = ['play-launch', '--help']\n"
+        "try:\n    main()\nexcept SystemExit:\n    pass\n"
+        "slow = {'pydantic', 'rclpy', 'mcap', 'yaml', 'asyncio'} & set(sys.modules)\n"
+        "print(sorted(slow), file=sys.stderr)\n"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", program], check=True, capture_output=True, text=True
+    )
+    assert result.stderr.strip() == "[]"
+
+
+def test_version_is_told_for_people_and_machines() -> None:
+    people = runner.invoke(app, ["version"])
+    assert people.exit_code == 0
+    assert people.output.startswith("play-launch ")
+    machines = runner.invoke(app, ["version", "--json"])
+    assert json.loads(machines.output)["python"]
+    assert runner.invoke(app, ["--version"]).output == people.output
+
+
+def test_check_accepts_a_good_configuration(good: Path) -> None:
+    result = runner.invoke(app, ["check", str(good)])
+    assert (result.exit_code, result.output) == (0, f"{good}: 1 container with 2 nodes\n")
+    values = json.loads(runner.invoke(app, ["check", "--json", str(good)]).output)
+    assert values["valid"] is True
+    node = values["config"]["containers"][0]["composable_nodes"][0]
+    assert node["declared_full_name"] == "/n"
+    parameters = {each["name"]: each["value"] for each in node["parameters"]}
+    assert parameters["rate"] == {"type": "double", "value": 2.0}
+    assert parameters["raw"] == {"type": "integer_array", "value": [1, 2]}
+    assert "text" not in values["config"]
+
+
+def test_check_names_the_place_of_a_mistake(bad: Path) -> None:
+    result = runner.invoke(app, ["check", str(bad)])
+    assert result.exit_code == 2
+    assert result.stdout == ""
+    assert f"{bad}:3:5: containers[0]" in result.stderr
+    values = json.loads(runner.invoke(app, ["check", "--json", str(bad)]).stdout)
+    assert values["valid"] is False
+    assert {(problem["line"], problem["file"]) for problem in values["problems"]} == {(3, str(bad))}
+
+
+def test_replay_starts_nothing_with_a_mistake(bad: Path, tmp_path: Path) -> None:
+    logs = tmp_path / "logs"
+    result = runner.invoke(app, ["replay", str(bad), "--log-dir", str(logs)])
+    assert result.exit_code == 2
+    assert result.stdout == ""
+    assert "nothing was started" in result.stderr
+    assert f"{bad}:3:5:" in result.stderr
+    assert not logs.exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--duration", "soon"], "--duration: "),
+        (["--duration", "0"], "--duration: "),
+        (["--duration", "-1s"], "--duration: "),
+        (["--log-dir", "{file}"], "choose another place"),
+    ],
+)
+def test_wrong_usage_is_a_sentence(
+    good: Path, tmp_path: Path, arguments: list[str], words: str
+) -> None:
+    (tmp_path / "file").write_text("")
+    given = [each.format(file=tmp_path / "file") for each in arguments]
+    result = runner.invoke(app, ["replay", str(good), *given])
+    assert result.exit_code == 2
+    assert words in result.stderr
+    assert result.stderr.startswith("error: ")
+    assert "Traceback" not in result.stderr
+
+
+def test_a_missing_file_is_a_sentence(tmp_path: Path) -> None:
+    result = runner.invoke(app, ["replay", str(tmp_path / "none.yaml")])
+    assert result.exit_code == 2
+    assert "none.yaml" in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+@pytest.mark.parametrize("missing", ["ros_installation", "component_container", "spawn_guard"])
+def test_what_is_not_installed_is_a_sentence(
+    good: Path, missing: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse() -> None:
+        raise locate.NotInstalledError("it is not there: install it")
+
+    monkeypatch.setattr(locate, missing, refuse)
+    result = runner.invoke(app, ["replay", str(good)])
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert result.stderr == "error: it is not there: install it\n"
+
+
+def test_a_ros_that_does_not_load_is_a_sentence(
+    good: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse() -> None:
+        raise ImportError("librmw_x.so: cannot open shared object file")
+
+    from play_launch.native import codec
+
+    monkeypatch.setattr(codec, "preload", refuse)
+    result = runner.invoke(app, ["replay", str(good)])
+    assert result.exit_code == 2
+    assert "librmw_x.so" in result.stderr
+
+
+def test_an_interruption_outside_a_run_is_quiet(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt(**_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(app_module, "app", interrupt)
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 130
+
+
+@pytest.mark.parametrize(
+    "arguments", [["version"], ["check", "{good}"], ["check", "--json", "{good}"]]
+)
+def test_a_reader_that_has_gone_is_no_error(good: Path, arguments: list[str]) -> None:
+    given = [each.format(good=good) for each in arguments]
+    ours, theirs = os.pipe()
+    os.close(ours)
+    try:
+        result = subprocess.run(
+            [sys.executable, "-c", "from play_launch.cli.app import main; main()", *given],
+            check=False,
+            stdout=theirs,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+    finally:
+        os.close(theirs)
+    assert (result.returncode, result.stderr) == (0, "")

@@ -1,0 +1,109 @@
+from __future__ import annotations
+
+import pytest
+
+from play_launch.cli.lines import Line, line_of
+from play_launch.cli.text_styles import format_lines
+from play_launch.core.events import (
+    ContainerState,
+    LogRecord,
+    NodeState,
+    ProcessEventKind,
+    RunEvent,
+    Stream,
+)
+from tests.cli.scenes import START, container, node, output, process, view
+
+
+def line(event: RunEvent, *earlier: RunEvent) -> Line | None:
+    before = view(*earlier)
+    return line_of(event, before, before.after(event))
+
+
+def text(event: RunEvent, *earlier: RunEvent) -> str:
+    found = line(event, *earlier)
+    assert found is not None
+    return f"{found.level} {found.source} {found.text}"
+
+
+def test_output_keeps_its_words_and_its_level() -> None:
+    assert text(output("hello")) == "20 /a hello"
+    assert text(output("hello", Stream.STDERR)) == "30 /a hello"
+    assert text(output("[ERROR] [1.0] [a]: x", Stream.STDERR)) == "40 /a [ERROR] [1.0] [a]: x"
+
+
+def test_nodes_that_load_count_up() -> None:
+    pending = [container("/c"), node("/c", 0, NodeState.PENDING), node("/c", 1, NodeState.PENDING)]
+    loaded = line(node("/c", 0, NodeState.LOADED, elapsed=0.3), *pending)
+    assert loaded is not None
+    assert loaded.text == "/c/n0 loaded after 0.3 s (1/2)"
+    assert loaded.is_progress
+    confirmed = line(node("/c", 0, NodeState.LOADED, reason="confirmed by status"), *pending)
+    assert confirmed is not None
+    assert not confirmed.is_progress
+
+
+def test_a_slow_node_is_reported_when_it_is_told_again() -> None:
+    loading = [container("/c"), node("/c", 0, NodeState.LOADING)]
+    assert line(loading[1], loading[0]) is None
+    again = node("/c", 0, NodeState.LOADING, at=15, elapsed=15, reason="its constructor runs")
+    assert text(again, *loading) == (
+        "20 /c loaded 0/1, waiting on /c/n0 … 15 s: its constructor runs"
+    )
+
+
+@pytest.mark.parametrize(
+    ("state", "expected"),
+    [
+        (NodeState.LOAD_FAILED, "40 /c /c/n0 failed to load: why"),
+        (NodeState.CRASHED, "40 /c /c/n0 crashed: why"),
+        (NodeState.LOST, "30 /c /c/n0 lost: why"),
+    ],
+)
+def test_failures_are_told_once_with_their_reason(state: NodeState, expected: str) -> None:
+    event = node("/c", 0, state, reason="why")
+    assert text(event, container("/c")) == expected
+    assert line(event, container("/c"), event) is None
+
+
+def test_processes_tell_how_they_end_and_what_happens_next() -> None:
+    dead = process("/c", ProcessEventKind.EXITED, signal=11)
+    assert text(dead) == "40 /c exited with signal 11 (SIGSEGV)"
+    again = process("/c", ProcessEventKind.RESTARTING, restarts=2, message="again in 200 ms")
+    assert text(again) == "30 /c again in 200 ms"
+    gone = process("/c", ProcessEventKind.GAVE_UP, message="5 restarts within 60 s")
+    assert text(gone) == "40 /c 5 restarts within 60 s"
+
+
+def test_an_end_that_was_asked_for_is_no_error() -> None:
+    asked = [
+        container("/c", ContainerState.STOPPING),
+        process("/c", ProcessEventKind.STOPPING),
+        process("/p", ProcessEventKind.STOPPING),
+    ]
+    for name in ("/c", "/p"):
+        dead = process(name, ProcessEventKind.EXITED, signal=2)
+        assert text(dead, *asked) == f"20 {name} exited with signal 2 (SIGINT)"
+
+
+def test_the_log_shows_warnings_only() -> None:
+    assert line(LogRecord(stamp_ns=START, level=20, name="n", message="m")) is None
+    warning = LogRecord(stamp_ns=START, level=30, name="play_launch.x", message="m")
+    assert text(warning) == "30 play-launch m"
+
+
+def test_lines_are_laid_out_with_their_source_and_cleaned() -> None:
+    lines = [
+        Line(START, "/a", "one\ntwo"),
+        Line(START, "/a", "\x1b[2J\x1b[31mred\x1b[0m\x07"),
+        Line(START, "/a", "bad", 40),
+    ]
+    assert format_lines(lines, times=False, colour=False) == (
+        "[/a] one\n[/a] two\n[/a] red\n[/a] bad\n"
+    )
+    coloured = format_lines(lines, times=False, colour=True)
+    assert "\x1b[31mred\x1b[0m\x1b[0m\n" in coloured
+    assert "\x1b[31mbad\x1b[0m\n" in coloured
+    assert "\x1b[2J" not in coloured
+    timed = format_lines([Line(START + 7_000_000, "/a", "x")], times=True, colour=False)
+    assert timed.endswith(".007 [/a] x\n")

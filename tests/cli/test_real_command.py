@@ -1,0 +1,76 @@
+"""The installed command with the installed container: the parts together, once."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from typing import TYPE_CHECKING
+
+import psutil
+import pytest
+
+from play_launch.native.locate import NotInstalledError, component_container
+from tests.recording.reading import messages
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+CONFIG = """
+version: 1
+name: real
+containers:
+  - name: chat
+    composable_nodes:
+      - {package: play_launch_demo, plugin: "play_launch_demo::Talker", name: talker}
+      - {package: play_launch_demo, plugin: "play_launch_demo::Listener", name: listener}
+"""
+
+
+def installed() -> bool:
+    try:
+        component_container()
+    except NotInstalledError:
+        return False
+    return True
+
+
+pytestmark = pytest.mark.skipif(not installed(), reason="the container is not installed")
+
+
+def test_nodes_load_talk_stop_and_are_recorded(tmp_path: Path) -> None:
+    config = tmp_path / "real.yaml"
+    config.write_text(CONFIG, encoding="utf-8")
+    command = [sys.executable, "-c", "from play_launch.cli.app import main; main()"]
+    process = subprocess.Popen(
+        [*command, "replay", str(config), "--log-dir", str(tmp_path / "logs"), "--json"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None
+    pids: set[int] = set()
+    for line in process.stdout:
+        event = json.loads(line)
+        if event["event"] == "process" and event["kind"] == "started":
+            pids.add(event["pid"])
+        if event["event"] == "output" and "I heard" in event["text"]:
+            break
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate()
+
+    assert err == ""
+    assert process.returncode == 130
+    summary = json.loads(out.splitlines()[-1])
+    assert summary["containers"][0]["loaded"] == 2
+    assert len(pids) == 1
+    assert not any(psutil.pid_exists(pid) for pid in pids)
+    found = messages(tmp_path / "logs" / "latest" / "session.mcap")
+    events = [read.message for read in found if read.topic == "/play_launch/events"]
+    for name in ("/talker", "/listener"):
+        kinds = [event.event_type for event in events if event.full_node_name == name]
+        assert kinds == [4, 0, 1], "loading, loaded, unloaded"
+    ended = [read.message for read in found if read.topic == "/play_launch/process_events"][-1]
+    assert (ended.event_type, ended.exit_code, ended.signal) == (2, 0, 0)
+    assert any("I heard" in read.message.msg for read in found if "output" in read.topic)

@@ -1,0 +1,92 @@
+from __future__ import annotations
+
+import pytest
+
+from play_launch.cli.status import (
+    container_status,
+    duration,
+    ending,
+    is_complete,
+    process_status,
+)
+from play_launch.core.events import ContainerState, NodeState, ProcessEventKind, RunEvent
+from tests.cli.scenes import SECOND, START, container, node, process, view
+
+
+def status(*events: RunEvent, at: float = 0) -> str:
+    return container_status(view(*events).containers["/c"], START + round(at * SECOND))
+
+
+def test_a_container_says_what_it_waits_for_and_how_long() -> None:
+    events = [
+        container("/c"),
+        node("/c", 0, NodeState.LOADED),
+        node("/c", 1, NodeState.LOADING, at=1),
+    ]
+    assert status(*events, at=2) == "loaded 1/2, waiting on /c/n1"
+    assert status(*events, at=13) == "loaded 1/2, waiting on /c/n1 … 12 s"
+    # A repeated report does not start the clock again.
+    events.append(node("/c", 1, NodeState.LOADING, at=10, elapsed=9))
+    assert status(*events, at=13) == "loaded 1/2, waiting on /c/n1 … 12 s"
+    events.append(node("/c", 2, NodeState.PENDING, at=12))
+    assert status(*events, at=13) == "loaded 1/3, waiting on /c/n1 and 1 more … 12 s"
+
+
+def test_a_container_says_what_failed() -> None:
+    events = [
+        container("/c"),
+        node("/c", 0, NodeState.LOAD_FAILED),
+        node("/c", 1, NodeState.LOADED),
+    ]
+    assert status(*events) == "loaded 1/2, failed: /c/n0"
+    assert not is_complete(view(*events).containers["/c"])
+
+
+@pytest.mark.parametrize(
+    ("state", "expected"),
+    [
+        (ContainerState.STARTING, "starting … 5.0 s"),
+        (ContainerState.BACKOFF, "backoff: again in 1 s"),
+        (ContainerState.GAVE_UP, "gave up: again in 1 s"),
+        (ContainerState.STOPPING, "stopping: again in 1 s"),
+        (ContainerState.STOPPED, "stopped: again in 1 s"),
+    ],
+)
+def test_a_container_that_does_not_run_says_why(state: ContainerState, expected: str) -> None:
+    assert status(container("/c", state, reason="again in 1 s"), at=5) == expected
+
+
+def test_complete_is_a_running_container_with_all_nodes() -> None:
+    loaded = node("/c", 0, NodeState.LOADED)
+    assert is_complete(view(container("/c"), loaded).containers["/c"])
+    starting = container("/c", ContainerState.STARTING)
+    assert not is_complete(view(starting, loaded).containers["/c"])
+
+
+@pytest.mark.parametrize(
+    ("seconds", "expected"),
+    [
+        (0.04, "0.0 s"),
+        (9.94, "9.9 s"),
+        (9.96, "10 s"),
+        (59.4, "59 s"),
+        (59.6, "1 min 0 s"),
+        (200, "3 min 20 s"),
+        (7500, "2 h 5 min"),
+    ],
+)
+def test_durations_are_for_people(seconds: float, expected: str) -> None:
+    assert duration(round(seconds * SECOND)) == expected
+
+
+def test_how_a_process_ended() -> None:
+    assert ending(3, 0) == "exited with status 3"
+    assert ending(0, 11) == "exited with signal 11 (SIGSEGV)"
+    assert ending(0, 99) == "exited with signal 99"
+    killed = view(process("/p", ProcessEventKind.EXITED, signal=9)).processes["/p"]
+    assert process_status(killed) == "exited with signal 9 (SIGKILL)"
+    gone = view(process("/p", ProcessEventKind.GAVE_UP, message="5 restarts")).processes["/p"]
+    assert process_status(gone) == "gave up: 5 restarts"
+    assert (
+        process_status(view(process("/p", ProcessEventKind.STARTED)).processes["/p"]) == "running"
+    )

@@ -1,0 +1,79 @@
+from __future__ import annotations
+
+import io
+import json
+from pathlib import Path
+
+from play_launch.cli.summary import print_summary, size, summary_object
+from play_launch.core.events import ContainerState, NodeState, ProcessEventKind
+from play_launch.recording.recorder import RecordingSummary
+from tests.cli.scenes import container, node, process, view
+
+LONG = Path("/" + "very/" * 40) / "session.mcap"
+RECORDING = RecordingSummary(path=LONG, messages=1234, dropped=0, bytes=56_000)
+
+SYSTEM = view(
+    container("/good"),
+    node("/good", 0, NodeState.LOADED),
+    node("/good", 1, NodeState.LOADED),
+    container("/bad"),
+    process("/bad", ProcessEventKind.RESTARTING, restarts=2),
+    node("/bad", 0, NodeState.LOAD_FAILED, reason="no such class demo::Gone"),
+    node("/bad", 1, NodeState.LOADING),
+    container("/gone", ContainerState.GAVE_UP, reason="5 restarts within 60 s"),
+    process("/listener", ProcessEventKind.EXITED, exit_code=3, restarts=1),
+)
+
+
+def printed(recording: RecordingSummary = RECORDING) -> str:
+    stream = io.StringIO()
+    print_summary(SYSTEM, recording, stream=stream, colour=False)
+    return stream.getvalue()
+
+
+def test_the_summary_says_what_was_up_what_failed_and_where_the_recording_is() -> None:
+    text = printed()
+    rows = {line.split()[0]: line.split() for line in text.splitlines() if line.split()}
+    assert rows["/good"] == ["/good", "2", "2", "0", "0"]
+    assert rows["/bad"][:5] == ["/bad", "2", "0", "1", "2"]
+    assert "waiting on /bad/n1" in text
+    assert "gave up: 5 restarts within 60 s" in text
+    assert rows["3"][:6] == ["3", "containers", "4", "2", "1", "2"]
+    assert rows["/listener"] == ["/listener", "exited", "with", "status", "3", "1"]
+    assert "/bad/n0 (/bad): load failed: no such class demo::Gone" in text
+    assert f"Recording: {LONG} (1,234 messages, 56 kB)\n" in text
+    assert "\x1b" not in text
+
+
+def test_a_recording_that_stopped_early_says_so() -> None:
+    text = printed(
+        RecordingSummary(path=LONG, messages=1, dropped=4321, bytes=5, error="No space left")
+    )
+    assert "4,321 events dropped" in text
+    assert "stopped early: No space left" in text
+
+
+def test_the_summary_for_machines_has_the_same() -> None:
+    values = json.loads(json.dumps(summary_object(SYSTEM, RECORDING, exit_code=1)))
+    assert values["exit_code"] == 1
+    assert values["containers"][1] == {
+        "name": "/bad",
+        "state": "running",
+        "nodes": 2,
+        "loaded": 0,
+        "failed": ["/bad/n0"],
+        "waiting": ["/bad/n1"],
+        "restarts": 2,
+    }
+    assert values["processes"][0]["failed"] is True
+    assert values["recording"]["path"] == str(LONG)
+
+
+def test_sizes_are_for_people() -> None:
+    assert [size(count) for count in (0, 999, 1500, 12_345_678, 10**10)] == [
+        "0 bytes",
+        "999 bytes",
+        "1.5 kB",
+        "12.3 MB",
+        "10 GB",
+    ]
