@@ -127,7 +127,8 @@ class _Ros:
 
     def make(self, kind: FrameKind, message: object, *names: str) -> Any:
         """Make a message whose fields `names` are the attributes of the same names."""
-        made = self.types[kind]()
+        # Unchecked, numbers out of range are wrapped and wrong types crash.
+        made = self.types[kind](check_fields=True)
         for name in names:
             value = getattr(message, name)
             setattr(made, name, list(value) if isinstance(value, tuple) else value)
@@ -211,7 +212,7 @@ def _encode_event(ros: _Ros, event: Any) -> Any:
 def _encode_status(ros: _Ros, status: Any) -> Any:
     made = ros.make(FrameKind.STATUS, status, "query_id", "dropped_frames")
     for node in status.nodes:
-        item = ros.msgs.NodeStatus()
+        item = ros.msgs.NodeStatus(check_fields=True)
         for name in _NODE_FIELDS:
             setattr(item, name, getattr(node, name))
         item.state = int(node.state)

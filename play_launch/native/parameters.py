@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -47,10 +48,13 @@ class ParameterFileError(Exception):
 
 def to_parameter_message(parameter: ParameterConfig) -> Any:
     """Make a `rcl_interfaces/msg/Parameter`."""
-    from rcl_interfaces.msg import Parameter  # noqa: PLC0415 (takes long, see codec.preload)
+    # Takes long, see codec.preload.
+    from rcl_interfaces.msg import Parameter  # noqa: PLC0415
+    from rcl_interfaces.msg import ParameterValue as ParameterValueMessage  # noqa: PLC0415
 
-    message = Parameter()
+    message = Parameter(check_fields=True)
     message.name = parameter.name
+    message.value = ParameterValueMessage(check_fields=True)
     message.value.type = int(parameter.value.type)
     value: Any = parameter.value.value
     if isinstance(value, bytes):
@@ -84,7 +88,8 @@ def parameter_file_text(parameters: Iterable[ParameterConfig]) -> str:
     one holds.
 
     Raises:
-        ParameterFileError: For what such a file cannot express: byte arrays and empty arrays.
+        ParameterFileError: For what such a file cannot express: byte arrays, empty arrays, and
+            doubles next to 0 that rcl would read as strings.
     """
     values = {parameter.name: _node(parameter) for parameter in parameters}
     pairs = [(_scalar(ParameterType.STRING, name), node) for name, node in values.items()]
@@ -125,13 +130,25 @@ def _node(parameter: ParameterConfig) -> yaml.Node:
     if kind not in _SCALARS:
         raise ParameterFileError(parameter.name, "a parameter file cannot hold a byte array")
     if not isinstance(value, tuple):
+        if kind is ParameterType.DOUBLE and _is_subnormal(value):
+            raise ParameterFileError(parameter.name, _SUBNORMAL)
         return _scalar(kind, value)
     if not value:
         raise ParameterFileError(
             parameter.name, "a parameter file cannot hold an empty array, it would have no type"
         )
     items = [_scalar(_SCALARS[kind], item) for item in value]
+    if kind is ParameterType.DOUBLE_ARRAY and any(map(_is_subnormal, value)):
+        raise ParameterFileError(parameter.name, _SUBNORMAL)
     return yaml.SequenceNode(_SEQUENCE, items, flow_style=True)
+
+
+_SUBNORMAL = f"ROS reads a number nearer to 0 than {sys.float_info.min} as a string"
+
+
+def _is_subnormal(value: object) -> bool:
+    # strtod(3) reports a range error for them, by which rcl takes them for no number.
+    return isinstance(value, float) and 0 < abs(value) < sys.float_info.min
 
 
 def _scalar(kind: ParameterType, value: object) -> yaml.ScalarNode:
