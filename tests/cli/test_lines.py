@@ -33,7 +33,11 @@ def test_output_keeps_its_words_and_its_level() -> None:
 
 
 def test_nodes_that_load_count_up() -> None:
-    pending = [container("/c"), node("/c", 0, NodeState.PENDING), node("/c", 1, NodeState.PENDING)]
+    pending: list[RunEvent] = [
+        container("/c"),
+        node("/c", 0, NodeState.PENDING),
+        node("/c", 1, NodeState.PENDING),
+    ]
     loaded = line(node("/c", 0, NodeState.LOADED, elapsed=0.3), *pending)
     assert loaded is not None
     assert loaded.text == "/c/n0 loaded after 0.3 s (1/2)"
@@ -44,7 +48,7 @@ def test_nodes_that_load_count_up() -> None:
 
 
 def test_a_slow_node_is_reported_when_it_is_told_again() -> None:
-    loading = [container("/c"), node("/c", 0, NodeState.LOADING)]
+    loading: list[RunEvent] = [container("/c"), node("/c", 0, NodeState.LOADING)]
     assert line(loading[1], loading[0]) is None
     again = node("/c", 0, NodeState.LOADING, at=15, elapsed=15, reason="its constructor runs")
     assert text(again, *loading) == (
@@ -76,7 +80,7 @@ def test_processes_tell_how_they_end_and_what_happens_next() -> None:
 
 
 def test_an_end_that_was_asked_for_is_no_error() -> None:
-    asked = [
+    asked: list[RunEvent] = [
         container("/c", ContainerState.STOPPING),
         process("/c", ProcessEventKind.STOPPING),
         process("/p", ProcessEventKind.STOPPING),

@@ -18,7 +18,7 @@ def status(*events: RunEvent, at: float = 0) -> str:
 
 
 def test_a_container_says_what_it_waits_for_and_how_long() -> None:
-    events = [
+    events: list[RunEvent] = [
         container("/c"),
         node("/c", 0, NodeState.LOADED),
         node("/c", 1, NodeState.LOADING, at=1),
@@ -33,7 +33,7 @@ def test_a_container_says_what_it_waits_for_and_how_long() -> None:
 
 
 def test_a_container_says_what_failed() -> None:
-    events = [
+    events: list[RunEvent] = [
         container("/c"),
         node("/c", 0, NodeState.LOAD_FAILED),
         node("/c", 1, NodeState.LOADED),

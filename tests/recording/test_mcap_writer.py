@@ -15,7 +15,6 @@ from mcap.stream_reader import CRCValidationError, StreamReader
 from rosbags.highlevel.anyreader import AnyReaderError
 from zstandard import ZstdError
 
-from play_launch.recording import mcap_writer
 from play_launch.recording.cdr import log_message
 from play_launch.recording.errors import WriteFailedError
 from play_launch.recording.mcap_writer import McapBagWriter
@@ -217,7 +216,7 @@ def test_a_full_disk_keeps_every_complete_chunk(
     write_lines(writer, channel, 0, 10)
     writer.flush()
     before = writer.bytes_written
-    monkeypatch.setattr(mcap_writer.os, "write", FullDisk(100))
+    monkeypatch.setattr(os, "write", FullDisk(100))
     write_lines(writer, channel, 10, 10)
     with pytest.raises(WriteFailedError, match=r"No space left .*; free some space") as caught:
         writer.flush()
@@ -235,7 +234,7 @@ def test_a_disk_that_is_full_at_the_end_leaves_the_active_file(
     writer = McapBagWriter(tmp_path / "x.mcap")
     write_lines(writer, writer.register(OUTPUT), 0, 10)
     writer.flush()
-    monkeypatch.setattr(mcap_writer.os, "write", FullDisk(20))
+    monkeypatch.setattr(os, "write", FullDisk(20))
     with pytest.raises(WriteFailedError):
         writer.close()
     writer.abandon()
