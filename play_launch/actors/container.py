@@ -179,14 +179,13 @@ class ContainerActor:
 
     async def _may_start(self, starting: ExitStack) -> bool:
         """Wait for a free place to start in; False when a stop comes first."""
-        if not self._stop.requested.is_set():
-            waiting = asyncio.ensure_future(self._starts.acquire())
-            try:
-                await first_of(_wait(waiting), self._stop.requested.wait())
-            finally:
-                if waiting.done() and not waiting.cancelled():
-                    starting.callback(self._starts.release)
-                waiting.cancel()
+        waiting = asyncio.ensure_future(self._starts.acquire())
+        try:
+            await first_of(_wait(waiting), self._stop.requested.wait())
+        finally:
+            if waiting.done() and not waiting.cancelled():
+                starting.callback(self._starts.release)
+            waiting.cancel()
         return not self._stop.requested.is_set()
 
     async def _accompany(

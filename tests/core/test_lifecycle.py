@@ -110,6 +110,20 @@ def test_a_contradiction_is_a_question() -> None:
     assert result.actions == (NodeAction.SEND_QUERY,)
 
 
+def test_what_the_container_forgot_is_not_loaded() -> None:
+    result = run(loaded(), NodeInput.STATUS_UNKNOWN, attempt=1, unique_id=7)
+    assert result.record.state is NodeState.LOST
+    assert result.actions == (NodeAction.REPORT_FORGOTTEN,)
+
+
+def test_a_cancellation_that_comes_too_late_becomes_an_unload() -> None:
+    cancelled = run(loading(), NodeInput.UNLOAD_REQUESTED)
+    assert cancelled.actions == (NodeAction.SEND_CANCEL,)
+    result = run(cancelled.record, NodeInput.LOADED, attempt=1, unique_id=7)
+    assert result.record.state is NodeState.UNLOADING
+    assert result.actions == (NodeAction.SEND_UNLOAD,)
+
+
 def test_an_unwanted_node_does_not_come_back_with_its_container() -> None:
     record = run(loaded(), NodeInput.UNLOAD_REQUESTED).record
     record = run(record, NodeInput.CONTAINER_LOST).record

@@ -225,6 +225,10 @@ class OneNode(RuleBasedStateMachine):
         assert len(self.container.held) <= 1
 
     @invariant()
+    def nobody_loads_what_is_unwanted(self) -> None:
+        assert not (self.record.unwanted and self.record.state is NodeState.LOADED)
+
+    @invariant()
     def asks_only_while_waiting(self) -> None:
         assert (self.record.ask_at is not None) == (self.record.state in WAITING)
 

@@ -21,12 +21,13 @@ BOUNDS = st.builds(
 JITTER = st.floats(0, 1, exclude_max=True)
 
 
-@given(BOUNDS, st.lists(st.tuples(st.floats(0, 200), JITTER), max_size=60))
+@given(BOUNDS, st.lists(st.tuples(st.floats(0, 0.6), JITTER), max_size=60))
 def test_no_window_holds_more_restarts_than_allowed(
     bounds: RestartBounds, lives: list[tuple[float, float]]
 ) -> None:
     history, now, restarts = RestartHistory(), 0.0, []
-    for lived, jitter in lives:
+    for part, jitter in lives:
+        lived = part * bounds.within
         now += lived
         history, verdict = decide(history, bounds, now=now, lived=lived, jitter=jitter)
         if isinstance(verdict, GiveUp):

@@ -1,0 +1,121 @@
+"""A system under test, with everything that it published."""
+
+from __future__ import annotations
+
+import asyncio
+from contextlib import asynccontextmanager
+from typing import TYPE_CHECKING
+
+from play_launch.actors.stop_requests import StopRequests
+from play_launch.actors.system import Outcome, run_system
+from play_launch.core.events import (
+    ContainerState,
+    ContainerStateChanged,
+    NodeState,
+    NodeStateChanged,
+    ProcessEvent,
+    ProcessEventKind,
+    RunEvent,
+)
+from play_launch.core.view import SystemView
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator, Callable
+
+    from play_launch.config.model import ReplayConfig
+
+    from .fakes import FakeLauncher
+
+
+class Running:
+    def __init__(self, launcher: FakeLauncher) -> None:
+        self.launcher = launcher
+        self.stop = StopRequests()
+        self.events: list[RunEvent] = []
+        self.view = SystemView()
+        self.outcome: Outcome | None = None
+        self.task: asyncio.Task[Outcome] | None = None
+        self._published = asyncio.Event()
+
+    def publish(self, event: RunEvent) -> None:
+        self.events.append(event)
+        self.view = self.view.after(event)
+        self._published.set()
+
+    async def until(self, condition: Callable[[], bool]) -> None:
+        async with asyncio.timeout(600):
+            while not condition():
+                self._published.clear()
+                await self._published.wait()
+
+    async def until_stopped(self) -> None:
+        assert self.task is not None
+        await asyncio.wait({self.task})
+
+    async def until_loaded(self, count: int) -> None:
+        await self.until(lambda: self.view.loaded == count)
+
+    async def until_state(self, container: str, state: ContainerState) -> None:
+        await self.until(
+            lambda: (
+                container in self.view.containers and self.view.containers[container].state is state
+            )
+        )
+
+    def node_states(self, name: str) -> list[NodeState]:
+        return [
+            event.state
+            for event in self.events
+            if isinstance(event, NodeStateChanged) and event.node == name
+        ]
+
+    def node_events(self, name: str, state: NodeState) -> list[NodeStateChanged]:
+        return [
+            event
+            for event in self.events
+            if isinstance(event, NodeStateChanged) and (event.node, event.state) == (name, state)
+        ]
+
+    def container_states(self, name: str) -> list[ContainerState]:
+        return [
+            event.state
+            for event in self.events
+            if isinstance(event, ContainerStateChanged) and event.container == name
+        ]
+
+    def container_events(self, name: str, state: ContainerState) -> list[ContainerStateChanged]:
+        return [
+            event
+            for event in self.events
+            if isinstance(event, ContainerStateChanged)
+            and (event.container, event.state) == (name, state)
+        ]
+
+    def process_events(self, name: str) -> list[ProcessEventKind]:
+        return [
+            event.kind
+            for event in self.events
+            if isinstance(event, ProcessEvent) and event.name == name
+        ]
+
+
+@asynccontextmanager
+async def running(
+    config: ReplayConfig, launcher: FakeLauncher, *, starts: int | None = None
+) -> AsyncIterator[Running]:
+    """Run a system inside the block; at its end it is stopped, and nothing may be left."""
+    system = Running(launcher)
+    system.task = task = asyncio.create_task(
+        run_system(config, system, system.stop, launcher=launcher, starts=starts)
+    )
+    try:
+        yield system
+        if not system.stop.requested.is_set():
+            system.stop.request(reason="the test is over")
+        system.outcome = await task
+    finally:
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+    assert not launcher.alive(), "processes are left"
+    assert launcher.cleaned
+    assert launcher.closed

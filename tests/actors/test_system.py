@@ -1,0 +1,239 @@
+from __future__ import annotations
+
+import asyncio
+import signal
+
+import pytest
+
+from play_launch.actors.stop_requests import StopRequests
+from play_launch.actors.system import Outcome, run_system
+from play_launch.core.events import (
+    ContainerState,
+    NodeState,
+    ProcessEventKind,
+    RunEvent,
+)
+from play_launch.process.exit import Exit
+
+from .fakes import FakeContainer, FakeLauncher, FakeProcess, Held, container, process, system
+from .jumping_loop import run
+from .running import Running, running
+
+CONFIG = system(
+    container("good", "a", "b"),
+    container("mute", "x"),
+    container("slow", "s"),
+    container("dies", "d"),
+    process("p"),
+    process("q", respawn=True),
+)
+
+
+class Mute(FakeContainer):
+    def start(self) -> None:
+        pass
+
+
+class Slow(FakeContainer):
+    def construct(self, held: Held) -> None:
+        pass
+
+
+class Dies(FakeContainer):
+    def construct(self, held: Held) -> None:
+        self.crash()
+
+
+class DeafToShutdown(FakeContainer):
+    def on_shutdown(self) -> None:
+        pass
+
+
+def launcher() -> FakeLauncher:
+    def ends(started: FakeProcess) -> None:
+        if started.argv == ("q",):
+            started.end(Exit(code=1))
+
+    return FakeLauncher(makers={"/mute": [Mute], "/slow": [Slow], "/dies": [Dies]}, on_process=ends)
+
+
+class StopAt:
+    """Requests the stop, or cancels, out of the n-th event."""
+
+    def __init__(self, count: int, act: list[str], stop: StopRequests) -> None:
+        self.left = count
+        self.act = act
+        self.stop = stop
+        self.task: asyncio.Task[Outcome] | None = None
+
+    def publish(self, event: RunEvent) -> None:
+        self.left -= 1
+        if self.left == 0:
+            for act in self.act:
+                if act == "cancel":
+                    assert self.task is not None
+                    self.task.cancel()
+                else:
+                    self.stop.request(signal.SIGINT)
+
+
+@pytest.mark.parametrize("act", [["stop"], ["stop", "stop"], ["cancel"]], ids="-".join)
+@pytest.mark.parametrize("count", range(1, 60))
+def test_a_stop_at_any_moment_leaves_nothing(count: int, act: list[str]) -> None:
+    async def main() -> None:
+        fakes, stop = launcher(), StopRequests()
+        sink = StopAt(count, act, stop)
+        sink.task = asyncio.create_task(run_system(CONFIG, sink, stop, launcher=fakes, starts=2))
+        try:
+            outcome = await sink.task
+        except asyncio.CancelledError:
+            assert act == ["cancel"]
+        else:
+            assert outcome.exit_code == 128 + signal.SIGINT
+        assert sink.left <= 0, "the run did not get that far"
+        assert not fakes.alive()
+        assert fakes.closed
+
+    run(main())
+
+
+def test_a_stop_that_came_before_the_start_starts_nothing() -> None:
+    async def main() -> None:
+        fakes, stop = launcher(), StopRequests()
+        stop.request(signal.SIGTERM)
+        outcome = await run_system(CONFIG, StopAt(0, [], stop), stop, launcher=fakes)
+        assert outcome.exit_code == 143
+        assert not fakes.containers
+        assert not fakes.processes
+
+    run(main())
+
+
+def test_a_fault_of_our_own_leaves_nothing_either() -> None:
+    class Breaks(StopAt):
+        def publish(self, event: RunEvent) -> None:
+            self.left -= 1
+            if self.left == 0:
+                raise LookupError("a bug")
+
+    async def main(count: int) -> None:
+        fakes, stop = launcher(), StopRequests()
+        with pytest.raises((ExceptionGroup, LookupError)):
+            await run_system(CONFIG, Breaks(count, [], stop), stop, launcher=fakes)
+        assert not fakes.alive()
+
+    for count in range(1, 40):
+        run(main(count))
+
+
+def test_it_is_told_to_shut_down_before_it_is_sent_signals() -> None:
+    async def main() -> Running:
+        fakes = FakeLauncher(makers={"/c": [DeafToShutdown]})
+        async with running(system(container("c", "a")), fakes) as sys:
+            await sys.until_loaded(1)
+        return sys
+
+    sys = run(main())
+    assert sys.launcher.containers["/c"][0].process.stopped_with == ["ask", "SIGINT"]
+    assert sys.container_states("/c")[-2:] == [ContainerState.STOPPING, ContainerState.STOPPED]
+
+
+def test_who_has_not_said_hello_is_not_asked() -> None:
+    async def main() -> Running:
+        fakes = FakeLauncher(makers={"/c": [Mute]})
+        async with running(system(container("c", "a")), fakes) as sys:
+            await sys.until(lambda: bool(sys.process_events("/c")))
+        return sys
+
+    sys = run(main())
+    assert sys.launcher.containers["/c"][0].process.stopped_with == ["SIGINT"]
+
+
+def test_all_stop_in_parallel_and_a_second_request_hurries() -> None:
+    async def main(requests: int) -> float:
+        class Deaf(DeafToShutdown):
+            def start(self) -> None:
+                super().start()
+                self.process.deaf_to = {"SIGINT"}
+
+        names = [f"c{number}" for number in range(8)]
+        fakes = FakeLauncher(makers={f"/{name}": [Deaf] for name in names})
+        async with running(system(*(container(each, "a") for each in names)), fakes) as sys:
+            await sys.until_loaded(8)
+            before = asyncio.get_running_loop().time()
+            for _ in range(requests):
+                sys.stop.request(signal.SIGINT)
+            await sys.until_stopped()
+        return asyncio.get_running_loop().time() - before
+
+    assert run(main(1)) == pytest.approx(4.0)
+    assert run(main(2)) < 1.0
+
+
+def test_the_duration_ends_a_run() -> None:
+    async def main() -> Running:
+        async with running(system(container("c", "a"), duration=30.0), FakeLauncher()) as sys:
+            await sys.stop.requested.wait()
+        return sys
+
+    sys = run(main())
+    assert sys.outcome is not None
+    assert sys.outcome.exit_code == 0
+    assert sys.outcome.reason == "its duration of 30 s is over"
+    assert sys.outcome.view.loaded == 1
+    assert sys.outcome.view.containers["/c"].state is ContainerState.RUNNING
+    assert sys.outcome.final_view.containers["/c"].state is ContainerState.STOPPED
+
+
+def test_nothing_to_run_ends_at_once() -> None:
+    async def main() -> Running:
+        async with running(system(), FakeLauncher()) as sys:
+            await sys.stop.requested.wait()
+        return sys
+
+    sys = run(main())
+    assert sys.outcome is not None
+    assert sys.outcome.exit_code == 0
+
+
+def test_everything_that_is_declared_is_known_from_the_start() -> None:
+    async def main() -> Running:
+        async with running(CONFIG, launcher()) as sys:
+            await sys.until(lambda: bool(sys.process_events("/good")))
+            states = {node.state for node in sys.view.waiting}
+            assert (sys.view.total, states) == (5, {NodeState.PENDING})
+        return sys
+
+    sys = run(main())
+    assert ProcessEventKind.STARTED in sys.process_events("/p")
+
+
+def test_an_unload_that_was_asked_for_is_final() -> None:
+    async def main() -> None:
+        from play_launch.actors.container import ContainerActor
+        from play_launch.actors.container_nodes import AttemptNumbers
+        from play_launch.actors.publisher import Publisher
+
+        fakes = FakeLauncher()
+        watching = Running(fakes)
+        actor = ContainerActor(
+            container("c", "a", "b"),
+            launcher=fakes,
+            publisher=Publisher(watching),
+            stop=watching.stop,
+            attempts=AttemptNumbers(),
+            starts=asyncio.Semaphore(1),
+        )
+        actor.announce()
+        task = asyncio.create_task(actor.run())
+        await watching.until_loaded(2)
+        actor.unload(0)
+        await watching.until(lambda: bool(watching.node_events("/a", NodeState.UNLOADED)))
+        fakes.containers["/c"][0].crash()
+        await watching.until_state("/c", ContainerState.BACKOFF)
+        await watching.until_loaded(1)
+        assert watching.view.containers["/c"].nodes[0].state is NodeState.UNLOADED
+        watching.stop.request()
+        await task
+
+    run(main())
