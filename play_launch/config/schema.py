@@ -16,6 +16,7 @@ from play_launch.config.names import check_namespace, check_node_name
 from play_launch.config.problems import excerpt
 
 LOG_LEVELS = ("debug", "info", "warn", "error", "fatal")
+_LONGEST_RUN_NAME = 150
 _NOT_YET = frozenset({"isolated", "isolated_mt", "stock"})
 _PACKAGE = re.compile(r"[A-Za-z][A-Za-z0-9_-]*", re.ASCII)
 _SINGLE_COLON = re.compile(r"(?<!:):(?!:)")
@@ -42,6 +43,10 @@ def _check_run_name(name: str) -> str:
     _check_filled(name)
     if "/" in name or name in {".", ".."} or not name.isprintable():
         raise ValueError(f"{excerpt(name)} cannot name a directory; use letters, digits, - and _")
+    if len(name.encode()) > _LONGEST_RUN_NAME:
+        raise ValueError(
+            f"at most {_LONGEST_RUN_NAME} bytes, because a directory is named after it"
+        )
     return name
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NoReturn
 
 import yaml
 
@@ -21,7 +21,7 @@ from play_launch.config.yaml_tree import Entry, Mapping, Node, Scalar, Sequence
 if TYPE_CHECKING:
     from play_launch.config.report import Report
 
-MOST_VALUES = 500_000
+MOST_VALUES = 200_000
 """Keys and values in one file, aliases counted as if their text stood there."""
 DEEPEST = 100
 """Levels of mappings and lists in one another."""
@@ -69,6 +69,15 @@ class _StopReadingError(Exception):
         self.message = message
 
 
+@dataclass(frozen=True, slots=True)
+class _Anchored:
+    """A value that aliases may refer to, with what it costs to have it once more."""
+
+    node: Node
+    values: int
+    depth: int
+
+
 @dataclass(slots=True)
 class _OpenCollection:
     """A list or mapping whose end has not been read yet."""
@@ -79,6 +88,7 @@ class _OpenCollection:
     anchor: str | None
     array_tag: str | None
     values_before: int
+    depth_below: int = 0
     items: list[Node] = field(default_factory=list)
     entries: list[Entry] = field(default_factory=list)
     seen: dict[str, Place] = field(default_factory=dict)
@@ -98,7 +108,7 @@ class _Composer:
         self._report = report
         self._open: list[_OpenCollection] = []
         self._open_anchors: set[str] = set()
-        self._anchored: dict[str, tuple[Node, int]] = {}
+        self._anchored: dict[str, _Anchored] = {}
         self._values = 0
         self._root: Node | None = None
         self._documents = 0
@@ -107,7 +117,7 @@ class _Composer:
         for event in yaml.parse(text, Loader=_Loader):
             if isinstance(event, yaml.ScalarEvent):
                 self._count(1, event)
-                self._finish(self._scalar(event), event.anchor, 1)
+                self._finish(_Anchored(self._scalar(event), 1, 0), event.anchor)
             elif isinstance(event, yaml.CollectionStartEvent):
                 self._count(1, event)
                 self._begin(event)
@@ -169,7 +179,7 @@ class _Composer:
         place = self._place(event)
         path = self._open[-1].child_path() if self._open else ""
         if len(self._open) >= DEEPEST:
-            raise _StopReadingError(place, "(yaml)", f"nested deeper than {DEEPEST} levels")
+            self._refuse_depth(place)
         is_mapping = isinstance(event, yaml.MappingStartEvent)
         array_tag = event.tag if event.tag in ARRAY_TAGS and not is_mapping else None
         if array_tag is None and event.tag not in _PLAIN_COLLECTION_TAGS[type(event)]:
@@ -192,7 +202,8 @@ class _Composer:
             node = Sequence(ended.place, tuple(ended.items), ended.array_tag)
         if ended.anchor is not None:
             self._open_anchors.discard(ended.anchor)
-        self._finish(node, ended.anchor, self._values - ended.values_before)
+        values = self._values - ended.values_before
+        self._finish(_Anchored(node, values, ended.depth_below + 1), ended.anchor)
 
     def _alias(self, event: yaml.AliasEvent) -> None:
         name = event.anchor
@@ -202,18 +213,25 @@ class _Composer:
         if name not in self._anchored:
             message = f"the alias *{name} has no anchor &{name} before it"
             raise _StopReadingError(self._place(event), self._path(), message)
-        node, values = self._anchored[name]
-        self._count(values, event)
-        self._finish(node, None, values)
+        anchored = self._anchored[name]
+        self._count(anchored.values, event)
+        if len(self._open) + anchored.depth > DEEPEST:
+            self._refuse_depth(self._place(event))
+        self._finish(anchored, None)
 
-    def _finish(self, node: Node, anchor: str | None, values: int) -> None:
-        """Hand the complete `node` of so many `values` to the collection it stands in."""
+    def _refuse_depth(self, place: Place) -> NoReturn:
+        raise _StopReadingError(place, "(yaml)", f"nested deeper than {DEEPEST} levels")
+
+    def _finish(self, complete: _Anchored, anchor: str | None) -> None:
+        """Hand the complete value to the collection it stands in."""
+        node = complete.node
         if anchor is not None:
-            self._anchored[anchor] = (node, values)
+            self._anchored[anchor] = complete
         if not self._open:
             self._root = node
             return
         parent = self._open[-1]
+        parent.depth_below = max(parent.depth_below, complete.depth)
         if not parent.is_mapping:
             parent.items.append(node)
         elif parent.key_is_next:

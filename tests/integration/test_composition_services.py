@@ -81,7 +81,9 @@ def test_nodes_are_loaded_listed_and_unloaded(probe: Probe) -> None:
 @pytest.mark.usefixtures("container")
 def test_a_plain_listener_hears_the_talker(probe: Probe) -> None:
     assert load(
-        probe, "Talker", parameters=[parameter("rate", ParameterType.PARAMETER_DOUBLE, double_value=50.0)]
+        probe,
+        "Talker",
+        parameters=[parameter("rate", ParameterType.PARAMETER_DOUBLE, double_value=50.0)],
     ).success
     heard = [message.data for message in probe.collect(String, "/chatter", count=5)]
     counts = [int(text.rsplit(": ", 1)[1]) for text in heard]
@@ -95,9 +97,7 @@ def test_what_the_request_says_arrives_in_the_node_unchanged(probe: Probe) -> No
         parameter("count", ParameterType.PARAMETER_INTEGER, integer_value=-(2**63)),
         parameter("gain", ParameterType.PARAMETER_DOUBLE, double_value=1.0),
         parameter("word", ParameterType.PARAMETER_STRING, string_value="true"),
-        parameter(
-            "bytes", ParameterType.PARAMETER_BYTE_ARRAY, byte_array_value=[b"\x00", b"\xff"]
-        ),
+        parameter("bytes", ParameterType.PARAMETER_BYTE_ARRAY, byte_array_value=[b"\x00", b"\xff"]),
         parameter("flags", ParameterType.PARAMETER_BOOL_ARRAY, bool_array_value=[True, False]),
         parameter(
             "counts", ParameterType.PARAMETER_INTEGER_ARRAY, integer_array_value=[1, 2**63 - 1]
@@ -116,9 +116,7 @@ def test_what_the_request_says_arrives_in_the_node_unchanged(probe: Probe) -> No
         log_level=Log.WARN[0] if isinstance(Log.WARN, bytes) else Log.WARN,
         parameters=parameters,
         extra_arguments=[
-            parameter(
-                "use_intra_process_comms", ParameterType.PARAMETER_BOOL, bool_value=True
-            ),
+            parameter("use_intra_process_comms", ParameterType.PARAMETER_BOOL, bool_value=True),
             parameter("of_my_own", ParameterType.PARAMETER_STRING, string_value="kept"),
         ],
     )
@@ -209,19 +207,13 @@ FAILURES = {
         {
             "plugin_name": f"{DEMO}::ThrowingConstructor",
             "parameters": [
-                parameter(
-                    "standard_exception", ParameterType.PARAMETER_BOOL, bool_value=False
-                )
+                parameter("standard_exception", ParameterType.PARAMETER_BOOL, bool_value=False)
             ],
         },
         ["ThrowingConstructor"],
     ),
     "parameter of the wrong type": (
-        {
-            "parameters": [
-                parameter("rate", ParameterType.PARAMETER_STRING, string_value="fast")
-            ]
-        },
+        {"parameters": [parameter("rate", ParameterType.PARAMETER_STRING, string_value="fast")]},
         ["rate", "double", "string"],
     ),
     "parameter value that the node refuses": (
@@ -274,9 +266,7 @@ def test_a_slow_constructor_blocks_nobody(probe: Probe) -> None:
         f"{CONTAINER}/_container/load_node",
         load_request(
             "SlowConstructor",
-            parameters=[
-                parameter("seconds", ParameterType.PARAMETER_DOUBLE, double_value=3600.0)
-            ],
+            parameters=[parameter("seconds", ParameterType.PARAMETER_DOUBLE, double_value=3600.0)],
         ),
     )
     talker = load(probe, "Talker")

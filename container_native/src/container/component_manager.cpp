@@ -173,6 +173,11 @@ std::vector<NodeSnapshot> ObservableComponentManager::nodes(
   return snapshots;
 }
 
+void ObservableComponentManager::refuse_loads() {
+  const std::lock_guard lock(mutex_);
+  stopping_ = true;
+}
+
 void ObservableComponentManager::begin_stop(std::function<void()> on_empty) {
   const std::lock_guard lock(mutex_);
   stopping_ = true;

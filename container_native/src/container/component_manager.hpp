@@ -60,7 +60,10 @@ class ObservableComponentManager final : public NodeHostObserver {
   /// The nodes with these ids that exist, or all for no ids; by unique_id.
   std::vector<NodeSnapshot> nodes(std::span<const std::uint64_t> unique_ids = {}) const;
 
-  /// Takes up nothing any more and begins to unload all nodes. `on_empty` is called (once, with the
+  /// Takes up no load any more: a stop was asked for.
+  void refuse_loads();
+
+  /// Takes up no load any more and begins to unload all nodes. `on_empty` is called (once, with the
   /// manager locked) when none is left.
   void begin_stop(std::function<void()> on_empty);
   bool empty() const;

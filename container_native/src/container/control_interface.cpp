@@ -168,6 +168,7 @@ void ControlInterface::on_frame(const Frame& frame) {
       return;
     case FrameKind::shutdown:
       hit(Failpoint::on_shutdown);
+      manager_->refuse_loads();  // those that are in the channel already, too
       stop_.request(StopCause::shutdown);
       return;
     case FrameKind::accepted:

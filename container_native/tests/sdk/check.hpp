@@ -85,7 +85,8 @@ class Counter : public Watched<int> {
   }
 };
 
-/// Spins an executor in a thread of its own for as long as the object lives.
+/// Spins an executor in a thread of its own for as long as the object lives. To be declared after
+/// everything that callbacks touch.
 class Spinner {
  public:
   explicit Spinner(Executor& executor)

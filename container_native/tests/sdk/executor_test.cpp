@@ -210,16 +210,16 @@ void removing(const std::shared_ptr<Context>& context) {
     CHECK(release.reaches([](bool value) { return value; }));
     left = true;
   });
+  Watched<bool> removed{false};
+  Counter others;
   const Spinner spinner(executor);
   CHECK(inside.reaches([](bool value) { return value; }));
   CHECK(!refused.get().empty());
-  Watched<bool> removed{false};
   std::thread remover([&] {
     executor.remove_node(node);
     CHECK(left.load());
     removed.set(true);
   });
-  Counter others;
   const auto witness = other->create_timer(1ms, [&] { others.increment(); });
   CHECK(others.reaches_at_least(5));
   CHECK(!removed.get());

@@ -60,8 +60,8 @@ void transient_local_reaches_late_joiners() {
   publisher->publish(text("kept"));
   SingleThreadedExecutor executor;
   executor.add_node(node);
-  const Spinner spinner(executor);
   Watched<std::string> received;
+  const Spinner spinner(executor);
   const auto subscription = node->create_subscription<String>(
       "latched", latched, [&](const String& message) { received.set(message.data); });
   CHECK(received.reaches([](const auto& value) { return value == "kept"; }));
@@ -88,11 +88,11 @@ void a_dropped_subscription_ends() {
   const auto publisher = node->create_publisher<String>("drop");
   SingleThreadedExecutor executor;
   executor.add_node(node);
-  const Spinner spinner(executor);
-  std::shared_ptr<SubscriptionBase> subscription;
-  Counter received;
-  // It lets go of itself in its own callback.
   Watched<bool> created{false};
+  Counter received;
+  std::shared_ptr<SubscriptionBase> subscription;
+  const Spinner spinner(executor);
+  // It lets go of itself in its own callback.
   const auto timer = node->create_timer(std::chrono::milliseconds(1), [&] {
     if (created.get()) return;
     subscription = node->create_subscription<String>("drop", 10, [&](const String&) {

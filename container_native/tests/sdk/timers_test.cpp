@@ -15,12 +15,12 @@ void ticks_cancels_and_restarts(const std::shared_ptr<Context>& context) {
   executor.add_node(node);
   Counter ticks;
   const auto timer = node->create_timer(2ms, [&] { ticks.increment(); });
+  Counter other;
   const Spinner spinner(executor);
   CHECK(ticks.reaches_at_least(5));
   timer->cancel();
   CHECK(timer->cancelled());
   // One that was taken before may still come; a later timer tells when it is over.
-  Counter other;
   const auto witness = node->create_timer(10ms, [&] { other.increment(); });
   CHECK(other.reaches_at_least(1));
   const int stopped_at = ticks.get();
@@ -37,12 +37,12 @@ void earlier_timers_overtake(const std::shared_ptr<Context>& context) {
   SingleThreadedExecutor executor;
   executor.add_node(node);
   const auto far = node->create_timer(1h, [] {});
-  const Spinner spinner(executor);
   Counter near;
+  Counter pulled;
+  const Spinner spinner(executor);
   const auto timer = node->create_timer(1ms, [&] { near.increment(); });
   CHECK(near.reaches_at_least(2));
   // Pulling a sleeping timer forward wakes the executor.
-  Counter pulled;
   const auto sleeper = node->create_timer(1h, [&] { pulled.increment(); });
   sleeper->reset(1ms);
   CHECK(pulled.reaches_at_least(1));
@@ -65,14 +65,14 @@ void letting_go_ends_it(const std::shared_ptr<Context>& context) {
   auto node = std::make_shared<Node>("gone", options_in(context));
   MultiThreadedExecutor executor(2);
   executor.add_node(node);
-  const Spinner spinner(executor);
   std::atomic<int> gone{0};
+  Counter alive;
+  const Spinner spinner(executor);
   for (int i = 0; i < 200; ++i) {
     // Long ones are never due: the executor must forget them anyway.
     auto timer = node->create_timer(i % 2 == 0 ? 1h : 100us, [&] { ++gone; });
     timer.reset();
   }
-  Counter alive;
   const auto timer = node->create_timer(1ms, [&] { alive.increment(); });
   CHECK(alive.reaches_at_least(3));
 }
