@@ -61,8 +61,10 @@ def process_argv(
 ) -> tuple[str, ...]:
     """Make the command line of an ordinary node.
 
-    A `command` that is given nothing for ROS (name, remapping, parameter, log level, ROS
-    argument) stays exactly as it is: it may be no ROS program at all.
+    As in ROS's own launch API, the name and namespace of a `command` are its label only, while
+    those of a package's executable are remapped in the node. A `command` that is given nothing for
+    ROS (remapping, parameter, log level, ROS argument) stays exactly as it is: it may be no ROS
+    program at all.
 
     Args:
         config: The node.
@@ -74,13 +76,15 @@ def process_argv(
     """
     if config.command is not None:
         argv = [*config.command, *config.arguments]
+        name = namespace = ""
     elif executable is not None:
         argv = [os.fspath(executable), *config.arguments]
+        name, namespace = config.name, config.namespace
     else:
         raise ValueError(f"{config.full_name} has neither a command nor an executable")
     argv += _ros_arguments(
-        name=config.name,
-        namespace=config.namespace,
+        name=name,
+        namespace=namespace,
         remappings=config.remappings,
         parameter_file=parameter_file,
         log_level=config.log_level,

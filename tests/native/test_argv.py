@@ -51,7 +51,8 @@ def test_a_container_with_everything() -> None:
 
 
 def test_a_command_with_nothing_for_ros_stays_as_it_is() -> None:
-    assert process_argv(process(command=("sleep", "1"))) == ("sleep", "1")
+    labelled = process(command=("sleep", "1"), name="nap", namespace="/bed")
+    assert process_argv(labelled) == ("sleep", "1")
 
 
 def test_a_node_with_everything() -> None:

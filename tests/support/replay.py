@@ -1,0 +1,95 @@
+"""The real command, and what it left behind."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+COMMAND = Path(sys.executable).parent / "play-launch"
+
+
+@dataclass
+class Replay:
+    """A running ``play-launch replay --json``."""
+
+    process: subprocess.Popen[str]
+    log_dir: Path
+    seen: list[dict[str, Any]]
+
+    @property
+    def pid(self) -> int:
+        return self.process.pid
+
+    @property
+    def bag(self) -> Path:
+        """The recording of the only session."""
+        return self.log_dir / "latest" / "session.mcap"
+
+    def read_until(self, wanted: Any, what: str) -> dict[str, Any]:
+        """Read events until one for which ``wanted(event)`` holds, and return it."""
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            event = json.loads(line)
+            self.seen.append(event)
+            if wanted(event):
+                return event
+        raise AssertionError(f"the run ended without {what}; it told {self.seen[-5:]}")
+
+    def read_all(self) -> list[dict[str, Any]]:
+        """Read to the end and wait for it."""
+        assert self.process.stdout is not None
+        self.seen += [json.loads(line) for line in self.process.stdout]
+        self.process.wait(timeout=60)
+        return self.seen
+
+    def descendants(self) -> list[psutil.Process]:
+        """Everything that the supervisor started and that still runs."""
+        try:
+            return psutil.Process(self.pid).children(recursive=True)
+        except psutil.NoSuchProcess:
+            return []
+
+
+@contextmanager
+def replaying(config: Path, log_dir: Path, *arguments: str) -> Iterator[Replay]:
+    """Run ``play-launch replay``; afterwards it is gone, and so is everything it started."""
+    process = subprocess.Popen(
+        [COMMAND, "replay", config, "--log-dir", log_dir, "--json", *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONUNBUFFERED": "1"},
+    )
+    replay = Replay(process, log_dir, [])
+    try:
+        yield replay
+    finally:
+        if process.poll() is None:
+            process.send_signal(signal.SIGINT)
+        try:
+            process.communicate(timeout=30)
+        except subprocess.TimeoutExpired:
+            for child in replay.descendants():
+                child.kill()
+            process.kill()
+            process.communicate()
+            raise
+
+
+def alive(processes: list[psutil.Process]) -> list[psutil.Process]:
+    """Those that still run; identity is pid and start time, so a reused pid does not count."""
+    return [
+        each
+        for each in processes
+        if each.is_running() and each.status() != psutil.STATUS_ZOMBIE
+    ]
