@@ -1,6 +1,7 @@
 #include "container/control_interface.hpp"
 
 #include <fcntl.h>
+#include <sys/prctl.h>
 #include <sys/socket.h>
 
 #include <cerrno>
@@ -86,6 +87,9 @@ control::UniqueFd take_control_socket() {
                              " is no open stream socket; it is set by the supervisor only");
   }
   ::fcntl(fd, F_SETFD, FD_CLOEXEC);
+  // spawn_guard had us killed with the supervisor. From here on the end of this socket tells of its
+  // death, and we leave in order: a killed process leaves its shared memory behind.
+  ::prctl(PR_SET_PDEATHSIG, 0);
   return control::UniqueFd(fd);
 }
 
