@@ -8,7 +8,7 @@ import asyncio
 class StopRequests:
     """The first request stops the system in order, every further one hurries that.
 
-    Belongs to the thread of the event loop: connect signals with ``loop.add_signal_handler``.
+    Belongs to the thread of the event loop: hand signals over with ``loop.call_soon_threadsafe``.
     """
 
     def __init__(self) -> None:

@@ -7,7 +7,6 @@ import contextlib
 import json
 import logging
 import os
-import signal
 import sys
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
@@ -16,6 +15,7 @@ from play_launch.cli.check import describe
 from play_launch.cli.display import Display, Style
 from play_launch.cli.json_style import JsonStyle, encode
 from play_launch.cli.resolved import resolved
+from play_launch.cli.signals import RunSignals
 from play_launch.cli.terminal import is_terminal, say, surviving_the_reader, wants_colour
 from play_launch.cli.text_styles import LiveStyle, PlainStyle
 from play_launch.core.events import LogRecord, OutputLine, RunEvent
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from play_launch.config import ReplayConfig
     from play_launch.recording.recorder import Recorder, RecordingSummary
 
-_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _log = logging.getLogger(__name__)
 
 
@@ -72,56 +71,33 @@ def run(config: ReplayConfig, options: RunOptions) -> int:
     Raises ``RecordingError`` when the session cannot be recorded from the start; nothing has been
     started then.
     """
-    session = open_session(
-        _description(config),
-        on_failure=lambda message: _log.error("the recording stopped: %s", message),
-        log_folder=options.log_folder or config.log_dir,
-    )
-    _announce(config, session, options)
-    display = Display(_style(options))
-    sink = RunSink(session.recorder, display)
-    try:
-        with _logging_to(sink):
-            outcome = asyncio.run(_until_the_end(config, sink))
-    finally:
-        display.close()
-        recording = session.recorder.close()
+    with RunSignals() as signals:
+        session = open_session(
+            _description(config),
+            on_failure=lambda message: _log.error("the recording stopped: %s", message),
+            log_folder=options.log_folder or config.log_dir,
+        )
+        _announce(config, session, options)
+        display = Display(_style(options))
+        sink = RunSink(session.recorder, display)
+        try:
+            with _logging_to(sink):
+                outcome = asyncio.run(_until_the_end(config, sink, signals))
+        finally:
+            display.close()
+            recording = session.recorder.close()
     _report(outcome, recording, options)
     return outcome.exit_code
 
 
-async def _until_the_end(config: ReplayConfig, sink: RunSink) -> Outcome:
+async def _until_the_end(config: ReplayConfig, sink: RunSink, signals: RunSignals) -> Outcome:
     # Imports rclpy; the caller has made sure that this works.
     from play_launch.actors.stop_requests import StopRequests  # noqa: PLC0415
     from play_launch.actors.system import run_system  # noqa: PLC0415
 
     stop = StopRequests()
-    with _signals_to(stop.request):
+    with signals.delivered_to(stop.request):
         return await run_system(config, sink, stop)
-
-
-@contextlib.contextmanager
-def _signals_to(request: Callable[[int], None]) -> Iterator[None]:
-    loop = asyncio.get_running_loop()
-
-    def on_signal(signum: signal.Signals) -> None:
-        request(signum)
-        _log.warning("%s: stopping; once more to hurry", signum.name)
-
-    handled = [
-        signum
-        for signum in _SIGNALS
-        # nohup ignores SIGHUP for us, and that is meant. SIGINT is ignored in the background jobs
-        # of scripts, by a habit of shells that nobody means.
-        if signum is not signal.SIGHUP or signal.getsignal(signum) is not signal.SIG_IGN
-    ]
-    for signum in handled:
-        loop.add_signal_handler(signum, on_signal, signum)
-    try:
-        yield
-    finally:
-        for signum in handled:
-            loop.remove_signal_handler(signum)
 
 
 @contextlib.contextmanager
