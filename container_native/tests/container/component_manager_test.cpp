@@ -1,0 +1,231 @@
+// The manager with a host that does what the test says: which events come, in which order.
+
+#include "container/component_manager.hpp"
+
+#include <map>
+#include <system_error>
+
+#include "check.hpp"
+
+using namespace play_launch::container;
+
+namespace {
+
+class FakeHost final : public NodeHost {
+ public:
+  void set_observer(NodeHostObserver& given) override { observer = &given; }
+  std::optional<std::string> expected_full_name(const LoadRequest& request) const override {
+    return request.node_name.empty() ? std::nullopt : std::optional("/" + request.node_name);
+  }
+  void load(std::uint64_t unique_id, LoadRequest) override {
+    refuse();
+    loads.push_back(unique_id);
+  }
+  void unload(std::uint64_t unique_id) override {
+    refuse();
+    unloads.push_back(unique_id);
+  }
+  void stop_spinning() override {}
+
+  void finish(std::uint64_t unique_id, const std::string& name) {
+    if (observer->on_constructed(unique_id, name)) {
+      observer->on_loaded(unique_id);
+    } else {
+      observer->on_gone(unique_id);
+    }
+  }
+  void refuse() {
+    if (no_threads) {
+      throw std::system_error(EAGAIN, std::generic_category(), "thread");
+    }
+  }
+
+  NodeHostObserver* observer = nullptr;
+  std::vector<std::uint64_t> loads;
+  std::vector<std::uint64_t> unloads;
+  bool no_threads = false;
+};
+
+class Recorder final : public EventSink {
+ public:
+  void on_event(const ComponentEvent& event) override { events.push_back(event); }
+
+  std::vector<int> types() const {
+    std::vector<int> types;
+    for (const ComponentEvent& event : events) {
+      types.push_back(event.event_type);
+    }
+    return types;
+  }
+  const ComponentEvent& last() const { return events.back(); }
+
+  std::vector<ComponentEvent> events;
+};
+
+constexpr int kLoaded = ComponentEvent::LOADED;
+constexpr int kUnloaded = ComponentEvent::UNLOADED;
+constexpr int kFailed = ComponentEvent::LOAD_FAILED;
+constexpr int kLoading = ComponentEvent::LOADING;
+using Types = std::vector<int>;
+
+struct Bench {
+  Bench() { manager.add_sink(recorder); }
+
+  std::uint64_t load(const std::string& name, std::uint64_t attempt = 0) {
+    LoadRequest request;
+    request.attempt = attempt;
+    request.plugin_name = "ns::Plugin";
+    request.node_name = name;
+    std::uint64_t unique_id = 0;
+    const std::size_t events = recorder.events.size();
+    const auto refusal = manager.load(request, [&](std::uint64_t accepted) {
+      unique_id = accepted;
+      CHECK(recorder.events.size() == events);  // the acceptance comes before all events
+    });
+    CHECK(!refusal);
+    return unique_id;
+  }
+  std::uint64_t loaded(const std::string& name) {
+    const std::uint64_t unique_id = load(name);
+    host.finish(unique_id, "/" + name);
+    return unique_id;
+  }
+
+  FakeHost host;
+  ObservableComponentManager manager{host, ProcessIdentity{1, 2}};
+  Recorder recorder;
+};
+
+void test_load_and_unload() {
+  Bench bench;
+  const std::uint64_t unique_id = bench.load("a", 5);
+  bench.host.observer->on_constructing(unique_id, {7, 8}, CLOCK_THREAD_CPUTIME_ID);
+  bench.host.finish(unique_id, "/a");
+  CHECK((bench.recorder.types() == Types{kLoading, kLoaded}));
+  CHECK(bench.recorder.last().attempt == 5 && bench.recorder.last().pid == 7);
+  CHECK(bench.recorder.last().start_time == 8 && bench.recorder.last().stamp.sec > 0);
+  CHECK(!bench.manager.unload(unique_id));
+  CHECK(bench.host.unloads == std::vector{unique_id});
+  CHECK(!bench.manager.unload(unique_id));  // is under way already
+  CHECK(bench.host.unloads.size() == 1);
+  bench.host.observer->on_gone(unique_id);
+  CHECK((bench.recorder.types() == Types{kLoading, kLoaded, kUnloaded}));
+  CHECK(bench.recorder.last().error_message.empty());
+  CHECK(bench.manager.unload(unique_id).has_value());
+  CHECK(bench.load("a", 5) == unique_id);  // repeated
+  CHECK(bench.host.loads.size() == 1);
+}
+
+void test_failures() {
+  Bench bench;
+  const std::uint64_t failed = bench.load("a");
+  bench.host.observer->on_load_failed(failed, "why");
+  CHECK((bench.recorder.types() == Types{kLoading, kFailed}));
+  CHECK(bench.recorder.last().error_message == "why");
+  bench.loaded("b");
+  bench.recorder.events.clear();
+  bench.load("b");
+  CHECK((bench.recorder.types() == Types{kLoading, kFailed}));
+  CHECK(contains(bench.recorder.last().error_message, "/b"));
+  const std::uint64_t unnamed = bench.load("");
+  bench.host.finish(unnamed, "/b");
+  CHECK(bench.recorder.last().event_type == kFailed);
+  CHECK(bench.manager.nodes().size() == 1);
+  bench.host.no_threads = true;
+  bench.load("c");
+  CHECK(bench.recorder.last().event_type == kFailed);
+  CHECK(contains(bench.recorder.last().error_message, "thread"));
+}
+
+void test_unloading_that_cannot_start() {
+  Bench bench;
+  const std::uint64_t unique_id = bench.loaded("a");
+  bench.host.no_threads = true;
+  CHECK(contains(bench.manager.unload(unique_id).value_or(""), "thread"));
+  CHECK(bench.manager.nodes()[0].entry.state == NodeState::loaded);
+  bench.host.no_threads = false;
+  CHECK(!bench.manager.unload(unique_id));
+}
+
+void test_cancel() {
+  Bench bench;
+  const std::uint64_t before = bench.load("a");
+  CHECK(!bench.manager.cancel(before));
+  bench.host.finish(before, "/a");
+  CHECK((bench.recorder.types() == Types{kLoading, kUnloaded}));
+  CHECK(bench.recorder.last().error_message == "cancelled");
+
+  const std::uint64_t failing = bench.load("a");
+  CHECK(!bench.manager.cancel(failing));
+  bench.host.observer->on_load_failed(failing, "boom");
+  CHECK(bench.recorder.last().event_type == kUnloaded);
+  CHECK(contains(bench.recorder.last().error_message, "boom"));
+
+  const std::uint64_t late = bench.load("a");
+  CHECK(bench.host.observer->on_constructed(late, "/a"));
+  CHECK(!bench.manager.cancel(late));
+  CHECK(bench.host.unloads.empty());
+  bench.host.observer->on_loaded(late);
+  CHECK(bench.host.unloads == std::vector{late});
+  bench.host.observer->on_gone(late);
+  CHECK(bench.recorder.last().event_type == kUnloaded);
+
+  const std::uint64_t loaded = bench.loaded("a");
+  CHECK(!bench.manager.cancel(loaded));
+  bench.host.observer->on_gone(loaded);
+  CHECK(bench.recorder.last().error_message == "cancelled");
+}
+
+void test_crash() {
+  Bench bench;
+  const std::uint64_t unique_id = bench.loaded("a");
+  bench.host.observer->on_crashed(unique_id, {0, 11, "SIGSEGV", {"frame"}});
+  const ComponentEvent& event = bench.recorder.last();
+  CHECK(event.event_type == ComponentEvent::CRASHED && event.signal == 11);
+  CHECK(event.backtrace == std::vector<std::string>{"frame"});
+  CHECK(bench.manager.empty());
+}
+
+void test_stop() {
+  Bench bench;
+  const std::uint64_t loaded = bench.loaded("a");
+  const std::uint64_t constructing = bench.load("b");
+  int empty = 0;
+  bench.manager.begin_stop([&empty] { ++empty; });
+  LoadRequest request;
+  CHECK(bench.manager.load(request, [](std::uint64_t) {}).has_value());
+  CHECK(bench.host.unloads == std::vector{loaded});
+  bench.host.observer->on_gone(loaded);
+  CHECK(bench.recorder.last().error_message.empty() && empty == 0);
+  bench.host.finish(constructing, "/b");
+  CHECK(bench.recorder.last().error_message == "cancelled" && empty == 1);
+
+  Bench idle;
+  idle.manager.begin_stop([&empty] { ++empty; });
+  CHECK(empty == 2);
+}
+
+void test_snapshots() {
+  Bench bench;
+  const std::uint64_t first = bench.load("a");
+  const std::uint64_t second = bench.loaded("b");
+  bench.host.observer->on_constructing(first, {1, 2}, CLOCK_PROCESS_CPUTIME_ID);
+  const auto all = bench.manager.nodes();
+  CHECK(all.size() == 2 && all[0].entry.unique_id == first && all[1].entry.unique_id == second);
+  CHECK(all[0].cpu_time_ns > 0 && all[0].elapsed_ns > 0 && all[1].cpu_time_ns == 0);
+  const std::vector<std::uint64_t> asked{second, 99};
+  CHECK(bench.manager.nodes(asked).size() == 1);
+}
+
+}  // namespace
+
+int main() {
+  test_load_and_unload();
+  test_failures();
+  test_unloading_that_cannot_start();
+  test_cancel();
+  test_crash();
+  test_stop();
+  test_snapshots();
+  return 0;
+}

@@ -1,0 +1,135 @@
+// The decisions about nodes: names, attempts, and what becomes of a node that nobody wants.
+
+#include "container/node_table.hpp"
+
+#include "check.hpp"
+
+using namespace play_launch::container;
+using Retirement = NodeTable::Retirement;
+
+namespace {
+
+const ProcessIdentity kProcess{100, 200};
+
+SteadyTime at(int seconds) { return SteadyTime(std::chrono::seconds(seconds)); }
+
+std::uint64_t accept(NodeTable& table, const std::string& name, std::uint64_t attempt = 0) {
+  const auto acceptance = table.accept({attempt, "package", "ns::Plugin", name}, kProcess, at(0));
+  CHECK(!acceptance.repeated && !acceptance.conflict);
+  return acceptance.unique_id;
+}
+
+std::uint64_t load(NodeTable& table, const std::string& name) {
+  const std::uint64_t unique_id = accept(table, name);
+  CHECK(table.constructed(unique_id, name));
+  CHECK(table.loaded(unique_id, at(1)));
+  return unique_id;
+}
+
+void test_life() {
+  NodeTable table;
+  const std::uint64_t unique_id = accept(table, "/a", 7);
+  CHECK(unique_id == 1);
+  table.constructing(unique_id, {300, 400}, 5);
+  const NodeEntry* entry = table.find(unique_id);
+  CHECK(entry->state == NodeState::constructing && entry->process.pid == 300);
+  CHECK(entry->attempt == 7 && entry->plugin_name == "ns::Plugin" && entry->cpu_clock == 5);
+  CHECK(table.constructed(unique_id, "/a"));
+  CHECK(entry->state == NodeState::constructing);
+  CHECK(table.loaded(unique_id, at(3)));
+  CHECK(entry->state == NodeState::loaded && entry->since == at(3) && !entry->cpu_clock);
+  CHECK(table.retire(unique_id, "", at(4)) == Retirement::unload_now);
+  CHECK(entry->state == NodeState::unloading && entry->since == at(4));
+  CHECK(table.retire(unique_id, "again", at(5)) == Retirement::under_way);
+  const auto removed = table.remove(unique_id);
+  CHECK(removed && removed->verdict.empty() && !removed->refused);
+  CHECK(table.entries().empty() && !table.remove(unique_id));
+  CHECK(table.retire(unique_id, "", at(6)) == Retirement::unknown);
+  CHECK(accept(table, "/a") == 2);  // numbers are never used twice
+}
+
+void test_names() {
+  NodeTable table;
+  const std::uint64_t first = accept(table, "/a");
+  for (const bool loaded : {false, true}) {
+    if (loaded) {
+      CHECK(table.constructed(first, "/a") && table.loaded(first, at(1)));
+    }
+    const auto second = table.accept({0, "package", "ns::Plugin", "/a"}, kProcess, at(2));
+    CHECK(second.conflict && contains(*second.conflict, "/a"));
+    CHECK(contains(*second.conflict, loaded ? "is loaded" : "constructing"));
+    CHECK(table.find(second.unique_id) == nullptr);
+  }
+  // Not known before construction: any number of them, until they turn out to have the name.
+  const std::uint64_t third = accept(table, "");
+  const std::uint64_t fourth = accept(table, "");
+  CHECK(!table.constructed(third, "/a"));
+  CHECK(table.constructed(fourth, "/b"));
+  CHECK(table.retire(third, "", at(3)) == Retirement::under_way);
+  const auto refused = table.remove(third);
+  CHECK(refused->refused && contains(refused->verdict, "/a"));
+  // The name is free when its node is gone, not before.
+  CHECK(table.retire(first, "", at(3)) == Retirement::unload_now);
+  CHECK(table.accept({0, "package", "ns::Plugin", "/a"}, kProcess, at(4)).conflict);
+  table.remove(first);
+  load(table, "/a");
+}
+
+void test_attempts() {
+  NodeTable table;
+  const std::uint64_t unique_id = accept(table, "/a", 9);
+  const auto again = table.accept({9, "package", "ns::Plugin", "/a"}, kProcess, at(1));
+  CHECK(again.repeated && again.unique_id == unique_id && !again.conflict);
+  table.remove(unique_id);
+  CHECK(table.accept({9, "package", "ns::Plugin", "/a"}, kProcess, at(2)).repeated);
+  // Only the latest are remembered.
+  for (std::uint64_t attempt = 10; attempt < 10 + NodeTable::kMaxAttempts; ++attempt) {
+    table.remove(accept(table, "", attempt));
+  }
+  CHECK(!table.accept({9, "package", "ns::Plugin", "/a"}, kProcess, at(3)).repeated);
+}
+
+void test_retired_while_constructing() {
+  NodeTable table;
+  const std::uint64_t before = accept(table, "/a");
+  CHECK(table.retire(before, "cancelled", at(1)) == Retirement::when_built);
+  CHECK(table.find(before)->state == NodeState::constructing);
+  CHECK(!table.constructed(before, "/a"));
+  CHECK(table.remove(before)->verdict == "cancelled");
+  // Between the constructor's return and the first callback.
+  const std::uint64_t after = accept(table, "/a");
+  CHECK(table.constructed(after, "/a"));
+  CHECK(table.retire(after, "cancelled", at(1)) == Retirement::when_built);
+  CHECK(!table.loaded(after, at(2)));
+  CHECK(table.find(after)->state == NodeState::unloading);
+}
+
+void test_kept() {
+  NodeTable table;
+  const std::uint64_t unique_id = load(table, "/a");
+  CHECK(table.retire(unique_id, "", at(2)) == Retirement::unload_now);
+  table.keep(unique_id, at(3));
+  CHECK(table.find(unique_id)->state == NodeState::loaded);
+  CHECK(table.retire(unique_id, "", at(4)) == Retirement::unload_now);
+}
+
+void test_bounded() {
+  NodeTable table;
+  for (std::size_t i = 0; i < NodeTable::kMaxNodes; ++i) {
+    CHECK(!table.full());
+    accept(table, "");
+  }
+  CHECK(table.full());
+}
+
+}  // namespace
+
+int main() {
+  test_life();
+  test_names();
+  test_attempts();
+  test_retired_while_constructing();
+  test_kept();
+  test_bounded();
+  return 0;
+}

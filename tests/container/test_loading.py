@@ -1,0 +1,92 @@
+"""Loading under load: slow constructors, many at once, over and over."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from play_launch_msgs.msg import ComponentEvent, ControlUnload, NodeStatus
+
+if TYPE_CHECKING:
+    from support.control_peer import Container, StartContainer
+
+LOADED, UNLOADED, LOAD_FAILED = (
+    ComponentEvent.LOADED,
+    ComponentEvent.UNLOADED,
+    ComponentEvent.LOAD_FAILED,
+)
+
+
+def test_a_slow_constructor_blocks_nobody(container: Container) -> None:
+    container.load("SlowConstructor", parameters={"seconds": 3600.0})
+    talker = container.loaded("Talker")
+    container.send(ControlUnload(unique_id=talker.unique_id))
+    container.event(UNLOADED, unique_id=talker.unique_id)
+    assert [node.state for node in container.status().nodes] == [NodeStatus.CONSTRUCTING]
+
+
+def test_many_loads_at_once(spawn: StartContainer) -> None:
+    container = spawn("--use_multi_threaded_executor")
+    attempts = {container.load("Talker", node_name=f"talker_{i}") for i in range(54)}
+    loaded: dict[int, int] = {}
+    while len(loaded) < len(attempts):
+        event = container.event(LOADED)
+        loaded[event.attempt] = event.unique_id
+    assert set(loaded) == attempts
+    assert len(set(loaded.values())) == len(attempts)
+    nodes = container.status().nodes
+    assert {node.full_node_name for node in nodes} == {f"/talker_{i}" for i in range(54)}
+    assert container.shut_down() == 0
+
+
+def test_loading_again_and_again_leaves_nothing_behind(spawn: StartContainer) -> None:
+    container = spawn()
+    usage: list[tuple[int, int]] = []
+    for _ in range(100):
+        for plugin in ("Talker", "Listener"):
+            node = container.loaded(plugin)
+            container.send(ControlUnload(unique_id=node.unique_id))
+            container.event(UNLOADED, unique_id=node.unique_id)
+        usage.append((container.threads(), container.descriptors()))
+    # One finished thread may wait for the next one to join it.
+    assert max(t for t, _ in usage[5:]) <= max(t for t, _ in usage[:5]) + 1, usage
+    assert max(d for _, d in usage[5:]) <= max(d for _, d in usage[:5]), usage
+    assert container.shut_down() == 0
+
+
+def test_failures_are_told_and_survived(container: Container) -> None:
+    cases = {
+        container.load("Nobody", package="no_such_package"): "no_such_package",
+        container.load("Nobody"): "play_launch_demo::Talker",
+        container.load("ThrowingConstructor"): "no such camera",
+        container.load("ThrowingConstructor", parameters={"standard_exception": False}): "int",
+        container.load("Talker", parameters={"rate": "fast"}): "rate",
+        container.load("Talker", extra_arguments={"use_intra_process_comms": 1}): "must be a bool",
+        container.load("Talker", remap_rules=["chatter"]): "chatter",
+        container.load("Talker", node_name="1st"): "1st",
+        container.load("Talker", log_level=60): "60",
+        container.load("Talker", package=""): "no package",
+    }
+    for _ in cases.copy():
+        event = container.event(LOAD_FAILED)
+        assert cases.pop(event.attempt) in event.error_message, event.error_message
+    container.loaded("Talker")
+
+
+def test_an_exception_in_a_callback_ends_the_container_by_name(spawn: StartContainer) -> None:
+    container = spawn()
+    container.load("Crasher", node_name="bad_one", parameters={"how": "exception", "after": 0.0})
+    assert container.wait() == -6
+    log = container.log.read_text()
+    assert "FATAL" in log
+    assert "bad_one" in log
+    assert "thrown on purpose" in log
+
+
+def test_nodes_start_programs_without_our_signals(container: Container) -> None:
+    lines = Path(f"/proc/{container.process.pid}/status").read_text().splitlines()
+    status = dict(line.split(":\t", 1) for line in lines if ":\t" in line)
+    ignored = int(status["SigIgn"], 16)
+    pipe = 1 << (13 - 1)
+    assert not ignored & pipe
+    assert int(status["SigCgt"], 16) & pipe
