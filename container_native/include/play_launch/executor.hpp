@@ -9,7 +9,7 @@ namespace play_launch {
 
 class Node;
 struct ExecutorState;
-struct ReadyEntry;
+struct RunningTurn;
 
 /// Runs the callbacks of nodes. Nodes, and what nodes contain, may come and go while it spins. It
 /// holds no lock while user code runs, and starts no thread outside of spin().
@@ -38,6 +38,11 @@ class Executor {
   /// here is ignored. Throws std::logic_error when called from a callback of that very node.
   void remove_node(const std::shared_ptr<Node>& node);
 
+  /// For an executor that spun in a process which shares this memory and has died: forgets the
+  /// callbacks that were running, and destroys what they held. Afterwards nodes can be removed and
+  /// the executor destroyed. The threads that were in spin() must be gone for good.
+  void abandon();
+
  protected:
   Executor();
 
@@ -56,7 +61,7 @@ class Executor {
   };
 
  private:
-  void run(ReadyEntry entry, std::unique_lock<std::mutex>& lock);
+  void run(RunningTurn& turn, std::unique_lock<std::mutex>& lock);
   void wait_for_work(std::uint32_t seen, std::unique_lock<std::mutex>& lock);
 
   std::unique_ptr<ExecutorState> state_;

@@ -1,5 +1,6 @@
 #include <algorithm>
 #include <exception>
+#include <list>
 #include <map>
 #include <play_launch/callback_group.hpp>
 #include <play_launch/context.hpp>
@@ -37,33 +38,6 @@ struct ExecutorState {
 
 namespace {
 
-/// Callbacks that are running in this thread, innermost first.
-struct RunningCallback {
-  const NodeSlot* slot;
-  const RunningCallback* outer;
-};
-thread_local const RunningCallback* running_callback = nullptr;
-
-class RunningCallbackScope {
- public:
-  explicit RunningCallbackScope(const NodeSlot& slot) : callback_{&slot, running_callback} {
-    running_callback = &callback_;
-  }
-  ~RunningCallbackScope() { running_callback = callback_.outer; }
-  RunningCallbackScope(const RunningCallbackScope&) = delete;
-  RunningCallbackScope& operator=(const RunningCallbackScope&) = delete;
-
- private:
-  const RunningCallback callback_;
-};
-
-bool runs_in_this_thread(const NodeSlot& slot) {
-  for (const auto* callback = running_callback; callback != nullptr; callback = callback->outer) {
-    if (callback->slot == &slot) return true;
-  }
-  return false;
-}
-
 /// What goes wrong here is the middleware's; the node can do nothing about it.
 Work take_or_report(Waitable& waitable) {
   try {
@@ -74,8 +48,7 @@ Work take_or_report(Waitable& waitable) {
   }
 }
 
-void call_user(Work& work, const Waitable& waitable, const NodeSlot& slot) {
-  const RunningCallbackScope scope(slot);
+void call_user(Work& work, const Waitable& waitable) {
   try {
     work();
   } catch (const std::exception& error) {
@@ -123,7 +96,7 @@ void Executor::remove_node(const std::shared_ptr<Node>& node) {
   std::unique_lock lock(state_->mutex);
   const auto found = state_->nodes.find(node.get());
   if (found == state_->nodes.end()) return;
-  if (runs_in_this_thread(*found->second.slot)) {
+  if (state_->scheduler.runs_in_this_thread(*found->second.slot)) {
     throw std::logic_error("remove_node: called from a callback of that node");
   }
   const ExecutorState::Held held = std::move(found->second);
@@ -152,8 +125,8 @@ void Executor::work() {
     const auto seen = state_->queue->doorbell().rings();
     if (state_->queue->closed()) return;
     state_->scheduler.collect();
-    ReadyEntry entry;
-    if (!state_->scheduler.next(entry)) {
+    RunningTurn* const turn = state_->scheduler.next();
+    if (turn == nullptr) {
       wait_for_work(seen, lock);
       continue;
     }
@@ -162,7 +135,7 @@ void Executor::work() {
         (state_->scheduler.has_runnable() ||
          (state_->timekeeper == kNever && state_->scheduler.next_deadline() != kNever));
     if (hand_over) state_->queue->doorbell().ring();
-    run(std::move(entry), lock);
+    run(*turn, lock);
   }
 }
 
@@ -179,37 +152,52 @@ void Executor::wait_for_work(std::uint32_t seen, std::unique_lock<std::mutex>& l
   if (keeps_time && state_->timekeeper == deadline) state_->timekeeper = kNever;
 }
 
-void Executor::run(ReadyEntry entry, std::unique_lock<std::mutex>& lock) {
+void Executor::run(RunningTurn& turn, std::unique_lock<std::mutex>& lock) {
   bool look_again = false;
   lock.unlock();
   // Whatever happens below, the node must count as quiet afterwards.
-  struct Turn {
+  struct End {
     Executor& executor;
-    const ReadyEntry& entry;
+    RunningTurn& turn;
     const bool& look_again;
     std::unique_lock<std::mutex>& lock;
-    ~Turn() {
+    ~End() {
+      turn.work = Work();
+      turn.waitable.reset();
+      const std::shared_ptr<NodeSlot> slot = turn.entry.slot;
       lock.lock();
-      executor.state_->scheduler.finish(entry, look_again);
-      if (entry.slot->removed && entry.slot->running == 0) executor.state_->quiet.ring_all();
+      executor.state_->scheduler.finish(turn, look_again);
+      if (slot->removed && slot->running == 0) executor.state_->quiet.ring_all();
     }
-  } const turn{*this, entry, look_again, lock};
+  } const end{*this, turn, look_again, lock};
 
-  const std::shared_ptr<Waitable> waitable = entry.token->lock();
-  if (!waitable) return;
-  const std::size_t events = entry.token->events.exchange(0);
-  Work work = take_or_report(*waitable);
-  if (!work) {
+  WakeToken& token = *turn.entry.token;
+  turn.waitable = token.lock();
+  if (!turn.waitable) return;
+  const std::size_t events = token.events.exchange(0);
+  turn.work = take_or_report(*turn.waitable);
+  if (!turn.work) {
     // A sample that could not be delivered may hide others.
     look_again = events > 1;
     return;
   }
   look_again = true;
-  if (entry.token->group->kind() == CallbackGroup::Kind::reentrant &&
-      (events > 1 || entry.token->timed)) {
-    entry.token->notify(events > 1 ? events - 1 : 0);  // another worker may go on meanwhile
+  if (token.group->kind() == CallbackGroup::Kind::reentrant && (events > 1 || token.timed)) {
+    token.notify(events > 1 ? events - 1 : 0);  // another worker may go on meanwhile
   }
-  call_user(work, *waitable, *entry.slot);
+  call_user(turn.work, *turn.waitable);
+}
+
+void Executor::abandon() {
+  std::list<RunningTurn> held;
+  {
+    const std::lock_guard lock(state_->mutex);
+    held = state_->scheduler.abandon();
+    state_->spinning = false;
+    state_->idle = 0;
+    state_->timekeeper = kNever;
+  }
+  state_->quiet.ring_all();
 }
 
 Executor::Spinning::Spinning(Executor& executor) : executor_(executor) {

@@ -80,7 +80,7 @@ auto set_atomically(const Store& store) {
 }  // namespace
 
 ParameterServer::ParameterServer(Node& node, const std::shared_ptr<ParameterStore>& store) {
-  const QoS qos = QoS::services();
+  const QoS qos(rmw_qos_profile_parameters);
   services_ = {
       node.create_service<DescribeParameters>("~/describe_parameters", describe(store), nullptr,
                                               qos),

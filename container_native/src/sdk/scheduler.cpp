@@ -1,5 +1,6 @@
 #include "scheduler.hpp"
 
+#include <algorithm>
 #include <play_launch/callback_group.hpp>
 
 namespace play_launch {
@@ -62,22 +63,45 @@ void Scheduler::schedule(ReadyEntry entry) {
   group->waiting_.push_back(std::move(entry));
 }
 
-bool Scheduler::next(ReadyEntry& entry) {
-  if (runnable_.empty()) return false;
+RunningTurn* Scheduler::next() {
+  if (runnable_.empty()) return nullptr;
+  if (spare_.empty()) spare_.emplace_back();
+  running_.splice(running_.end(), spare_, spare_.begin());
+  RunningTurn& running = running_.back();
   Turn turn = std::move(runnable_.front());
   runnable_.pop_front();
   if (turn.group) {
-    entry = std::move(turn.group->waiting_.front());
+    running.entry = std::move(turn.group->waiting_.front());
     turn.group->waiting_.pop_front();
   } else {
-    entry = std::move(turn.entry);
+    running.entry = std::move(turn.entry);
   }
-  ++entry.slot->running;
-  entry.token->queued.store(false);
-  return true;
+  running.thread = pthread_self();
+  ++running.entry.slot->running;
+  running.entry.token->queued.store(false);
+  return &running;
 }
 
-void Scheduler::finish(const ReadyEntry& entry, bool look_again) {
+void Scheduler::finish(RunningTurn& turn, bool look_again) {
+  end_turn(turn.entry, look_again);
+  turn.entry = {};
+  const auto here = std::find_if(running_.begin(), running_.end(),
+                                 [&turn](const RunningTurn& known) { return &known == &turn; });
+  spare_.splice(spare_.end(), running_, here);
+}
+
+std::list<RunningTurn> Scheduler::abandon() {
+  for (const auto& turn : running_) end_turn(turn.entry, false);
+  return std::exchange(running_, {});
+}
+
+bool Scheduler::runs_in_this_thread(const NodeSlot& slot) const noexcept {
+  return std::any_of(running_.begin(), running_.end(), [&slot](const RunningTurn& turn) {
+    return turn.entry.slot.get() == &slot && pthread_equal(turn.thread, pthread_self()) != 0;
+  });
+}
+
+void Scheduler::end_turn(const ReadyEntry& entry, bool look_again) {
   --entry.slot->running;
   CallbackGroup& group = *entry.token->group;
   if (entry.slot->removed) {

@@ -1,13 +1,27 @@
 #pragma once
 
+#include <pthread.h>
+
 #include <deque>
+#include <list>
 #include <map>
 #include <memory>
+#include <play_launch/waitable.hpp>
 #include <utility>
 
 #include "ready_queue.hpp"
 
 namespace play_launch {
+
+/// A turn that was given and is not over. Kept here and not on the stack of the thread that runs
+/// it, so that everything can be let go of when that thread dies with its process.
+struct RunningTurn {
+  ReadyEntry entry;
+  pthread_t thread;
+  // Touched by the running thread only.
+  std::shared_ptr<Waitable> waitable;
+  Work work;
+};
 
 /// Decides what an executor runs next. First come, first served among callback groups: a mutually
 /// exclusive group queues once, with its next entry, and queues again behind all others after its
@@ -19,12 +33,20 @@ class Scheduler {
   /// Moves what was notified and what is due by now to where next() finds it.
   void collect();
 
-  /// The next entry to run, which then counts as running; false when there is none. finish() must
+  /// Gives the next turn to the calling thread; null when there is nothing to run. finish() must
   /// follow.
-  bool next(ReadyEntry& entry);
+  RunningTurn* next();
 
-  /// The entry's turn is over. `look_again` when it may have more to take.
-  void finish(const ReadyEntry& entry, bool look_again);
+  /// The turn is over; the caller has let go of its waitable and work. `look_again` when there may
+  /// be more to take.
+  void finish(RunningTurn& turn, bool look_again);
+
+  /// Ends all turns that were given, whose threads are gone. Returns what they held, to be
+  /// destroyed without the executor's lock.
+  [[nodiscard]] std::list<RunningTurn> abandon();
+
+  /// Whether the calling thread has a turn of that node.
+  [[nodiscard]] bool runs_in_this_thread(const NodeSlot& slot) const noexcept;
 
   /// Forgets all of a removed node whose tokens have been detached.
   void purge(const NodeSlot& slot);
@@ -42,6 +64,7 @@ class Scheduler {
 
   void admit(ReadyEntry entry, Nanoseconds now);
   void schedule(ReadyEntry entry);
+  void end_turn(const ReadyEntry& entry, bool look_again);
   void arm(const ReadyEntry& entry, Nanoseconds due);
   void disarm(WakeToken& token);
   static void drop_waiting(CallbackGroup& group, const NodeSlot& slot);
@@ -49,6 +72,8 @@ class Scheduler {
   const std::shared_ptr<ReadyQueue> queue_;
   std::deque<Turn> runnable_;
   std::map<std::pair<Nanoseconds, const WakeToken*>, ReadyEntry> timers_;
+  std::list<RunningTurn> running_;
+  std::list<RunningTurn> spare_;  // so that giving a turn allocates nothing
 };
 
 }  // namespace play_launch
