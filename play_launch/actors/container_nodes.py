@@ -48,6 +48,11 @@ _log = logging.getLogger(__name__)
 _OPEN_QUESTIONS: Final = 16
 """Questions whose answers are still expected; older ones are given up."""
 
+_TIMED: Final = frozenset(
+    {NodeState.REQUESTED, NodeState.LOADING, NodeState.LOADED, NodeState.LOAD_FAILED}
+)
+"""States that are told with the time since the load was sent."""
+
 _SAID: Final = {
     ComponentEventKind.LOADED: NodeInput.LOADED,
     ComponentEventKind.UNLOADED: NodeInput.UNLOADED,
@@ -334,7 +339,7 @@ class ContainerNodes:
 
     def _publish_state(self, node: _Node, facts: Facts) -> None:
         record = node.record
-        elapsed = self._clock() - record.sent_at if record.attempt else 0.0
+        elapsed = self._clock() - record.sent_at if record.state in _TIMED else 0.0
         self._publisher.publish(
             NodeStateChanged(
                 stamp_ns=self._publisher.stamp_ns(),

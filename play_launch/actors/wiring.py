@@ -189,7 +189,11 @@ class NativeLauncher:
     async def clean_up(self) -> None:
         """Remove the shared memory that killed processes left behind."""
         async with self._cleaning:
-            report = await sweep_shared_memory()
+            try:
+                report = await sweep_shared_memory()
+            except OSError as error:
+                _log.warning("shared memory was not cleaned up: %s", error)
+                return
         if report.removed:
             _log.info("removed %d files that dead processes left", len(report.removed))
         for name, reason in report.failed.items():

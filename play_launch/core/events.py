@@ -160,7 +160,7 @@ class NodeStateChanged:
     """Position in the container's declaration; tells apart nodes of the same name."""
     state: NodeState
     elapsed_ns: int = 0
-    """Time since the load was sent; 0 where no load is under way."""
+    """Time since the load was sent, or that it took; 0 where no load is meant."""
     reason: str = ""
     pid: int = 0
     cpu_time_ns: int = 0

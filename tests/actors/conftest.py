@@ -11,5 +11,12 @@ if TYPE_CHECKING:
 
 @pytest.fixture(autouse=True)
 def _loop_is_never_blocked() -> Iterator[None]:
-    with blockbuster_ctx("play_launch"):
+    with blockbuster_ctx("play_launch") as blockbuster:
+        # Popen waits for the exec of its vforked child, and a program is looked for in folders:
+        # neither can wait for anything but the file system.
+        blockbuster.functions["os.read"].can_block_in("subprocess.py", "_execute_child")
+        for name in ("os.stat", "os.access"):
+            blockbuster.functions[name].can_block_in("process/child.py", "_check_program")
+            blockbuster.functions[name].can_block_in("native/argv.py", "find_executable")
+            blockbuster.functions[name].can_block_in("actors/wiring.py", "start_process")
         yield

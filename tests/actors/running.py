@@ -28,14 +28,19 @@ if TYPE_CHECKING:
 
 
 class Running:
-    def __init__(self, launcher: FakeLauncher) -> None:
-        self.launcher = launcher
+    def __init__(self, launcher: FakeLauncher | None = None) -> None:
+        self._launcher = launcher
         self.stop = StopRequests()
         self.events: list[RunEvent] = []
         self.view = SystemView()
         self.outcome: Outcome | None = None
         self.task: asyncio.Task[Outcome] | None = None
         self._published = asyncio.Event()
+
+    @property
+    def launcher(self) -> FakeLauncher:
+        assert self._launcher is not None
+        return self._launcher
 
     def publish(self, event: RunEvent) -> None:
         self.events.append(event)

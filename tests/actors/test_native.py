@@ -1,0 +1,288 @@
+"""The actors with real containers and real processes."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import sys
+from contextlib import asynccontextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import psutil
+import pytest
+
+from play_launch.actors.stop_requests import StopRequests
+from play_launch.actors.system import run_system
+from play_launch.actors.wiring import NativeLauncher
+from play_launch.config.model import (
+    ComposableNodeConfig,
+    ContainerConfig,
+    ParameterConfig,
+    ParameterType,
+    ParameterValue,
+    ProcessConfig,
+    RestartLimits,
+    StopLimits,
+)
+from play_launch.core.events import (
+    ContainerState,
+    NodeState,
+    OutputLine,
+    ProcessEventKind,
+    RunEvent,
+)
+
+from .fakes import system
+from .running import Running
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator
+
+    from play_launch.config.model import ReplayConfig
+
+QUICK = RestartLimits(max_restarts=2, within=60.0, initial=0.05, maximum=0.1)
+
+
+def parameter(name: str, value: float | bool | str) -> ParameterConfig:
+    kinds = {bool: ParameterType.BOOL, float: ParameterType.DOUBLE, str: ParameterType.STRING}
+    return ParameterConfig(name, ParameterValue(kinds[type(value)], value))
+
+
+def node(
+    name: str, plugin: str, package: str = "play_launch_demo", **parameters: float | bool | str
+) -> ComposableNodeConfig:
+    return ComposableNodeConfig(
+        package=package,
+        plugin=f"{package}::{plugin}",
+        name=name,
+        namespace="/",
+        declared_full_name=f"/{name}",
+        parameters=tuple(parameter(key, value) for key, value in parameters.items()),
+    )
+
+
+def container(name: str, *nodes: ComposableNodeConfig, timeout: float = 10.0) -> ContainerConfig:
+    return ContainerConfig(
+        name=name,
+        namespace="/",
+        full_name=f"/{name}",
+        restart=QUICK,
+        loading_timeout=timeout,
+        composable_nodes=nodes,
+    )
+
+
+def python(name: str, code: str, *, respawn: bool = False) -> ProcessConfig:
+    return ProcessConfig(
+        name="",
+        namespace="",
+        full_name=f"/{name}",
+        command=(sys.executable, "-c", code),
+        respawn=respawn,
+        restart=QUICK,
+    )
+
+
+@asynccontextmanager
+async def running_natively(config: ReplayConfig) -> AsyncIterator[Running]:
+    watching = Running()
+    watching.task = asyncio.create_task(run_system(config, watching, watching.stop))
+    try:
+        async with asyncio.timeout(60):
+            yield watching
+            watching.stop.request(reason="the test is over")
+            watching.outcome = await watching.task
+    finally:
+        watching.task.cancel()
+        await asyncio.gather(watching.task, return_exceptions=True)
+    assert not psutil.Process().children(recursive=True)
+
+
+def pid_of(watching: Running, name: str) -> int:
+    return watching.view.containers[name].process.pid
+
+
+def test_a_killed_container_comes_back_with_its_nodes() -> None:
+    async def main() -> None:
+        config = system(
+            container("one", node("a", "Talker"), node("b", "Listener")),
+            container("other", node("c", "Listener")),
+        )
+        async with running_natively(config) as sys:
+            await sys.until_loaded(3)
+            first, other = pid_of(sys, "/one"), pid_of(sys, "/other")
+            os.kill(first, signal.SIGKILL)
+            await sys.until_state("/one", ContainerState.BACKOFF)
+            await sys.until_loaded(3)
+            assert pid_of(sys, "/one") != first
+            assert pid_of(sys, "/other") == other
+        assert sys.outcome is not None
+        assert sys.outcome.exit_code == 0
+        assert sys.view.containers["/one"].process.restarts == 1
+        assert sys.node_events("/a", NodeState.LOADED)[-1].pid != first
+
+    asyncio.run(main())
+
+
+def test_a_container_that_always_crashes_is_given_up() -> None:
+    async def main() -> None:
+        crasher = node("c", "Crasher", how="segv", in_constructor=True)
+        async with running_natively(system(container("bad", crasher, node("a", "Talker")))) as sys:
+            await sys.stop.requested.wait()
+        assert sys.process_events("/bad").count(ProcessEventKind.STARTED) == 3
+        assert sys.process_events("/bad")[-1] is ProcessEventKind.GAVE_UP
+        assert "signal 11" in sys.view.containers["/bad"].reason
+        assert sys.outcome is not None
+        assert sys.outcome.exit_code == 1
+
+    asyncio.run(main())
+
+
+def test_loads_fail_with_reasons_and_the_others_are_there() -> None:
+    async def main() -> None:
+        nodes = (
+            node("throws", "ThrowingConstructor", reason="no such camera"),
+            node("nobody", "Nobody"),
+            node("broken", "MissingSymbol", package="play_launch_broken"),
+            node("a", "Talker"),
+        )
+        async with running_natively(system(container("c", *nodes))) as sys:
+            await sys.until(lambda: len(sys.view.failed) == 3)
+            await sys.until_loaded(1)
+            reasons = {each.node: each.reason for each in sys.view.failed}
+        assert "no such camera" in reasons["/throws"]
+        assert "Nobody" in reasons["/nobody"]
+        assert reasons["/broken"]
+        assert sys.outcome is not None
+        assert sys.outcome.exit_code == 1
+
+    asyncio.run(main())
+
+
+def test_a_slow_constructor_is_asked_about_and_loaded_once() -> None:
+    async def main() -> None:
+        slow = node("slow", "SlowConstructor", seconds=1.5)
+        async with running_natively(system(container("c", slow, timeout=0.5))) as sys:
+            await sys.until_loaded(1)
+            report = sys.node_events("/slow", NodeState.LOADING)[1]
+            assert report.pid == pid_of(sys, "/c")
+            assert "its constructor runs for" in report.reason
+        assert len(sys.node_events("/slow", NodeState.REQUESTED)) == 1
+
+    asyncio.run(main())
+
+
+def test_fifteen_containers_come_up_together() -> None:
+    async def main() -> None:
+        config = system(
+            *(
+                container(f"c{n}", *(node(f"n{n}_{k}", "Listener") for k in range(4)))
+                for n in range(15)
+            )
+        )
+        async with running_natively(config) as sys:
+            await sys.until_loaded(60)
+            assert all(
+                len(sys.node_events(f"/n{n}_0", NodeState.REQUESTED)) == 1 for n in range(15)
+            )
+        assert sys.outcome is not None
+        assert sys.outcome.exit_code == 0
+
+    asyncio.run(main())
+
+
+def test_ordinary_processes_are_respawned_and_heard() -> None:
+    async def main() -> None:
+        quick = python("quick", "print('hello', flush=True)", respawn=True)
+        steady = python("steady", "import time; time.sleep(600)")
+        async with running_natively(system(quick, steady)) as sys:
+            await sys.until(lambda: bool(sys.view.failed_processes))
+            lines = [e for e in sys.events if isinstance(e, OutputLine)]
+            assert [line.text for line in lines if line.process == "/quick"] == ["hello"] * 3
+            assert all(line.pid for line in lines)
+        assert sys.process_events("/quick")[-1] is ProcessEventKind.GAVE_UP
+        assert sys.process_events("/steady")[-1] is ProcessEventKind.EXITED
+
+    asyncio.run(main())
+
+
+def test_a_program_that_does_not_exist() -> None:
+    async def main() -> None:
+        nowhere = replace(python("nowhere", ""), command=("no-such-program-of-ours",))
+        package = replace(python("p", ""), command=None, package="no_pkg", executable="exe")
+        async with running_natively(system(nowhere, package)) as sys:
+            await sys.stop.requested.wait()
+        assert sys.process_events("/nowhere") == [ProcessEventKind.GAVE_UP]
+        assert "no-such-program-of-ours" in sys.view.processes["/nowhere"].message
+        assert "no_pkg" in sys.view.processes["/p"].message
+
+    asyncio.run(main())
+
+
+def test_parameters_reach_an_ordinary_process_and_their_files_go() -> None:
+    async def main() -> None:
+        show = python("show", "import sys; print(*sys.argv[1:], sep=chr(10), flush=True)")
+        show = replace(show, name="show", parameters=(parameter("rate", 2.0),))
+        async with running_natively(system(show)) as sys:
+            await sys.stop.requested.wait()
+        arguments = [e.text for e in sys.events if isinstance(e, OutputLine)]
+        file = Path(arguments[arguments.index("--params-file") + 1])
+        assert not file.parent.exists()
+
+    asyncio.run(main())
+
+
+@pytest.mark.parametrize("count", [1, 6, 9, 11, 14, 18, 22])
+def test_a_stop_at_any_moment_leaves_nothing(count: int) -> None:
+    class StopAt:
+        def __init__(self, stop: StopRequests) -> None:
+            self.left = count
+            self.stop = stop
+
+        def publish(self, event: RunEvent) -> None:
+            self.left -= not isinstance(event, OutputLine)
+            if self.left == 0 and not self.stop.requested.is_set():
+                self.stop.request(signal.SIGTERM)
+
+    async def main() -> None:
+        config = system(
+            container("a", node("talker", "Talker"), node("slow", "SlowConstructor", seconds=60.0)),
+            container("b", node("listener", "Listener")),
+            python("p", "import time; time.sleep(600)"),
+        )
+        config = replace(config, stop=StopLimits(ask=1.0, sigint=0.5, sigterm=0.5))
+        stop = StopRequests()
+        outcome = await run_system(config, StopAt(stop), stop)
+        assert outcome.exit_code == 143
+        assert not psutil.Process().children(recursive=True)
+        left = asyncio.all_tasks() - {asyncio.current_task()}
+        assert not left
+
+    asyncio.run(main())
+
+
+def test_a_cancelled_run_leaves_nothing() -> None:
+    async def main() -> None:
+        watching = Running()
+        config = system(container("a", node("talker", "Talker")), python("p", "input()"))
+        task = asyncio.create_task(run_system(config, watching, watching.stop))
+        await watching.until_loaded(1)
+        task.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await task
+        assert not psutil.Process().children(recursive=True)
+
+    asyncio.run(main())
+
+
+def test_the_launcher_says_who_it_is() -> None:
+    async def main() -> None:
+        launcher = await asyncio.to_thread(NativeLauncher.of, system())
+        assert launcher.hello().pid == os.getpid()
+        assert launcher.hello().start_time > 0
+        await launcher.close()
+
+    asyncio.run(main())
