@@ -37,12 +37,13 @@ def parse_duration(value: object) -> float:
     """Return the seconds that `value` means, at least 0; raise ValueError with the way out."""
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         raise ValueError(f"expected {_FORMS}")  # noqa: TRY004 - pydantic collects ValueError
-    seconds = _parse_text(value) if isinstance(value, str) else float(value)
-    if math.isnan(seconds) or seconds > LONGEST_DURATION:
+    # Not turned into a float yet: integers can be larger than any double.
+    number = _parse_text(value) if isinstance(value, str) else value
+    if number > LONGEST_DURATION or math.isnan(number):
         raise ValueError(f"is longer than {LONGEST_DURATION / 3600:.0f} h; leave it out for never")
-    if seconds < 0 or math.copysign(1.0, seconds) < 0:
+    if number < 0 or math.copysign(1.0, number) < 0:
         raise ValueError("a duration cannot be negative")
-    return seconds
+    return float(number)
 
 
 def parse_positive_duration(value: object) -> float:

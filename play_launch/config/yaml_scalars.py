@@ -121,7 +121,10 @@ def _to_int(text: str, base: int) -> int:
 
 def _to_float(text: str) -> float:
     _refuse_endless(text)
-    number = float(int(text, 0)) if text[:2] in {"0x", "0o"} else float(text)
+    try:
+        number = float(int(text, 0)) if text[:2] in {"0x", "0o"} else float(text)
+    except OverflowError:
+        number = math.inf
     if math.isinf(number):
         raise ScalarRefusedError(
             f"{excerpt(text)} is larger than any double; write .inf for infinity"

@@ -94,7 +94,9 @@ def test_problems_of_the_configuration_stand_before_those_of_parameter_files(
 ) -> None:
     (tmp_path / "a.yaml").write_text("/**: {ros__parameters: {x: []}}\n")
     config = tmp_path / "z.yaml"
-    config.write_text("version: 1\nnodes:\n  - {command: [x], parameters: [a.yaml], log_level: x}\n")
+    config.write_text(
+        "version: 1\nnodes:\n  - {command: [x], parameters: [a.yaml], log_level: x}\n"
+    )
     with pytest.raises(ConfigError) as caught:
         load_config(config)
     assert [Path(one.file).name for one in caught.value.problems] == ["z.yaml", "a.yaml"]

@@ -15,6 +15,10 @@ from play_launch.config.source import LARGEST_FILE, Refused, read_bytes
 GOOD = b"version: 1\nnodes:\n  - command: [x]\n"
 
 
+def open_descriptors() -> set[str]:
+    return {entry.name for entry in Path("/dev/fd").iterdir()}
+
+
 def refusal(path: Path) -> Problem:
     with pytest.raises(ConfigError) as caught:
         load_config(path)
@@ -110,10 +114,10 @@ def test_a_file_of_the_largest_size_is_read(tmp_path: Path) -> None:
 def test_descriptors_are_closed(tmp_path: Path) -> None:
     path = tmp_path / "demo.yaml"
     path.write_bytes(GOOD)
-    before = os.listdir("/dev/fd")
+    before = open_descriptors()
     assert read_bytes(path) == GOOD
     assert isinstance(read_bytes(path, largest=3), Refused)
-    assert os.listdir("/dev/fd") == before
+    assert open_descriptors() == before
 
 
 @pytest.mark.parametrize(
