@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-import pytest
+from typing import TYPE_CHECKING
 
 from play_launch.core.events import (
     ComponentEvent,
@@ -18,6 +18,9 @@ from play_launch.native.messages import (
 from .fakes import FakeContainer, FakeLauncher, Held, container, system
 from .jumping_loop import run
 from .running import Running, running
+
+if TYPE_CHECKING:
+    import pytest
 
 
 def launcher(*makers: type[FakeContainer]) -> FakeLauncher:
