@@ -56,7 +56,10 @@ def check(
 def describe(config: ReplayConfig) -> str:
     """Say how big a system is: ``2 containers with 7 nodes, 1 process``."""
     nodes = sum(len(container.composable_nodes) for container in config.containers)
-    parts = [f"{counted(len(config.containers), 'container')} with {counted(nodes, 'node')}"]
+    parts = []
+    if config.containers or not config.nodes:
+        containers = counted(len(config.containers), "container")
+        parts.append(f"{containers} with {counted(nodes, 'node')}")
     if config.nodes:
         parts.append(counted(len(config.nodes), "process"))
     return ", ".join(parts)

@@ -1,0 +1,74 @@
+"""Signals that end a run."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import signal
+from typing import TYPE_CHECKING, Final, Self
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from types import FrameType, TracebackType
+
+_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_MOST_PENDING: Final = 2
+"""One asks for the end, a second one hurries; more say nothing new."""
+_log = logging.getLogger(__name__)
+
+
+class RunSignals:
+    """Holds SIGINT, SIGTERM and SIGHUP from before the recording begins until after it is closed.
+
+    ``loop.add_signal_handler`` covers only the life of the loop: a signal just before or after it
+    would kill the process and leave a recording that was never closed.
+    """
+
+    def __init__(self) -> None:
+        """Prepare; ``with`` takes the signals."""
+        self._pending: list[signal.Signals] = []
+        self._deliver: Callable[[signal.Signals], object] | None = None
+        self._before: dict[signal.Signals, object] = {}
+
+    def __enter__(self) -> Self:
+        for signum in _SIGNALS:
+            # nohup ignores SIGHUP for us, and that is meant. SIGINT is ignored in the background
+            # jobs of scripts, by a habit of shells that nobody means.
+            if signum is signal.SIGHUP and signal.getsignal(signum) is signal.SIG_IGN:
+                continue
+            self._before[signum] = signal.signal(signum, self._on_signal)
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        for signum, handler in self._before.items():
+            signal.signal(signum, handler)  # type: ignore[arg-type]
+
+    @contextlib.contextmanager
+    def delivered_to(self, request: Callable[[int], None]) -> Iterator[None]:
+        """Call ``request(signum)`` in the running loop, first for what came before it ran."""
+        loop = asyncio.get_running_loop()
+
+        def on_signal(signum: signal.Signals) -> None:
+            request(signum)
+            _log.warning("%s: stopping; once more to hurry", signum.name)
+
+        self._deliver = lambda signum: loop.call_soon_threadsafe(on_signal, signum)
+        for signum in self._pending:
+            on_signal(signum)
+        try:
+            yield
+        finally:
+            self._deliver = None
+
+    def _on_signal(self, number: int, _frame: FrameType | None) -> None:
+        signum = signal.Signals(number)
+        if self._deliver is not None:
+            self._deliver(signum)
+        elif len(self._pending) < _MOST_PENDING:
+            self._pending.append(signum)
