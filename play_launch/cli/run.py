@@ -9,7 +9,7 @@ import logging
 import os
 import sys
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from play_launch.cli.check import describe
 from play_launch.cli.display import Display, Style
@@ -24,7 +24,7 @@ from play_launch.recording.log_handler import LOGGER_NAME, EventLogHandler
 from play_launch.recording.opening import Session, SessionDescription, open_session
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
     from pathlib import Path
 
     from play_launch.actors.system import Outcome

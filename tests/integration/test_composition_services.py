@@ -9,13 +9,12 @@ from pathlib import Path
 
 import pytest
 from composition_interfaces.srv import ListNodes, LoadNode, UnloadNode
+from play_launch_msgs.msg import ComponentEvent
 from rcl_interfaces.msg import Log, Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
 from std_msgs.msg import String
 from support.container import running_container
 from support.ros import LATCHED, Probe
-
-from play_launch_msgs.msg import ComponentEvent
 
 DEMO = "play_launch_demo"
 CONTAINER = "/container"

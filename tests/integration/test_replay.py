@@ -80,7 +80,8 @@ def test_the_demo_runs_talks_and_stops_and_its_recording_tells_the_story(tmp_pat
     for each in processes:
         by_process.setdefault(each.name, []).append(each.event_type)
     assert by_process == {
-        name: [STARTED, READY, STOPPING, EXITED] for name in ("/chat", "/sensing/camera", "/monitor")
+        name: [STARTED, READY, STOPPING, EXITED]
+        for name in ("/chat", "/sensing/camera", "/monitor")
     }
     assert all(each.exit_code == 0 and each.signal == 0 for each in processes)
     lines = [each.msg for each in bag["/play_launch/output"]]
@@ -292,4 +293,4 @@ def test_check_answers_machines_in_json() -> None:
     )
     assert result.returncode == 0, result.stderr
     answer = json.loads(result.stdout)
-    assert answer["ok"] is True
+    assert answer["valid"] is True

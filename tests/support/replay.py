@@ -89,7 +89,5 @@ def replaying(config: Path, log_dir: Path, *arguments: str) -> Iterator[Replay]:
 def alive(processes: list[psutil.Process]) -> list[psutil.Process]:
     """Those that still run; identity is pid and start time, so a reused pid does not count."""
     return [
-        each
-        for each in processes
-        if each.is_running() and each.status() != psutil.STATUS_ZOMBIE
+        each for each in processes if each.is_running() and each.status() != psutil.STATUS_ZOMBIE
     ]

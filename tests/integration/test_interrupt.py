@@ -1,0 +1,134 @@
+"""SIGINT and SIGTERM at any moment of bring-up: everything is gone, the recording is whole."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import tempfile
+import time
+import uuid
+from pathlib import Path
+
+import psutil
+from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import strategies as st
+from rosbags.highlevel import AnyReader
+from support.replay import COMMAND
+
+from play_launch.process.shm import sweep
+
+CONFIG = """
+version: 1
+stop: {ask: 3 s, sigint: 2 s, sigterm: 2 s}
+containers:
+  - name: chat
+    composable_nodes:
+      - {package: play_launch_demo, plugin: play_launch_demo::Talker, name: talker}
+      - {package: play_launch_demo, plugin: play_launch_demo::Listener, name: listener}
+  - name: camera
+    container_type: mt
+    composable_nodes:
+      - package: play_launch_demo
+        plugin: play_launch_demo::ImageSource
+        name: front
+        extra_arguments: {use_intra_process_comms: true}
+      - package: play_launch_demo
+        plugin: play_launch_demo::ImageSink
+        name: detector
+        extra_arguments: {use_intra_process_comms: true}
+  - name: slow
+    composable_nodes:
+      - package: play_launch_demo
+        plugin: play_launch_demo::SlowConstructor
+        name: slow_starter
+        parameters: {seconds: 0.7}
+      - {package: play_launch_demo, plugin: play_launch_demo::ThrowingConstructor, name: broken}
+nodes:
+  - name: shell
+    command: [sh, -c, "sleep 600 & sleep 600"]
+"""
+RUNS = 50
+MARK = "PLAY_LAUNCH_TEST_MARK"
+
+
+def marked(mark: str) -> list[int]:
+    """Pids of all processes that inherited the mark, whoever their parent is by now."""
+    needle = f"{MARK}={mark}".encode()
+    found = []
+    for pid in psutil.pids():
+        try:
+            environment = Path(f"/proc/{pid}/environ").read_bytes()
+        except OSError:
+            continue
+        if needle in environment.split(b"\0"):
+            found.append(pid)
+    return found
+
+
+def run_and_interrupt(after: float, signum: signal.Signals, *, from_first_line: bool) -> None:
+    """Send ``signum`` ``after`` seconds; assert that nothing is left but a whole recording."""
+    mark = uuid.uuid4().hex
+    with tempfile.TemporaryDirectory() as folder:
+        config = Path(folder) / "config.yaml"
+        config.write_text(CONFIG, encoding="utf-8")
+        logs = Path(folder) / "logs"
+        process = subprocess.Popen(
+            [COMMAND, "replay", config, "--log-dir", logs],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env={**os.environ, MARK: mark},
+        )
+        assert process.stdout is not None
+        first = process.stdout.readline() if from_first_line else ""
+        # The moment is the input of this test, so it is slept for, not waited for.
+        time.sleep(after)
+        process.send_signal(signum)
+        try:
+            output, errors = process.communicate(timeout=30)
+        except subprocess.TimeoutExpired as expired:
+            process.kill()
+            output, errors = process.communicate()
+            raise AssertionError(
+                f"{signum.name} after {after:.3f} s had no effect\n{first}{output}{errors}"
+            ) from expired
+        story = f"{signum.name} after {after:.3f} s: {process.returncode}\n{first}{output}{errors}"
+        assert marked(mark) == [], story
+        assert not sweep().removed, story
+        sessions = list(logs.glob("*/session.mcap")) if logs.is_dir() else []
+        assert not list(logs.glob("*/*.active")), story
+        if not from_first_line and not sessions:
+            # Python itself, or the kernel, answered while the interpreter was starting.
+            assert process.returncode in {128 + signum, -signum, 1}, story
+            return
+        assert process.returncode == 128 + signum, story
+        assert "Traceback" not in errors, story
+        assert sessions, story
+        for path in sessions:
+            with AnyReader([path]) as reader:
+                for connection, _, raw in reader.messages():
+                    reader.deserialize(raw, connection.msgtype)
+
+
+MOMENTS = settings(
+    deadline=None,
+    database=None,
+    suppress_health_check=[HealthCheck.too_slow],
+    phases=[Phase.generate],
+)
+SIGNALS = st.sampled_from([signal.SIGINT, signal.SIGTERM])
+
+
+@settings(MOMENTS, max_examples=RUNS)
+@given(after=st.floats(min_value=0.0, max_value=1.2), signum=SIGNALS)
+def test_a_signal_at_any_moment_of_bring_up_ends_everything(
+    after: float, signum: signal.Signals
+) -> None:
+    run_and_interrupt(after, signum, from_first_line=True)
+
+
+@settings(MOMENTS, max_examples=15)
+@given(after=st.floats(min_value=0.0, max_value=0.5), signum=SIGNALS)
+def test_a_signal_before_anything_runs_leaves_nothing(after: float, signum: signal.Signals) -> None:
+    run_and_interrupt(after, signum, from_first_line=False)
