@@ -34,7 +34,8 @@ class Problem:
     message: str
 
     def __str__(self) -> str:
-        return f"{self.file}:{self.line}:{self.column}: {self.path}: {self.message}"
+        # A file may be called anything, and a report has one line for each problem.
+        return _on_one_line(f"{self.file}:{self.line}:{self.column}: {self.path}: {self.message}")
 
     @classmethod
     def at(cls, place: Place, path: str, message: str) -> Problem:
@@ -76,8 +77,12 @@ def join_path(path: str, key: str) -> str:
 
 
 def _printable(character: str) -> str:
-    if character in '"\\':
-        return "\\" + character
-    if character.isprintable():
-        return character
-    return character.encode("unicode_escape").decode("ascii")
+    return "\\" + character if character in '"\\' else _on_one_line(character)
+
+
+def _on_one_line(text: str) -> str:
+    if text.isprintable():
+        return text
+    return "".join(
+        one if one.isprintable() else one.encode("unicode_escape").decode("ascii") for one in text
+    )

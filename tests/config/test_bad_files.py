@@ -110,3 +110,12 @@ def test_a_problem_in_a_shared_parameter_file_is_told_once(tmp_path: Path) -> No
     with pytest.raises(ConfigError) as caught:
         load_config(config)
     assert len(caught.value.problems) == 1
+
+
+def test_a_line_of_the_report_stays_one_line(tmp_path: Path) -> None:
+    config = tmp_path / "two\nlines.yaml"
+    config.write_text('version: 1\nnodes:\n  - {command: [x], parameters: ["a\\nb.yaml"]}\n')
+    with pytest.raises(ConfigError) as caught:
+        load_config(config)
+    assert r"two\nlines.yaml:3:33: nodes[0].parameters[0]" in str(caught.value)
+    assert len(str(caught.value).splitlines()) == 1
