@@ -1,0 +1,150 @@
+"""`docs/config.md`: every example works, every key is listed, every default is true."""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from play_launch.config import ConfigError, ParameterType, load_config, schema
+from play_launch.config.durations import LONGEST_DURATION, parse_duration
+from play_launch.config.model import RestartLimits, StopLimits
+from play_launch.config.names import LONGEST_NAMESPACE, LONGEST_NODE_NAME, LONGEST_TOPIC
+from play_launch.config.source import LARGEST_FILE
+from play_launch.config.yaml_composer import ARRAY_TAGS, DEEPEST, MOST_VALUES
+
+REFERENCE = Path(__file__).parents[2] / "docs" / "config.md"
+TEXT = REFERENCE.read_text(encoding="utf-8")
+
+# What stands around an example that is a part of a file.
+SURROUNDINGS = {
+    "composable node": (
+        (
+            "version: 1\ncontainers:\n- name: main\n  composable_nodes:\n"
+            "  - package: demo\n    plugin: demo::Talker\n    name: talker\n"
+        ),
+        "    ",
+    ),
+    "process": ("version: 1\nnodes:\n- command: [x]\n", "  "),
+}
+SECTIONS: dict[str, type[schema.Section]] = {
+    "Top level": schema.DocumentSection,
+    "stop": schema.StopSection,
+    "composable_node_loading": schema.LoadingSection,
+    "containers": schema.ContainerSection,
+    "composable_nodes": schema.ComposableNodeSection,
+    "nodes": schema.ProcessSection,
+}
+
+
+@dataclass(frozen=True)
+class Example:
+    line: int
+    kind: str
+    argument: str
+    text: str
+
+
+def examples() -> list[Example]:
+    pattern = re.compile(r"(?:<!-- (\w+): ([^\n]*) -->\n)?```yaml\n(.*?)```\n", re.DOTALL)
+    return [
+        Example(
+            TEXT.count("\n", 0, found.start()) + 1, found[1] or "whole", found[2] or "", found[3]
+        )
+        for found in pattern.finditer(TEXT)
+    ]
+
+
+def section(title: str) -> str:
+    """Return the text below the heading `title`, up to the next one."""
+    found = re.search(rf"^#+ {re.escape(title)}\n(.*?)(?=^#|\Z)", TEXT, re.MULTILINE | re.DOTALL)
+    assert found is not None, title
+    return found[1]
+
+
+@pytest.mark.parametrize("example", examples(), ids=lambda example: f"line {example.line}")
+def test_examples(example: Example, tmp_path: Path) -> None:
+    (tmp_path / "params").mkdir()
+    for file in examples():
+        if file.kind == "file":
+            (tmp_path / file.argument).write_text(file.text)
+    config = tmp_path / "demo.yaml"
+    if example.kind == "file":
+        before, indentation = SURROUNDINGS["composable node"]
+        config.write_text(f"{before}{indentation}parameters: [{example.argument}]\n")
+    elif example.kind == "in":
+        before, indentation = SURROUNDINGS[example.argument]
+        config.write_text(before + textwrap.indent(example.text, indentation))
+    else:
+        config.write_text(example.text)
+    if example.kind == "refused":
+        with pytest.raises(ConfigError) as caught:
+            load_config(config)
+        assert example.argument in str(caught.value)
+    else:
+        load_config(config)
+
+
+def test_no_example_is_overlooked() -> None:
+    assert len(examples()) == TEXT.count("```yaml")
+
+
+@pytest.mark.parametrize("title", SECTIONS)
+def test_every_key_is_listed_in_its_place(title: str) -> None:
+    listed = re.findall(r"^\| `(\w+)` \|", section(title), re.MULTILINE)
+    assert sorted(listed) == sorted(SECTIONS[title].model_fields)
+
+
+def test_keys_of_restart() -> None:
+    listed = re.findall(r"^\| `(\w+)` \|", section("restart"), re.MULTILINE)
+    keys = [*schema.RestartSection.model_fields, *schema.BackoffSection.model_fields]
+    assert sorted(listed) == sorted(keys)
+
+
+@pytest.mark.parametrize(
+    ("title", "defaults"), [("stop", StopLimits()), ("restart", RestartLimits())]
+)
+def test_defaults(title: str, defaults: StopLimits | RestartLimits) -> None:
+    listed = re.findall(r"^\| `(\w+)` \|.*\| ([\d.]+ ?\w*) \|$", section(title), re.MULTILINE)
+    assert {key: parse_duration(written) for key, written in listed} == {
+        key: getattr(defaults, key) for key in defaults.__slots__
+    }
+
+
+def test_every_type_of_parameter_is_shown(tmp_path: Path) -> None:
+    (example,) = (one for one in examples() if "string_that_looks_otherwise" in one.text)
+    before, indentation = SURROUNDINGS[example.argument]
+    config = tmp_path / "demo.yaml"
+    config.write_text(before + textwrap.indent(example.text, indentation))
+    parameters = load_config(config).containers[0].composable_nodes[0].parameters
+    assert {one.value.type for one in parameters} == set(ParameterType)
+    by_name = {one.name: one.value.type.name.lower() for one in parameters}
+    for kind in ParameterType:
+        assert by_name[kind.name.lower()] == kind.name.lower()
+
+
+def test_numbers() -> None:
+    yaml = section("YAML")
+    assert f"{LARGEST_FILE // 2**20} MiB" in yaml
+    assert f"{MOST_VALUES:,} keys" in yaml
+    assert f"{DEEPEST} levels" in yaml
+    assert f"{LONGEST_DURATION / 3600:.0f} h" in section("Durations")
+    names = section("Names")
+    for longest in (LONGEST_NODE_NAME, LONGEST_NAMESPACE, LONGEST_TOPIC):
+        assert str(longest) in names
+    assert all(f"`{tag}`" in TEXT for tag in ARRAY_TAGS)
+
+
+def test_the_report_that_is_shown_is_real(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("demo.yaml").write_text(
+        "version: 1\ncontainers:\n  - name: main\n    namespace: /\n    composable_nodes:\n"
+        "      - package: demo\n        plugin: demo:Talker\n        name: talker\n"
+        "        remaping: {}\n"
+    )
+    with pytest.raises(ConfigError) as caught:
+        load_config(Path("demo.yaml"))
+    assert f"```\n{caught.value}\n```" in section("When something is wrong")
