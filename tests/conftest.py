@@ -13,7 +13,7 @@ import pytest
 from play_launch.process.shm import sweep
 
 DOMAINS = range(1, 101)
-SHARED_MEMORY = Path("/dev/shm")  # noqa: S108 - where Fast DDS keeps its segments
+SHARED_MEMORY = Path("/dev/shm")
 
 
 def claim_domain() -> tuple[int, socket.socket]:

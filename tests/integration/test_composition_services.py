@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -299,4 +298,4 @@ def test_events_tell_the_story_to_those_who_come_late(container: Path, probe: Pr
     assert {event.plugin_name for event in events} == {f"{DEMO}::Talker"}
     pids = {event.pid for event in events}
     assert len(pids) == 1
-    assert os.path.exists(f"/proc/{pids.pop()}"), container.read_text()
+    assert Path(f"/proc/{pids.pop()}").exists(), container.read_text()

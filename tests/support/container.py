@@ -29,7 +29,7 @@ def running_container(
         "-r",
         f"__node:={name}",
     ]
-    with open(log or os.devnull, "wb") as output:
+    with (log or Path(os.devnull)).open("wb") as output:
         process = subprocess.Popen(
             command,
             env={**child_environment(os.environ, ros_installation()), **(environment or {})},

@@ -40,7 +40,7 @@ class Probe:
         self._context.try_shutdown()
 
     def spin_until(self, done: Callable[[], bool], timeout: float, what: str) -> None:
-        """Handle events until ``done``; AssertionError naming ``what`` after ``timeout`` seconds."""
+        """Handle events until ``done``; AssertionError naming ``what`` after ``timeout`` s."""
         deadline = time.monotonic() + timeout
         while not done():
             left = deadline - time.monotonic()
