@@ -1,0 +1,49 @@
+# What the container's own targets and its tests have in common. Needs RosPackages.
+
+# The functions of rmw.h are behind a switch, or, with the wheels, in their only middleware.
+set(ROS_FROM_WHEELS ON)
+set(middleware rmw_fastrtps_cpp)
+ros_package_prefix(rmw_implementation switch_prefix)
+if(EXISTS "${switch_prefix}/lib/librmw_implementation.so")
+  set(ROS_FROM_WHEELS OFF)
+  set(middleware rmw_implementation)
+endif()
+foreach(package IN ITEMS rcl rcl_yaml_param_parser rcutils rmw rcl_interfaces ament_index_cpp
+                         rosidl_typesupport_cpp rosidl_runtime_cpp builtin_interfaces ${middleware})
+  ros_package(${package})
+endforeach()
+find_package(Threads REQUIRED)
+
+function(strict_warnings target)
+  # GCC 12 takes ("text" + std::string) for overlapping copies (its bug 105651).
+  target_compile_options(${target} PRIVATE -Wall -Wextra $<$<CXX_COMPILER_ID:GNU>:-Wno-restrict>)
+  if(PLAY_LAUNCH_WARNINGS_ARE_ERRORS)
+    target_compile_options(${target} PRIVATE -Werror)
+  endif()
+endfunction()
+
+# A program that is not Python but uses librcl: the wheels' librcl drags in libraries for Python.
+# Their functions are bound when called, which never happens; the two data symbols they want are in
+# python_symbols.c.
+function(ros_program target)
+  if(ROS_FROM_WHEELS)
+    target_sources(
+      ${target} PRIVATE "${CMAKE_CURRENT_FUNCTION_LIST_DIR}/../src/container/python_symbols.c")
+    target_link_options(${target} PRIVATE "-Wl,--allow-shlib-undefined")
+  endif()
+  set_target_properties(${target} PROPERTIES ENABLE_EXPORTS ON)
+  ros_install_rpath(${target} "/..")
+endfunction()
+
+function(link_interfaces target)
+  foreach(package IN ITEMS composition_interfaces play_launch_msgs)
+    if(TARGET ${package}__rosidl_typesupport_cpp)
+      # Generated in this build: its headers exist once its generator target has run.
+      target_link_libraries(${target} PRIVATE ${package}__rosidl_typesupport_cpp)
+      add_dependencies(${target} ${package})
+    else()
+      ros_package(${package})
+      target_link_libraries(${target} PRIVATE ros::${package})
+    endif()
+  endforeach()
+endfunction()
