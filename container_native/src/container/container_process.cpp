@@ -76,6 +76,7 @@ void ContainerProcess::start(int argc, const char* const* argv) {
   node_options.context = context_;
   node_ = std::make_shared<Node>(kDefaultName, node_options);
   const std::size_t threads = choose_threads();
+  const auto greeting = hello(threads, {std::string(backend->name())});
   std::vector<std::unique_ptr<ComponentBackend>> backends;
   backends.push_back(std::move(backend));
   host_ = std::make_unique<SharedExecutorHost>(std::move(backends),
@@ -85,7 +86,7 @@ void ContainerProcess::start(int argc, const char* const* argv) {
   hit(Failpoint::before_hello);
   if (control_) {
     manager_->add_sink(*control_);
-    control_->open(*manager_, hello(threads));
+    control_->open(*manager_, greeting);
   }
 }
 
@@ -101,7 +102,8 @@ std::size_t ContainerProcess::choose_threads() {
              : 1;
 }
 
-play_launch_msgs::msg::ControlHello ContainerProcess::hello(std::size_t threads) const {
+play_launch_msgs::msg::ControlHello ContainerProcess::hello(
+    std::size_t threads, std::vector<std::string> backends) const {
   play_launch_msgs::msg::ControlHello hello;
   hello.protocol_version = control::kProtocolVersion;
   hello.version = PLAY_LAUNCH_VERSION;
@@ -110,7 +112,7 @@ play_launch_msgs::msg::ControlHello ContainerProcess::hello(std::size_t threads)
   hello.full_node_name = node_->full_name();
   hello.mode = options_.mode();
   hello.thread_num = static_cast<std::uint32_t>(threads);
-  hello.backends = {"native"};
+  hello.backends = std::move(backends);
   hello.rmw_implementation = rmw_get_implementation_identifier();
   std::size_t domain_id = 0;
   if (rcl_context_get_domain_id(context_->rcl(), &domain_id) == RCL_RET_OK) {

@@ -4,6 +4,8 @@
 #include <optional>
 #include <play_launch/context.hpp>
 #include <play_launch/node.hpp>
+#include <string>
+#include <vector>
 
 #include "container/component_manager.hpp"
 #include "container/control_interface.hpp"
@@ -35,7 +37,8 @@ class ContainerProcess {
  private:
   void start(int argc, const char* const* argv);
   std::size_t choose_threads();
-  play_launch_msgs::msg::ControlHello hello(std::size_t threads) const;
+  play_launch_msgs::msg::ControlHello hello(std::size_t threads,
+                                            std::vector<std::string> backends) const;
   void stop_nodes();
   void report_remaining() const;
 

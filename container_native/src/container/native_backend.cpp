@@ -70,7 +70,7 @@ void NativeBackend::open_library(const std::string& path) {
     }
   }
   // Not under the lock: static initialisers of one library must not hold up the others longer
-  // than the loader itself does.
+  // than the loader itself does. What they throw ends the process; it cannot pass the loader.
   void* const handle = ::dlopen(path.c_str(), RTLD_NOW | RTLD_LOCAL);
   if (handle == nullptr) {
     const char* const why = ::dlerror();
@@ -84,14 +84,7 @@ std::unique_ptr<Component> NativeBackend::create(const LoadRequest& request) {
   const NodeOptions options = node_options(request, context_);
   const std::filesystem::path library =
       index_.library_of(request.package_name, request.plugin_name);
-  try {
-    open_library(library);
-  } catch (const LoadError&) {
-    throw;
-  } catch (...) {
-    throw LoadError("a static initialiser of " + library.string() + " threw " +
-                    describe_current_exception());
-  }
+  open_library(library);
   const ComponentRegistry& registry = ComponentRegistry::instance();
   const ComponentFactory* const factory = registry.find(request.plugin_name, library);
   if (factory == nullptr) {
