@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import socket
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,6 +12,9 @@ import psutil
 import pytest
 
 from play_launch.process.shm import sweep
+
+# For `tests.…`; at the end, so that `play_launch` is the installed package.
+sys.path.append(str(Path(__file__).resolve().parents[1]))
 
 DOMAINS = range(1, 101)
 SHARED_MEMORY = Path("/dev/shm")

@@ -13,14 +13,13 @@ import sysconfig
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from scikit_build_core import build as skbuild
 
 get_requires_for_build_sdist = skbuild.get_requires_for_build_sdist
 build_sdist = skbuild.build_sdist
 
-Settings = Mapping[str, Any] | None
+Settings = dict[str, list[str] | str] | None
 
 
 def ros_is_sourced(environment: Mapping[str, str]) -> bool:

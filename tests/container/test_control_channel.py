@@ -22,7 +22,7 @@ from play_launch_msgs.msg import (
 from rclpy.serialization import serialize_message
 
 if TYPE_CHECKING:
-    from support.control_peer import Container, StartContainer
+    from tests.support.control_peer import Container, StartContainer
 
 LOADED, UNLOADED = ComponentEvent.LOADED, ComponentEvent.UNLOADED
 LOAD_FAILED, LOADING = ComponentEvent.LOAD_FAILED, ComponentEvent.LOADING

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from play_launch_msgs.msg import ComponentEvent, ControlUnload, NodeStatus
 
 if TYPE_CHECKING:
-    from support.control_peer import Container, StartContainer
+    from tests.support.control_peer import Container, StartContainer
 
 LOADED, UNLOADED, LOAD_FAILED = (
     ComponentEvent.LOADED,

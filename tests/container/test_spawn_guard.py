@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -22,10 +23,11 @@ def _guard() -> str:
     return str(spawn_guard())
 
 
-def run(guard: str, *arguments: str, **options: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
+def run(guard: str, *arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
+    done: subprocess.CompletedProcess[str] = subprocess.run(
         [guard, *arguments], check=False, capture_output=True, text=True, **options
-    )  # type: ignore[call-overload,no-any-return]
+    )
+    return done
 
 
 def test_the_command_runs_with_its_arguments(guard: str) -> None:

@@ -11,7 +11,7 @@ import pytest
 from play_launch_msgs.msg import ComponentEvent, ControlShutdown
 
 if TYPE_CHECKING:
-    from support.control_peer import Container, StartContainer
+    from tests.support.control_peer import Container, StartContainer
 
 UNLOADED, LOADING = ComponentEvent.UNLOADED, ComponentEvent.LOADING
 SHARED_MEMORY = Path("/dev/shm")

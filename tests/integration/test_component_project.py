@@ -11,8 +11,9 @@ from pathlib import Path
 
 from composition_interfaces.srv import LoadNode
 from std_msgs.msg import Float64
-from support.container import running_container
-from support.ros import Probe
+
+from tests.support.container import running_container
+from tests.support.ros import Probe
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLE = ROOT / "docs" / "examples" / "my_robot"
@@ -38,7 +39,9 @@ def build(source: Path, tmp_path: Path) -> Path:
         [tools / "cmake", "--build", tmp_path / "build"],
         [tools / "cmake", "--install", tmp_path / "build"],
     ):
-        result = subprocess.run(command, check=False, capture_output=True, text=True)
+        result = subprocess.run(
+            [str(part) for part in command], check=False, capture_output=True, text=True
+        )
         assert result.returncode == 0, result.stdout + result.stderr
     return install
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from composition_interfaces.srv import ListNodes, LoadNode, UnloadNode
@@ -12,8 +13,9 @@ from play_launch_msgs.msg import ComponentEvent
 from rcl_interfaces.msg import Log, Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
 from std_msgs.msg import String
-from support.container import running_container
-from support.ros import LATCHED, Probe
+
+from tests.support.container import running_container
+from tests.support.ros import LATCHED, Probe
 
 DEMO = "play_launch_demo"
 CONTAINER = "/container"
@@ -170,7 +172,7 @@ def test_parameters_can_be_listed_and_set_like_those_of_any_node(probe: Probe) -
     assert "not_there" in unknown.reason
 
 
-FAILURES = {
+FAILURES: dict[str, tuple[dict[str, Any], list[str]]] = {
     "unknown package": ({"package_name": "no_such_package"}, ["no_such_package"]),
     "unknown plugin": (
         {"plugin_name": f"{DEMO}::Nobody"},

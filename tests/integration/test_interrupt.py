@@ -14,9 +14,9 @@ import psutil
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 from rosbags.highlevel import AnyReader
-from support.replay import COMMAND
 
 from play_launch.process.shm import sweep
+from tests.support.replay import COMMAND
 
 CONFIG = """
 version: 1

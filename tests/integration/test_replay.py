@@ -15,10 +15,10 @@ import pytest
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 from std_msgs.msg import String
-from support.replay import COMMAND, Replay, alive, replaying
-from support.ros import Probe
 
 from play_launch.process.shm import sweep
+from tests.support.replay import COMMAND, Replay, alive, replaying
+from tests.support.ros import Probe
 
 ROOT = Path(__file__).resolve().parents[2]
 DEMO = ROOT / "configs" / "demo.yaml"
@@ -277,7 +277,7 @@ nodes:
 @pytest.mark.parametrize("verb", ["replay", "check"])
 def test_a_bad_configuration_starts_nothing(verb: str, tmp_path: Path) -> None:
     config = write(tmp_path / "bad.yaml", "version: 1\ncontainers:\n  - name: 3\n    nmae: x\n")
-    arguments = ["--log-dir", tmp_path / "logs"] if verb == "replay" else []
+    arguments: list[str | Path] = ["--log-dir", tmp_path / "logs"] if verb == "replay" else []
     result = subprocess.run(
         [COMMAND, verb, config, *arguments], check=False, capture_output=True, text=True
     )

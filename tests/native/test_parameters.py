@@ -143,7 +143,7 @@ def check_with_rcl(directory: Path, drawn: list[ParameterValue]) -> None:
             assert read.type_.value == value.type, (name, value)
             got = tuple(read.value) if isinstance(value.value, tuple) else read.value
             assert got == value.value
-        node.destroy_node()  # type: ignore[no-untyped-call]
+        node.destroy_node()
     finally:
         rclpy.shutdown(context=context)
         path.unlink()

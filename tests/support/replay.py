@@ -39,7 +39,7 @@ class Replay:
         """Read events until one for which ``wanted(event)`` holds, and return it."""
         assert self.process.stdout is not None
         for line in self.process.stdout:
-            event = json.loads(line)
+            event: dict[str, Any] = json.loads(line)
             self.seen.append(event)
             if wanted(event):
                 return event
