@@ -48,8 +48,8 @@ def test_loading_again_and_again_leaves_nothing_behind(spawn: StartContainer) ->
             container.send(ControlUnload(unique_id=node.unique_id))
             container.event(UNLOADED, unique_id=node.unique_id)
         usage.append((container.threads(), container.descriptors()))
-    # One finished thread may wait for the next one to join it.
-    assert max(t for t, _ in usage[5:]) <= max(t for t, _ in usage[:5]) + 1, usage
+    # A finished thread or two may wait to be joined at any moment; growth would stay.
+    assert min(t for t, _ in usage[50:]) <= min(t for t, _ in usage[:50]), usage
     assert max(d for _, d in usage[5:]) <= max(d for _, d in usage[:5]), usage
     assert container.shut_down() == 0
 
