@@ -1,4 +1,4 @@
-"""The live view of a run on a terminal: one line for each container that needs attention."""
+"""The live view of a run on a terminal: one line for each container, until all are complete."""
 
 from __future__ import annotations
 
@@ -22,16 +22,17 @@ _TROUBLE: Final = frozenset({ContainerState.BACKOFF, ContainerState.GAVE_UP})
 def live_view(view: SystemView, now_ns: int, height: int) -> Group:
     """Draw a view for a terminal of ``height`` rows; a row too long for it is cut.
 
-    Containers with trouble come first, complete ones are only counted.
+    Containers with trouble come first, complete ones last. When all are complete only the totals
+    remain.
     """
-    rows = [
-        _row(container.name, container_status(container, now_ns), _style(container))
-        for container in sorted(view.containers.values(), key=_urgency)
-        if not is_complete(container)
-    ]
+    containers = sorted(view.containers.values(), key=_urgency)
+    complete = [container for container in containers if is_complete(container)]
+    rows = [_container_row(each, now_ns) for each in containers if not is_complete(each)]
     rows += [
         _row(process.name, process_status(process), "red") for process in view.failed_processes
     ]
+    if rows:
+        rows += [_container_row(each, now_ns) for each in complete]
     room = max(height - _OTHER_ROWS, 1)
     if len(rows) > room:
         left_out = len(rows) - room
@@ -54,6 +55,10 @@ def _totals(view: SystemView) -> Text:
     return _text(text, "green" if all_there else "bold")
 
 
+def _container_row(container: ContainerView, now_ns: int) -> Text:
+    return _row(container.name, container_status(container, now_ns), _style(container))
+
+
 def _row(name: str, status: str, style: str) -> Text:
     row = _text(f"  {name}  ", "bold")
     row.append(status, style)
@@ -67,9 +72,12 @@ def _text(text: str, style: str) -> Text:
 def _style(container: ContainerView) -> str:
     if container.failed or container.state is ContainerState.GAVE_UP:
         return "not bold red"
+    if is_complete(container):
+        return "not bold green"
     return "not bold yellow" if container.state in _TROUBLE else "not bold"
 
 
 def _urgency(container: ContainerView) -> tuple[bool, bool, str]:
     troubled = bool(container.failed) or container.state in _TROUBLE
-    return not troubled, container.state is ContainerState.STOPPED, container.name
+    stopped = container.state is ContainerState.STOPPED
+    return not troubled, stopped, container.name

@@ -214,6 +214,7 @@ def test_the_live_view_shows_trouble_first_and_counts_what_is_complete() -> None
         "  /zz_bad  loaded 0/1, failed: /zz_bad/n0",
         "  /slow  loaded 1/2, waiting on /slow/n1 … 12 s",
         "  /other  exited with status 3",
+        "  /done  loaded 1/1",
         "2/4 nodes loaded, 1/3 containers complete, 1/2 processes running",
     ]
 

@@ -82,7 +82,7 @@ void ContainerProcess::start(int argc, const char* const* argv) {
   host_ = std::make_unique<SharedExecutorHost>(std::move(backends),
                                                ExecutorChoice{options_.multi_threaded, threads});
   manager_ = std::make_unique<ObservableComponentManager>(*host_, process_);
-  ros_ = std::make_unique<RosInterface>(node_, *manager_);
+  ros_ = std::make_unique<RosInterface>(node_, *manager_, control_.has_value());
   hit(Failpoint::before_hello);
   if (control_) {
     manager_->add_sink(*control_);

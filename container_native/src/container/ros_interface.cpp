@@ -31,8 +31,9 @@ void try_to(const Logger& logger, const char* what, Action action) {
 
 }  // namespace
 
-RosInterface::RosInterface(std::shared_ptr<Node> node, ObservableComponentManager& manager)
-    : node_(std::move(node)), manager_(manager) {
+RosInterface::RosInterface(std::shared_ptr<Node> node, ObservableComponentManager& manager,
+                           bool supervised)
+    : node_(std::move(node)), manager_(manager), supervised_(supervised) {
   events_ = node_->create_publisher<ComponentEvent>("~/_container/component_events",
                                                     QoS(kEventDepth).reliable().transient_local());
   load_service_ = node_->create_service<LoadNode>(
@@ -140,7 +141,9 @@ void RosInterface::deliver_loop() {
 }
 
 void RosInterface::deliver(const ComponentEvent& event) {
-  log(event);
+  if (!supervised_) {
+    log(event);
+  }
   try_to(node_->logger(), "publish an event", [&] { events_->publish(event); });
   if (ends_the_load(event)) {
     answer_load(event);

@@ -27,7 +27,9 @@ class RosInterface final : public EventSink {
   /// answer still gets it.
   static constexpr std::size_t kQueueCapacity = 4096;
 
-  RosInterface(std::shared_ptr<Node> node, ObservableComponentManager& manager);
+  /// `supervised`: somebody gets the events over the control channel and tells them, so that the
+  /// log need not.
+  RosInterface(std::shared_ptr<Node> node, ObservableComponentManager& manager, bool supervised);
   /// Publishes what is queued.
   ~RosInterface() override;
 
@@ -51,6 +53,7 @@ class RosInterface final : public EventSink {
 
   const std::shared_ptr<Node> node_;
   ObservableComponentManager& manager_;
+  const bool supervised_;
   std::shared_ptr<Publisher<ComponentEvent>> events_;
   std::shared_ptr<Service<LoadNode>> load_service_;
   std::shared_ptr<Service<UnloadNode>> unload_service_;
