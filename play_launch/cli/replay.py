@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from pathlib import Path  # noqa: TC003 - typer evaluates the annotations
 from typing import TYPE_CHECKING, Annotated
 
@@ -83,6 +84,7 @@ def _load(path: Path, duration: str | None) -> ReplayConfig:
 
 
 def _require_ros() -> None:
+    from play_launch.config.environment import domain_problem  # noqa: PLC0415
     from play_launch.native.locate import (  # noqa: PLC0415
         MixedInstallationError,
         NotInstalledError,
@@ -91,6 +93,9 @@ def _require_ros() -> None:
         spawn_guard,
     )
 
+    problem = domain_problem(os.environ.get("ROS_DOMAIN_ID", ""))
+    if problem is not None:
+        fail(f"{problem} by the environment; set another one")
     try:
         ros_installation()
         component_container()

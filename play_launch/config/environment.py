@@ -12,6 +12,9 @@ if TYPE_CHECKING:
     from play_launch.config.report import Report
 
 _OURS = frozenset({"PLAY_LAUNCH_CONTROL_FD"})
+_DOMAIN = "ROS_DOMAIN_ID"
+_MOST_DOMAIN = 232
+"""With more, port numbers of DDS do not fit; Fast DDS then just ends the process."""
 _QUOTABLE = frozenset({ScalarKind.INTEGER, ScalarKind.FLOAT, ScalarKind.BOOL})
 
 
@@ -32,9 +35,26 @@ def resolve_environment(node: Node | None, path: str, report: Report) -> dict[st
             report.add(entry.place, where, f"{entry.key} is set by this program itself")
         else:
             value = _string(entry.value, where, report)
+            if value is not None and entry.key == _DOMAIN:
+                _check_domain(value, entry.value, where, report)
             if value is not None:
                 variables[entry.key] = value
     return variables
+
+
+def domain_problem(value: str) -> str | None:
+    """Say what is wrong with a ROS_DOMAIN_ID; None for a good one."""
+    if value == "" or (
+        value.isascii() and value.isdecimal() and len(value) < 4 and int(value) <= _MOST_DOMAIN
+    ):
+        return None
+    return f"{_DOMAIN} is a number from 0 to {_MOST_DOMAIN}, given {excerpt(value)}"
+
+
+def _check_domain(value: str, node: Node, path: str, report: Report) -> None:
+    problem = domain_problem(value)
+    if problem is not None:
+        report.add(node.place, path, problem)
 
 
 def _string(node: Node, path: str, report: Report) -> str | None:
