@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import socket
 import sys
@@ -39,6 +40,7 @@ def claim_domain() -> tuple[int, socket.socket]:
 
 
 _DOMAIN, _CLAIM = claim_domain()
+atexit.register(_CLAIM.close)
 # Before anything imports rclpy, and for every process that a test starts.
 os.environ["ROS_DOMAIN_ID"] = str(_DOMAIN)
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
