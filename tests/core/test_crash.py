@@ -48,7 +48,8 @@ def test_only_a_reload_uses_up_restarts(
 def test_reloads_are_bounded_and_the_first_after_a_healthy_life_is_at_once(
     bounds: RestartBounds, lives: list[tuple[float, float]]
 ) -> None:
-    history, now, reloads, unwell = RestartHistory(), 0.0, [], 0
+    reloads: list[float] = []
+    history, now, unwell = RestartHistory(), 0.0, 0
     for part, jitter in lives:
         lived = part * bounds.within
         now += lived
