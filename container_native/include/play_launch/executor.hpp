@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <memory>
 #include <mutex>
+#include <vector>
 
 namespace play_launch {
 
@@ -41,7 +42,7 @@ class Executor {
   /// For an executor that spun in a process which shares this memory and has died: forgets the
   /// callbacks that were running, and destroys what they held. Afterwards nodes can be removed and
   /// the executor destroyed. The threads that were in spin() must be gone for good.
-  void abandon();
+  virtual void abandon();
 
  protected:
   Executor();
@@ -79,11 +80,17 @@ class MultiThreadedExecutor final : public Executor {
   /// `threads` work in spin(), the calling one included; 0 = one per CPU, at least 2.
   explicit MultiThreadedExecutor(std::size_t threads = 0);
 
+  ~MultiThreadedExecutor() override;
+
   void spin() override;
+  void abandon() override;
   [[nodiscard]] std::size_t threads() const noexcept { return threads_; }
 
  private:
+  class Worker;
+
   const std::size_t threads_;
+  std::vector<std::unique_ptr<Worker>> workers_;  // all but the thread that called spin()
 };
 
 }  // namespace play_launch

@@ -13,9 +13,9 @@
 #include <vector>
 
 #include "container/failpoints.hpp"
+#include "container/host_choice.hpp"
 #include "container/native_backend.hpp"
 #include "container/report.hpp"
-#include "container/shared_executor_host.hpp"
 
 namespace play_launch::container {
 namespace {
@@ -76,11 +76,13 @@ void ContainerProcess::start(int argc, const char* const* argv) {
   node_options.context = context_;
   node_ = std::make_shared<Node>(kDefaultName, node_options);
   const std::size_t threads = choose_threads();
-  const auto greeting = hello(threads, {std::string(backend->name())});
+  auto greeting = hello(threads, {std::string(backend->name())});
   std::vector<std::unique_ptr<ComponentBackend>> backends;
   backends.push_back(std::move(backend));
-  host_ = std::make_unique<SharedExecutorHost>(std::move(backends),
-                                               ExecutorChoice{options_.multi_threaded, threads});
+  HostChoice choice = choose_host(options_, threads, std::move(backends));
+  greeting.mechanism = std::move(choice.mechanism);
+  greeting.notes = std::move(choice.notes);
+  host_ = std::move(choice.host);
   manager_ = std::make_unique<ObservableComponentManager>(*host_, process_);
   ros_ = std::make_unique<RosInterface>(node_, *manager_);
   hit(Failpoint::before_hello);
@@ -97,9 +99,11 @@ std::size_t ContainerProcess::choose_threads() {
                      ", expected a number from 0 to " + std::to_string(kMaxThreads) +
                      " (0: one per CPU)");
   }
-  return options_.multi_threaded
-             ? executor_threads(options_.thread_num.value_or(static_cast<std::size_t>(parameter)))
-             : 1;
+  if (!options_.multi_threaded) {
+    return 1;
+  }
+  const std::size_t asked = options_.thread_num.value_or(static_cast<std::size_t>(parameter));
+  return options_.isolated ? node_executor_threads(asked) : executor_threads(asked);
 }
 
 play_launch_msgs::msg::ControlHello ContainerProcess::hello(
@@ -158,12 +162,14 @@ void ContainerProcess::stop_nodes() {
   const std::string too_long = "taking the container apart takes too long: leaving";
   watchdog_.arm(deadline + kTeardownLimit, exit_code(cause), too_long);
   hit(Failpoint::during_stop);
+  host_->hurry(deadline);
   host_->stop_spinning();
   manager_->begin_stop([this] { stop_.wake(); });
   while (!manager_->empty() && Clock::now() < deadline) {
     stop_.wait(deadline);
     if (stop_.times_asked() > asked) {
       deadline = std::min<SteadyTime>(deadline, Clock::now() + kHurriedStopLimit);
+      host_->hurry(deadline);
       watchdog_.arm(deadline + kTeardownLimit, exit_code(cause), too_long);
     }
   }

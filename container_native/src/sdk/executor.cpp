@@ -1,3 +1,5 @@
+#include <pthread.h>
+
 #include <algorithm>
 #include <exception>
 #include <list>
@@ -7,6 +9,7 @@
 #include <play_launch/executor.hpp>
 #include <play_launch/node.hpp>
 #include <stdexcept>
+#include <system_error>
 #include <thread>
 #include <utility>
 #include <vector>
@@ -216,20 +219,54 @@ void SingleThreadedExecutor::spin() {
   work();
 }
 
+/// A thread that can be asked whether it is gone, which std::thread cannot.
+class MultiThreadedExecutor::Worker {
+ public:
+  explicit Worker(MultiThreadedExecutor& executor) : executor_(executor) {
+    const int error = ::pthread_create(
+        &thread_, nullptr,
+        [](void* self) -> void* {
+          static_cast<Worker*>(self)->executor_.work();
+          return nullptr;
+        },
+        this);
+    if (error != 0) throw std::system_error(error, std::generic_category(), "thread");
+  }
+  void join() { ::pthread_join(thread_, nullptr); }
+  /// Frees the thread's stack when its process died, without waiting for one that lives.
+  void abandon() {
+    if (::pthread_tryjoin_np(thread_, nullptr) != 0) ::pthread_detach(thread_);
+  }
+
+ private:
+  MultiThreadedExecutor& executor_;
+  pthread_t thread_{};
+};
+
 MultiThreadedExecutor::MultiThreadedExecutor(std::size_t threads)
     : threads_(threads != 0 ? threads
                             : std::max<std::size_t>(2, std::thread::hardware_concurrency())) {}
 
+MultiThreadedExecutor::~MultiThreadedExecutor() = default;
+
 void MultiThreadedExecutor::spin() {
   const Spinning spinning(*this);
-  std::vector<std::thread> others;
-  others.reserve(threads_ - 1);
-  while (others.size() < threads_ - 1) {
-    others.emplace_back([this] { work(); });
+  workers_.reserve(threads_ - 1);
+  try {
+    while (workers_.size() < threads_ - 1) workers_.push_back(std::make_unique<Worker>(*this));
+    work();
+  } catch (...) {
+    // As an exception in another thread does; nobody could go on with some of the threads.
+    std::terminate();
   }
-  // An exception leaves joinable threads behind, which terminates as one in another thread does.
-  work();
-  for (auto& thread : others) thread.join();
+  for (const auto& worker : workers_) worker->join();
+  workers_.clear();
+}
+
+void MultiThreadedExecutor::abandon() {
+  for (const auto& worker : workers_) worker->abandon();
+  workers_.clear();
+  Executor::abandon();
 }
 
 }  // namespace play_launch
