@@ -136,6 +136,11 @@ class ContainerActor:
         """Stop the whole system."""
         self._stop.request(reason=reason)
 
+    def reload_hangs(self, reason: str) -> None:
+        """Start it anew if it may hold the lock of a dead node; else the node is just slow."""
+        if self._watch.may_hold_dead_locks:
+            self._apply(ContainerInput.FROZEN, f"a dead node may have left a lock: {reason}")
+
     async def run(self) -> None:
         """Keep it running until the system stops or it is given up."""
         actions = self._apply(ContainerInput.START_REQUESTED)

@@ -64,6 +64,9 @@ class Escalation(Protocol):
     def shut_down(self, reason: str) -> None:
         """Stop the whole system."""
 
+    def reload_hangs(self, reason: str) -> None:
+        """A crashed node is being constructed again for longer than the loading timeout."""
+
 
 class AttemptNumbers:
     """Numbers for load attempts, unique in the supervisor's life and never 0."""
@@ -281,6 +284,8 @@ class ContainerNodes:
                 self._reports.confirmation(node, facts)
             case NodeAction.REPORT_SLOW:
                 _log.warning("%s: %s", name, facts.reason)
+                if node.record.is_reload:
+                    self._escalation.reload_hangs(f"{name} is not loaded again: {facts.reason}")
             case NodeAction.REPORT_FAILED:
                 _log.error("%s could not be loaded: %s", name, facts.reason)
             case NodeAction.REPORT_FORGOTTEN:

@@ -36,6 +36,11 @@ class ContainerWatch:
         self._leaked = 0
         self._unquiesced = 0
 
+    @property
+    def may_hold_dead_locks(self) -> bool:
+        """Whether a node died so suddenly that a lock may stay locked for ever."""
+        return self._unquiesced > 0
+
     def begin(self, send: Callable[[Outgoing], None]) -> None:
         """Watch a process that has just said hello."""
         self._send = send

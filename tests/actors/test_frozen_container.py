@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import replace
-from typing import TYPE_CHECKING
+
+import pytest
 
 from play_launch.config.model import ContainerType
 from play_launch.core.events import (
@@ -16,12 +17,9 @@ from play_launch.core.events import (
 from play_launch.core.watchdog import WatchLimits
 from play_launch.native.messages import Hello, Query, Status
 
-from .fakes import FakeContainer, FakeLauncher, container, system
+from .fakes import FakeContainer, FakeLauncher, Held, container, system
 from .jumping_loop import run
 from .running import Running, running
-
-if TYPE_CHECKING:
-    import pytest
 
 LIMITS = WatchLimits()
 
@@ -125,6 +123,33 @@ def test_what_it_counts_is_told_when_it_grows(caplog: pytest.LogCaptureFixture) 
     messages = [record.getMessage() for record in caplog.records]
     assert sum("what 1 of 5 crashed nodes held stays" in each for each in messages) == 1
     assert sum("2 of 5 nodes died too suddenly" in each for each in messages) == 1
+
+
+@pytest.mark.parametrize("unquiesced", [0, 1])
+def test_a_reload_that_hangs_after_a_sudden_death_is_a_lock_that_stays_locked(
+    unquiesced: int,
+) -> None:
+    class Poisoned(FakeContainer):
+        def construct(self, held: Held) -> None:
+            if held.load.attempt <= 2:
+                super().construct(held)
+
+        def on_watch(self, query: Query) -> None:
+            self.link.say(Status(query_id=query.query_id, crashes=1, unquiesced=unquiesced))
+
+    async def main() -> None:
+        config = system(container("c", "a", "b"))
+        async with running(config, launcher(Poisoned, FakeContainer)) as sys:
+            await sys.until_loaded(2)
+            sys.launcher.containers["/c"][0].crash_node("a", signal=9)
+            await asyncio.sleep(60)
+            assert len(sys.launcher.containers["/c"]) == 1 + unquiesced
+            if unquiesced:
+                await sys.until_loaded(2)
+                (killed,) = sys.container_events("/c", ContainerState.BACKOFF)
+                assert "a dead node may have left a lock: /a is not loaded again" in killed.reason
+
+    run(main())
 
 
 def test_how_nodes_are_isolated_is_told(caplog: pytest.LogCaptureFixture) -> None:
