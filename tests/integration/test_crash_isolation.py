@@ -13,6 +13,7 @@ import psutil
 import pytest
 from rosbags.highlevel import AnyReader
 
+from play_launch.native.allocator import find_allocator
 from tests.support.replay import Replay, alive, replaying
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -264,6 +265,13 @@ containers:
       - {{package: play_launch_demo, plugin: "play_launch_demo::Listener", name: witness}}
 """
 
+FROZEN_TOO = """
+  - name: second
+    container_type: {kind}
+    composable_nodes:
+      - {{package: play_launch_demo, plugin: "play_launch_demo::Listener", name: another}}
+"""
+
 
 @pytest.mark.parametrize("kind", ["standard", "isolated"])
 def test_a_frozen_container_is_killed_and_comes_back_with_its_nodes(
@@ -273,6 +281,8 @@ def test_a_frozen_container_is_killed_and_comes_back_with_its_nodes(
     with replaying(config, tmp_path / "logs") as replay:
         read_until_loaded(replay, "/talker", "/listener", "/witness")
         first, bystander = pid_of(replay, "/victim"), pid_of(replay, "/bystander")
+        has_allocator = re.search("(mimalloc|jemalloc)", Path(f"/proc/{first}/maps").read_text())
+        assert bool(has_allocator) is (kind == "isolated" and bool(find_allocator().library))
         family = [psutil.Process(first), *psutil.Process(first).children(recursive=True)]
         os.kill(first, signal.SIGSTOP)
         killed = replay.read_until(is_process("/victim", "stopping"), "that it is noticed")
@@ -296,6 +306,26 @@ def test_a_frozen_container_is_killed_and_comes_back_with_its_nodes(
         *(STARTED, READY, STOPPING, EXITED, RESTARTING),
         *(STARTED, READY, STOPPING, EXITED),
     ]
+
+
+def test_without_an_allocator_it_works_and_warns_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PLAY_LAUNCH_ALLOCATOR", "/nowhere/libmimalloc.so.2")
+    config = write(
+        tmp_path / "bare.yaml", FROZEN.format(kind="isolated") + FROZEN_TOO.format(kind="isolated")
+    )
+    with replaying(config, tmp_path / "logs") as replay:
+        read_until_loaded(replay, "/talker", "/listener", "/witness", "/another")
+        replay.process.send_signal(signal.SIGTERM)
+        replay.read_all()
+    warnings = [
+        event["message"]
+        for event in replay.seen
+        if event["event"] == "log" and "PLAY_LAUNCH_ALLOCATOR names" in event["message"]
+    ]
+    assert len(warnings) == 1
+    assert "apt install libmimalloc2.0" in warnings[0]
 
 
 def test_no_isolated_node_outlives_a_supervisor_that_is_killed(tmp_path: Path) -> None:
