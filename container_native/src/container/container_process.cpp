@@ -72,9 +72,11 @@ void ContainerProcess::start(int argc, const char* const* argv) {
   context_ = backend->context();
   // The first node of the context, and the last to go: the participant and its threads come with
   // it, and must not depend on what becomes of a component.
-  NodeOptions node_options;
-  node_options.context = context_;
-  node_ = std::make_shared<Node>(kDefaultName, node_options);
+  if (!options_.hosted) {
+    NodeOptions node_options;
+    node_options.context = context_;
+    node_ = std::make_shared<Node>(kDefaultName, node_options);
+  }
   const std::size_t threads = choose_threads();
   auto greeting = hello(threads, {std::string(backend->name())});
   std::vector<std::unique_ptr<ComponentBackend>> backends;
@@ -84,7 +86,9 @@ void ContainerProcess::start(int argc, const char* const* argv) {
   greeting.notes = std::move(choice.notes);
   host_ = std::move(choice.host);
   manager_ = std::make_unique<ObservableComponentManager>(*host_, process_);
-  ros_ = std::make_unique<RosInterface>(node_, *manager_);
+  if (node_) {
+    ros_ = std::make_unique<RosInterface>(node_, *manager_);
+  }
   hit(Failpoint::before_hello);
   if (control_) {
     manager_->add_sink(*control_);
@@ -93,7 +97,7 @@ void ContainerProcess::start(int argc, const char* const* argv) {
 }
 
 std::size_t ContainerProcess::choose_threads() {
-  const auto parameter = node_->declare_parameter<std::int64_t>("thread_num", 0);
+  const auto parameter = node_ ? node_->declare_parameter<std::int64_t>("thread_num", 0) : 0;
   if (parameter < 0 || parameter > static_cast<std::int64_t>(kMaxThreads)) {
     throw UsageError("parameter thread_num is " + std::to_string(parameter) +
                      ", expected a number from 0 to " + std::to_string(kMaxThreads) +
@@ -113,7 +117,7 @@ play_launch_msgs::msg::ControlHello ContainerProcess::hello(
   hello.version = PLAY_LAUNCH_VERSION;
   hello.pid = process_.pid;
   hello.start_time = process_.start_time;
-  hello.full_node_name = node_->full_name();
+  hello.full_node_name = node_ ? node_->full_name() : "";
   hello.mode = options_.mode();
   hello.thread_num = static_cast<std::uint32_t>(threads);
   hello.backends = std::move(backends);

@@ -3,6 +3,7 @@
 #include <utility>
 
 #include "container/isolated_host.hpp"
+#include "container/process_host.hpp"
 #include "container/report.hpp"
 #include "container/shared_executor_host.hpp"
 #include "isolation/gate.hpp"
@@ -24,7 +25,11 @@ HostChoice choose_host(const Options& options, std::size_t threads,
   }
   choice.mechanism = isolation::mechanism_name(gate.mechanism);
   choice.notes = std::move(gate.notes);
-  choice.host = std::make_unique<CloneIsolatedHost>(std::move(backends), executor);
+  if (gate.mechanism == isolation::Mechanism::shared_memory) {
+    choice.host = std::make_unique<CloneIsolatedHost>(std::move(backends), executor);
+  } else {
+    choice.host = std::make_unique<ProcessHost>(std::move(backends), options, threads);
+  }
   return choice;
 }
 

@@ -4,10 +4,9 @@
 #include <pthread.h>
 
 #include <algorithm>
-#include <stdexcept>
-#include <string>
 #include <utility>
 
+#include "container/cloned_node.hpp"
 #include "container/doorbell.hpp"
 #include "isolation/crash_handler.hpp"
 
@@ -15,17 +14,15 @@ namespace play_launch::container {
 
 using Clock = std::chrono::steady_clock;
 
-CloneIsolatedHost::CloneIsolatedHost(std::vector<std::unique_ptr<ComponentBackend>> backends,
-                                     const ExecutorChoice& choice)
-    : backends_(std::move(backends)), choice_(choice), doorbell_(make_doorbell()) {
-  isolation::prepare_crash_handling();
+IsolatedHost::IsolatedHost(std::vector<std::unique_ptr<ComponentBackend>> backends)
+    : backends_(std::move(backends)), doorbell_(make_doorbell()) {
   monitor_ = std::thread([this] {
     ::pthread_setname_np(::pthread_self(), "monitor");
     monitor();
   });
 }
 
-CloneIsolatedHost::~CloneIsolatedHost() {
+IsolatedHost::~IsolatedHost() {
   {
     const std::lock_guard lock(mutex_);
     done_ = true;
@@ -34,14 +31,14 @@ CloneIsolatedHost::~CloneIsolatedHost() {
   monitor_.join();
 }
 
-void CloneIsolatedHost::load(std::uint64_t unique_id, LoadRequest request) {
+void IsolatedHost::load(std::uint64_t unique_id, LoadRequest request) {
   // The lock is held until the node is in the map: the monitor would miss its first ring.
   const std::lock_guard lock(mutex_);
-  nodes_.emplace(unique_id, std::make_shared<IsolatedNode>(unique_id, backends_, choice_,
-                                                           std::move(request), doorbell_.get()));
+  nodes_.emplace(unique_id, start(unique_id, std::move(request), doorbell_.get()));
+  ring(doorbell_.get());
 }
 
-void CloneIsolatedHost::unload(std::uint64_t unique_id) {
+void IsolatedHost::unload(std::uint64_t unique_id) {
   const std::lock_guard lock(mutex_);
   const auto found = nodes_.find(unique_id);
   if (found != nodes_.end()) {  // else it has just died
@@ -49,14 +46,14 @@ void CloneIsolatedHost::unload(std::uint64_t unique_id) {
   }
 }
 
-void CloneIsolatedHost::stop_spinning() {
+void IsolatedHost::stop_spinning() {
   const std::lock_guard lock(mutex_);
   for (const auto& [unique_id, node] : nodes_) {
     node->leave();
   }
 }
 
-void CloneIsolatedHost::hurry(std::chrono::steady_clock::time_point deadline) {
+void IsolatedHost::hurry(std::chrono::steady_clock::time_point deadline) {
   {
     const std::lock_guard lock(mutex_);
     end_ = std::min(end_, deadline);
@@ -64,32 +61,29 @@ void CloneIsolatedHost::hurry(std::chrono::steady_clock::time_point deadline) {
   ring(doorbell_.get());
 }
 
-HostTotals CloneIsolatedHost::totals() const {
+HostTotals IsolatedHost::totals() const {
   return {totals_.crashes, totals_.undertaken, totals_.leaked, totals_.unquiesced};
 }
 
-void CloneIsolatedHost::monitor() {
+void IsolatedHost::monitor() {
   while (true) {
-    const Time next = look_after_all();
+    Nodes nodes;
+    Time end;
     {
+      // Not held during the calls of the observer, which may call back.
       const std::lock_guard lock(mutex_);
       if (done_ && nodes_.empty()) {
         return;
       }
+      nodes.assign(nodes_.begin(), nodes_.end());
+      end = end_;
     }
-    wait_until(next);
+    const Time next = look_after(nodes, end);
+    wait_until(next, nodes);
   }
 }
 
-CloneIsolatedHost::Time CloneIsolatedHost::look_after_all() {
-  std::vector<std::pair<std::uint64_t, std::shared_ptr<IsolatedNode>>> nodes;
-  Time end;
-  {
-    // Not held during the calls of the observer, which may call back.
-    const std::lock_guard lock(mutex_);
-    nodes.assign(nodes_.begin(), nodes_.end());
-    end = end_;
-  }
+IsolatedHost::Time IsolatedHost::look_after(Nodes& nodes, Time end) {
   Time next = Time::max();
   for (auto& [unique_id, node] : nodes) {
     node->tell(*observer_, totals_);
@@ -97,6 +91,9 @@ CloneIsolatedHost::Time CloneIsolatedHost::look_after_all() {
     if (node->is_over()) {
       std::unique_lock lock(mutex_);
       nodes_.erase(unique_id);
+      if (done_) {
+        next = Time::min();
+      }
       lock.unlock();
       node.reset();  // joins its donor
     }
@@ -104,16 +101,33 @@ CloneIsolatedHost::Time CloneIsolatedHost::look_after_all() {
   return next;
 }
 
-void CloneIsolatedHost::wait_until(Time deadline) {
+void IsolatedHost::wait_until(Time deadline, const Nodes& nodes) const {
   int timeout_ms = -1;
   if (deadline != Time::max()) {
-    const auto left = std::chrono::ceil<std::chrono::milliseconds>(deadline - Clock::now());
+    const auto left = std::chrono::ceil<std::chrono::milliseconds>(
+        std::max(deadline, Clock::now()) - Clock::now());
     timeout_ms = static_cast<int>(std::clamp<std::int64_t>(left.count(), 0, 1'000'000));
   }
-  pollfd fd{doorbell_.get(), POLLIN, 0};
-  if (::poll(&fd, 1, timeout_ms) > 0) {
+  std::vector<pollfd> fds{{doorbell_.get(), POLLIN, 0}};
+  for (const auto& [unique_id, node] : nodes) {
+    if (node != nullptr && node->watched_fd() >= 0) {
+      fds.push_back({node->watched_fd(), POLLIN, 0});
+    }
+  }
+  if (::poll(fds.data(), fds.size(), timeout_ms) > 0 && fds[0].revents != 0) {
     hush(doorbell_.get());
   }
+}
+
+CloneIsolatedHost::CloneIsolatedHost(std::vector<std::unique_ptr<ComponentBackend>> backends,
+                                     const ExecutorChoice& choice)
+    : IsolatedHost(std::move(backends)), choice_(choice) {
+  isolation::prepare_crash_handling();
+}
+
+std::shared_ptr<IsolatedNode> CloneIsolatedHost::start(std::uint64_t unique_id, LoadRequest request,
+                                                       int doorbell) {
+  return std::make_shared<ClonedNode>(unique_id, backends(), choice_, std::move(request), doorbell);
 }
 
 }  // namespace play_launch::container

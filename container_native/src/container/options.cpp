@@ -74,7 +74,7 @@ Options parse_options(int argc, const char* const* argv) {
     const std::string_view argument = argv[i];
     if (argument == kRosArguments) {
       while (i + 1 < argc && std::string_view(argv[i + 1]) != "--") {
-        ++i;
+        options.ros_arguments.emplace_back(argv[++i]);
       }
       ++i;
     } else if (argument == "--use_multi_threaded_executor") {

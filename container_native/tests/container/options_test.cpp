@@ -25,7 +25,7 @@ void test_command_line() {
   const Options options = parse({"--thread_num", "5", "--ros-args", "-r", "__node:=a", "--isolated",
                                  "--", "--use_multi_threaded_executor", "--stop_timeout=0.5"});
   CHECK(options.mode() == "mt" && options.thread_num == 5 && options.stop_timeout.count() == 0.5);
-  CHECK(!options.isolated);
+  CHECK(!options.isolated && options.ros_arguments.size() == 3);
   CHECK(parse({"--isolated", "--use_multi_threaded_executor"}).mode() == "isolated_mt");
   using play_launch::isolation::MechanismChoice;
   CHECK(parse({"--isolated"}).isolation == MechanismChoice::automatic);
