@@ -23,9 +23,10 @@ class ChildProgram {
   virtual int run() = 0;
 
   /// Makes run() return soon. Called in the child from a signal handler, in any of its threads, at
-  /// any time from before run() begins, possibly more than once and in several threads at once:
-  /// async-signal-safe functions only. After a fault it is called as well, so that threads which
-  /// run callbacks end; then run() must call park_if_dying() wherever such a thread comes out.
+  /// any time from before run() begins until after it returned, possibly more than once and in
+  /// several threads at once: async-signal-safe functions only, on nothing that run() destroys.
+  /// After a fault it is called as well, so that threads which run callbacks end; then run() must
+  /// call park_if_dying() wherever such a thread comes out.
   virtual void cancel() noexcept = 0;
 };
 
@@ -56,6 +57,10 @@ inline constexpr std::size_t kMaxChildren = 1024;
 ChildEnd run_in_child(ChildProgram& program, CrashSlot& slot,
                       const ChildOptions& options = {}) noexcept;
 
+/// Sends a signal to the child that has this slot; never to another process, even when the child
+/// dies meanwhile. False when no child lives, or the signal cannot be sent.
+bool send_signal(CrashSlot& slot, int signal) noexcept;
+
 /// In a child that is dying (a fault, exit(), an ignored request to leave), stops the calling
 /// thread for good, and counts it as harmless; elsewhere, returns at once. For the place behind
 /// spin(): the node must not be taken apart while one of its callbacks lies crashed.
@@ -63,12 +68,18 @@ void park_if_dying() noexcept;
 
 /// A living child, as its own signal handlers see it.
 struct ChildRecord {
+  /// More threads than that are counted, but asked again each time.
   static constexpr std::size_t kMaxParked = 512;
 
-  std::atomic<pid_t> pid{0};
+  /// The child's pid in the table where current_child() looks; 0 before it began, and once dead.
+  std::atomic<pid_t>* registered_pid = nullptr;
   ChildProgram* program = nullptr;
   CrashSlot* slot = nullptr;
   ChildOptions options;
+  /// The thread that ends the child: the first to crash, to call exit() or to return from run().
+  std::atomic<pid_t> ender{0};
+  /// Half of the time to quiesce is over.
+  std::atomic<bool> impatient{false};
   /// Threads that were parked, in order of arrival.
   std::array<std::atomic<pid_t>, kMaxParked> parked{};
   std::atomic<std::uint32_t> parked_count{0};

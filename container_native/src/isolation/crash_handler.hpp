@@ -4,7 +4,8 @@
 
 namespace play_launch::isolation {
 
-/// Once, in the container, before the first child: loads what handlers use and cannot load.
+/// Once, in the container, before the first child: loads what handlers use and cannot load, and
+/// sets a terminate handler that notes in a child's slot which exception it was.
 void prepare_crash_handling();
 
 /// In a child's first thread: installs its handlers.
@@ -19,7 +20,8 @@ void prepare_crash_handling();
 /// A node may install handlers of its own for all of them; they are its own process's.
 void install_crash_handlers(void* alternate_stack, std::size_t alternate_stack_size) noexcept;
 
-/// In a child: ends it by that signal's default action. Threads are not quiesced.
-[[noreturn]] void die_of(int signal) noexcept;
+/// In a child: makes the calling thread the one that ends it. If another one is at it already, this
+/// one is parked for good.
+void claim_end(ChildRecord& child) noexcept;
 
 }  // namespace play_launch::isolation

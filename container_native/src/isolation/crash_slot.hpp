@@ -32,6 +32,8 @@ struct CrashSlot {
   // Set by the child before anything else, pid first.
   std::atomic<pid_t> pid{0};
   std::atomic<std::uint64_t> start_time{0};  // clock ticks after boot, /proc/<pid>/stat field 22
+  std::atomic<bool> alive{false};            // from then until just before the pid is free again
+  std::atomic<int> senders{0};               // see send_signal()
   std::atomic<ChildPhase> phase{ChildPhase::none};
   /// For the program to count in, if it likes; nothing here reads it.
   std::atomic<std::uint64_t> heartbeat{0};
@@ -54,6 +56,10 @@ struct CrashSlot {
   /// Innermost first: the program counter, then return addresses.
   std::array<std::uintptr_t, kMaxFrames> frames{};
   std::uint32_t frame_count = 0;
+
+  /// What an exception that nobody caught was: its type, and what().
+  std::array<char, 128> exception_type{};
+  std::array<char, 256> exception_text{};
 
   // What quiescing came to, for crashes and for exit().
   /// The thread that crashed, or called exit(), was itself inside the middleware or the allocator,

@@ -23,8 +23,4 @@ int park_signal() noexcept;
 /// Stops the calling thread of the child for good and counts it as parked. Async-signal-safe.
 [[noreturn]] void park(ChildRecord& child) noexcept;
 
-/// Whether a thread with these frames (innermost first; a program counter, then return addresses)
-/// holds, as far as can be seen, nothing that others wait for. Async-signal-safe.
-bool is_harmless(const std::uintptr_t* frames, std::size_t count) noexcept;
-
 }  // namespace play_launch::isolation
