@@ -11,7 +11,13 @@ import pytest
 from play_launch_msgs.msg import ComponentEvent
 from std_msgs.msg import String
 
-from tests.support.isolated import MODES, children, is_gone, start_isolated, survives
+from tests.support.isolated import (
+    MODES,
+    is_gone,
+    only_these_remain,
+    start_isolated,
+    survives,
+)
 from tests.support.ros import Probe
 
 if TYPE_CHECKING:
@@ -48,8 +54,9 @@ def assert_death(event: ComponentEvent, how: str) -> None:
     if WAYS[how]:
         assert signal.Signals(WAYS[how]).name in event.error_message
     if how in TRACED:
-        assert any("die" in line for line in event.backtrace), event.backtrace
-        assert any("Crasher" in line for line in event.backtrace), event.backtrace
+        assert any("play_launch_demo::" in line and "die" in line for line in event.backtrace), (
+            event.backtrace
+        )
 
 
 def assert_cleaned_up(container: Container, *, crashes: int, leaked: int = 0) -> None:
@@ -79,7 +86,7 @@ def test_a_crash_is_told_and_the_neighbours_go_on(
         before = len(heard)
         probe.spin_until(lambda: len(heard) > before + 10, 20.0, "the talker again")
         assert_cleaned_up(container, crashes=1)
-        assert children(container) == {talker.pid}
+        assert only_these_remain(container, talker.pid)
         container.loaded("Crasher", parameters={"how": how})
 
 
@@ -95,7 +102,7 @@ def test_a_crash_in_a_constructor_is_a_failed_load(
         assert failed.pid != container.process.pid
         assert_death(failed, how)
         assert_cleaned_up(container, crashes=1, leaked=1)
-        assert not children(container)
+        assert only_these_remain(container)
         container.loaded("Crasher")
 
 
@@ -174,4 +181,4 @@ def test_reloading_after_crashes_leaves_nothing_behind(spawn: StartContainer, mo
         # A donor or two may wait to be joined at any moment; growth would stay.
         for each in (0, 1):
             assert min(u[each] for u in used[100:]) <= min(u[each] for u in used[5:100]), used
-        assert children(container) == {talker.pid}
+        assert only_these_remain(container, talker.pid)

@@ -16,6 +16,7 @@ from tests.support.isolated import (
     MODES,
     children,
     is_gone,
+    only_these_remain,
     start_isolated,
     start_time,
     survives,
@@ -71,7 +72,7 @@ def test_every_node_is_a_process(spawn: StartContainer, mode: str) -> None:
         }
         for event in others:
             unload(container, event.unique_id)
-        assert not children(container)
+        assert only_these_remain(container)
         status = container.status()
         assert (status.crashes, status.undertaken, status.leaked, status.unquiesced) == (0,) * 4
 
@@ -131,7 +132,7 @@ def test_a_slow_constructor_blocks_nobody(spawn: StartContainer, mode: str) -> N
     unload(container, talker.unique_id)
     node = container.status(loading.unique_id).nodes[0]
     assert node.state == NodeStatus.CONSTRUCTING
-    assert children(container) == {node.pid}
+    assert only_these_remain(container, node.pid)
     assert container.shut_down() == 0
     assert is_gone(node.pid)
 
@@ -148,7 +149,7 @@ def test_a_node_is_unloaded_while_it_constructs(
         container.send(how(unique_id=loading.unique_id))
         gone = container.event(UNLOADED, attempt=attempt)
         assert gone.error_message == "cancelled"
-        assert not children(container)
+        assert only_these_remain(container)
         container.loaded("Talker", node_name="slow")
 
 
@@ -165,7 +166,7 @@ def test_a_failed_load_leaves_no_process(spawn: StartContainer) -> None:
             event = container.event(ComponentEvent.LOAD_FAILED)
             assert cases.pop(event.attempt) in event.error_message
             assert event.signal == 0
-        assert not children(container)
+        assert only_these_remain(container)
         assert container.status().crashes == 0
 
 

@@ -10,7 +10,14 @@ from typing import TYPE_CHECKING
 import pytest
 from play_launch_msgs.msg import ComponentEvent, ControlShutdown, ControlUnload
 
-from tests.support.isolated import MODES, children, is_gone, start_isolated, survives
+from tests.support.isolated import (
+    MODES,
+    children,
+    is_gone,
+    only_these_remain,
+    start_isolated,
+    survives,
+)
 
 if TYPE_CHECKING:
     from tests.support.control_peer import Container, StartContainer
@@ -133,4 +140,4 @@ def test_reloading_leaves_nothing_behind(spawn: StartContainer) -> None:
             used.append((container.threads(), container.descriptors()))
         for each in (0, 1):
             assert min(u[each] for u in used[50:]) <= min(u[each] for u in used[5:50]), used
-        assert not children(container)
+        assert only_these_remain(container)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import psutil
 import pytest
 
 from play_launch.native.allocator import find_allocator, preloading
-from tests.support.control_peer import Container, StartContainer
+from tests.support.control_peer import PATIENCE, Container, StartContainer
 
 MODES = {
     "isolated": ("--isolated",),
@@ -40,6 +41,15 @@ def children(container: Container) -> set[int]:
     return {child.pid for child in psutil.Process(container.process.pid).children(recursive=True)}
 
 
+def only_these_remain(container: Container, *pids: int) -> bool:
+    """Wait until the container has no other processes; what cleans up may take a moment."""
+    deadline = time.monotonic() + PATIENCE
+    while children(container) != set(pids):
+        if time.monotonic() > deadline:
+            return False
+    return True
+
+
 def start_time(pid: int) -> int:
     """In clock ticks after boot."""
     return int(Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[19])
@@ -58,6 +68,3 @@ def survives(container: Container) -> Iterator[None]:
     assert container.process.poll() is None, container.log.read_text()
     assert start_time(container.process.pid) == before
     assert container.shut_down() == 0, container.log.read_text()
-
-
-Wait = Callable[[Callable[[], bool], str], None]

@@ -1,17 +1,12 @@
 #include "container/cloned_node.hpp"
 
-#include <sys/syscall.h>
-#include <unistd.h>
-
 #include <chrono>
 #include <cstring>
 #include <ctime>
 #include <utility>
 
 #include "container/doorbell.hpp"
-#include "container/process_identity.hpp"
 #include "container/report.hpp"
-#include "control/unique_fd.hpp"
 #include "isolation/symbolise.hpp"
 
 namespace play_launch::container {
@@ -152,19 +147,6 @@ void ClonedNode::count_burial(IsolationTotals& totals) const {
 
 std::string ClonedNode::full_name() const {
   return program_.stage() >= NodeStage::constructed ? program_.full_name() : "";
-}
-
-void ClonedNode::signal(int number) {
-  const pid_t pid = slot_.pid;
-  if (pid == 0) {
-    return;
-  }
-  // The child may be dead and its pid be another's by now; a descriptor that was compared with the
-  // start time cannot change its meaning any more.
-  const control::UniqueFd process(static_cast<int>(::syscall(SYS_pidfd_open, pid, 0)));
-  if (process && !dead_ && identity_of(pid).start_time == slot_.start_time) {
-    ::syscall(SYS_pidfd_send_signal, process.get(), number, nullptr, 0);
-  }
 }
 
 }  // namespace play_launch::container

@@ -6,6 +6,7 @@
 
 #include "container/isolated_node.hpp"
 #include "container/node_program.hpp"
+#include "isolation/child.hpp"
 #include "isolation/crash_slot.hpp"
 #include "isolation/donor_thread.hpp"
 
@@ -27,7 +28,7 @@ class ClonedNode final : public IsolatedNode {
   const LoadRequest& request() const override { return program_.request(); }
   std::string full_name() const override;
   void ask_to_leave() override { program_.cancel(); }
-  void signal(int number) override;
+  void signal(int number) override { isolation::send_signal(slot_, number); }
 
   void donate() noexcept;
   void tell_progress(NodeHostObserver& observer, NodeStage stage);

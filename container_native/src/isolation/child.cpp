@@ -172,6 +172,7 @@ void CrashSlot::reset() {
   frame_count = 0;
   exception_type = {};
   exception_text = {};
+  throw_frame_count = 0;
   inside = false;
   threads_parked = 0;
   threads_not_parked = 0;

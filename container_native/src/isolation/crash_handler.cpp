@@ -23,6 +23,7 @@
 #include "isolation/code_map.hpp"
 #include "isolation/donor_state.hpp"
 #include "isolation/quiesce.hpp"
+#include "isolation/throw_site.hpp"
 
 namespace play_launch::isolation {
 namespace {
@@ -136,6 +137,10 @@ void note_exception(CrashSlot& slot) {
   const std::unique_ptr<char, decltype(&std::free)> name(
       abi::__cxa_demangle(type->name(), nullptr, nullptr, &status), &std::free);
   copy_text(slot.exception_type, status == 0 ? name.get() : type->name());
+  const std::exception_ptr exception = std::current_exception();
+  // What it points to is the object, in this C++ library and in LLVM's.
+  const void* const object = *reinterpret_cast<void* const*>(&exception);
+  slot.throw_frame_count = throw_site(object, slot.throw_frames);
   try {
     throw;
   } catch (const std::exception& error) {
@@ -178,6 +183,7 @@ iovec piece(const char* text) { return {const_cast<char*>(text), std::strlen(tex
 
 void prepare_crash_handling() {
   prepare_code_map();
+  prepare_throw_sites();
   const std::terminate_handler before = std::set_terminate(on_terminate);
   if (before != on_terminate) {
     terminate_before = before;

@@ -126,8 +126,13 @@ std::vector<std::string> symbolise(const CrashSlot& slot) {
     return lines;
   }
   OpenFiles files;
-  for (std::uint32_t i = 0; i < slot.frame_count; ++i) {
-    lines.push_back("#" + std::to_string(i) + " " + describe_frame(slot.frames[i], i > 0, files));
+  const bool thrown = slot.throw_frame_count > 0;
+  const auto& frames = thrown ? slot.throw_frames : slot.frames;
+  const std::uint32_t count = thrown ? slot.throw_frame_count : slot.frame_count;
+  for (std::uint32_t i = 0; i < count; ++i) {
+    const bool is_return_address = thrown || i > 0;
+    lines.push_back("#" + std::to_string(i) + " " +
+                    describe_frame(frames[i], is_return_address, files));
   }
   return lines;
 }
