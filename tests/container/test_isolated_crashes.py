@@ -21,8 +21,6 @@ from tests.support.isolated import (
 from tests.support.ros import Probe
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from tests.support.control_peer import Container, StartContainer
 
 LOADED, LOAD_FAILED, CRASHED = (
@@ -165,18 +163,14 @@ def usage(container: Container) -> tuple[int, int]:
 def test_reloading_after_crashes_leaves_nothing_behind(spawn: StartContainer, mode: str) -> None:
     container = start_isolated(spawn, mode)
     used: list[tuple[int, int]] = []
-
-    def reload(load: Callable[[], ComponentEvent], last: int) -> None:
-        event = load()
-        container.event(last, unique_id=event.unique_id)
-        used.append(usage(container))
-
+    ways = ("segv", "abrt", "exception", "exit")
     with survives(container):
         talker = container.loaded("Talker")
-        ways = ("segv", "abrt", "exception", "exit")
         for i in range(200):
-            parameters = {"how": ways[i % len(ways)], "after": 0.0}
-            reload(lambda p=parameters: container.loaded("Crasher", parameters=p), CRASHED)
+            how = ways[i % len(ways)]
+            crasher = container.loaded("Crasher", parameters={"how": how, "after": 0.0})
+            container.event(CRASHED, unique_id=crasher.unique_id)
+            used.append(usage(container))
         assert_cleaned_up(container, crashes=200)
         # A donor or two may wait to be joined at any moment; growth would stay.
         for each in (0, 1):
