@@ -12,7 +12,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Final, Protocol, assert_never
 
 from play_launch.actors.load_request import load_request
-from play_launch.actors.node_facts import NOTHING, Facts, facts_of_status
+from play_launch.actors.node_facts import NOTHING, Facts, facts_of_event, facts_of_status
 from play_launch.actors.node_reports import MirroredNode, NodeReports
 from play_launch.actors.restarter import CrashFollower
 from play_launch.core.crash import Ignore, Shutdown, StopContainer
@@ -32,7 +32,6 @@ from play_launch.native.messages import (
     Status,
     Unload,
 )
-from play_launch.process.exit import Exit
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -191,22 +190,8 @@ class ContainerNodes:
 
     def _hear_event(self, event: ComponentEvent) -> None:
         self._reports.event(event)
-        reason = event.error_message
-        if event.kind is ComponentEventKind.CRASHED:
-            ending = str(Exit(code=event.exit_code, signal=event.signal))
-            reason = f"{ending}: {reason}" if reason else ending
-            if event.backtrace:
-                reason += f" at {event.backtrace[0]}"
-        facts = Facts(
-            attempt=event.attempt,
-            unique_id=event.unique_id,
-            reason=reason,
-            pid=event.pid,
-            start_time=event.start_time,
-            full_node_name=event.full_node_name,
-        )
         if event.attempt:
-            self._about_attempt(_SAID[event.kind], facts)
+            self._about_attempt(_SAID[event.kind], facts_of_event(event))
 
     def _hear_status(self, status: Status) -> None:
         asked = self._questions.pop(status.query_id, None)
@@ -291,7 +276,8 @@ class ContainerNodes:
             case NodeAction.REPORT_FORGOTTEN:
                 _log.error("%s: %s does not know it any more", name, self._container)
             case NodeAction.REPORT_CRASHED:
-                _log.error("%s crashed: %s", name, facts.reason)
+                # Not as an error: the state that follows is told as one, with the sequel.
+                _log.info("%s crashed: %s", name, facts.reason)
             case NodeAction.REPORT_GAVE_UP:
                 _log.error("%s is given up: %s", name, facts.reason)
             case NodeAction.REPORT_LOADED | NodeAction.REPORT_UNLOADED | NodeAction.REPORT_LOST:

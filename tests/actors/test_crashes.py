@@ -61,7 +61,13 @@ def test_the_first_reload_is_at_once_and_the_neighbours_notice_nothing() -> None
     async def main() -> Running:
         async with running(system(container("c", "a", "b")), launcher()) as sys:
             await sys.until_loaded(2)
-            await crash(sys, "a", error="at 0x0", backtrace=("#0 burn()", "#1 main"))
+            frames = (
+                "#0 libc.so.6+0x8aeec",
+                "#1 abort+0xd3 (libc.so.6+0x2)",
+                "#2 burn()",
+                "#3 main",
+            )
+            await crash(sys, "a", error="at 0x0", backtrace=frames)
             crashed = asyncio.get_running_loop().time()
             await sys.until_loaded(2)
             assert asyncio.get_running_loop().time() == crashed
@@ -75,7 +81,7 @@ def test_the_first_reload_is_at_once_and_the_neighbours_notice_nothing() -> None
     assert sys.node_states("/b").count(NodeState.LOADED) == 1
     (told,) = sys.node_events("/a", NodeState.CRASHED)
     assert told.reason == (
-        "exited with signal 11 (SIGSEGV): at 0x0 at #0 burn(); it is loaded again at once"
+        "exited with signal 11 (SIGSEGV): at 0x0 at #2 burn(); it is loaded again at once"
     )
     assert told.crashes == 1
     assert sys.outcome is not None

@@ -198,6 +198,7 @@ version: 1
 containers:
   - name: lab
     container_type: {kind}
+    isolation: {isolation}
     on_crash: {on_crash}
     composable_nodes:
       - {{package: play_launch_demo, plugin: "play_launch_demo::Talker", name: talker}}
@@ -211,8 +212,49 @@ containers:
 """
 
 
-def on_crash(path: Path, policy: str, *, kind: str = "isolated", how: str = "segv") -> Path:
-    return write(path / f"{policy}.yaml", ON_CRASH.format(on_crash=policy, kind=kind, how=how))
+def on_crash(
+    path: Path,
+    policy: str,
+    *,
+    kind: str = "isolated",
+    how: str = "segv",
+    isolation: str = "auto",
+) -> Path:
+    text = ON_CRASH.format(on_crash=policy, kind=kind, how=how, isolation=isolation)
+    return write(path / f"{policy}.yaml", text)
+
+
+@pytest.mark.parametrize("isolation", ["shared_memory", "process"])
+@pytest.mark.parametrize("kind", ["isolated", "isolated_mt"])
+def test_a_crash_stays_alone_in_every_kind_of_isolation(
+    kind: str, isolation: str, tmp_path: Path
+) -> None:
+    config = on_crash(tmp_path, "reload", kind=kind, isolation=isolation)
+    with replaying(config, tmp_path / "logs") as replay:
+        for _ in range(3):
+            crash = replay.read_until(is_component("/crasher", "crashed"), "a crash")
+            assert crash["signal"] == signal.SIGSEGV
+            again = replay.read_until(is_component("/crasher", "loaded"), "the reload")
+            assert again["pid"] not in {crash["pid"], pid_of(replay, "/lab")}
+        (talker,) = components(replay, "/talker", "loaded")
+        assert psutil.pid_exists(talker["pid"])
+        ready = processes(replay, "/lab", "ready")
+        assert [each["message"].split(",")[0] for each in ready] == [f"{kind} by {isolation}"]
+        replay.process.send_signal(signal.SIGTERM)
+        replay.read_all()
+    assert replay.process.returncode == 128 + signal.SIGTERM
+    assert len(processes(replay, "/lab", "started")) == 1
+
+
+def test_a_node_that_is_killed_from_outside_comes_back(tmp_path: Path) -> None:
+    config = on_crash(tmp_path, "reload", how="segv")
+    with replaying(config, tmp_path / "logs") as replay:
+        talker = replay.read_until(is_component("/talker", "loaded"), "the talker")
+        os.kill(talker["pid"], signal.SIGKILL)
+        crash = replay.read_until(is_component("/talker", "crashed"), "its death")
+        assert (crash["pid"], crash["signal"]) == (talker["pid"], signal.SIGKILL)
+        # Should a lock have died with it, its container is started anew first.
+        replay.read_until(is_component("/talker", "loaded"), "its return")
 
 
 def test_ignored_it_stays_away(tmp_path: Path) -> None:
