@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <memory>
 #include <mutex>
+#include <thread>
 #include <vector>
 
 namespace play_launch {
@@ -80,17 +81,13 @@ class MultiThreadedExecutor final : public Executor {
   /// `threads` work in spin(), the calling one included; 0 = one per CPU, at least 2.
   explicit MultiThreadedExecutor(std::size_t threads = 0);
 
-  ~MultiThreadedExecutor() override;
-
   void spin() override;
   void abandon() override;
   [[nodiscard]] std::size_t threads() const noexcept { return threads_; }
 
  private:
-  class Worker;
-
   const std::size_t threads_;
-  std::vector<std::unique_ptr<Worker>> workers_;  // all but the thread that called spin()
+  std::vector<std::thread> workers_;  // all but the thread that called spin()
 };
 
 }  // namespace play_launch

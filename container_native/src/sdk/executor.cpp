@@ -4,12 +4,12 @@
 #include <exception>
 #include <list>
 #include <map>
+#include <memory>
 #include <play_launch/callback_group.hpp>
 #include <play_launch/context.hpp>
 #include <play_launch/executor.hpp>
 #include <play_launch/node.hpp>
 #include <stdexcept>
-#include <system_error>
 #include <thread>
 #include <utility>
 #include <vector>
@@ -219,52 +219,37 @@ void SingleThreadedExecutor::spin() {
   work();
 }
 
-/// A thread that can be asked whether it is gone, which std::thread cannot.
-class MultiThreadedExecutor::Worker {
- public:
-  explicit Worker(MultiThreadedExecutor& executor) : executor_(executor) {
-    const int error = ::pthread_create(
-        &thread_, nullptr,
-        [](void* self) -> void* {
-          static_cast<Worker*>(self)->executor_.work();
-          return nullptr;
-        },
-        this);
-    if (error != 0) throw std::system_error(error, std::generic_category(), "thread");
-  }
-  void join() { ::pthread_join(thread_, nullptr); }
-  /// Frees the thread's stack when its process died, without waiting for one that lives.
-  void abandon() {
-    if (::pthread_tryjoin_np(thread_, nullptr) != 0) ::pthread_detach(thread_);
-  }
+namespace {
 
- private:
-  MultiThreadedExecutor& executor_;
-  pthread_t thread_{};
-};
+/// Frees the stack of a thread whose process died, without waiting for one that lives.
+void let_go(std::thread& thread) {
+  const pthread_t handle = thread.native_handle();
+  if (::pthread_tryjoin_np(handle, nullptr) != 0) ::pthread_detach(handle);
+  std::construct_at(&thread);  // in the place of the old one, which must not be destroyed
+}
+
+}  // namespace
 
 MultiThreadedExecutor::MultiThreadedExecutor(std::size_t threads)
     : threads_(threads != 0 ? threads
                             : std::max<std::size_t>(2, std::thread::hardware_concurrency())) {}
 
-MultiThreadedExecutor::~MultiThreadedExecutor() = default;
-
 void MultiThreadedExecutor::spin() {
   const Spinning spinning(*this);
   workers_.reserve(threads_ - 1);
   try {
-    while (workers_.size() < threads_ - 1) workers_.push_back(std::make_unique<Worker>(*this));
+    while (workers_.size() < threads_ - 1) workers_.emplace_back([this] { work(); });
     work();
   } catch (...) {
     // As an exception in another thread does; nobody could go on with some of the threads.
     std::terminate();
   }
-  for (const auto& worker : workers_) worker->join();
+  for (std::thread& worker : workers_) worker.join();
   workers_.clear();
 }
 
 void MultiThreadedExecutor::abandon() {
-  for (const auto& worker : workers_) worker->abandon();
+  for (std::thread& worker : workers_) let_go(worker);
   workers_.clear();
   Executor::abandon();
 }
