@@ -141,6 +141,12 @@ class ContainerActor:
         if self._watch.may_hold_dead_locks:
             self._apply(ContainerInput.FROZEN, f"a dead node may have left a lock: {reason}")
 
+    def _look_for_dead_locks(self) -> None:
+        limit = self._limits.reload_after_leak
+        if self._watch.probably_holds_dead_locks and (name := self._nodes.slow_reload(limit)):
+            reason = f"{name} is not loaded again, and cleaning up after a dead node failed"
+            self._apply(ContainerInput.FROZEN, reason)
+
     async def run(self) -> None:
         """Keep it running until the system stops or it is given up."""
         actions = self._apply(ContainerInput.START_REQUESTED)
@@ -233,6 +239,7 @@ class ContainerActor:
                 if isinstance(message, Hello):
                     _log.warning("%s said hello again", self._name)
                 elif isinstance(message, Status) and self._watch.hear(message):
+                    self._look_for_dead_locks()
                     self._deadlines_changed.set()
                 else:
                     self._nodes.hear(message)

@@ -20,6 +20,8 @@ class Limits:
     """From its closing the control channel to its end."""
     report_interval: float = 15.0
     """Between two reports of a slow constructor."""
+    reload_after_leak: float = 3.0
+    """For a reload beyond its usual time, when a dead node probably left a lock locked."""
     watch: WatchLimits = WATCH_LIMITS
     """From when on a silent container counts as frozen."""
 

@@ -45,6 +45,8 @@ _log = logging.getLogger(__name__)
 _OPEN_QUESTIONS: Final = 16
 """Questions whose answers are still expected; older ones are given up."""
 
+_UNDER_WAY: Final = frozenset({NodeState.REQUESTED, NodeState.LOADING})
+
 _SAID: Final = {
     ComponentEventKind.LOADED: NodeInput.LOADED,
     ComponentEventKind.UNLOADED: NodeInput.UNLOADED,
@@ -157,6 +159,16 @@ class ContainerNodes:
                 assert_never(message)
         self._ask()
 
+    def slow_reload(self, limit: float) -> str:
+        """Name a node whose reload takes ``limit`` seconds and thrice its usual time; or empty."""
+        now = self._clock()
+        for node in self._nodes:
+            record = node.record
+            is_under_way = record.is_reload and record.state in _UNDER_WAY
+            if is_under_way and now - record.sent_at > limit + 3 * node.took:
+                return node.name
+        return ""
+
     def next_deadline(self) -> float | None:
         """When `on_time` has to be called next; None when nothing is due."""
         times = [
@@ -235,6 +247,7 @@ class ContainerNodes:
             self._attempts.use()
         if record.state is not before.state and record.state is NodeState.LOADED:
             node.loaded_at = self._clock()
+            node.took = node.loaded_at - record.sent_at
         if NodeAction.REPORT_CRASHED in result.actions:
             node.crashes += 1
         if NodeAction.SEND_LOAD in result.actions and record.is_reload:

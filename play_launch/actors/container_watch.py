@@ -41,6 +41,11 @@ class ContainerWatch:
         """Whether a node died so suddenly that a lock may stay locked for ever."""
         return self._unquiesced > 0
 
+    @property
+    def probably_holds_dead_locks(self) -> bool:
+        """Whether, besides, cleaning up after a node failed: what waits for such a lock does."""
+        return self.may_hold_dead_locks and self._leaked > 0
+
     def begin(self, send: Callable[[Outgoing], None]) -> None:
         """Watch a process that has just said hello."""
         self._send = send

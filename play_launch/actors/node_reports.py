@@ -37,6 +37,8 @@ class MirroredNode:
     record: NodeRecord = field(default_factory=NodeRecord)
     pid: int = 0
     loaded_at: float | None = None
+    took: float = 0.0
+    """Seconds of the latest load that came to its end."""
     reload_at: float | None = None
     crashes: int = 0
     reloads: int = 0

@@ -125,9 +125,11 @@ def test_what_it_counts_is_told_when_it_grows(caplog: pytest.LogCaptureFixture) 
     assert sum("2 of 5 nodes died too suddenly" in each for each in messages) == 1
 
 
-@pytest.mark.parametrize("unquiesced", [0, 1])
+@pytest.mark.parametrize(
+    ("unquiesced", "leaked", "found_after"), [(0, 0, None), (0, 1, None), (1, 0, 10), (1, 1, 4)]
+)
 def test_a_reload_that_hangs_after_a_sudden_death_is_a_lock_that_stays_locked(
-    unquiesced: int,
+    unquiesced: int, leaked: int, found_after: float | None
 ) -> None:
     class Poisoned(FakeContainer):
         def construct(self, held: Held) -> None:
@@ -135,19 +137,24 @@ def test_a_reload_that_hangs_after_a_sudden_death_is_a_lock_that_stays_locked(
                 super().construct(held)
 
         def on_watch(self, query: Query) -> None:
-            self.link.say(Status(query_id=query.query_id, crashes=1, unquiesced=unquiesced))
+            answer = Status(query_id=query.query_id, unquiesced=unquiesced, leaked=leaked)
+            self.link.say(answer)
 
     async def main() -> None:
         config = system(container("c", "a", "b"))
         async with running(config, launcher(Poisoned, FakeContainer)) as sys:
             await sys.until_loaded(2)
             sys.launcher.containers["/c"][0].crash_node("a", signal=9)
-            await asyncio.sleep(60)
-            assert len(sys.launcher.containers["/c"]) == 1 + unquiesced
-            if unquiesced:
-                await sys.until_loaded(2)
-                (killed,) = sys.container_events("/c", ContainerState.BACKOFF)
-                assert "a dead node may have left a lock: /a is not loaded again" in killed.reason
+            died = asyncio.get_running_loop().time()
+            if found_after is None:
+                await asyncio.sleep(60)
+                assert len(sys.launcher.containers["/c"]) == 1
+                return
+            await sys.until_state("/c", ContainerState.BACKOFF)
+            assert asyncio.get_running_loop().time() - died <= found_after
+            await sys.until_loaded(2)
+            (killed,) = sys.container_events("/c", ContainerState.BACKOFF)
+            assert "/a is not loaded again" in killed.reason
 
     run(main())
 
