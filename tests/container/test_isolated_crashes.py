@@ -99,6 +99,7 @@ def test_a_crash_in_a_constructor_is_a_failed_load(
         failed = container.event(LOAD_FAILED)
         assert failed.pid != container.process.pid
         assert_death(failed, how)
+        assert how not in TRACED or "die" in failed.error_message
         assert_cleaned_up(container, crashes=1, leaked=1)
         assert only_these_remain(container)
         container.loaded("Crasher")

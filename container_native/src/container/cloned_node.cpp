@@ -1,9 +1,11 @@
 #include "container/cloned_node.hpp"
 
+#include <algorithm>
 #include <chrono>
 #include <cstring>
 #include <ctime>
 #include <utility>
+#include <vector>
 
 #include "container/doorbell.hpp"
 #include "container/report.hpp"
@@ -21,6 +23,16 @@ std::string process_name(const LoadRequest& request) {
   const std::string& name = request.node_name.empty() ? request.plugin_name : request.node_name;
   const std::size_t colon = name.rfind("::");
   return name.substr(colon == std::string::npos ? 0 : colon + 2).substr(0, kThreadNameLength);
+}
+
+/// The innermost frames, for those who get no more than a text.
+std::string innermost(const std::vector<std::string>& backtrace) {
+  constexpr std::size_t kMost = 6;
+  std::string text;
+  for (std::size_t i = 0; i < std::min(backtrace.size(), kMost); ++i) {
+    text += (i == 0 ? "; at " : ", ") + backtrace[i];
+  }
+  return text;
 }
 
 }  // namespace
@@ -109,10 +121,12 @@ void ClonedNode::tell_end(NodeHostObserver& observer, IsolationTotals& totals) {
   if (outcome != NodeOutcome::none) {
     ++totals.undertaken;  // by the node itself: a signal had asked it to leave
   }
+  NodeDeath death = this->death();
   if (told_ < NodeStage::spinning) {
-    observer.on_load_crashed(unique_id(), death());
+    death.reason = "died while it was constructed: " + death.reason + innermost(death.backtrace);
+    observer.on_load_crashed(unique_id(), death);
   } else {
-    observer.on_crashed(unique_id(), death());
+    observer.on_crashed(unique_id(), death);
   }
 }
 
