@@ -9,8 +9,11 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
+from play_launch.actors.container_limits import LIMITS, Limits
 from play_launch.actors.container_nodes import AttemptNumbers, ContainerNodes
+from play_launch.actors.container_watch import ContainerWatch
 from play_launch.actors.deadline import first_of, happens_before
+from play_launch.actors.greeting import description, what_is_lacking
 from play_launch.actors.ports import StartError
 from play_launch.actors.process_reports import ProcessReports
 from play_launch.actors.restarter import Restarter
@@ -31,7 +34,7 @@ from play_launch.native.control import (
     ControlError,
     VersionMismatchError,
 )
-from play_launch.native.messages import Hello, Shutdown
+from play_launch.native.messages import Hello, Shutdown, Status
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -43,23 +46,6 @@ if TYPE_CHECKING:
     from play_launch.process.exit import Exit
 
 _log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Limits:
-    """Seconds."""
-
-    hello: float = 30.0
-    """From the start of a container to its hello."""
-    last_words: float = 0.5
-    """From its end to the end of what it said on the control channel."""
-    exit_after_close: float = 2.0
-    """From its closing the control channel to its end."""
-    report_interval: float = 15.0
-    """Between two reports of a slow constructor."""
-
-
-LIMITS: Final = Limits()
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,6 +91,7 @@ class ContainerActor:
         self._nodes = ContainerNodes(
             config,
             publisher=publisher,
+            escalation=self,
             attempts=attempts,
             patience=Patience(
                 loading_timeout=config.loading_timeout, report_interval=limits.report_interval
@@ -112,11 +99,16 @@ class ContainerActor:
             clock=self._loop.time,
             jitter=jitter,
         )
+        self._watch = ContainerWatch(self._name, clock=self._loop.time, limits=limits.watch)
         self._deadlines_changed = asyncio.Event()
+        self._stopping = asyncio.Event()
+        self._stop_reason = ""
+        self._can_be_asked = False
         # Of the present process:
         self._process: ManagedProcess | None = None
         self._ended = False
         self._killed_because = ""
+        self._mechanism = ""
         self._link: ControlLink | None = None
         self._hello_due: float | None = None
         self._ready_at: float | None = None
@@ -135,6 +127,25 @@ class ContainerActor:
         """Have a node unloaded, by its place in the declaration; it stays unloaded."""
         self._nodes.unload(index)
         self._deadlines_changed.set()
+
+    def stop_container(self, reason: str) -> None:
+        """Stop it for good, while the rest of the system runs on."""
+        self._begin_stop(reason)
+
+    def shut_down(self, reason: str) -> None:
+        """Stop the whole system."""
+        self._stop.request(reason=reason)
+
+    def reload_hangs(self, reason: str) -> None:
+        """Start it anew if it may hold the lock of a dead node; else the node is just slow."""
+        if self._watch.may_hold_dead_locks:
+            self._apply(ContainerInput.FROZEN, f"a dead node may have left a lock: {reason}")
+
+    def _look_for_dead_locks(self) -> None:
+        limit = self._limits.reload_after_leak
+        if self._watch.probably_holds_dead_locks and (name := self._nodes.slow_reload(limit)):
+            reason = f"{name} is not loaded again, and cleaning up after a dead node failed"
+            self._apply(ContainerInput.FROZEN, reason)
 
     async def run(self) -> None:
         """Keep it running until the system stops or it is given up."""
@@ -176,6 +187,7 @@ class ContainerActor:
             finally:
                 link.close()
                 self._link = None
+                self._watch.end()
 
     async def _may_start(self, starting: ExitStack) -> bool:
         """Wait for a free place to start in; False when a stop comes first."""
@@ -202,7 +214,8 @@ class ContainerActor:
             if not immortal:
                 exit_ = await ending
                 self._ended = True
-                self._reports.exited(exit_)
+                self._watch.end()
+                self._reports.exited(exit_, self._killed_because)
                 # What it said last is still in the socket.
                 limit = self._loop.time() + self._limits.last_words
                 await happens_before(said_everything, limit)
@@ -225,6 +238,9 @@ class ContainerActor:
                 message = await link.receive()
                 if isinstance(message, Hello):
                     _log.warning("%s said hello again", self._name)
+                elif isinstance(message, Status) and self._watch.hear(message):
+                    self._look_for_dead_locks()
+                    self._deadlines_changed.set()
                 else:
                     self._nodes.hear(message)
                     self._deadlines_changed.set()
@@ -243,7 +259,11 @@ class ContainerActor:
     async def _watch_deadlines(self) -> None:
         while True:
             self._deadlines_changed.clear()
-            times = (self._hello_due, self._nodes.next_deadline())
+            times = (
+                self._hello_due,
+                self._nodes.next_deadline(),
+                self._watch.next_deadline(),
+            )
             due = min((time for time in times if time is not None), default=None)
             if await happens_before(self._deadlines_changed, due):
                 continue
@@ -251,26 +271,40 @@ class ContainerActor:
                 self._hello_due = None
                 reason = f"it did not say hello within {self._limits.hello:g} s"
                 self._apply(ContainerInput.HELLO_OVERDUE, reason)
+            if frozen := self._watch.on_time():
+                self._apply(ContainerInput.FROZEN, frozen)
             self._nodes.on_time()
 
     async def _stop_when_requested(self, process: ManagedProcess) -> bool:
         """Stop it as soon as that is requested; tell whether it has ended."""
-        await self._stop.requested.wait()
-        ask = self._ask_to_stop if self._state is ContainerState.RUNNING else None
-        if ContainerAction.STOP_PROCESS not in self._apply(
-            ContainerInput.STOP_REQUESTED, self._stop.reason
-        ):
+        await first_of(self._stop.requested.wait(), self._stopping.wait())
+        if not self._begin_stop(self._stop.reason):
             await process.wait()
             return True
-        if not self._ended:
-            self._reports.publish(ProcessEventKind.STOPPING, message=self._stop.reason)
+        ask = self._ask_to_stop if self._can_be_asked else None
         return await process.stop(ask=ask, hurry=self._stop.hurry)
+
+    def _begin_stop(self, reason: str) -> bool:
+        """Begin to stop the process, once; False when there is none that could be stopped."""
+        if self._stopping.is_set():
+            return True
+        is_running = self._state is ContainerState.RUNNING
+        self._stop_reason = reason
+        if ContainerAction.STOP_PROCESS not in self._apply(ContainerInput.STOP_REQUESTED, reason):
+            return False
+        self._can_be_asked = is_running
+        self._watch.end()
+        self._nodes.container_stops()
+        if not self._ended:
+            self._reports.publish(ProcessEventKind.STOPPING, message=reason)
+        self._stopping.set()
+        return True
 
     def _ask_to_stop(self) -> bool:
         if self._link is None:
             return False
         try:
-            self._link.send(Shutdown(reason=self._stop.reason))
+            self._link.send(Shutdown(reason=self._stop_reason))
         except ControlError:
             return False
         return True
@@ -285,19 +319,24 @@ class ContainerActor:
         self._ready_at = None
         self._ended = False
         self._killed_because = ""
+        self._mechanism = ""
         self._hello_due = self._loop.time() + self._limits.hello
         self._reports.started(process)
 
     def _greeted(self, link: ControlLink, hello: Hello) -> None:
         self._hello_due = None
+        self._mechanism = hello.mechanism
         actions = self._apply(ContainerInput.HELLO)
         if ContainerAction.LOAD_NODES not in actions:
             return
         self._ready_at = self._loop.time()
         if hello.full_node_name != self._name:
             _log.warning("%s calls itself %s", self._name, hello.full_node_name)
-        kind = f"{hello.mode}, {hello.rmw_implementation}, domain {hello.domain_id}"
-        self._reports.publish(ProcessEventKind.READY, message=kind)
+        self._reports.publish(ProcessEventKind.READY, message=description(hello))
+        lack = what_is_lacking(self._config, hello)
+        if lack and self._publisher.is_news(lack):
+            _log.warning("%s: %s", self._name, lack)
+        self._watch.begin(link.send)
         self._nodes.container_ready(link.send)
         self._deadlines_changed.set()
 
@@ -344,15 +383,19 @@ class ContainerActor:
                     self._nodes.container_lost(f"its container: {reason}")
                 case ContainerAction.KILL:
                     _log.error("%s is killed: %s", self._name, reason)
-                    self._killed_because = reason
-                    assert self._process is not None
-                    self._process.kill()
+                    self._kill(reason)
                 case ContainerAction.REPORT_GAVE_UP:
                     _log.error("%s is given up: %s", self._name, reason)
                     self._reports.publish(ProcessEventKind.GAVE_UP, message=reason)
                 case _:
                     pass  # the caller's part
         return actions
+
+    def _kill(self, reason: str) -> None:
+        assert self._process is not None
+        self._killed_because = reason
+        self._reports.publish(ProcessEventKind.STOPPING, message=f"killed: {reason}")
+        self._process.kill()
 
     def _publish_state(self, reason: str) -> None:
         self._publisher.publish(
@@ -361,6 +404,7 @@ class ContainerActor:
                 container=self._name,
                 state=self._state,
                 reason=reason,
+                mechanism=self._mechanism if self._state is ContainerState.RUNNING else "",
             )
         )
 

@@ -8,21 +8,19 @@ from __future__ import annotations
 
 import logging
 import random
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final, assert_never
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final, Protocol, assert_never
 
 from play_launch.actors.load_request import load_request
-from play_launch.actors.node_facts import NOTHING, Facts, facts_of_status
-from play_launch.actors.restarter import Restarter
-from play_launch.core.events import (
-    ComponentEvent,
-    ComponentEventKind,
-    NodeState,
-    NodeStateChanged,
-)
-from play_launch.core.lifecycle import NodeAction, NodeInput, NodeRecord, is_silent, step
+from play_launch.actors.node_facts import NOTHING, Facts, facts_of_event, facts_of_status
+from play_launch.actors.node_reports import MirroredNode, NodeReports
+from play_launch.actors.restarter import CrashFollower
+from play_launch.core.crash import Ignore, Shutdown, StopContainer
+from play_launch.core.events import ComponentEvent, ComponentEventKind, NodeState
+from play_launch.core.lifecycle import is_silent, step
+from play_launch.core.node_table import NodeAction, NodeInput
 from play_launch.core.questions import Asked, ids_to_ask, read_answer
-from play_launch.core.restart import GiveUp
+from play_launch.core.restart import GiveUp, Restart
 from play_launch.native.codec import EncodeError
 from play_launch.native.control import ControlError
 from play_launch.native.messages import (
@@ -34,13 +32,12 @@ from play_launch.native.messages import (
     Status,
     Unload,
 )
-from play_launch.process.exit import Exit
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from play_launch.actors.publisher import Publisher
-    from play_launch.config.model import ComposableNodeConfig, ContainerConfig
+    from play_launch.config.model import ContainerConfig
     from play_launch.core.lifecycle import Patience
 
 _log = logging.getLogger(__name__)
@@ -48,10 +45,7 @@ _log = logging.getLogger(__name__)
 _OPEN_QUESTIONS: Final = 16
 """Questions whose answers are still expected; older ones are given up."""
 
-_TIMED: Final = frozenset(
-    {NodeState.REQUESTED, NodeState.LOADING, NodeState.LOADED, NodeState.LOAD_FAILED}
-)
-"""States that are told with the time since the load was sent."""
+_UNDER_WAY: Final = frozenset({NodeState.REQUESTED, NodeState.LOADING})
 
 _SAID: Final = {
     ComponentEventKind.LOADED: NodeInput.LOADED,
@@ -62,15 +56,17 @@ _SAID: Final = {
 }
 
 
-@dataclass(slots=True)
-class _Node:
-    index: int
-    config: ComposableNodeConfig
-    restarter: Restarter
-    record: NodeRecord = field(default_factory=NodeRecord)
-    pid: int = 0
-    loaded_at: float | None = None
-    reload_at: float | None = None
+class Escalation(Protocol):
+    """Where a crash concerns more than its node."""
+
+    def stop_container(self, reason: str) -> None:
+        """Stop the container for good."""
+
+    def shut_down(self, reason: str) -> None:
+        """Stop the whole system."""
+
+    def reload_hangs(self, reason: str) -> None:
+        """A crashed node is being constructed again for longer than the loading timeout."""
 
 
 class AttemptNumbers:
@@ -92,6 +88,7 @@ class ContainerNodes:
         config: ContainerConfig,
         *,
         publisher: Publisher,
+        escalation: Escalation,
         attempts: AttemptNumbers,
         patience: Patience,
         clock: Callable[[], float],
@@ -99,29 +96,38 @@ class ContainerNodes:
     ) -> None:
         """Know the declared nodes; ``attempts`` is shared by all containers."""
         self._container = config.full_name
-        self._publisher = publisher
+        self._reports = NodeReports(config.full_name, publisher, clock)
+        self._escalation = escalation
         self._attempts = attempts
         self._patience = patience
         self._clock = clock
         self._send: Callable[[Outgoing], None] | None = None
+        self._stopping = False
         self._query_id = 0
         self._questions: dict[int, tuple[Asked, ...]] = {}
-        self._to_ask: dict[int, _Node] = {}
+        self._to_ask: dict[int, MirroredNode] = {}
         self._nodes = [
-            _Node(index, node, Restarter(config.restart, jitter))
+            MirroredNode(index, node, CrashFollower(node.on_crash, node.restart, jitter))
             for index, node in enumerate(config.composable_nodes)
         ]
 
     def announce(self) -> None:
         """Tell that the nodes are declared."""
         for node in self._nodes:
-            self._publish_state(node, NOTHING)
+            self._reports.state(node, NOTHING)
 
     def container_ready(self, send: Callable[[Outgoing], None]) -> None:
         """Ask for all nodes at once, in the order of their declaration."""
         self._send = send
+        self._stopping = False
         for node in self._nodes:
             self._apply(node, NodeInput.CONTAINER_READY)
+
+    def container_stops(self) -> None:
+        """The container was asked to end; nothing is loaded again any more."""
+        self._stopping = True
+        for node in self._nodes:
+            node.reload_at = None
 
     def container_lost(self, reason: str) -> None:
         """The container process is gone, and with it all nodes."""
@@ -153,6 +159,16 @@ class ContainerNodes:
                 assert_never(message)
         self._ask()
 
+    def slow_reload(self, limit: float) -> str:
+        """Name a node whose reload takes ``limit`` seconds and thrice its usual time; or empty."""
+        now = self._clock()
+        for node in self._nodes:
+            record = node.record
+            is_under_way = record.is_reload and record.state in _UNDER_WAY
+            if is_under_way and now - record.sent_at > limit + 3 * node.took:
+                return node.name
+        return ""
+
     def next_deadline(self) -> float | None:
         """When `on_time` has to be called next; None when nothing is due."""
         times = [
@@ -168,8 +184,7 @@ class ContainerNodes:
         now = self._clock()
         for node in self._nodes:
             if node.reload_at is not None and now >= node.reload_at:
-                node.reload_at = None
-                self._apply(node, NodeInput.RELOAD_DUE)
+                self._reload(node)
             if is_silent(node.record, now):
                 self._apply(node, NodeInput.SILENT)
         self._ask()
@@ -186,21 +201,9 @@ class ContainerNodes:
         _log.warning("%s rejected a request: %s", self._container, message.reason)
 
     def _hear_event(self, event: ComponentEvent) -> None:
-        self._publisher.publish(event)
-        reason = event.error_message
-        if event.kind is ComponentEventKind.CRASHED:
-            ending = str(Exit(code=event.exit_code, signal=event.signal))
-            reason = f"{ending}: {reason}" if reason else ending
-        facts = Facts(
-            attempt=event.attempt,
-            unique_id=event.unique_id,
-            reason=reason,
-            pid=event.pid,
-            start_time=event.start_time,
-            full_node_name=event.full_node_name,
-        )
+        self._reports.event(event)
         if event.attempt:
-            self._about_attempt(_SAID[event.kind], facts)
+            self._about_attempt(_SAID[event.kind], facts_of_event(event))
 
     def _hear_status(self, status: Status) -> None:
         asked = self._questions.pop(status.query_id, None)
@@ -224,7 +227,7 @@ class ContainerNodes:
                 return
         _log.info("%s: %s of old attempt %d is ignored", self._container, said, facts.attempt)
 
-    def _apply(self, node: _Node, said: NodeInput, facts: Facts = NOTHING) -> None:
+    def _apply(self, node: MirroredNode, said: NodeInput, facts: Facts = NOTHING) -> None:
         before = node.record
         result = step(
             before,
@@ -236,9 +239,7 @@ class ContainerNodes:
             unique_id=facts.unique_id,
         )
         if result.ignored:
-            _log.info(
-                "%s in %s: %s", node.config.declared_full_name, self._container, result.ignored
-            )
+            _log.info("%s in %s: %s", node.name, self._container, result.ignored)
             return
         node.record = record = result.record
         node.pid = facts.pid or (node.pid if record.attempt == before.attempt else 0)
@@ -246,16 +247,22 @@ class ContainerNodes:
             self._attempts.use()
         if record.state is not before.state and record.state is NodeState.LOADED:
             node.loaded_at = self._clock()
-        # A new request is published by its action, which knows why.
-        if record.state is not NodeState.REQUESTED and (
+            node.took = node.loaded_at - record.sent_at
+        if NodeAction.REPORT_CRASHED in result.actions:
+            node.crashes += 1
+        if NodeAction.SEND_LOAD in result.actions and record.is_reload:
+            node.reloads += 1
+        # A new request is published by its action, which knows why, and so is what has a sequel.
+        told_later = record.state is NodeState.REQUESTED or NodeAction.FOLLOW_UP in result.actions
+        if not told_later and (
             record.state is not before.state or NodeAction.REPORT_SLOW in result.actions
         ):
-            self._publish_state(node, facts)
+            self._reports.state(node, facts)
         for action in result.actions:
             self._execute(node, action, facts)
 
-    def _execute(self, node: _Node, action: NodeAction, facts: Facts) -> None:
-        name = node.config.declared_full_name
+    def _execute(self, node: MirroredNode, action: NodeAction, facts: Facts) -> None:
+        name = node.name
         match action:
             case NodeAction.SEND_LOAD:
                 self._send_load(node, "")
@@ -268,29 +275,34 @@ class ContainerNodes:
                 self._request(Cancel(unique_id=node.record.unique_id))
             case NodeAction.SEND_UNLOAD:
                 self._request(Unload(unique_id=node.record.unique_id))
-            case NodeAction.PLAN_RELOAD:
-                self._plan_reload(node, facts)
+            case NodeAction.FOLLOW_UP:
+                self._follow_up(node, facts)
             case NodeAction.REPORT_CONFIRMED:
                 _log.warning("%s is loaded: no event told it, %s was asked", name, self._container)
-                self._publish_confirmation(node, facts)
+                self._reports.confirmation(node, facts)
             case NodeAction.REPORT_SLOW:
                 _log.warning("%s: %s", name, facts.reason)
+                if node.record.is_reload:
+                    self._escalation.reload_hangs(f"{name} is not loaded again: {facts.reason}")
             case NodeAction.REPORT_FAILED:
                 _log.error("%s could not be loaded: %s", name, facts.reason)
             case NodeAction.REPORT_FORGOTTEN:
                 _log.error("%s: %s does not know it any more", name, self._container)
             case NodeAction.REPORT_CRASHED:
-                _log.error("%s crashed: %s", name, facts.reason)
+                # Not as an error: the state that follows is told as one, with the sequel.
+                _log.info("%s crashed: %s", name, facts.reason)
+            case NodeAction.REPORT_GAVE_UP:
+                _log.error("%s is given up: %s", name, facts.reason)
             case NodeAction.REPORT_LOADED | NodeAction.REPORT_UNLOADED | NodeAction.REPORT_LOST:
                 _log.debug("%s is %s", name, node.record.state)
             case _:
                 assert_never(action)
 
-    def _send_load(self, node: _Node, reason: str) -> None:
-        self._publish_state(node, Facts(reason=reason))
+    def _send_load(self, node: MirroredNode, reason: str) -> None:
+        self._reports.state(node, Facts(reason=reason))
         self._request(load_request(node.config, node.record.attempt), node)
 
-    def _request(self, message: Outgoing, node: _Node | None = None) -> None:
+    def _request(self, message: Outgoing, node: MirroredNode | None = None) -> None:
         if self._send is None:
             return
         try:
@@ -325,50 +337,42 @@ class ContainerNodes:
         self._questions[self._query_id] = asked
         self._request(Query(query_id=self._query_id, unique_ids=ids_to_ask(asked)))
 
-    def _plan_reload(self, node: _Node, facts: Facts) -> None:
+    def _follow_up(self, node: MirroredNode, facts: Facts) -> None:
+        """Decide what follows from a crash or a failed reload, tell it, do it."""
+        if self._stopping:
+            self._reports.state(node, facts)
+            return
         now = self._clock()
         lived = 0.0 if node.loaded_at is None else now - node.loaded_at
         node.loaded_at = None
-        verdict = node.restarter.decide(now=now, lived=lived)
-        if isinstance(verdict, GiveUp):
-            _log.error("%s is given up: %s", node.config.declared_full_name, verdict.reason)
-            reason = f"{facts.reason}; given up: {verdict.reason}"
-            self._publish_state(node, Facts(reason=reason))
-        else:
-            node.reload_at = now + verdict.delay
+        verdict = node.follower.follow_up(now=now, lived=lived)
+        match verdict:
+            case Restart(delay):
+                when = f"in {delay:.2f} s" if delay else "at once"
+                self._tell_sequel(node, facts, f"it is loaded again {when}")
+                node.reload_at = now + delay
+                if not delay:
+                    self._reload(node)
+            case GiveUp(reason):
+                self._give_up(node, facts, reason)
+            case Ignore():
+                self._tell_sequel(node, facts, "it stays away")
+            case StopContainer():
+                self._give_up(node, facts, "its container is stopped")
+                self._escalation.stop_container(f"{node.name} crashed: {facts.reason}")
+            case Shutdown():
+                self._tell_sequel(node, facts, "everything is stopped")
+                self._escalation.shut_down(f"{node.name} crashed: {facts.reason}")
+            case _:
+                assert_never(verdict)
 
-    def _publish_state(self, node: _Node, facts: Facts) -> None:
-        record = node.record
-        elapsed = self._clock() - record.sent_at if record.state in _TIMED else 0.0
-        self._publisher.publish(
-            NodeStateChanged(
-                stamp_ns=self._publisher.stamp_ns(),
-                container=self._container,
-                node=node.config.declared_full_name,
-                index=node.index,
-                state=record.state,
-                elapsed_ns=round(elapsed * 1e9),
-                reason=facts.reason,
-                pid=node.pid,
-                cpu_time_ns=facts.cpu_time_ns,
-                unique_id=record.unique_id,
-                attempt=record.attempt,
-            )
-        )
+    def _tell_sequel(self, node: MirroredNode, facts: Facts, sequel: str) -> None:
+        self._reports.state(node, replace(facts, reason=f"{facts.reason}; {sequel}"))
 
-    def _publish_confirmation(self, node: _Node, facts: Facts) -> None:
-        self._publisher.publish(
-            ComponentEvent(
-                stamp_ns=self._publisher.stamp_ns(),
-                kind=ComponentEventKind.LOADED,
-                container=self._container,
-                unique_id=node.record.unique_id,
-                attempt=node.record.attempt,
-                full_node_name=facts.full_node_name,
-                package_name=node.config.package,
-                plugin_name=node.config.plugin,
-                pid=facts.pid,
-                start_time=facts.start_time,
-                confirmed_by="status",
-            )
-        )
+    def _give_up(self, node: MirroredNode, facts: Facts, why: str) -> None:
+        self._reports.state(node, facts)
+        self._apply(node, NodeInput.GIVEN_UP, Facts(reason=f"{facts.reason}; {why}"))
+
+    def _reload(self, node: MirroredNode) -> None:
+        node.reload_at = None
+        self._apply(node, NodeInput.RELOAD_DUE)

@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
+from play_launch.core.events import ComponentEventKind
+from play_launch.process.exit import Exit
+
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from play_launch.core.events import ComponentEvent
     from play_launch.core.questions import Asked
     from play_launch.native.messages import NodeStatus
 
@@ -24,6 +31,33 @@ class Facts:
 
 
 NOTHING: Final = Facts()
+
+
+_RUNTIME: Final = re.compile(r"\b(?:libc|libstdc\+\+|libgcc_s|libpthread|ld-linux[\w-]*)\.so\b")
+"""Libraries in which a fault shows, but which seldom are to blame for it."""
+
+
+def facts_of_event(event: ComponentEvent) -> Facts:
+    """Take them from what the container told; the reason of a crash says where it happened."""
+    reason = event.error_message
+    if event.kind is ComponentEventKind.CRASHED:
+        ending = str(Exit(code=event.exit_code, signal=event.signal))
+        reason = f"{ending}: {reason}" if reason else ending
+        if event.backtrace:
+            reason += f" at {telling_frame(event.backtrace)}"
+    return Facts(
+        attempt=event.attempt,
+        unique_id=event.unique_id,
+        reason=reason,
+        pid=event.pid,
+        start_time=event.start_time,
+        full_node_name=event.full_node_name,
+    )
+
+
+def telling_frame(backtrace: Sequence[str]) -> str:
+    """Choose the frame to show where there is room for one: abort() says less than its caller."""
+    return next((frame for frame in backtrace if not _RUNTIME.search(frame)), backtrace[0])
 
 
 def facts_of_status(asked: Asked, listed: NodeStatus | None) -> Facts:

@@ -38,11 +38,11 @@ class ProcessReports:
         self._process = process
         self.publish(ProcessEventKind.STARTED, command=process.argv)
 
-    def exited(self, exit_: Exit) -> None:
-        """Tell how it ended."""
+    def exited(self, exit_: Exit, killed_because: str = "") -> None:
+        """Tell how it ended, and why if that was our doing."""
         self.publish(
             ProcessEventKind.EXITED,
-            message=str(exit_),
+            message=f"{killed_because}; {exit_}" if killed_because else str(exit_),
             exit_code=exit_.code,
             signal=exit_.signal,
         )

@@ -26,6 +26,14 @@ class Publisher:
         self.view = SystemView()
         self._stop: StopRequests | None = None
         self._view_before_stop: SystemView | None = None
+        self._warnings: set[str] = set()
+
+    def is_news(self, warning: str) -> bool:
+        """Whether a warning that may concern many members alike is given for the first time."""
+        if warning in self._warnings:
+            return False
+        self._warnings.add(warning)
+        return True
 
     @property
     def view_before_stop(self) -> SystemView:

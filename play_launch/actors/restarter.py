@@ -5,25 +5,21 @@ from __future__ import annotations
 import random
 from typing import TYPE_CHECKING
 
+from play_launch.core.crash import CrashPolicy, FollowUp, follow_up
 from play_launch.core.restart import GiveUp, Restart, RestartBounds, RestartHistory, decide
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from play_launch.config.model import RestartLimits
+    from play_launch.config.model import OnCrash, RestartLimits
 
 
 class Restarter:
-    """Decides about the deaths of one container, process or node."""
+    """Decides about the deaths of one container or process."""
 
     def __init__(self, limits: RestartLimits, jitter: Callable[[], float] = random.random) -> None:
         """Take the limits; ``jitter`` gives random numbers in [0, 1)."""
-        self._bounds = RestartBounds(
-            max_restarts=limits.max_restarts,
-            within=limits.within,
-            initial=limits.initial,
-            maximum=limits.maximum,
-        )
+        self._bounds = _bounds(limits)
         self._jitter = jitter
         self._history = RestartHistory()
 
@@ -38,3 +34,41 @@ class Restarter:
             self._history, self._bounds, now=now, lived=lived, jitter=self._jitter()
         )
         return verdict
+
+
+class CrashFollower:
+    """Decides about the crashes of one node; the first reload after a healthy life is at once."""
+
+    def __init__(
+        self,
+        policy: OnCrash,
+        limits: RestartLimits,
+        jitter: Callable[[], float] = random.random,
+    ) -> None:
+        """Take policy and limits; ``jitter`` gives random numbers in [0, 1)."""
+        self._policy = CrashPolicy(policy.value)
+        self._bounds = _bounds(limits, first_at_once=True)
+        self._jitter = jitter
+        self._history = RestartHistory()
+
+    def follow_up(self, *, now: float, lived: float) -> FollowUp:
+        """Decide about a crash now, after that many seconds of life; see `core.crash`."""
+        self._history, verdict = follow_up(
+            self._policy,
+            self._history,
+            self._bounds,
+            now=now,
+            lived=lived,
+            jitter=self._jitter(),
+        )
+        return verdict
+
+
+def _bounds(limits: RestartLimits, *, first_at_once: bool = False) -> RestartBounds:
+    return RestartBounds(
+        max_restarts=limits.max_restarts,
+        within=limits.within,
+        initial=limits.initial,
+        maximum=limits.maximum,
+        first_at_once=first_at_once,
+    )

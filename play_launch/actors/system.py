@@ -8,7 +8,8 @@ import os
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from play_launch.actors.container import LIMITS, ContainerActor, Limits
+from play_launch.actors.container import ContainerActor
+from play_launch.actors.container_limits import LIMITS, Limits
 from play_launch.actors.container_nodes import AttemptNumbers
 from play_launch.actors.deadline import happens_before
 from play_launch.actors.process_node import ProcessActor

@@ -15,6 +15,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from play_launch.actors.ports import StartError
+from play_launch.config.model import Isolation
+from play_launch.native.allocator import find_allocator, preloading
 from play_launch.native.argv import (
     ExecutableNotFoundError,
     container_argv,
@@ -109,8 +111,10 @@ class NativeLauncher:
         guard: Path,
         policy: StopPolicy,
         parameters: ParameterFiles,
+        allocator: Path | None = None,
     ) -> None:
         """Take the facts about this machine, see `of`."""
+        self._allocator = allocator
         self._ros = ros
         self._container = container
         self._guard = guard
@@ -143,6 +147,7 @@ class NativeLauncher:
             guard=guard,
             policy=policy,
             parameters=ParameterFiles(config.nodes),
+            allocator=_allocator(config),
         )
 
     def hello(self) -> Hello:
@@ -157,6 +162,8 @@ class NativeLauncher:
             config, self._container, stop_timeout=self._policy.ask * _CONTAINER_SHARE
         )
         environment = child_environment(os.environ, self._ros, config.environment)
+        if self._allocator is not None and _shares_memory(config):
+            environment = preloading(environment, self._allocator)
         try:
             pair = control_pair()
         except OSError as error:
@@ -255,6 +262,20 @@ def _write(config: ProcessConfig, folder: Path) -> Path | ParameterFileError:
         return write_parameter_file(config.parameters, folder)
     except ParameterFileError as error:
         return error
+
+
+def _shares_memory(config: ContainerConfig) -> bool:
+    return config.container_type.is_isolated and config.isolation is not Isolation.PROCESS
+
+
+def _allocator(config: ReplayConfig) -> Path | None:
+    """Find what isolated containers allocate with; complain once for the whole system."""
+    if not any(_shares_memory(container) for container in config.containers):
+        return None
+    found = find_allocator()
+    if found.problem:
+        _log.warning("%s", found.problem)
+    return found.library
 
 
 def _executable(config: ProcessConfig, environment: Mapping[str, str]) -> Path | None:

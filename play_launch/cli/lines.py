@@ -61,13 +61,18 @@ def _node_line(event: NodeStateChanged, before: SystemView, after: SystemView) -
     match event.state:
         case NodeState.LOADED if not repeated:
             took = f" after {duration(event.elapsed_ns)}" if event.elapsed_ns else ""
-            text = f"{event.node} loaded{took} ({container.loaded}/{container.total}){reason}"
+            again = " again" if event.reloads else ""
+            # In an isolated container it is the pid of a process that holds nothing else.
+            pid = f", pid {event.pid}" if event.pid not in (0, container.process.pid) else ""
+            count = f"({container.loaded}/{container.total})"
+            text = f"{event.node} loaded{again}{took} {count}{pid}{reason}"
             # A reason says that something was not as usual; that is worth a line of its own.
-            return Line(event.stamp_ns, event.container, text, is_progress=not reason)
+            usual = not reason and not again
+            return Line(event.stamp_ns, event.container, text, is_progress=usual)
         case NodeState.LOADING if repeated:
             text = container_status(container, event.stamp_ns) + reason
             return Line(event.stamp_ns, event.container, text, is_progress=True)
-        case NodeState.LOAD_FAILED | NodeState.CRASHED if not repeated:
+        case NodeState.LOAD_FAILED | NodeState.CRASHED | NodeState.GAVE_UP if not repeated:
             text = f"{event.node} {_VERBS[event.state]}{reason}"
             return Line(event.stamp_ns, event.container, text, ERROR)
         case NodeState.LOST if not repeated:
@@ -76,7 +81,11 @@ def _node_line(event: NodeStateChanged, before: SystemView, after: SystemView) -
             return None
 
 
-_VERBS: Final = {NodeState.LOAD_FAILED: "failed to load", NodeState.CRASHED: "crashed"}
+_VERBS: Final = {
+    NodeState.LOAD_FAILED: "failed to load",
+    NodeState.CRASHED: "crashed",
+    NodeState.GAVE_UP: "is given up",
+}
 
 
 def _process_line(event: ProcessEvent, before: SystemView) -> Line | None:

@@ -11,6 +11,7 @@ from rich.text import Text
 
 from play_launch.cli.check import counted
 from play_launch.cli.status import container_status, is_complete, process_status
+from play_launch.core.events import NodeState
 
 if TYPE_CHECKING:
     from play_launch.core.view import ContainerView, ProcessView, SystemView
@@ -45,6 +46,8 @@ def print_summary(
         console.print(_containers(view))
     if view.processes:
         console.print(_processes(view))
+    if view.crashed:
+        console.print(_crashed(view))
     for node in view.failed:
         reason = f": {node.reason}" if node.reason else ""
         console.print(
@@ -103,6 +106,19 @@ def _container_object(container: ContainerView) -> dict[str, object]:
         "failed": [node.node for node in container.failed],
         "waiting": [node.node for node in container.waiting],
         "restarts": container.process.restarts,
+        "pid": container.process.pid,
+        "mechanism": container.mechanism,
+        "crashes": container.crashes,
+        "details": [
+            {
+                "name": node.node,
+                "state": node.state.value,
+                "pid": node.pid,
+                "crashes": node.crashes,
+                "reloads": node.reloads,
+            }
+            for node in container.nodes.values()
+        ],
     }
 
 
@@ -133,6 +149,20 @@ def _containers(view: SystemView) -> Table:
         name = counted(len(view.containers), "container")
         table.add_row(
             name, str(view.total), str(view.loaded), _alarming(failed), _alarming(restarts), ""
+        )
+    return table
+
+
+def _crashed(view: SystemView) -> Table:
+    table = _table("node that crashed", "crashes", "reloads", "pid", "state")
+    for node in view.crashed:
+        is_there = node.state is NodeState.LOADED
+        table.add_row(
+            Text(node.node),
+            _alarming(node.crashes),
+            str(node.reloads),
+            str(node.pid) if is_there else "",
+            Text(node.state.value, "" if is_there else "red"),
         )
     return table
 

@@ -49,6 +49,7 @@ def _container(container: ContainerConfig) -> dict[str, object]:
         "line": container.line,
         "container_type": str(container.container_type),
         "thread_num": container.thread_num,
+        "isolation": str(container.isolation),
         "log_level": container.log_level,
         "environment": dict(container.environment),
         "ros_arguments": list(container.ros_arguments),
@@ -70,6 +71,8 @@ def _composable_node(node: ComposableNodeConfig) -> dict[str, object]:
         "remappings": [list(pair) for pair in node.remappings],
         "extra_arguments": _parameters(node.extra_arguments),
         "log_level": node.log_level,
+        "on_crash": str(node.on_crash),
+        "restart": _restart(node.restart),
     }
 
 

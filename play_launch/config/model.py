@@ -16,10 +16,40 @@ if TYPE_CHECKING:
 
 
 class ContainerType(StrEnum):
-    """Which executor a container spins its nodes with."""
+    """Which executor a container spins its nodes with, and in how many processes."""
 
     STANDARD = "standard"
     MT = "mt"
+    ISOLATED = "isolated"
+    ISOLATED_MT = "isolated_mt"
+
+    @property
+    def is_isolated(self) -> bool:
+        """Whether each node is a process of its own, so that it can crash alone."""
+        return self in {ContainerType.ISOLATED, ContainerType.ISOLATED_MT}
+
+    @property
+    def is_multi_threaded(self) -> bool:
+        """Whether an executor has several threads."""
+        return self in {ContainerType.MT, ContainerType.ISOLATED_MT}
+
+
+class Isolation(StrEnum):
+    """How the nodes of an isolated container become processes of their own."""
+
+    AUTO = "auto"
+    """By shared memory where the machine can do it, else by ordinary processes."""
+    SHARED_MEMORY = "shared_memory"
+    PROCESS = "process"
+
+
+class OnCrash(StrEnum):
+    """What follows when a node of an isolated container crashes."""
+
+    RELOAD = "reload"
+    IGNORE = "ignore"
+    STOP_CONTAINER = "stop_container"
+    SHUTDOWN = "shutdown"
 
 
 class ParameterType(IntEnum):
@@ -98,6 +128,7 @@ class ComposableNodeConfig:
     An empty `name` or `namespace` keeps the component's own. `declared_full_name` is the
     absolute name where the name is known, else a label such as `/[demo::Talker]` that no ROS
     node can have. It is unique in the configuration. `line` is where the node is declared.
+    `on_crash` and `restart` are what becomes of it when it crashes alone.
     """
 
     package: str
@@ -109,6 +140,8 @@ class ComposableNodeConfig:
     remappings: tuple[tuple[str, str], ...] = ()
     extra_arguments: tuple[ParameterConfig, ...] = ()
     log_level: str | None = None
+    on_crash: OnCrash = OnCrash.RELOAD
+    restart: RestartLimits = RestartLimits()
     line: int = 0
 
 
@@ -125,6 +158,7 @@ class ContainerConfig:
     full_name: str
     container_type: ContainerType = ContainerType.STANDARD
     thread_num: int | None = None
+    isolation: Isolation = Isolation.AUTO
     log_level: str | None = None
     environment: Mapping[str, str] = field(default_factory=_no_environment)
     ros_arguments: tuple[str, ...] = ()

@@ -6,10 +6,18 @@ import os
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
+from play_launch.config.crash import (
+    ISOLATED_KEYS,
+    CrashRules,
+    merge_on_crash,
+    refuse_unread,
+)
 from play_launch.config.environment import resolve_environment
 from play_launch.config.model import (
     ContainerConfig,
     ContainerType,
+    Isolation,
+    OnCrash,
     ProcessConfig,
     ReplayConfig,
     RestartLimits,
@@ -102,6 +110,13 @@ class _Resolver:
             _LOADING,
             report,
         )
+        self._on_crash = merge_on_crash(
+            OnCrash.RELOAD,
+            self._loading,
+            loading_node if isinstance(loading_node, Mapping) else root,
+            _LOADING,
+            report,
+        )
 
     def containers(self) -> tuple[ContainerConfig, ...]:
         resolved: list[ContainerConfig] = []
@@ -112,14 +127,22 @@ class _Resolver:
             if container is not None:
                 resolved.append(container)
             complete &= container is not None
-        multi_threaded = any(one.container_type is ContainerType.MT for one in resolved)
-        if self._loading.thread_num is not None and complete and not multi_threaded:
-            loading = self._root.value(_LOADING)
-            place = loading.value("thread_num") if isinstance(loading, Mapping) else None
-            message = "no container has container_type mt, so nothing reads thread_num"
-            where = self._root if place is None else place
-            self._report.add(where.place, f"{_LOADING}.thread_num", message)
+        if complete:
+            kinds = {one.container_type for one in resolved}
+            if not any(kind.is_multi_threaded for kind in kinds):
+                self._refuse_unread("thread_num", "mt or isolated_mt")
+            if not any(kind.is_isolated for kind in kinds):
+                for key in ISOLATED_KEYS:
+                    self._refuse_unread(key, "isolated or isolated_mt")
         return tuple(resolved)
+
+    def _refuse_unread(self, key: str, kinds: str) -> None:
+        """Report a key of `composable_node_loading` that no container reads."""
+        loading = self._root.value(_LOADING)
+        value = loading.value(key) if isinstance(loading, Mapping) else None
+        if value is not None and getattr(self._loading, key) is not None:
+            message = f"no container has container_type {kinds}, so nothing reads {key}"
+            self._report.add(value.place, f"{_LOADING}.{key}", message)
 
     def processes(self) -> tuple[ProcessConfig, ...]:
         resolved: list[ProcessConfig] = []
@@ -139,17 +162,22 @@ class _Resolver:
         variables = resolve_environment(
             node.value("environment"), f"{path}.environment", self._report
         )
-        composable_nodes = self._composable_nodes(node, path)
         if section is None:
+            self._composable_nodes(node, path, CrashRules(None, self._on_crash, self._restart))
             return None
         restart = merge_restart(self._restart, section.restart, node, path, self._report)
         kind = section.container_type or self._loading.container_type or ContainerType.STANDARD
+        refuse_unread(ISOLATED_KEYS, kind, node, path, self._report)
+        on_crash = merge_on_crash(self._on_crash, section, node, path, self._report)
+        composable_nodes = self._composable_nodes(node, path, CrashRules(kind, on_crash, restart))
         thread_num = section.thread_num
-        if kind is ContainerType.MT:
+        if kind.is_multi_threaded:
             thread_num = self._loading.thread_num if thread_num is None else thread_num
         elif thread_num is not None:
             place = (node.value("thread_num") or node).place
-            message = f"thread_num is for container_type mt, this container is {kind}"
+            message = (
+                f"thread_num is for container_type mt and isolated_mt, this container is {kind}"
+            )
             self._report.add(place, f"{path}.thread_num", message)
         namespace = section.namespace or "/"
         timeout = section.loading_timeout or self._loading.loading_timeout or _LOADING_TIMEOUT
@@ -159,6 +187,7 @@ class _Resolver:
             full_name=join_full_name(namespace, section.name),
             container_type=kind,
             thread_num=thread_num,
+            isolation=section.isolation or self._loading.isolation or Isolation.AUTO,
             log_level=section.log_level,
             environment=MappingProxyType(self._environment | variables),
             ros_arguments=tuple(section.ros_arguments or ()),
@@ -168,12 +197,16 @@ class _Resolver:
             line=node.place.line,
         )
 
-    def _composable_nodes(self, node: Mapping, path: str) -> tuple[ComposableNodeConfig, ...]:
+    def _composable_nodes(
+        self, node: Mapping, path: str, rules: CrashRules
+    ) -> tuple[ComposableNodeConfig, ...]:
         listed = node.value("composable_nodes")
         where = f"{path}.composable_nodes"
         resolved: list[ComposableNodeConfig] = []
         for item, item_path in items_of(listed, where, "composable nodes", self._report):
-            one = resolve_composable_node(item, item_path, self._report, self._names, self._files)
+            one = resolve_composable_node(
+                item, item_path, self._report, self._names, self._files, rules=rules
+            )
             if one is not None:
                 resolved.append(one)
         return tuple(resolved)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
+from play_launch.config.crash import merge_node
 from play_launch.config.environment import resolve_environment
 from play_launch.config.model import ComposableNodeConfig, ProcessConfig, RestartLimits
 from play_launch.config.parameters import resolve_parameters
@@ -17,6 +18,7 @@ from play_launch.config.yaml_tree import Mapping, Node
 if TYPE_CHECKING:
     from collections.abc import Mapping as Variables
 
+    from play_launch.config.crash import CrashRules
     from play_launch.config.node_names import NodeNames
     from play_launch.config.parameter_files import ParameterFiles
     from play_launch.config.report import Report
@@ -25,9 +27,18 @@ _COMMAND_OR_PACKAGE = "give either command, or package and executable"
 
 
 def resolve_composable_node(
-    node: Node, path: str, report: Report, names: NodeNames, files: ParameterFiles
+    node: Node,
+    path: str,
+    report: Report,
+    names: NodeNames,
+    files: ParameterFiles,
+    *,
+    rules: CrashRules,
 ) -> ComposableNodeConfig | None:
-    """Return the composable node at `node`, None if it is none; problems go to `report`."""
+    """Return the composable node at `node`, None if it is none; problems go to `report`.
+
+    `rules` are those of its container.
+    """
     section = validate_mapping(ComposableNodeSection, node, path, report)
     if not isinstance(node, Mapping):
         return None
@@ -45,6 +56,7 @@ def resolve_composable_node(
     remappings = resolve_remappings(node.value("remappings"), f"{path}.remappings", report)
     if section is None:
         return None
+    on_crash, restart = merge_node(rules, section, node, path, report)
     namespace = section.namespace or ""
     return ComposableNodeConfig(
         package=section.package,
@@ -56,6 +68,8 @@ def resolve_composable_node(
         remappings=remappings,
         extra_arguments=extra_arguments,
         log_level=section.log_level,
+        on_crash=on_crash,
+        restart=restart,
         line=node.place.line,
     )
 

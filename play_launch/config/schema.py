@@ -6,21 +6,25 @@ Absent keys are None here; defaults are filled in when the model is resolved.
 """
 
 import re
-from typing import Annotated, Any, ClassVar
+from enum import StrEnum
+from typing import Annotated, Any, ClassVar, TypeVar
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
 from play_launch.config.durations import parse_duration, parse_positive_duration
-from play_launch.config.model import ContainerType
+from play_launch.config.model import ContainerType, Isolation, OnCrash
 from play_launch.config.names import check_namespace, check_node_name
 from play_launch.config.problems import excerpt
 
 LOG_LEVELS = ("debug", "info", "warn", "error", "fatal")
 _LONGEST_RUN_NAME = 150
-_NOT_YET = frozenset({"isolated", "isolated_mt", "stock"})
+_NOT_YET = frozenset({"stock"})
 _PACKAGE = re.compile(r"[A-Za-z][A-Za-z0-9_-]*", re.ASCII)
 _SINGLE_COLON = re.compile(r"(?<!:):(?!:)")
 _IDENTITY_RULE = re.compile(r"(?:[^:]*:)?__(?:node|name|ns):=")
+
+
+_Choice = TypeVar("_Choice", bound=StrEnum)
 
 
 class RawNode:
@@ -78,12 +82,21 @@ def _check_version(version: int) -> int:
 
 
 def _parse_container_type(value: object) -> ContainerType:
-    known = " or ".join(ContainerType)
     if isinstance(value, str) and value in _NOT_YET:
+        known = _one_of(ContainerType)
         raise ValueError(f"container_type {value} does not exist in this version yet; use {known}")
-    if not isinstance(value, str) or value not in set(ContainerType):
-        raise ValueError(f"expected {known}, given {excerpt(str(value))}")
-    return ContainerType(value)
+    return _parse_choice(value, ContainerType)
+
+
+def _one_of(choices: type[StrEnum]) -> str:
+    *others, last = choices
+    return f"{', '.join(others)} or {last}"
+
+
+def _parse_choice(value: object, choices: type[_Choice]) -> _Choice:
+    if not isinstance(value, str) or value not in set(choices):
+        raise ValueError(f"expected {_one_of(choices)}, given {excerpt(str(value))}")
+    return choices(value)
 
 
 def _parse_log_level(value: object) -> str:
@@ -108,6 +121,8 @@ Package = Annotated[str, AfterValidator(_check_package)]
 RosArgument = Annotated[str, AfterValidator(_check_ros_argument)]
 LogLevel = Annotated[str, BeforeValidator(_parse_log_level)]
 ContainerTypeName = Annotated[ContainerType, BeforeValidator(_parse_container_type)]
+IsolationName = Annotated[Isolation, BeforeValidator(lambda it: _parse_choice(it, Isolation))]
+OnCrashName = Annotated[OnCrash, BeforeValidator(lambda it: _parse_choice(it, OnCrash))]
 ThreadNum = Annotated[int, Field(ge=1, le=1024)]
 
 
@@ -144,12 +159,11 @@ class StopSection(Section):
 class LoadingSection(Section):
     """`composable_node_loading`: what holds for every container that says nothing else."""
 
-    advice: ClassVar[dict[str, str]] = {
-        "auto_reload_on_crash": "not in this version; see restart.max_restarts",
-    }
-
     container_type: ContainerTypeName | None = None
     thread_num: ThreadNum | None = None
+    isolation: IsolationName | None = None
+    auto_reload_on_crash: bool | None = None
+    on_crash: OnCrashName | None = None
     loading_timeout: PositiveDuration | None = None
     restart: RestartSection | None = None
 
@@ -211,6 +225,9 @@ class ContainerSection(Section):
     namespace: Namespace | None = None
     container_type: ContainerTypeName | None = None
     thread_num: ThreadNum | None = None
+    isolation: IsolationName | None = None
+    auto_reload_on_crash: bool | None = None
+    on_crash: OnCrashName | None = None
     log_level: LogLevel | None = None
     environment: Raw = None
     ros_arguments: list[RosArgument] | None = None
@@ -239,6 +256,9 @@ class ComposableNodeSection(Section):
     remappings: Raw = None
     extra_arguments: Raw = None
     log_level: LogLevel | None = None
+    auto_reload_on_crash: bool | None = None
+    on_crash: OnCrashName | None = None
+    restart: RestartSection | None = None
 
 
 class ProcessSection(Section):

@@ -26,6 +26,8 @@ class ContainerInput(StrEnum):
     HELLO_OVERDUE = auto()
     CHANNEL_BROKEN = auto()
     """The control channel ended or carried nonsense while the process lives."""
+    FROZEN = auto()
+    """It lives and does not answer."""
     DIED_RESTART = auto()
     """The process is gone, or could not be started; a restart is within the bounds."""
     DIED_FOR_GOOD = auto()
@@ -70,7 +72,13 @@ def _row(
     return row
 
 
-_TALK: Final = (Said.HELLO, Said.HELLO_MISMATCH, Said.HELLO_OVERDUE, Said.CHANNEL_BROKEN)
+_TALK: Final = (
+    Said.HELLO,
+    Said.HELLO_MISMATCH,
+    Said.HELLO_OVERDUE,
+    Said.CHANNEL_BROKEN,
+    Said.FROZEN,
+)
 _DEATH: Final = (Said.DIED_RESTART, Said.DIED_FOR_GOOD)
 
 TABLE: Final[Mapping[ContainerState, Mapping[ContainerInput, ContainerTransition]]] = {
@@ -92,12 +100,14 @@ TABLE: Final[Mapping[ContainerState, Mapping[ContainerInput, ContainerTransition
             Said.DIED_FOR_GOOD: (State.GAVE_UP, Do.REPORT_GAVE_UP),
             Said.STOP_REQUESTED: (State.STOPPING, Do.STOP_PROCESS),
         },
-        {Said.START_REQUESTED, Said.RESTART_DUE},
+        # Its silence is measured by HELLO_OVERDUE.
+        {Said.START_REQUESTED, Said.RESTART_DUE, Said.FROZEN},
     ),
     State.RUNNING: _row(
         State.RUNNING,
         {
             Said.CHANNEL_BROKEN: (State.RUNNING, Do.KILL),
+            Said.FROZEN: (State.RUNNING, Do.KILL),
             Said.DIED_RESTART: (State.BACKOFF, Do.LOSE_NODES, Do.WAIT_FOR_RESTART),
             Said.DIED_FOR_GOOD: (State.GAVE_UP, Do.LOSE_NODES, Do.REPORT_GAVE_UP),
             Said.STOP_REQUESTED: (State.STOPPING, Do.STOP_PROCESS),

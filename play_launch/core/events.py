@@ -52,6 +52,8 @@ class NodeState(StrEnum):
     UNLOADED = "unloaded"
     CRASHED = "crashed"
     """The node alone died; its container lives."""
+    GAVE_UP = "gave up"
+    """It crashed and is not loaded again by itself."""
     LOST = "lost"
     """Its container died or forgot it."""
 
@@ -167,6 +169,10 @@ class NodeStateChanged:
     """CPU time of the constructor; 0 where unknown."""
     unique_id: int = 0
     attempt: int = 0
+    crashes: int = 0
+    """How often it crashed so far."""
+    reloads: int = 0
+    """How often it was loaded again because of that."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -177,6 +183,8 @@ class ContainerStateChanged:
     container: str
     state: ContainerState
     reason: str = ""
+    mechanism: str = ""
+    """How its nodes are isolated, while it runs: ``shared_memory``, ``process``; else empty."""
 
 
 RunEvent = (

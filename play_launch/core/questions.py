@@ -9,7 +9,7 @@ from __future__ import annotations
 from enum import IntEnum
 from typing import TYPE_CHECKING, Generic, NamedTuple, Protocol, TypeVar
 
-from play_launch.core.lifecycle import NodeInput
+from play_launch.core.node_table import NodeInput
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

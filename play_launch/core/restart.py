@@ -32,6 +32,8 @@ class RestartBounds:
     """First pause."""
     maximum: float
     """Longest pause."""
+    first_at_once: bool = False
+    """Whether the first restart after a healthy life comes without a pause."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,9 +84,17 @@ def decide(
         times = f"{len(recent)} restarts within {bounds.within:g} s"
         reason = f"{times} did not help" if recent else "restarting is switched off"
         return replace(history, recent=recent, streak=streak), GiveUp(reason)
-    full = min(bounds.maximum, bounds.initial * 2.0 ** min(streak, _EXPONENT_LIMIT))
-    delay = full * (0.5 + 0.5 * jitter)
+    delay = _pause(bounds, streak) * (0.5 + 0.5 * jitter)
     after = RestartHistory(
         recent=(*recent, now + delay), streak=streak + 1, total=history.total + 1
     )
     return after, Restart(delay)
+
+
+def _pause(bounds: RestartBounds, streak: int) -> float:
+    """Give the full pause after that many restarts without a healthy life in between."""
+    if bounds.first_at_once:
+        if streak == 0:
+            return 0.0
+        streak -= 1
+    return min(bounds.maximum, bounds.initial * 2.0 ** min(streak, _EXPONENT_LIMIT))

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 _Key = TypeVar("_Key")
 _Value = TypeVar("_Value")
 
-FAILED_STATES = frozenset({NodeState.LOAD_FAILED, NodeState.CRASHED})
+FAILED_STATES = frozenset({NodeState.LOAD_FAILED, NodeState.CRASHED, NodeState.GAVE_UP})
 WAITING_STATES = frozenset(
     {NodeState.PENDING, NodeState.REQUESTED, NodeState.LOADING, NodeState.LOST}
 )
@@ -45,7 +45,10 @@ class NodeView:
     elapsed_ns: int = 0
     reason: str = ""
     pid: int = 0
+    """Of the process that holds it, or held it at last."""
     unique_id: int = 0
+    crashes: int = 0
+    reloads: int = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,6 +88,8 @@ class ContainerView:
     state: ContainerState = ContainerState.STOPPED
     since_ns: int = 0
     reason: str = ""
+    mechanism: str = ""
+    """How its nodes are isolated; empty where they are not, or while it does not run."""
     process: ProcessView
     nodes: Mapping[int, NodeView] = field(default_factory=lambda: MappingProxyType({}))
 
@@ -105,8 +110,13 @@ class ContainerView:
 
     @property
     def failed(self) -> tuple[NodeView, ...]:
-        """The nodes that failed to load or crashed."""
+        """The nodes that failed to load, crashed or were given up."""
         return tuple(node for node in self.nodes.values() if node.state in FAILED_STATES)
+
+    @property
+    def crashes(self) -> int:
+        """How often its nodes crashed."""
+        return sum(node.crashes for node in self.nodes.values())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -133,8 +143,14 @@ class SystemView:
 
     @property
     def failed(self) -> tuple[NodeView, ...]:
-        """All nodes that failed to load or crashed."""
+        """All nodes that failed to load, crashed or were given up."""
         return tuple(node for each in self.containers.values() for node in each.failed)
+
+    @property
+    def crashed(self) -> tuple[NodeView, ...]:
+        """All nodes that crashed at least once, whatever became of them."""
+        nodes = (node for each in self.containers.values() for node in each.nodes.values())
+        return tuple(node for node in nodes if node.crashes)
 
     @property
     def gave_up(self) -> tuple[str, ...]:
@@ -161,6 +177,7 @@ class SystemView:
                         state=event.state,
                         since_ns=event.stamp_ns,
                         reason=event.reason,
+                        mechanism=event.mechanism,
                     )
                 )
             case ProcessEvent() if event.name in self.containers:
@@ -195,6 +212,8 @@ def _node_changed(container: ContainerView, event: NodeStateChanged) -> Containe
         reason=event.reason,
         pid=event.pid,
         unique_id=event.unique_id,
+        crashes=event.crashes,
+        reloads=event.reloads,
     )
     return replace(container, nodes=_with(container.nodes, event.index, node))
 

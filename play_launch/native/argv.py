@@ -8,8 +8,6 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING
 
-from play_launch.config.model import ContainerType
-
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
     from pathlib import Path
@@ -41,7 +39,9 @@ def container_argv(
         stop_timeout: Seconds that it gives its nodes when it stops; None for its own default.
     """
     argv = [os.fspath(binary)]
-    if config.container_type is ContainerType.MT:
+    if config.container_type.is_isolated:
+        argv += ["--isolated", "--isolation", str(config.isolation)]
+    if config.container_type.is_multi_threaded:
         argv.append("--use_multi_threaded_executor")
     if config.thread_num is not None:
         argv += ["--thread_num", str(config.thread_num)]

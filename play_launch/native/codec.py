@@ -162,6 +162,7 @@ _HELLO_FIELDS = (
     "thread_num",
     "rmw_implementation",
     "domain_id",
+    "mechanism",
 )
 _LOAD_FIELDS = (
     "attempt",
@@ -183,6 +184,14 @@ _EVENT_FIELDS = (
     "exit_code",
     "signal",
     "confirmed_by",
+)
+_STATUS_FIELDS = (
+    "query_id",
+    "dropped_frames",
+    "crashes",
+    "undertaken",
+    "leaked",
+    "unquiesced",
 )
 _NODE_FIELDS = (
     "unique_id",
@@ -210,7 +219,7 @@ def _encode_event(ros: _Ros, event: Any) -> Any:
 
 
 def _encode_status(ros: _Ros, status: Any) -> Any:
-    made = ros.make(FrameKind.STATUS, status, "query_id", "dropped_frames")
+    made = ros.make(FrameKind.STATUS, status, *_STATUS_FIELDS)
     for node in status.nodes:
         item = ros.msgs.NodeStatus(check_fields=True)
         for name in _NODE_FIELDS:
@@ -225,7 +234,7 @@ def _copying(kind: FrameKind, *names: str) -> Callable[[_Ros, Any], Any]:
 
 
 _ENCODERS: dict[FrameKind, Callable[[_Ros, Any], Any]] = {
-    FrameKind.HELLO: _copying(FrameKind.HELLO, *_HELLO_FIELDS, "backends"),
+    FrameKind.HELLO: _copying(FrameKind.HELLO, *_HELLO_FIELDS, "backends", "notes"),
     FrameKind.LOAD: _encode_load,
     FrameKind.ACCEPTED: _copying(FrameKind.ACCEPTED, "attempt", "unique_id"),
     FrameKind.REJECTED: _copying(FrameKind.REJECTED, "attempt", "unique_id", "reason"),
@@ -263,17 +272,18 @@ def _decode_load(message: Any) -> Load:
 
 def _decode_status(message: Any) -> Status:
     return Status(
-        query_id=message.query_id,
         nodes=tuple(
             NodeStatus(state=NodeStatusState(node.state), **_fields(node, _NODE_FIELDS))
             for node in message.nodes
         ),
-        dropped_frames=message.dropped_frames,
+        **_fields(message, _STATUS_FIELDS),
     )
 
 
 _DECODERS: dict[FrameKind, Callable[[Any], Message]] = {
-    FrameKind.HELLO: lambda m: Hello(backends=tuple(m.backends), **_fields(m, _HELLO_FIELDS)),
+    FrameKind.HELLO: lambda m: Hello(
+        backends=tuple(m.backends), notes=tuple(m.notes), **_fields(m, _HELLO_FIELDS)
+    ),
     FrameKind.LOAD: _decode_load,
     FrameKind.ACCEPTED: lambda m: Accepted(attempt=m.attempt, unique_id=m.unique_id),
     FrameKind.REJECTED: lambda m: Rejected(

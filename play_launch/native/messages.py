@@ -18,7 +18,8 @@ class Hello:
     """First message in each direction (ControlHello).
 
     From the supervisor only `version`, `pid` and `start_time` say anything. `start_time` is in
-    clock ticks after boot.
+    clock ticks after boot. `mechanism` is how an isolated container isolates its nodes, and
+    `notes` what that choice rests on.
     """
 
     version: str
@@ -31,6 +32,8 @@ class Hello:
     backends: tuple[str, ...] = ()
     rmw_implementation: str = ""
     domain_id: int = 0
+    mechanism: str = ""
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -106,13 +109,18 @@ class NodeStatus:
 class Status:
     """The answer to the query of the same `query_id` (ControlStatus).
 
-    A node that was asked about and is not listed does not exist. `dropped_frames` is counted
-    since the container's start.
+    A node that was asked about and is not listed does not exist. The numbers are counted since
+    the container's start: frames that its full queue dropped, nodes that crashed, of these cleaned
+    up after and not cleaned up after, and deaths in the middle of something that others use, too.
     """
 
     query_id: int
     nodes: tuple[NodeStatus, ...] = ()
     dropped_frames: int = 0
+    crashes: int = 0
+    undertaken: int = 0
+    leaked: int = 0
+    unquiesced: int = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

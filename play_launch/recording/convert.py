@@ -32,6 +32,7 @@ _ON_THE_WAY: Final = frozenset({NodeState.REQUESTED, NodeState.LOADING})
 _STATE_LEVELS: Final[dict[NodeState | ContainerState, int]] = {
     NodeState.LOAD_FAILED: ERROR,
     NodeState.CRASHED: ERROR,
+    NodeState.GAVE_UP: ERROR,
     NodeState.LOST: ERROR,
     ContainerState.BACKOFF: WARN,
     ContainerState.GAVE_UP: ERROR,
@@ -132,6 +133,8 @@ def _node_state(event: NodeStateChanged) -> bytes:
             ("pid", event.pid),
             ("unique_id", event.unique_id),
             ("attempt", event.attempt),
+            ("crashes", event.crashes),
+            ("reloads", event.reloads),
         )
         if value
     ]
@@ -158,11 +161,14 @@ def _node_state(event: NodeStateChanged) -> bytes:
 
 
 def _container_state(event: ContainerStateChanged) -> bytes:
+    text = event.state.value
+    if event.mechanism:
+        text += f" (nodes isolated by {event.mechanism})"
     return log_message(
         event.stamp_ns,
         _STATE_LEVELS.get(event.state, INFO),
         event.container,
-        _with_reason(event.state.value, event.reason),
+        _with_reason(text, event.reason),
         file=event.container,
         function=event.state.value,
     )

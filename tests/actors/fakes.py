@@ -5,11 +5,12 @@ from __future__ import annotations
 import asyncio
 import itertools
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from play_launch.config.model import (
     ComposableNodeConfig,
     ContainerConfig,
+    OnCrash,
     ProcessConfig,
     ReplayConfig,
     RestartLimits,
@@ -111,6 +112,7 @@ class FakeLink:
         self._container = container
         self._incoming: asyncio.Queue[Incoming | ControlError] = asyncio.Queue()
         self.sent: list[Outgoing] = []
+        """Everything but the questions that only ask whether it still answers."""
         self.closed = False
 
     def say(self, *messages: Incoming | ControlError) -> None:
@@ -135,6 +137,9 @@ class FakeLink:
     def send(self, message: Outgoing) -> None:
         if self.closed or self._container.process.exit is not None:
             raise ChannelClosedError("the container is gone")
+        if isinstance(message, Query) and message.unique_ids == (0,):
+            self._container.on_watch(message)
+            return
         self.sent.append(message)
         self._container.hear(message)
 
@@ -211,6 +216,9 @@ class FakeContainer:
             )
         )
 
+    def on_watch(self, query: Query) -> None:
+        self.link.say(Status(query_id=query.query_id))
+
     def status(self, held: Held) -> NodeStatus:
         state = NodeStatusState.LOADED if held.loaded else NodeStatusState.CONSTRUCTING
         return NodeStatus(
@@ -235,10 +243,23 @@ class FakeContainer:
             self.on_unload(unique_id)
         self.process.end(Exit())
 
+    def crash_node(self, name: str, signal: int = 11, **facts: Any) -> None:
+        """As an isolated container tells it; it lives on."""
+        held = next(each for each in self.held.values() if each.load.node_name == name)
+        del self.held[held.unique_id]
+        self.say(ComponentEventKind.CRASHED, held, signal=signal, **facts)
+
     def crash(self, signal: int = 11) -> None:
         self.process.end(Exit(signal=signal))
 
-    def say(self, kind: ComponentEventKind, held: Held, error: str = "", signal: int = 0) -> None:
+    def say(
+        self,
+        kind: ComponentEventKind,
+        held: Held,
+        error: str = "",
+        signal: int = 0,
+        backtrace: tuple[str, ...] = (),
+    ) -> None:
         self.link.say(
             ComponentEvent(
                 stamp_ns=1,
@@ -252,6 +273,7 @@ class FakeContainer:
                 error_message=error,
                 pid=self.process.pid,
                 signal=signal,
+                backtrace=backtrace,
             )
         )
 
@@ -306,23 +328,29 @@ class FakeLauncher:
         return [process for process in (*containers, *processes) if process.exit is None]
 
 
-def node(name: str) -> ComposableNodeConfig:
+def node(
+    name: str, on_crash: OnCrash = OnCrash.RELOAD, restart: RestartLimits | None = None
+) -> ComposableNodeConfig:
     return ComposableNodeConfig(
         package="demo",
         plugin="demo::Node",
         name=name,
         namespace="/",
         declared_full_name=f"/{name}",
+        on_crash=on_crash,
+        restart=restart or RestartLimits(max_restarts=3),
     )
 
 
-def container(name: str, *nodes: str, max_restarts: int = 3) -> ContainerConfig:
+def container(
+    name: str, *nodes: str | ComposableNodeConfig, max_restarts: int = 3
+) -> ContainerConfig:
     return ContainerConfig(
         name=name,
         namespace="/",
         full_name=f"/{name}",
         restart=RestartLimits(max_restarts=max_restarts),
-        composable_nodes=tuple(node(each) for each in nodes),
+        composable_nodes=tuple(node(each) if isinstance(each, str) else each for each in nodes),
     )
 
 

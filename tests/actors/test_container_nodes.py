@@ -222,26 +222,3 @@ def test_a_rejected_load_fails_with_its_reason() -> None:
     assert sys.view.failed[0].reason == "no such plugin"
     assert sys.outcome is not None
     assert sys.outcome.exit_code == 1
-
-
-def test_a_crashed_node_is_loaded_again_within_the_bounds() -> None:
-    class NodeCrashes(FakeContainer):
-        def construct(self, held: Held) -> None:
-            super().construct(held)
-            del self.held[held.unique_id]
-            self.say(ComponentEventKind.CRASHED, held, signal=11)
-
-    async def main() -> Running:
-        async with running(system(container("c", "a")), launcher(NodeCrashes)) as sys:
-            await sys.until(
-                lambda: any(
-                    "given up" in e.reason for e in sys.node_events("/a", NodeState.CRASHED)
-                )
-            )
-        return sys
-
-    sys = run(main())
-    assert len(loads(sys.launcher.containers["/c"][0])) == 4
-    assert len(sys.launcher.containers["/c"]) == 1
-    assert sys.outcome is not None
-    assert sys.outcome.exit_code == 1

@@ -34,6 +34,9 @@ def node(
     at: float = 0,
     elapsed: float = 0,
     reason: str = "",
+    pid: int = 0,
+    crashes: int = 0,
+    reloads: int = 0,
 ) -> NodeStateChanged:
     return NodeStateChanged(
         stamp_ns=START + round(at * SECOND),
@@ -43,6 +46,9 @@ def node(
         state=state,
         elapsed_ns=round(elapsed * SECOND),
         reason=reason,
+        pid=pid,
+        crashes=crashes,
+        reloads=reloads,
     )
 
 

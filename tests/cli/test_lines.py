@@ -47,6 +47,18 @@ def test_nodes_that_load_count_up() -> None:
     assert not confirmed.is_progress
 
 
+def test_a_node_with_a_process_of_its_own_is_told_with_its_pid() -> None:
+    started: list[RunEvent] = [container("/c"), process("/c", ProcessEventKind.READY)]
+    shared = node("/c", 0, NodeState.LOADED, pid=77)
+    assert text(shared, *started) == "20 /c /c/n0 loaded (1/1)"
+    own = node("/c", 0, NodeState.LOADED, pid=78)
+    assert text(own, *started) == "20 /c /c/n0 loaded (1/1), pid 78"
+    again = line(node("/c", 0, NodeState.LOADED, pid=79, crashes=1, reloads=1), *started)
+    assert again is not None
+    assert again.text == "/c/n0 loaded again (1/1), pid 79"
+    assert not again.is_progress
+
+
 def test_a_slow_node_is_reported_when_it_is_told_again() -> None:
     loading: list[RunEvent] = [container("/c"), node("/c", 0, NodeState.LOADING)]
     assert line(loading[1], loading[0]) is None
@@ -61,6 +73,7 @@ def test_a_slow_node_is_reported_when_it_is_told_again() -> None:
     [
         (NodeState.LOAD_FAILED, "40 /c /c/n0 failed to load: why"),
         (NodeState.CRASHED, "40 /c /c/n0 crashed: why"),
+        (NodeState.GAVE_UP, "40 /c /c/n0 is given up: why"),
         (NodeState.LOST, "30 /c /c/n0 lost: why"),
     ],
 )

@@ -64,9 +64,34 @@ def test_the_summary_for_machines_has_the_same() -> None:
         "failed": ["/bad/n0"],
         "waiting": ["/bad/n1"],
         "restarts": 2,
+        "pid": 0,
+        "mechanism": "",
+        "crashes": 0,
+        "details": [
+            {"name": "/bad/n0", "state": "load failed", "pid": 0, "crashes": 0, "reloads": 0},
+            {"name": "/bad/n1", "state": "loading", "pid": 0, "crashes": 0, "reloads": 0},
+        ],
     }
     assert values["processes"][0]["failed"] is True
     assert values["recording"]["path"] == str(LONG)
+
+
+def test_crashes_and_reloads_of_each_node_are_told() -> None:
+    crashed = view(
+        container("/c"),
+        node("/c", 0, NodeState.LOADED, pid=4711, crashes=2, reloads=2),
+        node("/c", 1, NodeState.GAVE_UP, reason="too often", pid=4712, crashes=4, reloads=3),
+        node("/c", 2, NodeState.LOADED, pid=4713),
+    )
+    stream = io.StringIO()
+    print_summary(crashed, RECORDING, stream=stream, colour=False)
+    rows = [line.split() for line in stream.getvalue().splitlines()]
+    assert ["/c/n0", "2", "2", "4711", "loaded"] in rows
+    assert ["/c/n1", "4", "3", "gave", "up"] in rows
+    assert "/c/n1 (/c): gave up: too often" in stream.getvalue()
+    assert "/c/n2" not in stream.getvalue()
+    values = summary_object(crashed, RECORDING, exit_code=1)
+    assert values["containers"][0]["crashes"] == 6  # type: ignore[index]
 
 
 def test_sizes_are_for_people() -> None:

@@ -5,16 +5,24 @@ from __future__ import annotations
 import re
 import textwrap
 from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
 
 import pytest
 
 from play_launch.config import ConfigError, ParameterType, load_config, schema
 from play_launch.config.durations import LONGEST_DURATION, parse_duration
-from play_launch.config.model import RestartLimits, StopLimits
+from play_launch.config.model import (
+    ContainerType,
+    Isolation,
+    OnCrash,
+    RestartLimits,
+    StopLimits,
+)
 from play_launch.config.names import LONGEST_NAMESPACE, LONGEST_NODE_NAME, LONGEST_TOPIC
 from play_launch.config.source import LARGEST_FILE
 from play_launch.config.yaml_composer import ARRAY_TAGS, DEEPEST, MOST_VALUES
+from play_launch.core.watchdog import WatchLimits
 
 REFERENCE = Path(__file__).parents[2] / "docs" / "config.md"
 TEXT = REFERENCE.read_text(encoding="utf-8")
@@ -27,6 +35,10 @@ SURROUNDINGS = {
             "  - package: demo\n    plugin: demo::Talker\n    name: talker\n"
         ),
         "    ",
+    ),
+    "isolated container": (
+        "version: 1\ncontainers:\n- name: main\n  container_type: isolated\n",
+        "  ",
     ),
     "process": ("version: 1\nnodes:\n- command: [x]\n", "  "),
 }
@@ -96,6 +108,25 @@ def test_no_example_is_overlooked() -> None:
 def test_every_key_is_listed_in_its_place(title: str) -> None:
     listed = re.findall(r"^\| `(\w+)` \|", section(title), re.MULTILINE)
     assert sorted(listed) == sorted(SECTIONS[title].model_fields)
+
+
+@pytest.mark.parametrize(
+    ("title", "key", "choices"),
+    [("Crashes", "on_crash", OnCrash), ("Container types", "container_type", ContainerType)],
+)
+def test_every_choice_is_explained(title: str, key: str, choices: type[StrEnum]) -> None:
+    table = section(title).partition(f"| `{key}` |")[2].partition("\n\n")[0]
+    assert re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE) == list(choices)
+
+
+def test_the_choices_of_isolation_are_listed() -> None:
+    for choice in Isolation:
+        assert f"`{choice}`" in section("composable_node_loading")
+        assert f"`{choice}`" in section("Container types")
+
+
+def test_the_watchdog_s_limit_is_true() -> None:
+    assert f"does not answer for {WatchLimits().patience:g} s" in section("Crashes")
 
 
 def test_keys_of_restart() -> None:

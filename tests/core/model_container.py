@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass, field
 
-from play_launch.core.lifecycle import NodeInput
+from play_launch.core.node_table import NodeInput
 from play_launch.core.questions import ListedState
 
 

@@ -7,17 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from play_launch.core.events import NodeState
-from play_launch.core.lifecycle import (
-    TABLE,
-    WAITING,
-    NodeAction,
-    NodeInput,
-    NodeRecord,
-    Patience,
-    Step,
-    is_silent,
-    step,
-)
+from play_launch.core.lifecycle import NodeRecord, Patience, Step, is_silent, step
+from play_launch.core.node_table import TABLE, WAITING, NodeAction, NodeInput
 from play_launch.core.questions import Asked, ListedState, ids_to_ask, read_answer
 
 from .model_container import Listed
@@ -137,6 +128,56 @@ def test_a_node_that_its_container_unloaded_comes_back_with_the_next() -> None:
     assert run(record, NodeInput.CONTAINER_READY).actions == (NodeAction.SEND_LOAD,)
 
 
+def crashed() -> Step:
+    return run(loaded(), NodeInput.CRASHED, attempt=1, unique_id=7)
+
+
+def test_a_crash_is_followed_up_once() -> None:
+    assert crashed().record.state is NodeState.CRASHED
+    assert crashed().actions == (NodeAction.REPORT_CRASHED, NodeAction.FOLLOW_UP)
+    again = run(crashed().record, NodeInput.CRASHED, attempt=1, unique_id=7)
+    assert again.record == crashed().record
+    assert not again.actions
+
+
+@pytest.mark.parametrize("said", [NodeInput.LOAD_FAILED, NodeInput.REJECTED])
+def test_a_reload_that_fails_is_followed_up_too(said: NodeInput) -> None:
+    reload = run(crashed().record, NodeInput.RELOAD_DUE).record
+    assert reload.is_reload
+    failed = run(reload, said, attempt=2, unique_id=8)
+    assert failed.record.state is NodeState.LOAD_FAILED
+    assert NodeAction.FOLLOW_UP in failed.actions
+    assert run(failed.record, NodeInput.RELOAD_DUE).actions == (NodeAction.SEND_LOAD,)
+
+
+@pytest.mark.parametrize("said", [NodeInput.LOAD_FAILED, NodeInput.REJECTED])
+def test_a_first_load_that_fails_is_not(said: NodeInput) -> None:
+    failed = run(requested(), said, attempt=1)
+    assert failed.record.state is NodeState.LOAD_FAILED
+    assert NodeAction.FOLLOW_UP not in failed.actions
+
+
+def test_the_first_load_of_a_new_container_is_no_reload() -> None:
+    reload = run(crashed().record, NodeInput.RELOAD_DUE).record
+    lost = run(reload, NodeInput.CONTAINER_LOST).record
+    assert not run(lost, NodeInput.CONTAINER_READY).record.is_reload
+
+
+def test_a_reload_that_got_lost_is_sent_anew_as_a_reload() -> None:
+    reload = run(crashed().record, NodeInput.RELOAD_DUE).record
+    again = run(reload, NodeInput.STATUS_UNKNOWN, attempt=2)
+    assert again.actions == (NodeAction.RESEND_LOAD,)
+    assert again.record.is_reload
+
+
+def test_a_node_that_was_given_up_stays_away() -> None:
+    record = run(crashed().record, NodeInput.GIVEN_UP).record
+    assert record.state is NodeState.GAVE_UP
+    for said in NodeInput:
+        if said is not NodeInput.UNLOAD_REQUESTED:
+            assert run(record, said, attempt=1, unique_id=7).record.state is NodeState.GAVE_UP
+
+
 @given(
     st.lists(
         st.tuples(
@@ -163,6 +204,12 @@ def test_no_lie_makes_it_load_without_a_reason(
             assert said in {NodeInput.CONTAINER_READY, NodeInput.RELOAD_DUE}
             assert before.state not in WAITING | {NodeState.LOADED}
             resent = False
+        if NodeAction.FOLLOW_UP in result.actions:
+            assert record.state in {NodeState.CRASHED, NodeState.LOAD_FAILED}
+            assert before.state in {NodeState.REQUESTED, NodeState.LOADING, NodeState.LOADED}
+            assert about == before.attempt
+        if before.state is NodeState.GAVE_UP:
+            assert record.state in {NodeState.GAVE_UP, NodeState.UNLOADED}
         if NodeAction.RESEND_LOAD in result.actions:
             assert said is NodeInput.STATUS_UNKNOWN
             assert about == before.attempt

@@ -7,16 +7,8 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 from play_launch.core.events import NodeState
-from play_launch.core.lifecycle import (
-    WAITING,
-    NodeAction,
-    NodeInput,
-    NodeRecord,
-    Patience,
-    Step,
-    is_silent,
-    step,
-)
+from play_launch.core.lifecycle import NodeRecord, Patience, Step, is_silent, step
+from play_launch.core.node_table import WAITING, NodeAction, NodeInput
 from play_launch.core.questions import Asked, ids_to_ask, read_answer
 
 from .model_container import Load, ModelContainer, Query, Status, Unload, Word
@@ -54,6 +46,7 @@ class OneNode(RuleBasedStateMachine):
             self.dead.add(attempt)
         if said is NodeInput.CONTAINER_LOST:
             self.dead.add(before.attempt)
+            self.reload_planned = False
         result = step(
             before,
             said,
@@ -86,7 +79,8 @@ class OneNode(RuleBasedStateMachine):
             case NodeAction.SEND_CANCEL | NodeAction.SEND_UNLOAD:
                 assert record.unique_id
                 self.send(Unload(record.unique_id))
-            case NodeAction.PLAN_RELOAD:
+            case NodeAction.FOLLOW_UP:
+                assert not self.reload_planned, "one death is followed up twice"
                 self.reload_planned = True
 
     def send(self, request: Load | Query | Unload) -> None:
@@ -186,6 +180,13 @@ class OneNode(RuleBasedStateMachine):
     def reload(self) -> None:
         self.reload_planned = False
         self.apply(NodeInput.RELOAD_DUE)
+
+    @precondition(lambda self: self.reload_planned)
+    @rule(really=st.integers(0, 9))
+    def give_up(self, really: int) -> None:
+        if really == 0:
+            self.reload_planned = False
+            self.apply(NodeInput.GIVEN_UP)
 
     @rule(really=st.integers(0, 9))
     def unload(self, really: int) -> None:

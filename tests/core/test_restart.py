@@ -52,6 +52,18 @@ def test_pauses_grow_to_the_maximum_and_start_anew_after_a_healthy_life() -> Non
     assert verdict == Restart(0.05)
 
 
+def test_the_first_restart_can_be_at_once() -> None:
+    bounds = RestartBounds(
+        max_restarts=100, within=60.0, initial=0.1, maximum=0.3, first_at_once=True
+    )
+    history, delays = RestartHistory(), []
+    for lived in (0.0, 0.0, 0.0, 0.0, 0.0, 60.0, 0.0):
+        history, verdict = decide(history, bounds, now=0.0, lived=lived, jitter=0.0)
+        assert isinstance(verdict, Restart)
+        delays.append(round(verdict.delay, 3))
+    assert delays == [0.0, 0.05, 0.1, 0.15, 0.15, 0.0, 0.05]
+
+
 def test_giving_up_says_why() -> None:
     never = RestartBounds(max_restarts=0, within=60.0, initial=0.1, maximum=1.0)
     _, verdict = decide(RestartHistory(), never, now=0.0, lived=5.0, jitter=0.0)

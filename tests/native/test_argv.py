@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from play_launch.config.model import ContainerConfig, ContainerType, ProcessConfig
+from play_launch.config.model import ContainerConfig, ContainerType, Isolation, ProcessConfig
 from play_launch.native.argv import (
     ExecutableNotFoundError,
     container_argv,
@@ -48,6 +48,25 @@ def test_a_container_with_everything() -> None:
         *("--ros-args", "-r", "__node:=c", "-r", "__ns:=/sensing"),
         *("--log-level", "debug", "-p", "use_sim_time:=true"),
     )
+
+
+@pytest.mark.parametrize(
+    ("kind", "isolation", "flags"),
+    [
+        (ContainerType.STANDARD, Isolation.PROCESS, ()),
+        (ContainerType.ISOLATED, Isolation.AUTO, ("--isolated", "--isolation", "auto")),
+        (
+            ContainerType.ISOLATED_MT,
+            Isolation.SHARED_MEMORY,
+            ("--isolated", "--isolation", "shared_memory", "--use_multi_threaded_executor"),
+        ),
+    ],
+)
+def test_an_isolated_container(
+    kind: ContainerType, isolation: Isolation, flags: tuple[str, ...]
+) -> None:
+    argv = container_argv(container(container_type=kind, isolation=isolation), BINARY)
+    assert argv[1 : argv.index("--ros-args")] == flags
 
 
 def test_a_command_with_nothing_for_ros_stays_as_it_is() -> None:

@@ -191,6 +191,34 @@ def test_states_of_nodes_and_containers_are_readable() -> None:
     assert (message.level, message.msg) == (40, "gave up: 5 restarts in 60 s")
 
 
+def test_crashes_and_how_nodes_are_isolated_are_in_the_states() -> None:
+    given_up = NodeStateChanged(
+        stamp_ns=STAMP,
+        container="/c",
+        node="/n",
+        index=0,
+        state=NodeState.GAVE_UP,
+        pid=9,
+        crashes=4,
+        reloads=3,
+        reason="exited with signal 11 (SIGSEGV)",
+    )
+    assert is_failure(given_up)
+    message = converted(given_up)["/play_launch/states"]
+    assert (message.level, message.msg) == (
+        40,
+        "gave up (pid 9, crashes 4, reloads 3): exited with signal 11 (SIGSEGV)",
+    )
+    running = ContainerStateChanged(
+        stamp_ns=STAMP,
+        container="/c",
+        state=ContainerState.RUNNING,
+        mechanism="shared_memory",
+    )
+    message = converted(running)["/play_launch/states"]
+    assert message.msg == "running (nodes isolated by shared_memory)"
+
+
 def component(kind: ComponentEventKind) -> ComponentEvent:
     return ComponentEvent(
         stamp_ns=STAMP,

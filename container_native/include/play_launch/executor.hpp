@@ -4,6 +4,8 @@
 #include <cstdint>
 #include <memory>
 #include <mutex>
+#include <thread>
+#include <vector>
 
 namespace play_launch {
 
@@ -41,7 +43,7 @@ class Executor {
   /// For an executor that spun in a process which shares this memory and has died: forgets the
   /// callbacks that were running, and destroys what they held. Afterwards nodes can be removed and
   /// the executor destroyed. The threads that were in spin() must be gone for good.
-  void abandon();
+  virtual void abandon();
 
  protected:
   Executor();
@@ -80,10 +82,12 @@ class MultiThreadedExecutor final : public Executor {
   explicit MultiThreadedExecutor(std::size_t threads = 0);
 
   void spin() override;
+  void abandon() override;
   [[nodiscard]] std::size_t threads() const noexcept { return threads_; }
 
  private:
   const std::size_t threads_;
+  std::vector<std::thread> workers_;  // all but the thread that called spin()
 };
 
 }  // namespace play_launch

@@ -35,11 +35,14 @@ class ComponentExecutor {
 
   /// Runs until cancel(). What a callback throws leaves it, and so ends the process.
   virtual void spin() = 0;
-  /// Makes spin() return after the callbacks that run now.
+  /// Makes spin() return after the callbacks that run now. Safe in a signal handler.
   virtual void cancel() = 0;
   virtual void add(Component& component) = 0;
   /// Returns when no callback of the component runs any more; none will run afterwards.
   virtual void remove(Component& component) = 0;
+  /// For an executor whose spin() ran in a process that shares this memory and has died: lets go
+  /// of the callbacks that were running, so that remove() and the destructor can do their work.
+  virtual void abandon() = 0;
 };
 
 struct ExecutorChoice {

@@ -14,13 +14,14 @@ using Clock = std::chrono::steady_clock;
 
 constexpr const char* kCancelled = "cancelled";
 
-void set_now(builtin_interfaces::msg::Time& stamp) {
+void set_stamp(builtin_interfaces::msg::Time& stamp, std::chrono::nanoseconds age = {}) {
   constexpr std::int64_t kNanosecondsPerSecond = 1'000'000'000;
-  const std::int64_t now = std::chrono::duration_cast<std::chrono::nanoseconds>(
-                               std::chrono::system_clock::now().time_since_epoch())
-                               .count();
-  stamp.sec = static_cast<std::int32_t>(now / kNanosecondsPerSecond);
-  stamp.nanosec = static_cast<std::uint32_t>(now % kNanosecondsPerSecond);
+  const std::int64_t then = (std::chrono::duration_cast<std::chrono::nanoseconds>(
+                                 std::chrono::system_clock::now().time_since_epoch()) -
+                             age)
+                                .count();
+  stamp.sec = static_cast<std::int32_t>(then / kNanosecondsPerSecond);
+  stamp.nanosec = static_cast<std::uint32_t>(then % kNanosecondsPerSecond);
 }
 
 std::int64_t cpu_time_ns(clockid_t clock) {
@@ -33,7 +34,7 @@ std::int64_t cpu_time_ns(clockid_t clock) {
 /// An event of that type about the node, now.
 ComponentEvent event_of(const NodeEntry& entry, std::uint8_t type) {
   ComponentEvent event;
-  set_now(event.stamp);
+  set_stamp(event.stamp);
   event.event_type = type;
   event.unique_id = entry.unique_id;
   event.attempt = entry.attempt;
@@ -43,6 +44,15 @@ ComponentEvent event_of(const NodeEntry& entry, std::uint8_t type) {
   event.pid = entry.process.pid;
   event.start_time = entry.process.start_time;
   return event;
+}
+
+void add_death(ComponentEvent& event, const NodeDeath& death) {
+  event.exit_code = death.exit_code;
+  event.signal = death.signal;
+  event.backtrace = death.backtrace;
+  if (death.when) {
+    set_stamp(event.stamp, Clock::now() - *death.when);
+  }
 }
 
 std::string no_such_node(std::uint64_t unique_id) {
@@ -230,16 +240,33 @@ void ObservableComponentManager::on_loaded(std::uint64_t unique_id) {
 
 void ObservableComponentManager::on_load_failed(std::uint64_t unique_id,
                                                 const std::string& reason) {
+  load_failed(unique_id, reason, nullptr);
+}
+
+void ObservableComponentManager::on_load_crashed(std::uint64_t unique_id, const NodeDeath& death) {
+  load_failed(unique_id, death.reason, &death);
+}
+
+void ObservableComponentManager::load_failed(std::uint64_t unique_id, const std::string& reason,
+                                             const NodeDeath* death) {
   const std::lock_guard lock(mutex_);
   const std::optional<NodeEntry> entry = table_.remove(unique_id);
   if (!entry) {
     return;
   }
+  ComponentEvent event =
+      event_of(*entry, entry->retired ? ComponentEvent::UNLOADED : ComponentEvent::LOAD_FAILED);
   if (entry->retired) {
-    emit(*entry, ComponentEvent::UNLOADED, entry->verdict + "; loading failed as well: " + reason);
+    event.error_message = entry->verdict + "; loading failed as well: " + reason;
+  } else if (entry->refused) {
+    event.error_message = entry->verdict + "; it died while it was discarded: " + reason;
   } else {
-    emit(*entry, ComponentEvent::LOAD_FAILED, reason);
+    event.error_message = reason;
   }
+  if (death != nullptr) {
+    add_death(event, *death);
+  }
+  send(event);
   after_removal();
 }
 
@@ -260,11 +287,15 @@ void ObservableComponentManager::on_crashed(std::uint64_t unique_id, const NodeD
   if (!entry) {
     return;
   }
-  ComponentEvent event = event_of(*entry, ComponentEvent::CRASHED);
-  event.exit_code = death.exit_code;
-  event.signal = death.signal;
+  // Nobody wants a node back that he sent away.
+  ComponentEvent event =
+      event_of(*entry, entry->retired ? ComponentEvent::UNLOADED : ComponentEvent::CRASHED);
   event.error_message = death.reason;
-  event.backtrace = death.backtrace;
+  if (entry->retired) {
+    event.error_message = (entry->verdict.empty() ? "" : entry->verdict + "; ") +
+                          "it did not leave in order: " + death.reason;
+  }
+  add_death(event, death);
   send(event);
   after_removal();
 }

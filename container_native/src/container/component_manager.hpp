@@ -68,11 +68,15 @@ class ObservableComponentManager final : public NodeHostObserver {
   void begin_stop(std::function<void()> on_empty);
   bool empty() const;
 
+  /// See NodeHost::totals().
+  HostTotals totals() const { return host_.totals(); }
+
   void on_constructing(std::uint64_t unique_id, const ProcessIdentity& process,
                        clockid_t cpu_clock) override;
   bool on_constructed(std::uint64_t unique_id, const std::string& full_name) override;
   void on_loaded(std::uint64_t unique_id) override;
   void on_load_failed(std::uint64_t unique_id, const std::string& reason) override;
+  void on_load_crashed(std::uint64_t unique_id, const NodeDeath& death) override;
   void on_gone(std::uint64_t unique_id) override;
   void on_crashed(std::uint64_t unique_id, const NodeDeath& death) override;
 
@@ -80,6 +84,7 @@ class ObservableComponentManager final : public NodeHostObserver {
   std::optional<std::string> retire(std::uint64_t unique_id, const OnAccepted& on_accepted,
                                     const std::string& verdict);
   bool start_unloading(std::uint64_t unique_id, std::string& why_not);
+  void load_failed(std::uint64_t unique_id, const std::string& reason, const NodeDeath* death);
   void emit(const NodeEntry& entry, std::uint8_t type, const std::string& error = {});
   void send(const ComponentEvent& event);
   void after_removal();

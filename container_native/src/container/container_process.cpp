@@ -13,9 +13,9 @@
 #include <vector>
 
 #include "container/failpoints.hpp"
+#include "container/host_choice.hpp"
 #include "container/native_backend.hpp"
 #include "container/report.hpp"
-#include "container/shared_executor_host.hpp"
 
 namespace play_launch::container {
 namespace {
@@ -72,17 +72,23 @@ void ContainerProcess::start(int argc, const char* const* argv) {
   context_ = backend->context();
   // The first node of the context, and the last to go: the participant and its threads come with
   // it, and must not depend on what becomes of a component.
-  NodeOptions node_options;
-  node_options.context = context_;
-  node_ = std::make_shared<Node>(kDefaultName, node_options);
+  if (!options_.hosted) {
+    NodeOptions node_options;
+    node_options.context = context_;
+    node_ = std::make_shared<Node>(kDefaultName, node_options);
+  }
   const std::size_t threads = choose_threads();
-  const auto greeting = hello(threads, {std::string(backend->name())});
+  auto greeting = hello(threads, {std::string(backend->name())});
   std::vector<std::unique_ptr<ComponentBackend>> backends;
   backends.push_back(std::move(backend));
-  host_ = std::make_unique<SharedExecutorHost>(std::move(backends),
-                                               ExecutorChoice{options_.multi_threaded, threads});
+  HostChoice choice = choose_host(options_, threads, std::move(backends));
+  greeting.mechanism = std::move(choice.mechanism);
+  greeting.notes = std::move(choice.notes);
+  host_ = std::move(choice.host);
   manager_ = std::make_unique<ObservableComponentManager>(*host_, process_);
-  ros_ = std::make_unique<RosInterface>(node_, *manager_, control_.has_value());
+  if (node_) {
+    ros_ = std::make_unique<RosInterface>(node_, *manager_, control_.has_value());
+  }
   hit(Failpoint::before_hello);
   if (control_) {
     manager_->add_sink(*control_);
@@ -91,15 +97,17 @@ void ContainerProcess::start(int argc, const char* const* argv) {
 }
 
 std::size_t ContainerProcess::choose_threads() {
-  const auto parameter = node_->declare_parameter<std::int64_t>("thread_num", 0);
+  const auto parameter = node_ ? node_->declare_parameter<std::int64_t>("thread_num", 0) : 0;
   if (parameter < 0 || parameter > static_cast<std::int64_t>(kMaxThreads)) {
     throw UsageError("parameter thread_num is " + std::to_string(parameter) +
                      ", expected a number from 0 to " + std::to_string(kMaxThreads) +
                      " (0: one per CPU)");
   }
-  return options_.multi_threaded
-             ? executor_threads(options_.thread_num.value_or(static_cast<std::size_t>(parameter)))
-             : 1;
+  if (!options_.multi_threaded) {
+    return 1;
+  }
+  const std::size_t asked = options_.thread_num.value_or(static_cast<std::size_t>(parameter));
+  return options_.isolated ? node_executor_threads(asked) : executor_threads(asked);
 }
 
 play_launch_msgs::msg::ControlHello ContainerProcess::hello(
@@ -109,7 +117,7 @@ play_launch_msgs::msg::ControlHello ContainerProcess::hello(
   hello.version = PLAY_LAUNCH_VERSION;
   hello.pid = process_.pid;
   hello.start_time = process_.start_time;
-  hello.full_node_name = node_->full_name();
+  hello.full_node_name = node_ ? node_->full_name() : "";
   hello.mode = options_.mode();
   hello.thread_num = static_cast<std::uint32_t>(threads);
   hello.backends = std::move(backends);
@@ -158,12 +166,14 @@ void ContainerProcess::stop_nodes() {
   const std::string too_long = "taking the container apart takes too long: leaving";
   watchdog_.arm(deadline + kTeardownLimit, exit_code(cause), too_long);
   hit(Failpoint::during_stop);
+  host_->hurry(deadline);
   host_->stop_spinning();
   manager_->begin_stop([this] { stop_.wake(); });
   while (!manager_->empty() && Clock::now() < deadline) {
     stop_.wait(deadline);
     if (stop_.times_asked() > asked) {
       deadline = std::min<SteadyTime>(deadline, Clock::now() + kHurriedStopLimit);
+      host_->hurry(deadline);
       watchdog_.arm(deadline + kTeardownLimit, exit_code(cause), too_long);
     }
   }

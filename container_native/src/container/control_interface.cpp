@@ -60,6 +60,8 @@ bool is_to_be_lost(const ComponentEvent& event) {
       return hit(Failpoint::drop_event_failed);
     case ComponentEvent::UNLOADED:
       return hit(Failpoint::drop_event_unloaded);
+    case ComponentEvent::CRASHED:
+      return hit(Failpoint::drop_event_crashed);
     default:
       return false;
   }
@@ -233,6 +235,11 @@ void ControlInterface::handle_query(const Frame& frame) {
   msg::ControlStatus status;
   status.query_id = query.query_id;
   status.dropped_frames = channel_.dropped();
+  const HostTotals totals = manager_->totals();
+  status.crashes = totals.crashes;
+  status.undertaken = totals.undertaken;
+  status.leaked = totals.leaked;
+  status.unquiesced = totals.unquiesced;
   for (const NodeSnapshot& snapshot : manager_->nodes(query.unique_ids)) {
     status.nodes.push_back(status_of(snapshot));
   }

@@ -23,11 +23,11 @@ constexpr std::size_t kCount = static_cast<std::size_t>(Failpoint::count);
 
 // In the order of the enumeration.
 constexpr std::array<std::string_view, kCount> kNames{
-    "container.before_hello",      "container.after_accept",      "container.before_construct",
-    "container.after_construct",   "container.drop_accepted",     "container.drop_event_loading",
-    "container.drop_event_loaded", "container.drop_event_failed", "container.drop_event_unloaded",
-    "container.ignore_query",      "container.before_unload",     "container.on_shutdown",
-    "container.during_stop",
+    "container.before_hello",       "container.after_accept",      "container.before_construct",
+    "container.after_construct",    "container.drop_accepted",     "container.drop_event_loading",
+    "container.drop_event_loaded",  "container.drop_event_failed", "container.drop_event_unloaded",
+    "container.drop_event_crashed", "container.ignore_query",      "container.before_unload",
+    "container.on_shutdown",        "container.during_stop",       "container.during_burial",
 };
 
 enum class Action : unsigned char { none, hang, abort, kill, exit, delay, once, always };

@@ -15,12 +15,17 @@ enum class Failpoint : unsigned {
   drop_event_loaded,    // "
   drop_event_failed,    // "
   drop_event_unloaded,  // "
+  drop_event_crashed,   // "
   ignore_query,         // ControlQuery is not answered
   before_unload,        // in the unloading thread
   on_shutdown,          // ControlShutdown was read
   during_stop,          // the stop has begun
+  during_burial,        // in the process that cleans up after a dead node
   count
 };
+
+// In isolated modes constructing and unloading happen in the node's process, and what is done there
+// is done to that process.
 
 /// PLAY_LAUNCH_FAILPOINTS makes no sense; the text says which part.
 class FailpointError : public std::runtime_error {

@@ -27,10 +27,6 @@ int main(int argc, char** argv) {
       std::fputs(usage(), stdout);
       return kExitOk;
     }
-    if (options.isolated) {
-      report("isolated modes are not built into this version");
-      return kExitUsage;
-    }
     arm_failpoints(std::getenv("PLAY_LAUNCH_FAILPOINTS"));
     search_own_prefix();
     play_launch::control::UniqueFd control_socket = take_control_socket();

@@ -30,6 +30,7 @@ class NativeExecutor final : public ComponentExecutor {
   void cancel() override { executor_->cancel(); }
   void add(Component& component) override { executor_->add_node(node_of(component)); }
   void remove(Component& component) override { executor_->remove_node(node_of(component)); }
+  void abandon() override { executor_->abandon(); }
 
  private:
   static const std::shared_ptr<Node>& node_of(Component& component) {

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <chrono>
 #include <cstdint>
 #include <ctime>
 #include <optional>
@@ -17,10 +18,22 @@ struct NodeDeath {
   int signal = 0;
   std::string reason;
   std::vector<std::string> backtrace;
+  /// When it happened; nothing: the moment at which it is told.
+  std::optional<std::chrono::steady_clock::time_point> when;
 };
 
-/// Is told what becomes of nodes. Every node ends with exactly one of on_load_failed, on_gone and
-/// on_crashed. Calls come from any thread, for one node never two at a time.
+/// What has become of nodes that died without being asked to, since the start. See the fields of
+/// the same names in play_launch_msgs/ControlStatus.
+struct HostTotals {
+  std::uint32_t crashes = 0;
+  std::uint32_t undertaken = 0;
+  std::uint32_t leaked = 0;
+  std::uint32_t unquiesced = 0;
+};
+
+/// Is told what becomes of nodes. Every node ends with exactly one of on_load_failed,
+/// on_load_crashed, on_gone and on_crashed. Calls come from any thread, for one node never two at a
+/// time.
 class NodeHostObserver {
  public:
   virtual ~NodeHostObserver() = default;
@@ -34,8 +47,11 @@ class NodeHostObserver {
   /// The node's callbacks run.
   virtual void on_loaded(std::uint64_t unique_id) = 0;
   virtual void on_load_failed(std::uint64_t unique_id, const std::string& reason) = 0;
+  /// The process that was to hold the node died before on_loaded.
+  virtual void on_load_crashed(std::uint64_t unique_id, const NodeDeath& death) = 0;
   /// The node is destroyed.
   virtual void on_gone(std::uint64_t unique_id) = 0;
+  /// The process that held the node died after on_loaded, also while it was being unloaded.
   virtual void on_crashed(std::uint64_t unique_id, const NodeDeath& death) = 0;
 };
 
@@ -62,6 +78,12 @@ class NodeHost {
 
   /// No callback starts any more, in any node. For the end of the container.
   virtual void stop_spinning() = 0;
+
+  /// All nodes are to be gone by then: a host that can end nodes which do not end by themselves
+  /// does so before. For the end of the container; an earlier deadline replaces a later one.
+  virtual void hurry(std::chrono::steady_clock::time_point) {}
+
+  virtual HostTotals totals() const { return {}; }
 };
 
 }  // namespace play_launch::container

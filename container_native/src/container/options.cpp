@@ -1,5 +1,6 @@
 #include "container/options.hpp"
 
+#include <algorithm>
 #include <charconv>
 #include <cmath>
 #include <string_view>
@@ -51,6 +52,15 @@ std::chrono::duration<double> seconds(std::string_view text) {
   return std::chrono::duration<double>(value);
 }
 
+isolation::MechanismChoice mechanism(std::string_view text) {
+  const auto choice = isolation::parse_mechanism_choice(text);
+  if (!choice) {
+    throw UsageError("--isolation " + std::string(text) +
+                     ": expected auto, shared_memory or process");
+  }
+  return *choice;
+}
+
 }  // namespace
 
 std::string Options::mode() const {
@@ -64,13 +74,17 @@ Options parse_options(int argc, const char* const* argv) {
     const std::string_view argument = argv[i];
     if (argument == kRosArguments) {
       while (i + 1 < argc && std::string_view(argv[i + 1]) != "--") {
-        ++i;
+        options.ros_arguments.emplace_back(argv[++i]);
       }
       ++i;
     } else if (argument == "--use_multi_threaded_executor") {
       options.multi_threaded = true;
     } else if (argument == "--isolated") {
       options.isolated = true;
+    } else if (is_option(argument, "--isolation")) {
+      options.isolation = mechanism(value_of("--isolation", i, argc, argv));
+    } else if (argument == "--hosted") {
+      options.hosted = true;
     } else if (is_option(argument, "--thread_num")) {
       options.thread_num = thread_count(value_of("--thread_num", i, argc, argv));
     } else if (is_option(argument, "--stop_timeout")) {
@@ -86,8 +100,8 @@ Options parse_options(int argc, const char* const* argv) {
 }
 
 const char* usage() {
-  return "usage: component_container [--use_multi_threaded_executor] [--isolated] "
-         "[--thread_num N]\n"
+  return "usage: component_container [--use_multi_threaded_executor] [--thread_num N]\n"
+         "                           [--isolated] [--isolation auto|shared_memory|process]\n"
          "                           [--stop_timeout SECONDS] [--ros-args ...]\n";
 }
 
@@ -97,6 +111,11 @@ std::size_t executor_threads(std::size_t asked) {
   }
   const std::size_t cpus = std::thread::hardware_concurrency();
   return cpus < 2 ? 2 : cpus;
+}
+
+std::size_t node_executor_threads(std::size_t asked) {
+  constexpr std::size_t kMostByDefault = 4;
+  return asked != 0 ? asked : std::min(executor_threads(0), kMostByDefault);
 }
 
 }  // namespace play_launch::container

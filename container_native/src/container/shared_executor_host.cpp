@@ -12,39 +12,29 @@ namespace play_launch::container {
 
 SharedExecutorHost::SharedExecutorHost(std::vector<std::unique_ptr<ComponentBackend>> backends,
                                        const ExecutorChoice& choice)
-    : process_(identity_of(::getpid())) {
-  backends_.reserve(backends.size());
-  for (std::unique_ptr<ComponentBackend>& backend : backends) {
-    std::unique_ptr<ComponentExecutor> executor = backend->create_executor(choice);
+    : process_(identity_of(::getpid())), backends_(std::move(backends)) {
+  spinners_.reserve(backends_.size());
+  for (std::size_t i = 0; i < backends_.size(); ++i) {
+    std::unique_ptr<ComponentExecutor> executor = backends_[i].create_executor(choice);
     ComponentExecutor* const spinning = executor.get();
-    std::thread spinner([spinning] {
+    std::thread thread([spinning] {
       ::pthread_setname_np(::pthread_self(), "executor");
       spinning->spin();
     });
-    backends_.push_back({std::move(backend), std::move(executor), std::move(spinner)});
+    spinners_.push_back({std::move(executor), std::move(thread)});
   }
 }
 
 SharedExecutorHost::~SharedExecutorHost() {
   stop_spinning();
-  for (Backend& backend : backends_) {
-    backend.spinner.join();
+  for (Spinner& spinner : spinners_) {
+    spinner.thread.join();
   }
 }
 
 std::optional<std::string> SharedExecutorHost::expected_full_name(
     const LoadRequest& request) const {
-  // Which backend it will be is found out by whoever constructs, as that reads files. All of them
-  // must agree.
-  std::optional<std::string> name;
-  for (const Backend& backend : backends_) {
-    const std::optional<std::string> expected = backend.backend->expected_full_name(request);
-    if (!expected || (name && *name != *expected)) {
-      return std::nullopt;
-    }
-    name = expected;
-  }
-  return name;
+  return backends_.expected_full_name(request);
 }
 
 void SharedExecutorHost::load(std::uint64_t unique_id, LoadRequest request) {
@@ -57,20 +47,9 @@ void SharedExecutorHost::unload(std::uint64_t unique_id) {
 }
 
 void SharedExecutorHost::stop_spinning() {
-  for (Backend& backend : backends_) {
-    backend.executor->cancel();
+  for (Spinner& spinner : spinners_) {
+    spinner.executor->cancel();
   }
-}
-
-SharedExecutorHost::Backend& SharedExecutorHost::backend_for(const std::string& package) {
-  std::vector<ComponentIndex> indexes;
-  for (Backend& backend : backends_) {
-    if (backend.backend->index().has_package(package)) {
-      return backend;
-    }
-    indexes.push_back(backend.backend->index());
-  }
-  throw LoadError(no_such_package(package, indexes));
 }
 
 void SharedExecutorHost::construct(std::uint64_t unique_id, const LoadRequest& request) {
@@ -81,9 +60,9 @@ void SharedExecutorHost::construct(std::uint64_t unique_id, const LoadRequest& r
   hit(Failpoint::before_construct);
   Node node;
   try {
-    Backend& backend = backend_for(request.package_name);
-    node.executor = backend.executor.get();
-    node.component = backend.backend->create(request);
+    const std::size_t backend = backends_.of_package(request.package_name);
+    node.executor = spinners_[backend].executor.get();
+    node.component = backends_[backend].create(request);
   } catch (...) {
     observer_->on_load_failed(unique_id, describe_current_exception());
     return;

@@ -6,7 +6,7 @@
 #include <thread>
 #include <vector>
 
-#include "container/component_backend.hpp"
+#include "container/backend_list.hpp"
 #include "container/node_host.hpp"
 #include "container/task_group.hpp"
 
@@ -28,10 +28,9 @@ class SharedExecutorHost final : public NodeHost {
   void stop_spinning() override;
 
  private:
-  struct Backend {
-    std::unique_ptr<ComponentBackend> backend;
+  struct Spinner {
     std::unique_ptr<ComponentExecutor> executor;
-    std::thread spinner;
+    std::thread thread;
   };
   struct Node {
     std::unique_ptr<Component> component;
@@ -40,11 +39,11 @@ class SharedExecutorHost final : public NodeHost {
 
   void construct(std::uint64_t unique_id, const LoadRequest& request);
   void destroy(std::uint64_t unique_id);
-  Backend& backend_for(const std::string& package);
 
   const ProcessIdentity process_;
   NodeHostObserver* observer_ = nullptr;
-  std::vector<Backend> backends_;
+  const BackendList backends_;
+  std::vector<Spinner> spinners_;  // of the backend with the same index
   std::mutex mutex_;
   std::map<std::uint64_t, Node> nodes_;
   TaskGroup tasks_;  // last: its threads use all of the above

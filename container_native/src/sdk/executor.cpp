@@ -1,7 +1,10 @@
+#include <pthread.h>
+
 #include <algorithm>
 #include <exception>
 #include <list>
 #include <map>
+#include <memory>
 #include <play_launch/callback_group.hpp>
 #include <play_launch/context.hpp>
 #include <play_launch/executor.hpp>
@@ -216,20 +219,39 @@ void SingleThreadedExecutor::spin() {
   work();
 }
 
+namespace {
+
+/// Frees the stack of a thread whose process died, without waiting for one that lives.
+void let_go(std::thread& thread) {
+  const pthread_t handle = thread.native_handle();
+  if (::pthread_tryjoin_np(handle, nullptr) != 0) ::pthread_detach(handle);
+  std::construct_at(&thread);  // in the place of the old one, which must not be destroyed
+}
+
+}  // namespace
+
 MultiThreadedExecutor::MultiThreadedExecutor(std::size_t threads)
     : threads_(threads != 0 ? threads
                             : std::max<std::size_t>(2, std::thread::hardware_concurrency())) {}
 
 void MultiThreadedExecutor::spin() {
   const Spinning spinning(*this);
-  std::vector<std::thread> others;
-  others.reserve(threads_ - 1);
-  while (others.size() < threads_ - 1) {
-    others.emplace_back([this] { work(); });
+  workers_.reserve(threads_ - 1);
+  try {
+    while (workers_.size() < threads_ - 1) workers_.emplace_back([this] { work(); });
+    work();
+  } catch (...) {
+    // As an exception in another thread does; nobody could go on with some of the threads.
+    std::terminate();
   }
-  // An exception leaves joinable threads behind, which terminates as one in another thread does.
-  work();
-  for (auto& thread : others) thread.join();
+  for (std::thread& worker : workers_) worker.join();
+  workers_.clear();
+}
+
+void MultiThreadedExecutor::abandon() {
+  for (std::thread& worker : workers_) let_go(worker);
+  workers_.clear();
+  Executor::abandon();
 }
 
 }  // namespace play_launch

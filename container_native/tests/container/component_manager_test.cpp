@@ -179,11 +179,35 @@ void test_cancel() {
 void test_crash() {
   Bench bench;
   const std::uint64_t unique_id = bench.loaded("a");
-  bench.host.observer->on_crashed(unique_id, {0, 11, "SIGSEGV", {"frame"}});
+  bench.host.observer->on_crashed(unique_id, {0, 11, "SIGSEGV", {"frame"}, {}});
   const ComponentEvent& event = bench.recorder.last();
   CHECK(event.event_type == ComponentEvent::CRASHED && event.signal == 11);
   CHECK(event.backtrace == std::vector<std::string>{"frame"});
   CHECK(bench.manager.empty());
+}
+
+void test_deaths_of_nodes_that_nobody_wants() {
+  Bench bench;
+  const std::uint64_t unloading = bench.loaded("a");
+  CHECK(!bench.manager.unload(unloading));
+  bench.host.observer->on_crashed(unloading, {0, 11, "in its destructor", {}, {}});
+  CHECK(bench.recorder.last().event_type == kUnloaded && bench.recorder.last().signal == 11);
+  CHECK(contains(bench.recorder.last().error_message, "in its destructor"));
+
+  const std::uint64_t cancelled = bench.load("b");
+  CHECK(!bench.manager.cancel(cancelled));
+  bench.host.observer->on_load_crashed(cancelled, {0, 6, "in its constructor", {}, {}});
+  CHECK(bench.recorder.last().event_type == kUnloaded && bench.recorder.last().signal == 6);
+}
+
+void test_death_while_loading() {
+  Bench bench;
+  const auto long_ago = std::chrono::steady_clock::now() - std::chrono::hours(1);
+  bench.host.observer->on_load_crashed(bench.load("a"), {0, 6, "why", {"frame"}, long_ago});
+  CHECK((bench.recorder.types() == Types{kLoading, kFailed}));
+  const ComponentEvent& event = bench.recorder.last();
+  CHECK(event.signal == 6 && event.error_message == "why" && event.backtrace.size() == 1);
+  CHECK(event.stamp.sec < bench.recorder.events.front().stamp.sec);
 }
 
 void test_stop() {
@@ -225,6 +249,8 @@ int main() {
   test_unloading_that_cannot_start();
   test_cancel();
   test_crash();
+  test_deaths_of_nodes_that_nobody_wants();
+  test_death_while_loading();
   test_stop();
   test_snapshots();
   return 0;

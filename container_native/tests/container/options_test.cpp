@@ -25,8 +25,12 @@ void test_command_line() {
   const Options options = parse({"--thread_num", "5", "--ros-args", "-r", "__node:=a", "--isolated",
                                  "--", "--use_multi_threaded_executor", "--stop_timeout=0.5"});
   CHECK(options.mode() == "mt" && options.thread_num == 5 && options.stop_timeout.count() == 0.5);
-  CHECK(!options.isolated);
+  CHECK(!options.isolated && options.ros_arguments.size() == 3);
   CHECK(parse({"--isolated", "--use_multi_threaded_executor"}).mode() == "isolated_mt");
+  using play_launch::isolation::MechanismChoice;
+  CHECK(parse({"--isolated"}).isolation == MechanismChoice::automatic);
+  CHECK(parse({"--isolated", "--isolation=process"}).isolation == MechanismChoice::process);
+  CHECK(contains(CHECK_THROWS(parse({"--isolation", "cells"}), UsageError), "shared_memory"));
   CHECK(contains(CHECK_THROWS(parse({"--unknown"}), UsageError), "--unknown"));
   CHECK_THROWS(parse({"--thread_num", "-1"}), UsageError);
   CHECK_THROWS(parse({"--thread_num", "1x"}), UsageError);
@@ -36,6 +40,7 @@ void test_command_line() {
   CHECK_THROWS(parse({"--stop_timeout", "nan"}), UsageError);
   CHECK_THROWS(parse({"--stop_timeout", "-1"}), UsageError);
   CHECK(executor_threads(3) == 3 && executor_threads(0) >= 2);
+  CHECK(node_executor_threads(7) == 7 && node_executor_threads(0) <= 4);
 }
 
 Parameter bool_parameter(const std::string& name, bool value) {

@@ -1,0 +1,293 @@
+#include "isolation/code_map.hpp"
+
+#include <dlfcn.h>
+#include <execinfo.h>
+#include <link.h>
+#include <ucontext.h>
+
+#include <algorithm>
+#include <array>
+#include <cstring>
+#include <initializer_list>
+#include <string_view>
+
+namespace play_launch::isolation {
+namespace {
+
+using namespace std::string_view_literals;
+
+enum class Place {
+  neutral,   // decided by who called it
+  harmless,  // no lock of others is held here
+  inside,    // maybe one is
+};
+
+struct Range {
+  std::uintptr_t begin = 0;
+  std::uintptr_t end = 0;
+
+  bool contains(std::uintptr_t address) const { return begin <= address && address < end; }
+};
+
+/// Libraries whose name begins so have locks that all nodes share.
+constexpr std::array kShared{
+    "libfast"sv,         "librmw"sv,        "librcl"sv,          "librosidl"sv,
+    "librcutils"sv,      "librcpputils"sv,  "libplay_launch_"sv, "libcomponent_"sv,
+    "libclass_loader"sv, "libament_"sv,     "libtracetools"sv,   "liblttng"sv,
+    "libspdlog"sv,       "libyaml"sv,       "libmimalloc"sv,     "libjemalloc"sv,
+    "libtcmalloc"sv,     "libddsc"sv,       "libcyclonedds"sv,   "libiceoryx"sv,
+    "libzenoh"sv,        "libfoonathan_"sv, "ld-linux"sv,        "ld.so"sv,
+    "libstatistics_"sv,
+};
+/// The demonstration's components are a user's, not the SDK.
+constexpr std::array kNotShared{"libplay_launch_demo"sv};
+/// Message libraries: libstd_msgs__rosidl_typesupport_cpp.so.
+constexpr std::string_view kGeneratedCode = "__rosidl_";
+
+constexpr std::array kCppRuntime{"libstdc++"sv, "libgcc_s"sv, "libm.so"sv, "libm-"sv,
+                                 "linux-vdso"sv};
+constexpr std::array kCLibrary{"libc.so"sv, "libc-"sv, "libpthread"sv};
+
+/// Functions that templates of the middleware become in somebody's library; while they run they may
+/// hold the locks of delivery by pointer.
+constexpr std::array kTemplates{"_ZN6rclcpp"sv, "_ZNK6rclcpp"sv, "_ZN11play_launch"sv,
+                                "_ZNK11play_launch"sv};
+
+struct Landmarks {
+  std::array<Range, 3> c_library_inside{};  // allocator, stdio, starting of threads
+  Range join;                               // std::thread::join()
+};
+Landmarks landmarks;
+
+template <std::size_t size>
+bool begins_with_any(std::string_view text, const std::array<std::string_view, size>& prefixes) {
+  return std::any_of(prefixes.begin(), prefixes.end(),
+                     [text](std::string_view prefix) { return text.starts_with(prefix); });
+}
+
+/// What lies between functions of the C library that are linked next to each other, with what is
+/// before the first of them and after the begin of the last: functions without an exported name.
+Range between(void* library, std::initializer_list<const char*> functions, std::uintptr_t before,
+              std::uintptr_t after) {
+  constexpr std::uintptr_t kImplausible = 1 << 20;
+  Range range{~std::uintptr_t{0}, 0};
+  for (const char* const name : functions) {
+    if (const auto address = reinterpret_cast<std::uintptr_t>(::dlsym(library, name))) {
+      range.begin = std::min(range.begin, address - before);
+      range.end = std::max(range.end, address + after);
+    }
+  }
+  return range.end <= range.begin || range.end - range.begin > kImplausible ? Range{} : range;
+}
+
+std::string_view base_name(const char* path) {
+  const std::string_view text = path == nullptr ? "" : path;
+  return text.substr(text.rfind('/') + 1);
+}
+
+/// The dynamic symbols of a library, as the loader sees them.
+class DynamicSymbols {
+ public:
+  explicit DynamicSymbols(const link_map& library) : base_(library.l_addr) {
+    for (const ElfW(Dyn)* entry = library.l_ld; entry != nullptr && entry->d_tag != DT_NULL;
+         ++entry) {
+      switch (entry->d_tag) {
+        case DT_SYMTAB:
+          symbols_ = reinterpret_cast<const ElfW(Sym)*>(entry->d_un.d_ptr);
+          break;
+        case DT_STRTAB:
+          names_ = reinterpret_cast<const char*>(entry->d_un.d_ptr);
+          break;
+        case DT_GNU_HASH:
+          count_ = count_of(reinterpret_cast<const std::uint32_t*>(entry->d_un.d_ptr));
+          break;
+        default:
+          break;
+      }
+    }
+  }
+
+  /// Name of the function at the address; empty when none is exported there.
+  std::string_view function_at(std::uintptr_t address) const {
+    if (symbols_ == nullptr || names_ == nullptr) {
+      return {};
+    }
+    const std::uintptr_t offset = address - base_;
+    for (std::size_t i = 0; i < count_; ++i) {
+      const ElfW(Sym)& symbol = symbols_[i];
+      if (symbol.st_shndx != SHN_UNDEF && ELF64_ST_TYPE(symbol.st_info) == STT_FUNC &&
+          symbol.st_value <= offset && offset < symbol.st_value + symbol.st_size) {
+        return names_ + symbol.st_name;
+      }
+    }
+    return {};
+  }
+
+ private:
+  /// The table does not tell its length: one more than the highest index in its hash table.
+  static std::size_t count_of(const std::uint32_t* hash) {
+    const std::uint32_t buckets = hash[0];
+    const std::uint32_t first = hash[1];
+    const std::uint32_t bloom_words = hash[2];
+    const std::uint32_t* const bucket = hash + 4 + bloom_words * (sizeof(ElfW(Addr)) / 4);
+    const std::uint32_t* const chain = bucket + buckets;
+    const std::uint32_t last = buckets == 0 ? 0 : *std::max_element(bucket, bucket + buckets);
+    if (last < first) {
+      return first;
+    }
+    std::size_t index = last;
+    while ((chain[index - first] & 1) == 0) {
+      ++index;
+    }
+    return index + 1;
+  }
+
+  std::uintptr_t base_;
+  const ElfW(Sym) * symbols_ = nullptr;
+  const char* names_ = nullptr;
+  std::size_t count_ = 0;
+};
+
+/// A thread blocked in a system call is interrupted before it (to be made again) or behind it.
+bool at_syscall(std::uintptr_t address) {
+#if defined(__x86_64__)
+  static constexpr std::array<unsigned char, 2> kInstruction{0x0f, 0x05};
+#else
+  static constexpr std::array<unsigned char, 4> kInstruction{0x01, 0x00, 0x00, 0xd4};
+#endif
+  const auto is_there = [](std::uintptr_t place) {
+    return std::memcmp(reinterpret_cast<const void*>(place), kInstruction.data(),
+                       kInstruction.size()) == 0;
+  };
+  return is_there(address) || is_there(address - kInstruction.size());
+}
+
+Place in_c_library(std::uintptr_t address, bool innermost, Caution caution) {
+  for (const Range& range : landmarks.c_library_inside) {
+    if (range.contains(address)) {
+      return Place::inside;
+    }
+  }
+  const bool running = innermost && caution == Caution::wait_for_syscall && !at_syscall(address);
+  return running ? Place::inside : Place::neutral;
+}
+
+Place place_of(std::uintptr_t address, bool innermost, Caution caution) {
+  if (landmarks.join.contains(address)) {
+    return Place::harmless;
+  }
+  dl_find_object object{};
+  if (::_dl_find_object(reinterpret_cast<void*>(address), &object) != 0) {
+    // Generated code, or a wild jump: whatever called it decides.
+    return Place::neutral;
+  }
+  const link_map& library = *object.dlfo_link_map;
+  const std::string_view name = base_name(library.l_name);
+  if (name.empty()) {
+    return Place::harmless;  // this program, which keeps children away from its locks
+  }
+  if (begins_with_any(name, kCLibrary)) {
+    return in_c_library(address, innermost, caution);
+  }
+  if (begins_with_any(name, kCppRuntime)) {
+    return Place::neutral;
+  }
+  if (name.find(kGeneratedCode) != std::string_view::npos ||
+      (begins_with_any(name, kShared) && !begins_with_any(name, kNotShared))) {
+    return Place::inside;
+  }
+  const std::string_view function = DynamicSymbols(library).function_at(address);
+  return begins_with_any(function, kTemplates) ? Place::inside : Place::harmless;
+}
+
+struct Registers {
+  std::uintptr_t program_counter;
+  std::uintptr_t caller;  // the return address right after a call, when nothing else is known
+};
+
+Registers registers_of(void* context) {
+  const mcontext_t& registers = static_cast<ucontext_t*>(context)->uc_mcontext;
+#if defined(__x86_64__)
+  const auto pc = static_cast<std::uintptr_t>(registers.gregs[REG_RIP]);
+  dl_find_object object{};
+  if (::_dl_find_object(reinterpret_cast<void*>(pc), &object) == 0) {
+    return {pc, 0};
+  }
+  // A call to no code: the return address lies on top of the stack.
+  return {pc, *reinterpret_cast<const std::uintptr_t*>(registers.gregs[REG_RSP])};
+#else
+  return {static_cast<std::uintptr_t>(registers.pc),
+          static_cast<std::uintptr_t>(registers.regs[30])};
+#endif
+}
+
+}  // namespace
+
+void prepare_code_map() {
+  // The first call loads the unwinder.
+  std::array<void*, 4> frames{};
+  ::backtrace(frames.data(), static_cast<int>(frames.size()));
+
+  constexpr std::uintptr_t kBeforeMalloc = 0x3800;
+  constexpr std::uintptr_t kBeforeThreadStart = 0x1800;
+  constexpr std::uintptr_t kAfter = 0x800;
+  if (void* const library = ::dlopen("libc.so.6", RTLD_NOW | RTLD_NOLOAD)) {
+    landmarks.c_library_inside = {
+        between(library,
+                {"malloc", "free", "calloc", "realloc", "memalign", "aligned_alloc",
+                 "posix_memalign", "malloc_trim", "malloc_usable_size", "mallopt", "malloc_info"},
+                kBeforeMalloc, kAfter),
+        between(library,
+                {"printf", "fprintf", "vfprintf", "fopen", "fclose", "fflush", "fputs", "puts",
+                 "fwrite", "_IO_file_write", "_IO_file_xsputn"},
+                0, kAfter),
+        between(library, {"pthread_create"}, kBeforeThreadStart, kAfter)};
+    ::dlclose(library);
+  }
+  constexpr std::uintptr_t kJoinSize = 64;
+  if (void* const join = ::dlsym(RTLD_DEFAULT, "_ZNSt6thread4joinEv")) {
+    const auto begin = reinterpret_cast<std::uintptr_t>(join);
+    landmarks.join = {begin, begin + kJoinSize};
+  }
+}
+
+bool is_harmless(const std::uintptr_t* frames, std::size_t count, Caution caution) noexcept {
+  for (std::size_t i = 0; i < count; ++i) {
+    // A return address may already be the next function's: a call can be the last of its caller.
+    switch (place_of(i == 0 ? frames[0] : frames[i] - 1, i == 0, caution)) {
+      case Place::neutral:
+        break;
+      case Place::harmless:
+        return true;
+      case Place::inside:
+        return false;
+    }
+  }
+  return true;
+}
+
+std::size_t interrupted_frames(void* context, std::uintptr_t* frames, std::size_t size) noexcept {
+  // The handler's own frames come first, and are left out.
+  constexpr std::size_t kHandlerFrames = 16;
+  constexpr std::size_t kMost = 128;
+  std::array<void*, kMost> all{};
+  const std::size_t wanted = std::min(size + kHandlerFrames, kMost);
+  const auto got = static_cast<std::size_t>(::backtrace(all.data(), static_cast<int>(wanted)));
+  const Registers registers = registers_of(context);
+  auto* const end = all.data() + got;
+  auto* next = std::find(all.data(), end, reinterpret_cast<void*>(registers.program_counter));
+  std::size_t count = 0;
+  if (count < size) {
+    frames[count++] = registers.program_counter;
+  }
+  next = next == end ? end : next + 1;
+  if (next == end && registers.caller != 0 && count < size) {
+    frames[count++] = registers.caller;
+  }
+  for (; next != end && count < size; ++next) {
+    frames[count++] = reinterpret_cast<std::uintptr_t>(*next);
+  }
+  return count;
+}
+
+}  // namespace play_launch::isolation

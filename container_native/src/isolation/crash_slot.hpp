@@ -1,0 +1,79 @@
+#pragma once
+
+#include <sys/types.h>
+
+#include <array>
+#include <atomic>
+#include <cstddef>
+#include <cstdint>
+
+namespace play_launch::isolation {
+
+/// How far a child is. Only the child moves it on; after its death it says how far it came.
+enum class ChildPhase : std::uint32_t {
+  none,      // did not run yet
+  running,   // in its program
+  leaving,   // a signal asked it to leave
+  crashed,   // a fault was caught, its threads are being quiesced
+  exiting,   // something in it called exit(), its threads are being quiesced
+  dying,     // quiesced; what follows is its end
+  returned,  // its program returned
+};
+
+/// What a child leaves behind about itself: written by the child and by its signal handlers, read
+/// by the container while it runs (the atomics only) and after its death (everything). Lives in
+/// ordinary memory of the container, as the child shares it. Holds nothing that must be destroyed.
+struct CrashSlot {
+  static constexpr std::size_t kMaxFrames = 64;
+
+  /// As it is before a child. run_in_child() does it.
+  void reset();
+
+  // Set by the child before anything else, pid first.
+  std::atomic<pid_t> pid{0};
+  std::atomic<std::uint64_t> start_time{0};  // clock ticks after boot, /proc/<pid>/stat field 22
+  std::atomic<bool> alive{false};            // from then until just before the pid is free again
+  std::atomic<int> senders{0};               // see send_signal()
+  std::atomic<ChildPhase> phase{ChildPhase::none};
+  /// For the program to count in, if it likes; nothing here reads it.
+  std::atomic<std::uint64_t> heartbeat{0};
+
+  // A signal asked the child to leave.
+  std::atomic<int> stop_signal{0};
+  std::atomic<pid_t> stop_sender{0};
+
+  // A fault, an abort(), or a signal that the child did not obey in time. `thread` is 0 when none
+  // was caught; the rest is only valid otherwise.
+  std::atomic<pid_t> thread{0};
+  std::array<char, 16> thread_name{};
+  std::uint64_t crash_time_ns = 0;       // CLOCK_MONOTONIC
+  std::uint64_t crash_wall_time_ns = 0;  // CLOCK_REALTIME
+  int signal = 0;
+  int code = 0;      // si_code
+  pid_t sender = 0;  // si_pid, when the signal was sent and not caused by an instruction; else 0
+  std::uintptr_t fault_address = 0;  // si_addr, when it was caused by an instruction
+  std::uintptr_t program_counter = 0;
+  /// Innermost first: the program counter, then return addresses.
+  std::array<std::uintptr_t, kMaxFrames> frames{};
+  std::uint32_t frame_count = 0;
+
+  /// What an exception that nobody caught was: its type, and what().
+  std::array<char, 128> exception_type{};
+  std::array<char, 256> exception_text{};
+  /// Where it was thrown, as return addresses, innermost first; none: that is not known.
+  std::array<std::uintptr_t, kMaxFrames> throw_frames{};
+  std::uint32_t throw_frame_count = 0;
+
+  // What quiescing came to, for crashes and for exit().
+  /// The thread that crashed, or called exit(), was itself inside the middleware or the allocator,
+  /// and may have taken a lock with it.
+  bool inside = false;
+  std::uint32_t threads_parked = 0;      // brought to a harmless place, or ended by themselves
+  std::uint32_t threads_not_parked = 0;  // killed wherever they were
+
+  // exit() or quick_exit() was called in the child.
+  bool exit_called = false;
+  int exit_status = 0;
+};
+
+}  // namespace play_launch::isolation

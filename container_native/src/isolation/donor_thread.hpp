@@ -1,0 +1,46 @@
+#pragma once
+
+#include <pthread.h>
+
+#include <cstddef>
+#include <functional>
+#include <string>
+
+namespace play_launch::isolation {
+
+/// A thread that lends itself to children: its body calls run_in_child() as often as it likes.
+///
+/// After a child that did not come to its end (ChildEnd::returned is false) the body must not
+/// allocate, free, or touch thread_local objects with destructors: the child may have left them
+/// half changed. It can run another child, write to an eventfd, store into atomics, and return.
+/// Therefore keep everything else out of it: tell another thread.
+///
+/// When the body returns after such a child, the thread ends without running any destructor of
+/// thread-local storage; what the allocator keeps for the thread is given back by one more
+/// short-lived child, or lost if even that fails.
+class DonorThread {
+ public:
+  /// Starts the thread. `name` as for ChildOptions; `stack_size` in bytes is what the child has in
+  /// its first thread, 0 = as other threads (RLIMIT_STACK, else 8 MiB). The body must not throw.
+  /// Throws std::system_error.
+  DonorThread(const std::string& name, std::function<void()> body, std::size_t stack_size = 0);
+  DonorThread(const DonorThread&) = delete;
+  DonorThread& operator=(const DonorThread&) = delete;
+  /// Joins.
+  ~DonorThread();
+
+  /// Waits until the body has returned, and gives the stack back. Only once, or never.
+  void join();
+
+ private:
+  static void* start(void* self);
+
+  std::function<void()> body_;
+  std::string name_;
+  void* mapping_ = nullptr;
+  std::size_t mapping_size_ = 0;
+  pthread_t thread_{};
+  bool joinable_ = false;
+};
+
+}  // namespace play_launch::isolation

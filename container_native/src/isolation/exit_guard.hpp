@@ -1,0 +1,15 @@
+#pragma once
+
+namespace play_launch::isolation {
+
+/// exit_guard.cpp defines exit(), quick_exit() and pthread_exit() for the whole program: the
+/// executable exports its symbols, so libraries find these before the C library's. In a child,
+/// exit() and quick_exit() note the status in the slot, quiesce its threads and end the child
+/// alone, without the container's atexit handlers and destructors; pthread_exit() in a child's
+/// first thread does the same with status 0. Everywhere else they do what they always do.
+///
+/// True when calls from libraries really arrive there (the program was linked with its symbols
+/// exported).
+bool exit_guard_is_effective() noexcept;
+
+}  // namespace play_launch::isolation

@@ -1,0 +1,183 @@
+#include "isolation/quiesce.hpp"
+
+#include <dirent.h>
+#include <fcntl.h>
+#include <linux/futex.h>
+#include <signal.h>
+#include <sys/syscall.h>
+#include <time.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <array>
+#include <cerrno>
+#include <chrono>
+#include <cstdint>
+#include <ctime>
+
+#include "isolation/code_map.hpp"
+#include "isolation/donor_state.hpp"
+
+namespace play_launch::isolation {
+namespace {
+
+using namespace std::chrono_literals;
+using std::chrono::nanoseconds;
+
+/// Between two looks at threads that were in a bad place. Short: in a loop that allocates, most
+/// looks come at a bad moment.
+constexpr nanoseconds kRetry = 200us;
+
+nanoseconds now() noexcept {
+  timespec time{};
+  ::clock_gettime(CLOCK_MONOTONIC, &time);
+  return std::chrono::seconds(time.tv_sec) + nanoseconds(time.tv_nsec);
+}
+
+bool is_parked(const ChildRecord& child, pid_t thread) noexcept {
+  const std::size_t count = std::min<std::size_t>(child.parked_count, ChildRecord::kMaxParked);
+  return std::find(child.parked.begin(), child.parked.begin() + count, thread) !=
+         child.parked.begin() + count;
+}
+
+/// The threads of the calling process, without the allocator that opendir() needs.
+class ThreadList {
+ public:
+  ThreadList() noexcept : fd_(::open("/proc/self/task", O_RDONLY | O_DIRECTORY | O_CLOEXEC)) {}
+  ~ThreadList() {
+    if (fd_ >= 0) {
+      ::close(fd_);
+    }
+  }
+  ThreadList(const ThreadList&) = delete;
+  ThreadList& operator=(const ThreadList&) = delete;
+
+  /// Calls visit(tid) for each. False when there is no list to be had.
+  template <class Visit>
+  bool for_each(Visit visit) noexcept {
+    if (fd_ < 0 || ::lseek(fd_, 0, SEEK_SET) != 0) {
+      return false;
+    }
+    alignas(Entry) std::array<char, 4096> buffer;
+    while (true) {
+      const long size = ::syscall(SYS_getdents64, fd_, buffer.data(), buffer.size());
+      if (size <= 0) {
+        return size == 0;
+      }
+      for (long offset = 0; offset < size;) {
+        const auto* const entry = reinterpret_cast<const Entry*>(buffer.data() + offset);
+        if (const pid_t thread = number(entry->d_name)) {
+          visit(thread);
+        }
+        offset += entry->d_reclen;
+      }
+    }
+  }
+
+ private:
+  using Entry = dirent64;
+
+  static pid_t number(const char* text) noexcept {
+    pid_t value = 0;
+    for (; *text >= '0' && *text <= '9'; ++text) {
+      value = value * 10 + (*text - '0');
+    }
+    return value;
+  }
+
+  int fd_;
+};
+
+/// Interrupts the threads that are left, and counts them.
+std::uint32_t ask_to_park(ChildRecord& child, ThreadList& threads) noexcept {
+  const pid_t process = ::getpid();
+  const pid_t self = ::gettid();
+  std::uint32_t left = 0;
+  const bool listed = threads.for_each([&](pid_t thread) {
+    if (thread == self || is_parked(child, thread)) {
+      return;
+    }
+    // One that is already gone is not in the list the next time.
+    if (::syscall(SYS_tgkill, process, thread, park_signal()) == 0) {
+      ++left;
+    }
+  });
+  return listed ? left : 1;
+}
+
+void wait_for_change(std::atomic<std::uint32_t>& count, std::uint32_t seen) noexcept {
+  static_assert(sizeof count == sizeof(std::uint32_t));
+  const timespec time{0, kRetry.count()};
+  ::syscall(SYS_futex, &count, FUTEX_WAIT_PRIVATE, seen, &time, nullptr, 0);
+}
+
+bool is_ending(const ChildRecord& child) noexcept { return child.ender != 0; }
+
+extern "C" void on_park_signal(int, siginfo_t* info, void* context) {
+  const int error = errno;
+  ChildRecord* const child = current_child();
+  if (child != nullptr && info->si_pid == ::getpid() && is_ending(*child)) {
+    std::array<std::uintptr_t, CrashSlot::kMaxFrames> frames;
+    const std::size_t count = interrupted_frames(context, frames.data(), frames.size());
+    const Caution caution = child->impatient ? Caution::accept_running : Caution::wait_for_syscall;
+    if (is_harmless(frames.data(), count, caution)) {
+      park(*child);
+    }
+  }
+  errno = error;
+}
+
+}  // namespace
+
+int park_signal() noexcept { return SIGRTMAX - 2; }
+
+void install_park_handler() noexcept {
+  struct sigaction action{};
+  action.sa_sigaction = on_park_signal;
+  action.sa_flags = SA_SIGINFO | SA_RESTART | SA_ONSTACK;
+  sigfillset(&action.sa_mask);
+  ::sigaction(park_signal(), &action, nullptr);
+}
+
+void park(ChildRecord& child) noexcept {
+  block_all_signals();
+  const std::uint32_t place = child.parked_count.fetch_add(1);
+  if (place < ChildRecord::kMaxParked) {
+    child.parked[place] = ::gettid();
+  }
+  ::syscall(SYS_futex, &child.parked_count, FUTEX_WAKE_PRIVATE, 1, nullptr, nullptr, 0);
+  while (true) {
+    ::pause();
+  }
+}
+
+void quiesce(ChildRecord& child) noexcept {
+  if (child.slot->phase != ChildPhase::returned) {
+    child.program->cancel();
+  }
+  const nanoseconds begin = now();
+  const nanoseconds limit = child.options.quiesce_limit;
+  ThreadList threads;
+  std::uint32_t left = 0;
+  while (true) {
+    const std::uint32_t seen = child.parked_count;
+    left = ask_to_park(child, threads);
+    const nanoseconds passed = now() - begin;
+    if (left == 0 || passed >= limit) {
+      break;
+    }
+    child.impatient = passed >= limit / 2;
+    wait_for_change(child.parked_count, seen);
+  }
+  child.slot->threads_parked = child.parked_count;
+  child.slot->threads_not_parked = left;
+}
+
+void park_if_dying() noexcept {
+  ChildRecord* const child = current_child();
+  if (child != nullptr && child->ender != 0 && child->ender != ::gettid()) {
+    park(*child);
+  }
+}
+
+}  // namespace play_launch::isolation

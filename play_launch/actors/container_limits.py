@@ -1,0 +1,29 @@
+"""How long a container may take for what."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from play_launch.core.watchdog import WATCH_LIMITS, WatchLimits
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Limits:
+    """Seconds."""
+
+    hello: float = 30.0
+    """From the start of a container to its hello."""
+    last_words: float = 0.5
+    """From its end to the end of what it said on the control channel."""
+    exit_after_close: float = 2.0
+    """From its closing the control channel to its end."""
+    report_interval: float = 15.0
+    """Between two reports of a slow constructor."""
+    reload_after_leak: float = 3.0
+    """For a reload beyond its usual time, when a dead node probably left a lock locked."""
+    watch: WatchLimits = WATCH_LIMITS
+    """From when on a silent container counts as frozen."""
+
+
+LIMITS: Final = Limits()

@@ -1,0 +1,64 @@
+"""What follows when a node has crashed alone: its policy, and within which bounds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+from play_launch.core.restart import GiveUp, Restart, decide
+
+if TYPE_CHECKING:
+    from play_launch.core.restart import RestartBounds, RestartHistory
+
+
+class CrashPolicy(StrEnum):
+    """What is wanted; the names are those of ``on_crash`` in the configuration."""
+
+    RELOAD = "reload"
+    IGNORE = "ignore"
+    STOP_CONTAINER = "stop_container"
+    SHUTDOWN = "shutdown"
+
+
+@dataclass(frozen=True, slots=True)
+class Ignore:
+    """Nothing follows; the node stays away until its container is started anew."""
+
+
+@dataclass(frozen=True, slots=True)
+class StopContainer:
+    """Its container is stopped for good."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shutdown:
+    """The whole system is stopped."""
+
+
+FollowUp = Restart | GiveUp | Ignore | StopContainer | Shutdown
+
+
+def follow_up(
+    policy: CrashPolicy,
+    history: RestartHistory,
+    bounds: RestartBounds,
+    *,
+    now: float,
+    lived: float,
+    jitter: float,
+) -> tuple[RestartHistory, FollowUp]:
+    """Decide about a crash, or about a reload that failed.
+
+    The arguments are those of :func:`play_launch.core.restart.decide`; ``lived`` is the time from
+    loaded to the crash, 0 for a reload that failed.
+    """
+    match policy:
+        case CrashPolicy.RELOAD:
+            return decide(history, bounds, now=now, lived=lived, jitter=jitter)
+        case CrashPolicy.IGNORE:
+            return history, Ignore()
+        case CrashPolicy.STOP_CONTAINER:
+            return history, StopContainer()
+        case CrashPolicy.SHUTDOWN:
+            return history, Shutdown()

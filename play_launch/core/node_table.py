@@ -1,0 +1,296 @@
+"""The states of a composable node, what can happen to it, and what follows: the table itself.
+
+:mod:`play_launch.core.lifecycle` applies it.
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum, auto
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from play_launch.core.events import NodeState
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+
+class NodeInput(StrEnum):
+    """What can happen to a node."""
+
+    CONTAINER_READY = auto()
+    CONTAINER_LOST = auto()
+    UNLOAD_REQUESTED = auto()
+    RELOAD_DUE = auto()
+    """The pause after a crash is over."""
+    GIVEN_UP = auto()
+    """No reload follows any more."""
+    SILENT = auto()
+    """The container has not said anything for too long."""
+    ACCEPTED = auto()
+    REJECTED = auto()
+    """The load was not taken up."""
+    UNLOAD_REJECTED = auto()
+    """The unload or cancel was not taken up."""
+    LOADING = auto()
+    LOADED = auto()
+    LOAD_FAILED = auto()
+    UNLOADED = auto()
+    RELOAD_FAILED = auto()
+    """A load that followed a crash was rejected or failed."""
+    CRASHED = auto()
+    STATUS_CONSTRUCTING = auto()
+    STATUS_LOADED = auto()
+    STATUS_UNLOADING = auto()
+    STATUS_UNKNOWN = auto()
+    """The container was asked and does not know the attempt."""
+    STATUS_UNKNOWN_AGAIN = auto()
+    """The same for a load that had been sent anew already."""
+
+
+class NodeAction(StrEnum):
+    """What the actor has to do."""
+
+    SEND_LOAD = auto()
+    RESEND_LOAD = auto()
+    SEND_QUERY = auto()
+    SEND_CANCEL = auto()
+    SEND_UNLOAD = auto()
+    FOLLOW_UP = auto()
+    """Decide what follows from a crash."""
+    REPORT_LOADED = auto()
+    REPORT_CONFIRMED = auto()
+    """Loaded, but no event had told so: the container was asked."""
+    REPORT_SLOW = auto()
+    REPORT_FAILED = auto()
+    REPORT_FORGOTTEN = auto()
+    """The container lives and does not know the node any more."""
+    REPORT_CRASHED = auto()
+    REPORT_GAVE_UP = auto()
+    REPORT_UNLOADED = auto()
+    REPORT_LOST = auto()
+
+
+class Transition(NamedTuple):
+    """An entry of the table."""
+
+    state: NodeState
+    actions: tuple[NodeAction, ...] = ()
+
+
+State, Said, Do = NodeState, NodeInput, NodeAction
+
+WAITING: Final = frozenset({State.REQUESTED, State.LOADING, State.UNLOADING})
+"""States in which the container owes an answer, so that silence means something."""
+
+FROM_CONTAINER: Final = frozenset(
+    {
+        Said.ACCEPTED,
+        Said.REJECTED,
+        Said.LOADING,
+        Said.LOADED,
+        Said.LOAD_FAILED,
+        Said.RELOAD_FAILED,
+        Said.UNLOADED,
+        Said.CRASHED,
+        Said.STATUS_CONSTRUCTING,
+        Said.STATUS_LOADED,
+        Said.STATUS_UNLOADING,
+        Said.STATUS_UNKNOWN,
+        Said.STATUS_UNKNOWN_AGAIN,
+    }
+)
+"""Words about one attempt; they count only for that attempt."""
+
+
+def _row(
+    state: NodeState,
+    answers: Mapping[NodeInput, tuple[NodeState, *tuple[NodeAction, ...]]],
+    ignores: Iterable[NodeInput],
+) -> dict[NodeInput, Transition]:
+    row = {said: Transition(then, tuple(todo)) for said, (then, *todo) in answers.items()}
+    for said in ignores:
+        if said in row:
+            msg = f"{state}: {said} is both answered and ignored"
+            raise ValueError(msg)
+        row[said] = Transition(state)
+    return row
+
+
+_NEW_LOAD: Final = (State.REQUESTED, Do.SEND_LOAD)
+_CRASH: Final = (State.CRASHED, Do.REPORT_CRASHED, Do.FOLLOW_UP)
+_FAILED: Final = (State.LOAD_FAILED, Do.REPORT_FAILED)
+_FAILED_AGAIN: Final = (State.LOAD_FAILED, Do.REPORT_FAILED, Do.FOLLOW_UP)
+_LOST: Final = (State.LOST, Do.REPORT_LOST)
+_TIMERS: Final = (Said.SILENT, Said.RELOAD_DUE, Said.GIVEN_UP)
+
+TABLE: Final[Mapping[NodeState, Mapping[NodeInput, Transition]]] = {
+    State.PENDING: _row(
+        State.PENDING,
+        {
+            Said.CONTAINER_READY: _NEW_LOAD,
+            Said.UNLOAD_REQUESTED: (State.UNLOADED, Do.REPORT_UNLOADED),
+        },
+        {Said.CONTAINER_LOST, Said.UNLOAD_REJECTED, *_TIMERS, *FROM_CONTAINER},
+    ),
+    State.REQUESTED: _row(
+        State.REQUESTED,
+        {
+            Said.ACCEPTED: (State.LOADING,),
+            Said.LOADING: (State.LOADING,),
+            Said.REJECTED: _FAILED,
+            # The answers in between may have been dropped; the last word counts.
+            Said.LOADED: (State.LOADED, Do.REPORT_LOADED),
+            Said.LOAD_FAILED: _FAILED,
+            Said.RELOAD_FAILED: _FAILED_AGAIN,
+            Said.UNLOADED: (State.UNLOADED, Do.REPORT_UNLOADED),
+            Said.CRASHED: _CRASH,
+            Said.CONTAINER_LOST: _LOST,
+            Said.SILENT: (State.REQUESTED, Do.SEND_QUERY),
+            Said.STATUS_CONSTRUCTING: (State.LOADING, Do.REPORT_SLOW),
+            Said.STATUS_LOADED: (State.LOADED, Do.REPORT_CONFIRMED),
+            Said.STATUS_UNLOADING: (State.UNLOADING,),
+            Said.STATUS_UNKNOWN: (State.REQUESTED, Do.RESEND_LOAD),
+            Said.STATUS_UNKNOWN_AGAIN: (State.LOAD_FAILED, Do.REPORT_FORGOTTEN),
+            # Without a unique_id there is nothing to cancel yet; ACCEPTED brings it.
+            Said.UNLOAD_REQUESTED: (State.UNLOADING,),
+        },
+        {Said.CONTAINER_READY, Said.RELOAD_DUE, Said.GIVEN_UP, Said.UNLOAD_REJECTED},
+    ),
+    State.LOADING: _row(
+        State.LOADING,
+        {
+            Said.LOADED: (State.LOADED, Do.REPORT_LOADED),
+            Said.LOAD_FAILED: _FAILED,
+            Said.RELOAD_FAILED: _FAILED_AGAIN,
+            Said.UNLOADED: (State.UNLOADED, Do.REPORT_UNLOADED),
+            Said.CRASHED: _CRASH,
+            Said.CONTAINER_LOST: _LOST,
+            Said.SILENT: (State.LOADING, Do.SEND_QUERY),
+            Said.STATUS_CONSTRUCTING: (State.LOADING, Do.REPORT_SLOW),
+            Said.STATUS_LOADED: (State.LOADED, Do.REPORT_CONFIRMED),
+            Said.STATUS_UNLOADING: (State.UNLOADING,),
+            Said.STATUS_UNKNOWN: (State.REQUESTED, Do.RESEND_LOAD),
+            Said.STATUS_UNKNOWN_AGAIN: (State.LOAD_FAILED, Do.REPORT_FORGOTTEN),
+            Said.UNLOAD_REQUESTED: (State.UNLOADING, Do.SEND_CANCEL),
+            # It was accepted before: the two contradict each other, so ask.
+            Said.REJECTED: (State.LOADING, Do.SEND_QUERY),
+        },
+        {
+            Said.CONTAINER_READY,
+            Said.RELOAD_DUE,
+            Said.GIVEN_UP,
+            Said.UNLOAD_REJECTED,
+            Said.ACCEPTED,
+            Said.LOADING,
+        },
+    ),
+    State.LOADED: _row(
+        State.LOADED,
+        {
+            Said.UNLOADED: (State.UNLOADED, Do.REPORT_UNLOADED),
+            Said.CRASHED: _CRASH,
+            Said.CONTAINER_LOST: _LOST,
+            Said.UNLOAD_REQUESTED: (State.UNLOADING, Do.SEND_UNLOAD),
+            Said.STATUS_UNLOADING: (State.UNLOADING,),
+            # An attempt that the container does not know after it was accepted never comes back.
+            Said.STATUS_UNKNOWN: (State.LOST, Do.REPORT_FORGOTTEN),
+            Said.STATUS_UNKNOWN_AGAIN: (State.LOST, Do.REPORT_FORGOTTEN),
+            Said.REJECTED: (State.LOADED, Do.SEND_QUERY),
+            Said.LOAD_FAILED: (State.LOADED, Do.SEND_QUERY),
+            Said.RELOAD_FAILED: (State.LOADED, Do.SEND_QUERY),
+        },
+        {
+            Said.CONTAINER_READY,
+            *_TIMERS,
+            Said.UNLOAD_REJECTED,
+            Said.ACCEPTED,
+            Said.LOADING,
+            Said.LOADED,
+            Said.STATUS_LOADED,
+            Said.STATUS_CONSTRUCTING,
+        },
+    ),
+    State.UNLOADING: _row(
+        State.UNLOADING,
+        {
+            Said.ACCEPTED: (State.UNLOADING, Do.SEND_CANCEL),
+            Said.REJECTED: (State.UNLOADED, Do.REPORT_UNLOADED),
+            # The constructor was quicker than the cancellation.
+            Said.LOADED: (State.UNLOADING, Do.SEND_UNLOAD),
+            Said.LOAD_FAILED: (State.UNLOADED, Do.REPORT_UNLOADED),
+            Said.RELOAD_FAILED: (State.UNLOADED, Do.REPORT_UNLOADED),
+            Said.UNLOADED: (State.UNLOADED, Do.REPORT_UNLOADED),
+            # Nobody wants it any more, so it is not brought back.
+            Said.CRASHED: (State.CRASHED, Do.REPORT_CRASHED),
+            Said.CONTAINER_LOST: (State.UNLOADED, Do.REPORT_UNLOADED),
+            Said.UNLOAD_REJECTED: (State.UNLOADING, Do.SEND_QUERY),
+            Said.SILENT: (State.UNLOADING, Do.SEND_QUERY),
+            Said.STATUS_CONSTRUCTING: (State.UNLOADING, Do.SEND_CANCEL, Do.REPORT_SLOW),
+            Said.STATUS_LOADED: (State.UNLOADING, Do.SEND_UNLOAD),
+            Said.STATUS_UNKNOWN: (State.UNLOADED, Do.REPORT_UNLOADED),
+            Said.STATUS_UNKNOWN_AGAIN: (State.UNLOADED, Do.REPORT_UNLOADED),
+        },
+        {
+            Said.CONTAINER_READY,
+            Said.RELOAD_DUE,
+            Said.GIVEN_UP,
+            Said.LOADING,
+            Said.UNLOAD_REQUESTED,
+            Said.STATUS_UNLOADING,
+        },
+    ),
+    State.LOAD_FAILED: _row(
+        State.LOAD_FAILED,
+        # A new container process is a new chance.
+        {
+            Said.CONTAINER_READY: _NEW_LOAD,
+            Said.RELOAD_DUE: _NEW_LOAD,
+            Said.GIVEN_UP: (State.GAVE_UP, Do.REPORT_GAVE_UP),
+            Said.UNLOAD_REQUESTED: (State.UNLOADED, Do.REPORT_UNLOADED),
+        },
+        {Said.CONTAINER_LOST, Said.UNLOAD_REJECTED, Said.SILENT, *FROM_CONTAINER},
+    ),
+    State.UNLOADED: _row(
+        State.UNLOADED,
+        # A new container process is brought up as declared: a container that was ended from
+        # outside tells that it unloads its nodes, too.
+        {Said.CONTAINER_READY: _NEW_LOAD},
+        {
+            Said.CONTAINER_LOST,
+            Said.UNLOAD_REQUESTED,
+            Said.UNLOAD_REJECTED,
+            *_TIMERS,
+            *FROM_CONTAINER,
+        },
+    ),
+    State.CRASHED: _row(
+        State.CRASHED,
+        {
+            Said.RELOAD_DUE: _NEW_LOAD,
+            Said.GIVEN_UP: (State.GAVE_UP, Do.REPORT_GAVE_UP),
+            Said.CONTAINER_LOST: _LOST,
+            Said.UNLOAD_REQUESTED: (State.UNLOADED, Do.REPORT_UNLOADED),
+        },
+        {Said.CONTAINER_READY, Said.SILENT, Said.UNLOAD_REJECTED, *FROM_CONTAINER},
+    ),
+    State.GAVE_UP: _row(
+        State.GAVE_UP,
+        {Said.UNLOAD_REQUESTED: (State.UNLOADED, Do.REPORT_UNLOADED)},
+        # It does not come back with its container either: it may be what brought that down.
+        {
+            Said.CONTAINER_READY,
+            Said.CONTAINER_LOST,
+            Said.UNLOAD_REJECTED,
+            *_TIMERS,
+            *FROM_CONTAINER,
+        },
+    ),
+    State.LOST: _row(
+        State.LOST,
+        {
+            Said.CONTAINER_READY: _NEW_LOAD,
+            Said.UNLOAD_REQUESTED: (State.UNLOADED, Do.REPORT_UNLOADED),
+        },
+        {Said.CONTAINER_LOST, Said.UNLOAD_REJECTED, *_TIMERS, *FROM_CONTAINER},
+    ),
+}

@@ -1,0 +1,70 @@
+"""Whether a process that is asked something every now and then still answers.
+
+There is never more than one open question, so nothing piles up at a process that is frozen. Times
+are seconds of any monotonic clock and are passed in.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum, auto
+from typing import Final
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WatchLimits:
+    """Seconds."""
+
+    interval: float = 1.0
+    """From an answer to the next question."""
+    patience: float = 3.0
+    """From a question to the verdict."""
+    lateness: float = 0.5
+    """A look that comes later than this says more about us than about the other side."""
+
+
+WATCH_LIMITS: Final = WatchLimits()
+
+
+class Verdict(StrEnum):
+    """What a look at the clock says."""
+
+    WAIT = auto()
+    ASK = auto()
+    """Put a question now."""
+    FROZEN = auto()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Watch:
+    """One process under watch."""
+
+    due: float
+    """When to look again."""
+    asked_at: float | None = None
+    """When the open question was put; None without one."""
+
+
+def begin(now: float, limits: WatchLimits = WATCH_LIMITS) -> Watch:
+    """Begin to watch a process that has just shown that it lives."""
+    return Watch(due=now + limits.interval)
+
+
+def answered(watch: Watch, now: float, limits: WatchLimits = WATCH_LIMITS) -> Watch:
+    """Take an answer; one to no open question changes nothing."""
+    return watch if watch.asked_at is None else begin(now, limits)
+
+
+def look(watch: Watch, now: float, limits: WatchLimits = WATCH_LIMITS) -> tuple[Watch, Verdict]:
+    """Look at the clock.
+
+    When we ourselves did not run for a while (stopped, or starved of CPU time), an answer may be
+    waiting for us; so the other side gets its time once more.
+    """
+    if now < watch.due:
+        return watch, Verdict.WAIT
+    if watch.asked_at is None:
+        return Watch(due=now + limits.patience, asked_at=now), Verdict.ASK
+    if now - watch.due > limits.lateness:
+        return Watch(due=now + limits.patience, asked_at=watch.asked_at), Verdict.WAIT
+    return watch, Verdict.FROZEN

@@ -1,0 +1,138 @@
+"""The allocator that isolated containers run with.
+
+The processes of such a container share one heap. A process that dies inside of glibc's malloc may
+leave an arena locked, and whoever uses that arena next waits for ever. mimalloc and jemalloc give
+each thread a heap of its own, so they are preloaded where they are to be found.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import sysconfig
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Mapping
+
+ALLOCATOR_VARIABLE: Final = "PLAY_LAUNCH_ALLOCATOR"
+"""Environment variable that names the library to preload."""
+LIBRARIES: Final = ("libmimalloc.so.2", "libjemalloc.so.2")
+"""What is looked for, best first."""
+ADVICE: Final = (
+    "isolated containers run with glibc's malloc, whose locks a crashing node can leave locked: "
+    "its container may then freeze, and is killed and started again with all of its nodes. "
+    f"Way out: apt install libmimalloc2.0, or {ALLOCATOR_VARIABLE}=/path/to/libmimalloc.so.2"
+)
+_NAME: Final = re.compile(r"lib(?:mimalloc|jemalloc)\b.*\.so\b")
+_LDCONFIG_LIMIT: Final = 5.0
+"""Seconds."""
+_ELF_HEADER: Final = 20
+"""Bytes up to the machine that the file is for."""
+
+
+@dataclass(frozen=True, slots=True)
+class Allocator:
+    """What was found.
+
+    Attributes:
+        library: What to preload; None when there is nothing of use.
+        problem: Why not, in words for people; empty when all is well.
+    """
+
+    library: Path | None
+    problem: str = ""
+
+
+def find_allocator(
+    environ: Mapping[str, str] | None = None,
+    *,
+    listing: Callable[[], str] | None = None,
+    folders: Iterable[Path] | None = None,
+) -> Allocator:
+    """Find the allocator; runs ldconfig and reads the beginnings of files.
+
+    Args:
+        environ: The environment; None for our own.
+        listing: Gives what `ldconfig -p` prints; None for the real one.
+        folders: Where else to look; None for the usual places.
+    """
+    environ = os.environ if environ is None else environ
+    named = environ.get(ALLOCATOR_VARIABLE, "")
+    if named:
+        library = Path(named)
+        if _is_ours(library):
+            return Allocator(library)
+        problem = f"{ALLOCATOR_VARIABLE} names {named}, which is no library for this machine"
+        return Allocator(None, f"{problem}; {ADVICE}")
+    listed = (listing or _ldconfig)()
+    folders = tuple(_usual_folders() if folders is None else folders)
+    for name in LIBRARIES:
+        for library in (*_listed(listed, name), *(folder / name for folder in folders)):
+            if _is_ours(library):
+                return Allocator(library)
+    return Allocator(None, f"neither mimalloc nor jemalloc is installed; {ADVICE}")
+
+
+def preloading(environment: Mapping[str, str], library: Path) -> dict[str, str]:
+    """Add the library to what is preloaded, unless such an allocator is preloaded already."""
+    changed = dict(environment)
+    preloaded = [name for name in re.split(r"[: ]+", changed.get("LD_PRELOAD", "")) if name]
+    if not any(_NAME.match(Path(name).name) for name in preloaded):
+        changed["LD_PRELOAD"] = ":".join([os.fspath(library), *preloaded])
+    return changed
+
+
+def _listed(listing: str, name: str) -> Iterator[Path]:
+    for line in listing.splitlines():
+        entry, arrow, path = line.partition(" => ")
+        if arrow and entry.split()[:1] == [name]:
+            yield Path(path.strip())
+
+
+def _ldconfig() -> str:
+    # Not in everybody's PATH.
+    path = os.pathsep.join([os.environ.get("PATH", ""), "/usr/sbin", "/sbin"])
+    program = shutil.which("ldconfig", path=path)
+    if program is None:
+        return ""
+    try:
+        result = subprocess.run(
+            [program, "-p"], check=False, capture_output=True, timeout=_LDCONFIG_LIMIT
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return ""
+    return os.fsdecode(result.stdout)
+
+
+def _usual_folders() -> list[Path]:
+    architecture = sysconfig.get_config_var("MULTIARCH") or ""
+    return [
+        Path(sys.prefix) / "lib",
+        *(Path(root) / "lib" / architecture for root in ("/usr", "/") if architecture),
+        Path("/usr/lib64"),
+        Path("/usr/lib"),
+        Path("/usr/local/lib"),
+    ]
+
+
+def _is_ours(library: Path) -> bool:
+    """Whether it is a library for the machine that this Python is for."""
+    try:
+        return _machine(library) == _machine(Path(sys.executable))
+    except (OSError, ValueError):
+        return False
+
+
+def _machine(file: Path) -> tuple[bytes, bytes]:
+    with file.open("rb") as opened:
+        header = opened.read(_ELF_HEADER)
+    if len(header) < _ELF_HEADER or not header.startswith(b"\x7fELF"):
+        msg = f"{file} is no ELF file"
+        raise ValueError(msg)
+    return header[4:6], header[18:20]

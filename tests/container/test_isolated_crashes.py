@@ -1,0 +1,179 @@
+"""The death of an isolated node is the death of its process, and of nothing else."""
+
+from __future__ import annotations
+
+import os
+import signal
+from signal import SIGABRT, SIGBUS, SIGFPE, SIGILL, SIGKILL, SIGSEGV, SIGTERM
+from typing import TYPE_CHECKING
+
+import pytest
+from play_launch_msgs.msg import ComponentEvent
+from std_msgs.msg import String
+
+from tests.support.isolated import (
+    MODES,
+    is_gone,
+    only_these_remain,
+    start_isolated,
+    survives,
+)
+from tests.support.ros import Probe
+
+if TYPE_CHECKING:
+    from tests.support.control_peer import Container, StartContainer
+
+LOADED, LOAD_FAILED, CRASHED = (
+    ComponentEvent.LOADED,
+    ComponentEvent.LOAD_FAILED,
+    ComponentEvent.CRASHED,
+)
+WAYS = {
+    "segv": SIGSEGV,
+    "abrt": SIGABRT,
+    "fpe": SIGFPE,
+    "bus": SIGBUS,
+    "ill": SIGILL,
+    "kill": SIGKILL,
+    "term": SIGTERM,
+    "exception": SIGABRT,
+    "exit": 0,
+}
+TRACED = {"segv", "abrt", "exception"}
+"""Ways to die in the thread that runs the callback; the others are signals to the process."""
+
+both_modes = pytest.mark.parametrize("mode", MODES)
+
+
+def assert_death(event: ComponentEvent, how: str) -> None:
+    """The event tells of that way to die, and where the component did it."""
+    assert event.signal == WAYS[how]
+    assert event.exit_code == (3 if how == "exit" else 0)
+    if WAYS[how]:
+        assert signal.Signals(WAYS[how]).name in event.error_message
+    if how in TRACED:
+        assert any("play_launch_demo::" in line and "die" in line for line in event.backtrace), (
+            event.backtrace
+        )
+
+
+def assert_cleaned_up(container: Container, *, crashes: int, leaked: int = 0) -> None:
+    """The container has counted the crashes, and has cleaned up after all but the leaked ones."""
+    while True:
+        status = container.status()
+        if status.undertaken + status.leaked == crashes:
+            break
+    assert (status.crashes, status.leaked) == (crashes, leaked)
+
+
+@both_modes
+@pytest.mark.parametrize("how", WAYS)
+def test_a_crash_is_told_and_the_neighbours_go_on(
+    spawn: StartContainer, mode: str, how: str
+) -> None:
+    container = start_isolated(spawn, mode)
+    with survives(container), Probe() as probe:
+        talker = container.loaded("Talker", parameters={"rate": 100.0})
+        heard = probe.listen(String, "/chatter")
+        probe.spin_until(lambda: bool(heard), 20.0, "the talker")
+        crasher = container.loaded("Crasher", parameters={"how": how, "after": 0.0})
+        crashed = container.event(CRASHED, unique_id=crasher.unique_id)
+        assert (crashed.pid, crashed.start_time) == (crasher.pid, crasher.start_time)
+        assert_death(crashed, how)
+        assert is_gone(crasher.pid)
+        before = len(heard)
+        probe.spin_until(lambda: len(heard) > before + 10, 20.0, "the talker again")
+        assert_cleaned_up(container, crashes=1)
+        assert only_these_remain(container, talker.pid)
+        container.loaded("Crasher", parameters={"how": how})
+
+
+@both_modes
+@pytest.mark.parametrize("how", ["segv", "abrt", "kill", "exit"])
+def test_a_crash_in_a_constructor_is_a_failed_load(
+    spawn: StartContainer, mode: str, how: str
+) -> None:
+    container = start_isolated(spawn, mode)
+    with survives(container):
+        container.load("Crasher", parameters={"how": how, "in_constructor": True})
+        failed = container.event(LOAD_FAILED)
+        assert failed.pid != container.process.pid
+        assert_death(failed, how)
+        assert how not in TRACED or "die" in failed.error_message
+        assert_cleaned_up(container, crashes=1, leaked=1)
+        assert only_these_remain(container)
+        container.loaded("Crasher")
+
+
+@both_modes
+def test_a_crash_on_a_message(spawn: StartContainer, mode: str) -> None:
+    container = start_isolated(spawn, mode)
+    with survives(container), Probe() as probe:
+        crasher = container.loaded("Crasher")
+        publisher = probe.node.create_publisher(String, "/crash", 1)
+        probe.spin_until(
+            lambda: publisher.get_subscription_count() > 0, 20.0, "the crasher's subscription"
+        )
+        publisher.publish(String(data="segv"))
+        crashed = container.event(CRASHED, unique_id=crasher.unique_id)
+        assert_death(crashed, "segv")
+        assert_cleaned_up(container, crashes=1)
+
+
+@both_modes
+@pytest.mark.parametrize("number", [SIGKILL, SIGSEGV, SIGTERM])
+def test_a_signal_from_outside(spawn: StartContainer, mode: str, number: signal.Signals) -> None:
+    container = start_isolated(spawn, mode)
+    with survives(container), Probe() as probe:
+        victim = container.loaded("Talker", node_name="victim")
+        container.loaded("Talker", node_name="neighbour")
+        os.kill(victim.pid, number)
+        crashed = container.event(CRASHED, unique_id=victim.unique_id)
+        assert crashed.signal == number
+        assert is_gone(victim.pid)
+        probe.collect(String, "/chatter", 5)
+        assert_cleaned_up(container, crashes=1)
+        # What is asked for by a signal is done in order; only SIGKILL cannot be.
+        assert container.status().unquiesced == (1 if number == SIGKILL else 0)
+
+
+def test_a_crash_with_glibc_malloc(spawn: StartContainer) -> None:
+    container = spawn("--isolated", environment={"LD_PRELOAD": ""})
+    with survives(container):
+        for how in ("segv", "abrt", "exception"):
+            crasher = container.loaded("Crasher", parameters={"how": how, "after": 0.0})
+            assert_death(container.event(CRASHED, unique_id=crasher.unique_id), how)
+        assert_cleaned_up(container, crashes=3)
+
+
+def test_what_cannot_be_cleaned_up_is_counted(spawn: StartContainer) -> None:
+    container = start_isolated(spawn, failpoints="container.during_burial=hang")
+    with survives(container):
+        crasher = container.loaded("Crasher", parameters={"after": 0.0})
+        container.event(CRASHED, unique_id=crasher.unique_id)
+        container.loaded("Talker")
+        assert_cleaned_up(container, crashes=1, leaked=1)
+        assert "/crasher" in container.log.read_text()
+
+
+def usage(container: Container) -> tuple[int, int]:
+    return container.threads(), container.descriptors()
+
+
+@both_modes
+def test_reloading_after_crashes_leaves_nothing_behind(spawn: StartContainer, mode: str) -> None:
+    container = start_isolated(spawn, mode)
+    used: list[tuple[int, int]] = []
+    ways = ("segv", "abrt", "exception", "exit")
+    with survives(container):
+        talker = container.loaded("Talker")
+        for i in range(200):
+            how = ways[i % len(ways)]
+            crasher = container.loaded("Crasher", parameters={"how": how, "after": 0.0})
+            container.event(CRASHED, unique_id=crasher.unique_id)
+            used.append(usage(container))
+        assert_cleaned_up(container, crashes=200)
+        # A donor or two may wait to be joined at any moment; growth would stay.
+        for each in (0, 1):
+            assert min(u[each] for u in used[100:]) <= min(u[each] for u in used[5:100]), used
+        assert only_these_remain(container, talker.pid)

@@ -1,0 +1,184 @@
+"""Isolated nodes that behave: processes of their own, messages by pointer all the same."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+from composition_interfaces.srv import ListNodes
+from play_launch_msgs.msg import ComponentEvent, ControlCancel, ControlUnload, NodeStatus
+from std_msgs.msg import String
+
+from tests.support.isolated import (
+    MODES,
+    children,
+    is_gone,
+    only_these_remain,
+    start_isolated,
+    start_time,
+    survives,
+)
+from tests.support.ros import Probe
+
+if TYPE_CHECKING:
+    from tests.support.control_peer import Container, StartContainer
+
+LOADED, UNLOADED = ComponentEvent.LOADED, ComponentEvent.UNLOADED
+LOADING, CRASHED = ComponentEvent.LOADING, ComponentEvent.CRASHED
+FOREVER = {"seconds": 3600.0}
+BY_POINTER = {"use_intra_process_comms": True}
+
+both_modes = pytest.mark.parametrize("mode", MODES)
+
+
+def unload(container: Container, unique_id: int) -> ComponentEvent:
+    container.send(ControlUnload(unique_id=unique_id))
+    return container.event(UNLOADED, unique_id=unique_id)
+
+
+def numbers(report: String) -> dict[str, int]:
+    """The whole numbers of an image sink's report."""
+    fields = (field.split("=") for field in report.data.split())
+    return {name: int(value) for name, value in fields if value.isdigit()}
+
+
+@both_modes
+def test_every_node_is_a_process(spawn: StartContainer, mode: str) -> None:
+    container = start_isolated(spawn, mode)
+    with survives(container), Probe() as probe:
+        events = [container.loaded("Talker", node_name=f"talker_{i}") for i in range(3)]
+        pids = {event.pid for event in events}
+        assert len(pids | {container.process.pid}) == 4
+        assert children(container) == pids
+        for event in events:
+            assert event.start_time == start_time(event.pid)
+            name = Path(f"/proc/{event.pid}/comm").read_text().strip()
+            assert f"/{name}" == event.full_node_name
+        assert {node.pid for node in container.status().nodes} == pids
+        listed = probe.call(ListNodes, "/container/_container/list_nodes", ListNodes.Request())
+        assert set(listed.full_node_names) == {event.full_node_name for event in events}
+        first, *others = events
+        gone = unload(container, first.unique_id)
+        assert (gone.pid, gone.error_message, gone.signal) == (first.pid, "", 0)
+        assert is_gone(first.pid)
+        with pytest.raises(ProcessLookupError):
+            os.kill(first.pid, 0)
+        assert children(container) == {event.pid for event in others}
+        assert {node.unique_id for node in container.status().nodes} == {
+            event.unique_id for event in others
+        }
+        for event in others:
+            unload(container, event.unique_id)
+        assert only_these_remain(container)
+        status = container.status()
+        assert (status.crashes, status.undertaken, status.leaked, status.unquiesced) == (0,) * 4
+
+
+@both_modes
+def test_the_hello_tells_the_mechanism(spawn: StartContainer, mode: str) -> None:
+    container = start_isolated(spawn, mode)
+    (hello,) = container.seen
+    assert (hello.mode, hello.mechanism) == (mode, "shared_memory")
+    assert not hello.notes
+    assert hello.thread_num == (1 if mode == "isolated" else min(max(os.cpu_count() or 2, 2), 4))
+    assert container.shut_down() == 0
+
+
+def test_glibc_malloc_is_noted(spawn: StartContainer) -> None:
+    container = spawn("--isolated", environment={"LD_PRELOAD": ""})
+    (hello,) = container.seen
+    assert hello.mechanism == "shared_memory"
+    assert "mimalloc" in "".join(hello.notes)
+    assert "mimalloc" in container.log.read_text()
+    container.loaded("Talker")
+    assert container.shut_down() == 0
+
+
+@both_modes
+def test_messages_go_by_pointer_between_processes(spawn: StartContainer, mode: str) -> None:
+    container = start_isolated(spawn, mode)
+    with survives(container), Probe() as probe:
+        sink = container.loaded(
+            "ImageSink", parameters={"report_every": 10}, extra_arguments=BY_POINTER
+        )
+        source = container.loaded("ImageSource", extra_arguments=BY_POINTER)
+        assert source.pid != sink.pid
+        heard = probe.listen(String, "/image_sink/report")
+        probe.spin_until(lambda: bool(heard), 20.0, "a report")
+        first = numbers(heard[-1])
+        assert first["by_pointer"] == first["images"] > 0
+        assert first["bytes"] == 2_000_000
+
+        os.kill(source.pid, signal.SIGKILL)
+        container.event(CRASHED, unique_id=source.unique_id)
+        again = container.loaded("ImageSource", extra_arguments=BY_POINTER)
+        assert again.pid not in {source.pid, sink.pid}
+        before = len(heard)
+        probe.spin_until(lambda: len(heard) > before + 1, 20.0, "reports of the new source")
+        last = numbers(heard[-1])
+        assert last["by_pointer"] == last["images"] > first["images"]
+        assert not is_gone(sink.pid)
+
+
+@both_modes
+def test_a_slow_constructor_blocks_nobody(spawn: StartContainer, mode: str) -> None:
+    container = start_isolated(spawn, mode)
+    slow = container.load("SlowConstructor", parameters=FOREVER, node_name="slow")
+    loading = container.event(LOADING, attempt=slow)
+    talker = container.loaded("Talker")
+    unload(container, talker.unique_id)
+    node = container.status(loading.unique_id).nodes[0]
+    assert node.state == NodeStatus.CONSTRUCTING
+    assert only_these_remain(container, node.pid)
+    assert container.shut_down() == 0
+    assert is_gone(node.pid)
+
+
+@both_modes
+@pytest.mark.parametrize("how", [ControlUnload, ControlCancel])
+def test_a_node_is_unloaded_while_it_constructs(
+    spawn: StartContainer, mode: str, how: type[ControlUnload | ControlCancel]
+) -> None:
+    container = start_isolated(spawn, mode)
+    with survives(container):
+        attempt = container.load("SlowConstructor", parameters={"seconds": 0.3}, node_name="slow")
+        loading = container.event(LOADING, attempt=attempt)
+        container.send(how(unique_id=loading.unique_id))
+        gone = container.event(UNLOADED, attempt=attempt)
+        assert gone.error_message == "cancelled"
+        assert only_these_remain(container)
+        container.loaded("Talker", node_name="slow")
+
+
+def test_a_failed_load_leaves_no_process(spawn: StartContainer) -> None:
+    container = start_isolated(spawn)
+    with survives(container):
+        cases = {
+            container.load("ThrowingConstructor"): "no such camera",
+            container.load("Nobody"): "play_launch_demo::Talker",
+            container.load("Nobody", package="no_such_package"): "no_such_package",
+            container.load("Talker", parameters={"rate": "fast"}): "rate",
+        }
+        for _ in cases.copy():
+            event = container.event(ComponentEvent.LOAD_FAILED)
+            assert cases.pop(event.attempt) in event.error_message
+            assert event.signal == 0
+        assert only_these_remain(container)
+        assert container.status().crashes == 0
+
+
+@both_modes
+def test_many_loads_at_once(spawn: StartContainer, mode: str) -> None:
+    container = start_isolated(spawn, mode)
+    with survives(container):
+        attempts = {container.load("Talker", node_name=f"talker_{i}") for i in range(30)}
+        pids = set()
+        while attempts:
+            event = container.event(LOADED)
+            attempts.remove(event.attempt)
+            pids.add(event.pid)
+        assert len(pids) == 30
+        assert children(container) == pids

@@ -1,0 +1,86 @@
+"""Which allocator isolated containers get."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from pathlib import Path
+
+import pytest
+
+from play_launch.native.allocator import Allocator, find_allocator, preloading
+
+PYTHON = Path(sys.executable).resolve()
+
+
+def library(path: Path) -> Path:
+    """A file that looks like a library for this machine: the beginning of a program for it."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with PYTHON.open("rb") as file:
+        path.write_bytes(file.read(64))
+    return path
+
+
+def found(environ: dict[str, str], listing: str = "", *folders: Path) -> Allocator:
+    return find_allocator(environ, listing=lambda: listing, folders=folders)
+
+
+def test_the_variable_wins(tmp_path: Path) -> None:
+    own, other = library(tmp_path / "own.so"), library(tmp_path / "libmimalloc.so.2")
+    assert found({"PLAY_LAUNCH_ALLOCATOR": str(own)}, "", other.parent) == Allocator(own)
+
+
+def test_a_variable_that_names_nothing_of_use_is_told(tmp_path: Path) -> None:
+    text = tmp_path / "libmimalloc.so.2"
+    text.write_text("INPUT(libmimalloc.so.2.0)")
+    for path in (text, tmp_path / "missing.so", tmp_path):
+        answer = found({"PLAY_LAUNCH_ALLOCATOR": str(path)})
+        assert answer.library is None
+        assert str(path) in answer.problem
+
+
+def test_mimalloc_is_taken_before_jemalloc(tmp_path: Path) -> None:
+    jemalloc = library(tmp_path / "a" / "libjemalloc.so.2")
+    listing = f"2 libs found\n\tlibjemalloc.so.2 (libc6,x86-64) => {jemalloc}\n"
+    assert found({}, listing) == Allocator(jemalloc)
+    mimalloc = library(tmp_path / "b" / "libmimalloc.so.2")
+    assert found({}, listing, mimalloc.parent) == Allocator(mimalloc)
+
+
+def test_a_library_for_another_machine_is_passed_over(tmp_path: Path) -> None:
+    foreign = library(tmp_path / "32" / "libmimalloc.so.2")
+    content = bytearray(foreign.read_bytes())
+    content[4] ^= 3
+    foreign.write_bytes(content)
+    ours = library(tmp_path / "64" / "libmimalloc.so.2")
+    listing = "".join(f"\tlibmimalloc.so.2 (libc6) => {path}\n" for path in (foreign, ours))
+    assert found({}, listing) == Allocator(ours)
+
+
+def test_none_is_told_with_its_price_and_the_way_out(tmp_path: Path) -> None:
+    answer = found({}, "0 libs found\n", tmp_path)
+    assert answer.library is None
+    assert "neither mimalloc nor jemalloc" in answer.problem
+    assert "freeze" in answer.problem
+    assert "apt install libmimalloc2.0" in answer.problem
+
+
+@pytest.mark.skipif(
+    shutil.which("ldconfig", path="/usr/sbin:/sbin") is None, reason="there is no ldconfig"
+)
+def test_this_machine_is_looked_at_without_an_error() -> None:
+    answer = find_allocator({})
+    assert (answer.library is None) == bool(answer.problem)
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ({}, "/l/libmimalloc.so.2"),
+        ({"LD_PRELOAD": "/x/liba.so libb.so"}, "/l/libmimalloc.so.2:/x/liba.so:libb.so"),
+        ({"LD_PRELOAD": "/x/libjemalloc.so.2"}, "/x/libjemalloc.so.2"),
+        ({"LD_PRELOAD": "/x/libmimalloc-secure.so.2.0:y"}, "/x/libmimalloc-secure.so.2.0:y"),
+    ],
+)
+def test_preloading(before: dict[str, str], after: str) -> None:
+    assert preloading(before, Path("/l/libmimalloc.so.2"))["LD_PRELOAD"] == after

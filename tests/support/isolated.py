@@ -1,0 +1,70 @@
+"""Containers whose nodes have processes of their own."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import psutil
+import pytest
+
+from play_launch.native.allocator import find_allocator, preloading
+from tests.support.control_peer import PATIENCE, Container, StartContainer
+
+MODES = {
+    "isolated": ("--isolated",),
+    "isolated_mt": ("--isolated", "--use_multi_threaded_executor"),
+}
+
+
+def allocator_environment() -> dict[str, str]:
+    """What makes an isolated container safe; skips the test where there is no such allocator."""
+    found = find_allocator()
+    if found.library is None:
+        pytest.skip(found.problem)
+    return preloading({}, found.library)
+
+
+def start_isolated(
+    spawn: StartContainer, mode: str = "isolated", *arguments: str, failpoints: str = ""
+) -> Container:
+    """A container in that mode, with the allocator it should have."""
+    return spawn(
+        *MODES[mode], *arguments, failpoints=failpoints, environment=allocator_environment()
+    )
+
+
+def children(container: Container) -> set[int]:
+    """Process ids of all processes below the container."""
+    return {child.pid for child in psutil.Process(container.process.pid).children(recursive=True)}
+
+
+def only_these_remain(container: Container, *pids: int) -> bool:
+    """Wait until the container has no other processes; what cleans up may take a moment."""
+    deadline = time.monotonic() + PATIENCE
+    while children(container) != set(pids):
+        if time.monotonic() > deadline:
+            return False
+    return True
+
+
+def start_time(pid: int) -> int:
+    """In clock ticks after boot."""
+    return int(Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[19])
+
+
+def is_gone(pid: int) -> bool:
+    """Whether there is no such process, not even a zombie."""
+    return not Path(f"/proc/{pid}").exists()
+
+
+@contextmanager
+def survives(container: Container) -> Iterator[None]:
+    """The container is the same process afterwards, and ends in order when it is told to."""
+    before = start_time(container.process.pid)
+    yield
+    assert container.process.poll() is None, container.log.read_text()
+    assert start_time(container.process.pid) == before
+    assert container.shut_down() == 0, container.log.read_text()
