@@ -23,6 +23,7 @@ from play_launch.core.container_lifecycle import (
     ContainerInput,
 )
 from play_launch.core.events import (
+    TOLD_LOGGER,
     ContainerState,
     ContainerStateChanged,
     ProcessEventKind,
@@ -46,6 +47,7 @@ if TYPE_CHECKING:
     from play_launch.process.exit import Exit
 
 _log = logging.getLogger(__name__)
+_told = logging.getLogger(TOLD_LOGGER)
 
 
 @dataclass(frozen=True, slots=True)
@@ -368,7 +370,7 @@ class ContainerActor:
         self._reports.restarts = self._restarter.total
         reason = f"{death.reason}; starts again in {verdict.delay:.2f} s"
         actions = self._apply(ContainerInput.DIED_RESTART, reason)
-        _log.warning("%s: %s", self._name, reason)
+        _told.warning("%s: %s", self._name, reason)
         self._reports.publish(ProcessEventKind.RESTARTING, message=reason)
         return actions
 
@@ -385,7 +387,7 @@ class ContainerActor:
                     _log.error("%s is killed: %s", self._name, reason)
                     self._kill(reason)
                 case ContainerAction.REPORT_GAVE_UP:
-                    _log.error("%s is given up: %s", self._name, reason)
+                    _told.error("%s is given up: %s", self._name, reason)
                     self._reports.publish(ProcessEventKind.GAVE_UP, message=reason)
                 case _:
                     pass  # the caller's part

@@ -16,7 +16,7 @@ from play_launch.actors.node_facts import NOTHING, Facts, facts_of_event, facts_
 from play_launch.actors.node_reports import MirroredNode, NodeReports
 from play_launch.actors.restarter import CrashFollower
 from play_launch.core.crash import Ignore, Shutdown, StopContainer
-from play_launch.core.events import ComponentEvent, ComponentEventKind, NodeState
+from play_launch.core.events import TOLD_LOGGER, ComponentEvent, ComponentEventKind, NodeState
 from play_launch.core.lifecycle import is_silent, step
 from play_launch.core.node_table import NodeAction, NodeInput
 from play_launch.core.questions import Asked, ids_to_ask, read_answer
@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from play_launch.core.lifecycle import Patience
 
 _log = logging.getLogger(__name__)
+_told = logging.getLogger(TOLD_LOGGER)
 
 _OPEN_QUESTIONS: Final = 16
 """Questions whose answers are still expected; older ones are given up."""
@@ -285,14 +286,14 @@ class ContainerNodes:
                 if node.record.is_reload:
                     self._escalation.reload_hangs(f"{name} is not loaded again: {facts.reason}")
             case NodeAction.REPORT_FAILED:
-                _log.error("%s could not be loaded: %s", name, facts.reason)
+                _told.error("%s could not be loaded: %s", name, facts.reason)
             case NodeAction.REPORT_FORGOTTEN:
                 _log.error("%s: %s does not know it any more", name, self._container)
             case NodeAction.REPORT_CRASHED:
                 # Not as an error: the state that follows is told as one, with the sequel.
                 _log.info("%s crashed: %s", name, facts.reason)
             case NodeAction.REPORT_GAVE_UP:
-                _log.error("%s is given up: %s", name, facts.reason)
+                _told.error("%s is given up: %s", name, facts.reason)
             case NodeAction.REPORT_LOADED | NodeAction.REPORT_UNLOADED | NodeAction.REPORT_LOST:
                 _log.debug("%s is %s", name, node.record.state)
             case _:

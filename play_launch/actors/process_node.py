@@ -11,7 +11,7 @@ from play_launch.actors.deadline import happens_before
 from play_launch.actors.ports import StartError
 from play_launch.actors.process_reports import ProcessReports
 from play_launch.actors.restarter import Restarter
-from play_launch.core.events import ProcessEventKind
+from play_launch.core.events import TOLD_LOGGER, ProcessEventKind
 from play_launch.core.restart import PERMANENT_EXIT_CODES, GiveUp
 
 if TYPE_CHECKING:
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from play_launch.process.exit import Exit
 
 _log = logging.getLogger(__name__)
+_told = logging.getLogger(TOLD_LOGGER)
 
 _NEVER_RAN: Final = frozenset({126, 127})
 """Exit codes that say that the program itself was not executed."""
@@ -62,7 +63,7 @@ class ProcessActor:
                 self._give_up(f"{reason}; {verdict.reason}")
                 return
             message = f"{reason}; starts again in {verdict.delay:.2f} s"
-            _log.warning("%s: %s", self._name, message)
+            _told.warning("%s: %s", self._name, message)
             self._reports.restarts = self._restarter.total
             self._reports.publish(ProcessEventKind.RESTARTING, message=message)
             await happens_before(self._stop.requested, self._loop.time() + verdict.delay)
@@ -120,5 +121,5 @@ class ProcessActor:
         return await process.stop(ask=None, hurry=self._stop.hurry)
 
     def _give_up(self, reason: str) -> None:
-        _log.error("%s is given up: %s", self._name, reason)
+        _told.error("%s is given up: %s", self._name, reason)
         self._reports.publish(ProcessEventKind.GAVE_UP, message=reason)

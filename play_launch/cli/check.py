@@ -45,9 +45,9 @@ def check(
             tell(f"{config} cannot be used\n{error}")
         raise typer.Exit(ExitCode.USAGE) from None
     if as_json:
-        from play_launch.cli.resolved import resolved  # noqa: PLC0415
+        from play_launch.config.description import describe as describe_values  # noqa: PLC0415
 
-        values = {"valid": True, "problems": [], "config": resolved(loaded)}
+        values = {"valid": True, "problems": [], "config": describe_values(loaded)}
         say(json.dumps(values, ensure_ascii=False))
     else:
         say(f"{config}: {describe(loaded)}")

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from play_launch.cli.status import container_status, duration, ending
 from play_launch.core.events import (
+    TOLD_LOGGER,
     LogRecord,
     NodeState,
     NodeStateChanged,
@@ -42,7 +43,7 @@ def line_of(event: RunEvent, before: SystemView, after: SystemView) -> Line | No
         case OutputLine():
             text = f"{event.text} [cut]" if event.truncated else event.text
             return Line(event.stamp_ns, event.process, text, line_level(event))
-        case LogRecord() if event.level >= WARN:
+        case LogRecord() if event.level >= WARN and event.name != TOLD_LOGGER:
             return Line(event.stamp_ns, OWN_NAME, event.message, event.level)
         case NodeStateChanged():
             return _node_line(event, before, after)

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 from play_launch.cli.check import describe
 from play_launch.cli.display import Display, Style
 from play_launch.cli.json_style import JsonStyle, encode
-from play_launch.cli.resolved import resolved
 from play_launch.cli.signals import RunSignals
 from play_launch.cli.terminal import is_terminal, say, surviving_the_reader, wants_colour
 from play_launch.cli.text_styles import LiveStyle, PlainStyle
+from play_launch.config.description import describe as describe_values
 from play_launch.core.events import LogRecord, OutputLine, RunEvent
 from play_launch.core.view import SystemView
 from play_launch.recording.log_handler import LOGGER_NAME, EventLogHandler
@@ -121,7 +121,7 @@ def _description(config: ReplayConfig) -> SessionDescription:
         name=config.name,
         config_name=config.source.name,
         config_text=config.text,
-        resolved_config=json.dumps(resolved(config), indent=2, ensure_ascii=False),
+        resolved_config=json.dumps(describe_values(config), indent=2, ensure_ascii=False),
         argv=sys.argv,
         environ=os.environ,
     )

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
-from typing import Protocol
+from typing import Final, Protocol
 
 
 class ComponentEventKind(IntEnum):
@@ -195,6 +195,10 @@ RunEvent = (
     | NodeStateChanged
     | ContainerStateChanged
 )
+
+
+TOLD_LOGGER: Final = "play_launch.told"
+"""Logger for what an event tells a reader as well: recorded, but shown once only."""
 
 
 class EventSink(Protocol):
