@@ -2,39 +2,123 @@
 
 from __future__ import annotations
 
-import dataclasses
+import base64
 import math
-from collections.abc import Mapping
-from enum import Enum, IntEnum
-from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING
 
-_LEFT_OUT: Final = frozenset({"text"})
-"""The file as given; it stands beside the resolved configuration wherever this goes."""
+from play_launch.config.model import ParameterType
+
+if TYPE_CHECKING:
+    from play_launch.config.model import (
+        ComposableNodeConfig,
+        ContainerConfig,
+        ParameterConfig,
+        ParameterPayload,
+        ProcessConfig,
+        ReplayConfig,
+        RestartLimits,
+    )
 
 
-def describe(value: object) -> Any:
-    """Turn a configuration, or a part of it, into dicts, lists and scalars.
+def describe(config: ReplayConfig) -> dict[str, object]:
+    """Return what `config` says, resolved, in values that `json.dumps` takes.
 
-    Enumerations become their value, numbered ones their name in small letters; bytes become a list
-    of numbers; infinities and NaN, which JSON does not have, become text.
+    Durations are seconds. A parameter is `{"type": ..., "value": ...}`; a byte array is base64,
+    and the doubles that JSON does not know are the strings `.inf`, `-.inf` and `.nan`.
     """
-    if isinstance(value, IntEnum):
-        return value.name.lower()
-    if isinstance(value, Enum):
-        return value.value
-    if dataclasses.is_dataclass(value):
-        return {
-            field.name: describe(getattr(value, field.name))
-            for field in dataclasses.fields(value)
-            if field.name not in _LEFT_OUT
+    return {
+        "version": 1,
+        "name": config.name,
+        "source": str(config.source),
+        "duration": config.duration,
+        "log_dir": None if config.log_dir is None else str(config.log_dir),
+        "environment": dict(config.environment),
+        "stop": {
+            "ask": config.stop.ask,
+            "sigint": config.stop.sigint,
+            "sigterm": config.stop.sigterm,
+        },
+        "containers": [_container(one) for one in config.containers],
+        "nodes": [_process(one) for one in config.nodes],
+    }
+
+
+def _container(container: ContainerConfig) -> dict[str, object]:
+    return {
+        "full_name": container.full_name,
+        "line": container.line,
+        "container_type": str(container.container_type),
+        "thread_num": container.thread_num,
+        "isolation": str(container.isolation),
+        "log_level": container.log_level,
+        "environment": dict(container.environment),
+        "ros_arguments": list(container.ros_arguments),
+        "restart": _restart(container.restart),
+        "loading_timeout": container.loading_timeout,
+        "composable_nodes": [_composable_node(one) for one in container.composable_nodes],
+    }
+
+
+def _composable_node(node: ComposableNodeConfig) -> dict[str, object]:
+    return {
+        "package": node.package,
+        "plugin": node.plugin,
+        "name": node.name,
+        "namespace": node.namespace,
+        "full_name": node.declared_full_name,
+        "line": node.line,
+        "parameters": _parameters(node.parameters),
+        "remappings": [list(pair) for pair in node.remappings],
+        "extra_arguments": _parameters(node.extra_arguments),
+        "log_level": node.log_level,
+        "on_crash": str(node.on_crash),
+        "restart": _restart(node.restart),
+    }
+
+
+def _process(process: ProcessConfig) -> dict[str, object]:
+    return {
+        "name": process.name,
+        "namespace": process.namespace,
+        "full_name": process.full_name,
+        "line": process.line,
+        "command": None if process.command is None else list(process.command),
+        "package": process.package,
+        "executable": process.executable,
+        "arguments": list(process.arguments),
+        "parameters": _parameters(process.parameters),
+        "remappings": [list(pair) for pair in process.remappings],
+        "environment": dict(process.environment),
+        "ros_arguments": list(process.ros_arguments),
+        "respawn": process.respawn,
+        "restart": _restart(process.restart),
+        "log_level": process.log_level,
+    }
+
+
+def _restart(limits: RestartLimits) -> dict[str, object]:
+    return {
+        "max_restarts": limits.max_restarts,
+        "within": limits.within,
+        "backoff": {"initial": limits.initial, "maximum": limits.maximum},
+    }
+
+
+def _parameters(parameters: tuple[ParameterConfig, ...]) -> dict[str, object]:
+    return {
+        parameter.name: {
+            "type": ParameterType(parameter.value.type).name.lower(),
+            "value": _plain(parameter.value.value),
         }
-    if isinstance(value, Mapping):
-        return {str(key): describe(each) for key, each in value.items()}
-    if isinstance(value, (tuple, list, bytes)):
-        return [describe(each) for each in value]
-    if isinstance(value, Path):
-        return str(value)
+        for parameter in parameters
+    }
+
+
+def _plain(value: ParameterPayload) -> object:
+    if isinstance(value, bytes):
+        return base64.b64encode(value).decode("ascii")
+    if isinstance(value, tuple):
+        return [_plain(one) for one in value]
     if isinstance(value, float) and not math.isfinite(value):
-        return str(value)
+        return ".nan" if math.isnan(value) else ".inf" if value > 0 else "-.inf"
     return value
