@@ -90,8 +90,8 @@ def test_check_accepts_a_good_configuration(good: Path) -> None:
     values = json.loads(runner.invoke(app, ["check", "--json", str(good)]).output)
     assert values["valid"] is True
     node = values["config"]["containers"][0]["composable_nodes"][0]
-    assert node["declared_full_name"] == "/n"
-    parameters = {each["name"]: each["value"] for each in node["parameters"]}
+    assert node["full_name"] == "/n"
+    parameters = node["parameters"]
     assert parameters["rate"] == {"type": "double", "value": 2.0}
     assert parameters["raw"] == {"type": "integer_array", "value": [1, 2]}
     assert "text" not in values["config"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 from signal import SIGABRT, SIGBUS, SIGFPE, SIGILL, SIGKILL, SIGSEGV, SIGTERM
+from statistics import median
 from typing import TYPE_CHECKING
 
 import pytest
@@ -175,5 +176,5 @@ def test_reloading_after_crashes_leaves_nothing_behind(spawn: StartContainer, mo
         assert_cleaned_up(container, crashes=200)
         # A donor or two may wait to be joined at any moment; growth would stay.
         for each in (0, 1):
-            assert min(u[each] for u in used[100:]) <= min(u[each] for u in used[5:100]), used
+            assert median(u[each] for u in used[100:]) <= median(u[each] for u in used[5:100]), used
         assert only_these_remain(container, talker.pid)
