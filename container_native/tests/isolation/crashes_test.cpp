@@ -47,7 +47,13 @@ void crash_by_division() {
   ::raise(SIGFPE);
 #endif
 }
-void crash_by_illegal_instruction() { __builtin_trap(); }
+void crash_by_illegal_instruction() {
+#if defined(__x86_64__)
+  asm volatile("ud2");
+#else
+  asm volatile("udf #0");
+#endif
+}
 int crash_by_recursion(int depth) {
   volatile char frame[512] = {};
   frame[0] = static_cast<char>(depth);
@@ -73,10 +79,8 @@ constexpr std::array kKinds{
     Kind{"SIGBUS", crash_by_truncated_file, SIGBUS, "crash_by_truncated_file",
          "nothing behind the mapping"},
     Kind{"SIGFPE", crash_by_division, SIGFPE, "crash_by_division", "SIGFPE"},
-#if defined(__x86_64__)
     Kind{"SIGILL", crash_by_illegal_instruction, SIGILL, "crash_by_illegal_instruction",
          "illegal instruction"},
-#endif
     Kind{"stack overflow", crash_by_stack_overflow, SIGSEGV, "crash_by_recursion", "SIGSEGV"},
     Kind{"terminate", crash_by_terminate, SIGABRT, "crash_by_terminate", "abort() was called"},
 };
