@@ -95,15 +95,23 @@ def test_a_crash_in_a_constructor_is_a_failed_load(
     spawn: StartContainer, mode: str, how: str
 ) -> None:
     container = start_isolated(spawn, mode)
-    with survives(container):
+    with survives(container), Probe() as probe:
         container.load("Crasher", parameters={"how": how, "in_constructor": True})
         failed = container.event(LOAD_FAILED)
         assert failed.pid != container.process.pid
         assert_death(failed, how)
         assert how not in TRACED or "die" in failed.error_message
+        # The half of a node cannot be destroyed, but others must not see it any more.
         assert_cleaned_up(container, crashes=1, leaked=1)
         assert only_these_remain(container)
-        container.loaded("Crasher")
+        again = container.loaded("Crasher", node_name="another")
+        probe.spin_until(
+            lambda: "another" in probe.node.get_node_names(), 20.0, "the next node in the graph"
+        )
+        probe.spin_until(
+            lambda: "crasher" not in probe.node.get_node_names(), 20.0, "the end of the half"
+        )
+        assert only_these_remain(container, again.pid)
 
 
 @both_modes

@@ -10,6 +10,7 @@
 #include <map>
 #include <memory>
 #include <mutex>
+#include <play_launch/construction.hpp>
 #include <string>
 #include <typeindex>
 #include <utility>
@@ -97,19 +98,19 @@ struct IntraProcessReach {
 };
 
 /// Registration of a publisher; ends with the object.
-class IntraProcessPublication {
+class IntraProcessPublication final : private Discardable {
  public:
   IntraProcessPublication(std::shared_ptr<IntraProcessTopic> topic, rmw_qos_profile_t qos,
                           const rmw_gid_t& gid);
   ~IntraProcessPublication();
-  IntraProcessPublication(const IntraProcessPublication&) = delete;
-  IntraProcessPublication& operator=(const IntraProcessPublication&) = delete;
 
   /// Subscriptions whose quality of service fits; never null.
   [[nodiscard]] std::shared_ptr<const IntraProcessReach> reach() const;
 
  private:
   friend class IntraProcessTopic;
+  void discard() noexcept override;
+
   const std::shared_ptr<IntraProcessTopic> topic_;
   const rmw_qos_profile_t qos_;
   const std::array<std::uint8_t, RMW_GID_STORAGE_SIZE> gid_;
@@ -119,13 +120,11 @@ class IntraProcessPublication {
 /// Registration of a subscription; ends with the object. It is made before the subscription's
 /// reader exists in the middleware and "settled" afterwards: until then a publisher that finds the
 /// numbers differing sends through the middleware as well, and nothing is lost.
-class IntraProcessSubscription {
+class IntraProcessSubscription final : private Discardable {
  public:
   IntraProcessSubscription(std::shared_ptr<IntraProcessTopic> topic, rmw_qos_profile_t qos,
                            std::shared_ptr<IntraProcessInbox> inbox);
   ~IntraProcessSubscription();
-  IntraProcessSubscription(const IntraProcessSubscription&) = delete;
-  IntraProcessSubscription& operator=(const IntraProcessSubscription&) = delete;
 
   void settle();
   /// Whether that publisher delivers to this topic by pointer, so that its copy that came through
@@ -134,6 +133,8 @@ class IntraProcessSubscription {
 
  private:
   friend class IntraProcessTopic;
+  void discard() noexcept override;
+
   const std::shared_ptr<IntraProcessTopic> topic_;
   const rmw_qos_profile_t qos_;
   const std::shared_ptr<IntraProcessInbox> inbox_;

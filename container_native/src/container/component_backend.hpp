@@ -3,6 +3,7 @@
 #include <cstddef>
 #include <memory>
 #include <optional>
+#include <play_launch/construction.hpp>
 #include <play_launch/context.hpp>
 #include <string>
 #include <string_view>
@@ -71,8 +72,10 @@ class ComponentBackend {
   /// See container::expected_full_name().
   virtual std::optional<std::string> expected_full_name(const LoadRequest& request) const = 0;
 
-  /// Finds, loads and constructs the component, in the calling thread. Throws LoadError.
-  virtual std::unique_ptr<Component> create(const LoadRequest& request) = 0;
+  /// Finds, loads and constructs the component, in the calling thread. `construction`, unless null,
+  /// keeps track of what its nodes take meanwhile, if the backend can. Throws LoadError.
+  virtual std::unique_ptr<Component> create(const LoadRequest& request,
+                                            Construction* construction) = 0;
 
   virtual std::unique_ptr<ComponentExecutor> create_executor(const ExecutorChoice& choice) = 0;
 };

@@ -81,7 +81,8 @@ void NativeBackend::open_library(const std::string& path) {
   libraries_.emplace(path, handle);
 }
 
-std::unique_ptr<Component> NativeBackend::create(const LoadRequest& request) {
+std::unique_ptr<Component> NativeBackend::create(const LoadRequest& request,
+                                                 Construction* construction) {
   const NodeOptions options = node_options(request, context_);
   const std::filesystem::path library =
       index_.library_of(request.package_name, request.plugin_name);
@@ -99,6 +100,10 @@ std::unique_ptr<Component> NativeBackend::create(const LoadRequest& request) {
                     "; is PLAY_LAUNCH_REGISTER_COMPONENT missing?");
   }
   std::shared_ptr<Node> node;
+  std::optional<Construction::Watch> watch;
+  if (construction != nullptr) {
+    watch.emplace(*construction);
+  }
   try {
     node = factory->create(options);
   } catch (...) {

@@ -20,7 +20,8 @@ class NativeBackend final : public ComponentBackend {
   std::shared_ptr<Context> context() override { return context_; }
   const ComponentIndex& index() const override { return index_; }
   std::optional<std::string> expected_full_name(const LoadRequest& request) const override;
-  std::unique_ptr<Component> create(const LoadRequest& request) override;
+  std::unique_ptr<Component> create(const LoadRequest& request,
+                                    Construction* construction) override;
   std::unique_ptr<ComponentExecutor> create_executor(const ExecutorChoice& choice) override;
 
  private:

@@ -69,7 +69,7 @@ int NodeProgram::run() {
     partial_ = true;
     executor_ = backends_[backend].create_executor(choice_);
     executor_handle_.open(*executor_);
-    component_ = backends_[backend].create(request_);
+    component_ = backends_[backend].create(request_, &construction_);
   } catch (...) {
     isolation::park_if_dying();
     failure_ = describe_current_exception();
@@ -129,6 +129,7 @@ void NodeProgram::reach(NodeStage stage) noexcept {
 
 int NodeBurial::run() {
   hit(Failpoint::during_burial);
+  dead_.construction_.discard();
   dead_.executor_handle_.close();
   if (dead_.executor_ != nullptr) {
     dead_.executor_->abandon();

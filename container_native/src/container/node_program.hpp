@@ -80,6 +80,7 @@ class NodeProgram final : public isolation::ChildProgram {
   ExecutorHandle executor_handle_;
   std::unique_ptr<ComponentExecutor> executor_;
   std::unique_ptr<Component> component_;
+  Construction construction_;
   /// Something is being constructed or destroyed: dead now, it could not be destroyed.
   bool partial_ = false;
   std::string full_name_;

@@ -62,7 +62,7 @@ void SharedExecutorHost::construct(std::uint64_t unique_id, const LoadRequest& r
   try {
     const std::size_t backend = backends_.of_package(request.package_name);
     node.executor = spinners_[backend].executor.get();
-    node.component = backends_[backend].create(request);
+    node.component = backends_[backend].create(request, nullptr);
   } catch (...) {
     observer_->on_load_failed(unique_id, describe_current_exception());
     return;

@@ -188,6 +188,7 @@ ChildEnd run_in_child(ChildProgram& program, CrashSlot& slot,
   record.program = &program;
   record.slot = &slot;
   record.options = options;
+  record.after_death = donor_is_tainted();
   Registration registration(record);
   AlternateStack alternate_stack;
   if (!registration || !alternate_stack) {

@@ -51,7 +51,9 @@ inline constexpr std::size_t kMaxChildren = 1024;
 /// - writes its pid into the slot before anything else;
 /// - has default signal actions, but for SIGPIPE as the container has it, and the handlers of
 ///   crash_handler.hpp; blocks nothing;
-/// - ends alone when it calls exit().
+/// - ends alone when it calls exit();
+/// - after a child on the same donor that did not return, can destroy condition variables in which
+///   that one's threads died.
 /// Its CPU time: clock_getcpuclockid(slot.pid). (pthread_getcpuclockid() only works within it.)
 /// Resets `slot` first. Never throws, never allocates, and takes no lock.
 ChildEnd run_in_child(ChildProgram& program, CrashSlot& slot,
@@ -76,6 +78,8 @@ struct ChildRecord {
   ChildProgram* program = nullptr;
   CrashSlot* slot = nullptr;
   ChildOptions options;
+  /// A child before it on the same donor did not return: this one cleans up after it.
+  bool after_death = false;
   /// The thread that ends the child: the first to crash, to call exit() or to return from run().
   std::atomic<pid_t> ender{0};
   /// Half of the time to quiesce is over.

@@ -55,7 +55,10 @@ constexpr std::array kTemplates{"_ZN6rclcpp"sv, "_ZNK6rclcpp"sv, "_ZN11play_laun
 
 struct Landmarks {
   std::array<Range, 3> c_library_inside{};  // allocator, stdio, starting of threads
-  Range join;                               // std::thread::join()
+  // What takes and gives back locks: the one that called it may be out of the picture already, as
+  // the last thing that a function does is often a jump.
+  std::array<Range, 2> c_library_locks{};
+  Range join;  // std::thread::join()
 };
 Landmarks landmarks;
 
@@ -63,21 +66,6 @@ template <std::size_t size>
 bool begins_with_any(std::string_view text, const std::array<std::string_view, size>& prefixes) {
   return std::any_of(prefixes.begin(), prefixes.end(),
                      [text](std::string_view prefix) { return text.starts_with(prefix); });
-}
-
-/// What lies between functions of the C library that are linked next to each other, with what is
-/// before the first of them and after the begin of the last: functions without an exported name.
-Range between(void* library, std::initializer_list<const char*> functions, std::uintptr_t before,
-              std::uintptr_t after) {
-  constexpr std::uintptr_t kImplausible = 1 << 20;
-  Range range{~std::uintptr_t{0}, 0};
-  for (const char* const name : functions) {
-    if (const auto address = reinterpret_cast<std::uintptr_t>(::dlsym(library, name))) {
-      range.begin = std::min(range.begin, address - before);
-      range.end = std::max(range.end, address + after);
-    }
-  }
-  return range.end <= range.begin || range.end - range.begin > kImplausible ? Range{} : range;
 }
 
 std::string_view base_name(const char* path) {
@@ -109,21 +97,61 @@ class DynamicSymbols {
 
   /// Name of the function at the address; empty when none is exported there.
   std::string_view function_at(std::uintptr_t address) const {
-    if (symbols_ == nullptr || names_ == nullptr) {
-      return {};
-    }
     const std::uintptr_t offset = address - base_;
-    for (std::size_t i = 0; i < count_; ++i) {
-      const ElfW(Sym)& symbol = symbols_[i];
-      if (symbol.st_shndx != SHN_UNDEF && ELF64_ST_TYPE(symbol.st_info) == STT_FUNC &&
-          symbol.st_value <= offset && offset < symbol.st_value + symbol.st_size) {
-        return names_ + symbol.st_name;
-      }
-    }
-    return {};
+    const ElfW(Sym)* const symbol = best([offset](const ElfW(Sym) & candidate, const ElfW(Sym)*) {
+      return candidate.st_value <= offset && offset < candidate.st_value + candidate.st_size;
+    });
+    return symbol == nullptr ? std::string_view() : names_ + symbol->st_name;
+  }
+
+  /// Address of an exported function; 0 when there is none.
+  std::uintptr_t find(std::string_view name) const {
+    const ElfW(Sym)* const symbol =
+        best([name, this](const ElfW(Sym) & candidate, const ElfW(Sym)*) {
+          return name == names_ + candidate.st_name;
+        });
+    return symbol == nullptr ? 0 : base_ + symbol->st_value;
+  }
+
+  /// Where the code between two exported functions begins, which is that of functions without an
+  /// exported name: the end of the last exported one before the address.
+  std::uintptr_t gap_before(std::uintptr_t address) const {
+    const std::uintptr_t offset = address - base_;
+    const ElfW(Sym)* const symbol =
+        best([offset](const ElfW(Sym) & candidate, const ElfW(Sym) * before) {
+          return candidate.st_value < offset &&
+                 (before == nullptr || candidate.st_value > before->st_value);
+        });
+    return symbol == nullptr ? address : base_ + symbol->st_value + symbol->st_size;
+  }
+
+  /// Where the next exported function begins.
+  std::uintptr_t gap_after(std::uintptr_t address) const {
+    const std::uintptr_t offset = address - base_;
+    const ElfW(Sym)* const symbol =
+        best([offset](const ElfW(Sym) & candidate, const ElfW(Sym) * before) {
+          return candidate.st_value > offset &&
+                 (before == nullptr || candidate.st_value < before->st_value);
+        });
+    return symbol == nullptr ? address : base_ + symbol->st_value;
   }
 
  private:
+  /// The last function for which better(it, the one before it) held.
+  template <class Better>
+      const ElfW(Sym) * best(Better better) const {
+    const ElfW(Sym)* chosen = nullptr;
+    for (std::size_t i = 0; symbols_ != nullptr && names_ != nullptr && i < count_; ++i) {
+      const ElfW(Sym)& symbol = symbols_[i];
+      const auto type = ELF64_ST_TYPE(symbol.st_info);
+      if (symbol.st_shndx != SHN_UNDEF && (type == STT_FUNC || type == STT_GNU_IFUNC) &&
+          better(symbol, chosen)) {
+        chosen = &symbol;
+      }
+    }
+    return chosen;
+  }
+
   /// The table does not tell its length: one more than the highest index in its hash table.
   static std::size_t count_of(const std::uint32_t* hash) {
     const std::uint32_t buckets = hash[0];
@@ -148,6 +176,20 @@ class DynamicSymbols {
   std::size_t count_ = 0;
 };
 
+/// The code of some functions that are linked next to each other, and of what was compiled together
+/// with them.
+Range code_of(const DynamicSymbols& library, std::initializer_list<std::string_view> functions) {
+  constexpr std::uintptr_t kImplausible = 1 << 20;
+  Range range{~std::uintptr_t{0}, 0};
+  for (const std::string_view name : functions) {
+    if (const std::uintptr_t address = library.find(name)) {
+      range.begin = std::min(range.begin, library.gap_before(address));
+      range.end = std::max(range.end, library.gap_after(address));
+    }
+  }
+  return range.end <= range.begin || range.end - range.begin > kImplausible ? Range{} : range;
+}
+
 /// A thread blocked in a system call is interrupted before it (to be made again) or behind it.
 bool at_syscall(std::uintptr_t address) {
 #if defined(__x86_64__)
@@ -162,14 +204,43 @@ bool at_syscall(std::uintptr_t address) {
   return is_there(address) || is_there(address - kInstruction.size());
 }
 
+/// A jump from a library to a function of another one, with which unlocking often begins.
+bool in_call_stub(std::uintptr_t address) {
+#if defined(__x86_64__)
+  const auto begins_with = [address](std::initializer_list<unsigned char> bytes) {
+    return std::memcmp(reinterpret_cast<const void*>(address), bytes.begin(), bytes.size()) == 0;
+  };
+  return begins_with({0xf3, 0x0f, 0x1e, 0xfa}) ||  // endbr64
+         begins_with({0xff, 0x25}) ||              // jmp through a table
+         begins_with({0xf2, 0xff, 0x25}) ||        // bnd jmp
+         begins_with({0x68}) ||                    // push of an index, before the first call
+         begins_with({0xff, 0x35});                // push of the table, likewise
+#else
+  std::uint32_t instruction = 0;
+  std::memcpy(&instruction, reinterpret_cast<const void*>(address), sizeof instruction);
+  return (instruction & 0x9f00001f) == 0x90000010 ||  // adrp x16
+         (instruction & 0xffc003ff) == 0xf9400211 ||  // ldr x17, [x16, ...]
+         (instruction & 0xffc003ff) == 0x91000210 ||  // add x16, x16, ...
+         instruction == 0xd61f0220;                   // br x17
+#endif
+}
+
+template <std::size_t size>
+bool is_in_any(std::uintptr_t address, const std::array<Range, size>& ranges) {
+  return std::any_of(ranges.begin(), ranges.end(),
+                     [address](const Range& range) { return range.contains(address); });
+}
+
 Place in_c_library(std::uintptr_t address, bool innermost, Caution caution) {
-  for (const Range& range : landmarks.c_library_inside) {
-    if (range.contains(address)) {
-      return Place::inside;
-    }
+  if (is_in_any(address, landmarks.c_library_inside)) {
+    return Place::inside;
   }
-  const bool running = innermost && caution == Caution::wait_for_syscall && !at_syscall(address);
-  return running ? Place::inside : Place::neutral;
+  const bool running = innermost && !at_syscall(address);
+  if (running &&
+      (caution == Caution::wait_for_syscall || is_in_any(address, landmarks.c_library_locks))) {
+    return Place::inside;
+  }
+  return Place::neutral;
 }
 
 Place place_of(std::uintptr_t address, bool innermost, Caution caution) {
@@ -183,6 +254,9 @@ Place place_of(std::uintptr_t address, bool innermost, Caution caution) {
   }
   const link_map& library = *object.dlfo_link_map;
   const std::string_view name = base_name(library.l_name);
+  if (innermost && in_call_stub(address)) {
+    return Place::inside;
+  }
   if (name.empty()) {
     return Place::harmless;  // this program, which keeps children away from its locks
   }
@@ -228,26 +302,28 @@ void prepare_code_map() {
   std::array<void*, 4> frames{};
   ::backtrace(frames.data(), static_cast<int>(frames.size()));
 
-  constexpr std::uintptr_t kBeforeMalloc = 0x3800;
-  constexpr std::uintptr_t kBeforeThreadStart = 0x1800;
-  constexpr std::uintptr_t kAfter = 0x800;
   if (void* const library = ::dlopen("libc.so.6", RTLD_NOW | RTLD_NOLOAD)) {
+    const DynamicSymbols symbols(*static_cast<const link_map*>(library));
     landmarks.c_library_inside = {
-        between(library,
+        code_of(symbols,
                 {"malloc", "free", "calloc", "realloc", "memalign", "aligned_alloc",
-                 "posix_memalign", "malloc_trim", "malloc_usable_size", "mallopt", "malloc_info"},
-                kBeforeMalloc, kAfter),
-        between(library,
-                {"printf", "fprintf", "vfprintf", "fopen", "fclose", "fflush", "fputs", "puts",
-                 "fwrite", "_IO_file_write", "_IO_file_xsputn"},
-                0, kAfter),
-        between(library, {"pthread_create"}, kBeforeThreadStart, kAfter)};
+                 "posix_memalign", "malloc_trim", "malloc_usable_size", "mallopt", "malloc_info"}),
+        code_of(symbols, {"printf", "fprintf", "vfprintf", "fopen", "fclose", "fflush", "fputs",
+                          "puts", "fwrite", "_IO_file_write", "_IO_file_xsputn"}),
+        code_of(symbols, {"pthread_create"})};
+    landmarks.c_library_locks = {
+        code_of(symbols, {"pthread_mutex_lock", "pthread_mutex_trylock", "pthread_mutex_timedlock",
+                          "pthread_mutex_clocklock", "pthread_mutex_unlock"}),
+        code_of(symbols,
+                {"pthread_rwlock_rdlock", "pthread_rwlock_wrlock", "pthread_rwlock_tryrdlock",
+                 "pthread_rwlock_trywrlock", "pthread_rwlock_timedrdlock",
+                 "pthread_rwlock_timedwrlock", "pthread_rwlock_unlock"})};
     ::dlclose(library);
   }
-  constexpr std::uintptr_t kJoinSize = 64;
-  if (void* const join = ::dlsym(RTLD_DEFAULT, "_ZNSt6thread4joinEv")) {
-    const auto begin = reinterpret_cast<std::uintptr_t>(join);
-    landmarks.join = {begin, begin + kJoinSize};
+  if (void* const library = ::dlopen("libstdc++.so.6", RTLD_NOW | RTLD_NOLOAD)) {
+    const DynamicSymbols symbols(*static_cast<const link_map*>(library));
+    landmarks.join = code_of(symbols, {"_ZNSt6thread4joinEv"});
+    ::dlclose(library);
   }
 }
 

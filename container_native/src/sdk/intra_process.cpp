@@ -106,9 +106,14 @@ IntraProcessPublication::IntraProcessPublication(std::shared_ptr<IntraProcessTop
                                                  rmw_qos_profile_t qos, const rmw_gid_t& gid)
     : topic_(std::move(topic)), qos_(qos), gid_(bytes_of(gid)) {
   topic_->add(*this);
+  enter_ledger();
 }
 
-IntraProcessPublication::~IntraProcessPublication() { topic_->remove(*this); }
+IntraProcessPublication::~IntraProcessPublication() {
+  if (leave_ledger()) discard();
+}
+
+void IntraProcessPublication::discard() noexcept { topic_->remove(*this); }
 
 std::shared_ptr<const IntraProcessReach> IntraProcessPublication::reach() const {
   return topic_->reach(*this);
@@ -119,9 +124,14 @@ IntraProcessSubscription::IntraProcessSubscription(std::shared_ptr<IntraProcessT
                                                    std::shared_ptr<IntraProcessInbox> inbox)
     : topic_(std::move(topic)), qos_(qos), inbox_(std::move(inbox)) {
   topic_->add(*this);
+  enter_ledger();
 }
 
-IntraProcessSubscription::~IntraProcessSubscription() { topic_->remove(*this); }
+IntraProcessSubscription::~IntraProcessSubscription() {
+  if (leave_ledger()) discard();
+}
+
+void IntraProcessSubscription::discard() noexcept { topic_->remove(*this); }
 
 void IntraProcessSubscription::settle() { topic_->settle(*this); }
 

@@ -1,0 +1,80 @@
+// Which mechanism is chosen for which machine, and what is said about it.
+
+#include "isolation/gate.hpp"
+
+#include <cerrno>
+
+#include "../container/check.hpp"
+
+namespace {
+
+using namespace play_launch::isolation;
+
+Facts good_machine() { return {6, 8, "6.8.0-generic", 0, "mimalloc"}; }
+
+void test_choices() {
+  CHECK(parse_mechanism_choice("auto") == MechanismChoice::automatic);
+  CHECK(parse_mechanism_choice("shared_memory") == MechanismChoice::shared_memory);
+  CHECK(parse_mechanism_choice("process") == MechanismChoice::process);
+  CHECK(!parse_mechanism_choice("threads"));
+  CHECK(mechanism_name(Mechanism::shared_memory) == "shared_memory");
+  CHECK(mechanism_name(Mechanism::process) == "process");
+}
+
+void test_good_machine() {
+  const Gate gate = choose_mechanism(MechanismChoice::automatic, good_machine());
+  CHECK(gate.mechanism == Mechanism::shared_memory && gate.notes.empty());
+  const Gate asked = choose_mechanism(MechanismChoice::process, good_machine());
+  CHECK(asked.mechanism == Mechanism::process && asked.notes.empty());
+}
+
+void test_old_kernel() {
+  Facts facts = good_machine();
+  facts.kernel_major = 5;
+  facts.kernel_minor = 15;
+  facts.kernel_release = "5.15.0-generic";
+  const Gate gate = choose_mechanism(MechanismChoice::automatic, facts);
+  CHECK(gate.mechanism == Mechanism::process);
+  CHECK(gate.notes.size() == 1 && contains(gate.notes[0], "5.15.0-generic"));
+  const std::string refusal =
+      CHECK_THROWS(choose_mechanism(MechanismChoice::shared_memory, facts), MechanismUnavailable);
+  CHECK(contains(refusal, "5.16") && contains(refusal, "isolation: process"));
+  facts.kernel_minor = 16;
+  CHECK(choose_mechanism(MechanismChoice::automatic, facts).mechanism == Mechanism::shared_memory);
+}
+
+void test_no_clone() {
+  Facts facts = good_machine();
+  facts.clone_error = EPERM;
+  const Gate gate = choose_mechanism(MechanismChoice::automatic, facts);
+  CHECK(gate.mechanism == Mechanism::process);
+  CHECK(contains(gate.notes.at(0), "Operation not permitted"));
+}
+
+void test_other_allocator() {
+  Facts facts = good_machine();
+  facts.allocator.clear();
+  const Gate gate = choose_mechanism(MechanismChoice::automatic, facts);
+  CHECK(gate.mechanism == Mechanism::shared_memory);
+  CHECK(gate.notes.size() == 1 && contains(gate.notes[0], "libmimalloc2.0"));
+}
+
+void test_this_machine() {
+  const Facts facts = look_at_machine();
+  CHECK(facts.kernel_major > 0 && !facts.kernel_release.empty());
+  const char* const preload = std::getenv("LD_PRELOAD");
+  const bool expected = preload != nullptr && contains(preload, "mimalloc");
+  CHECK((facts.allocator == "mimalloc") == expected);
+}
+
+}  // namespace
+
+int main() {
+  test_choices();
+  test_good_machine();
+  test_old_kernel();
+  test_no_clone();
+  test_other_allocator();
+  test_this_machine();
+  return 0;
+}

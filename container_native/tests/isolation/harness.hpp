@@ -1,0 +1,97 @@
+#pragma once
+
+#include <fcntl.h>
+#include <sys/syscall.h>
+#include <time.h>
+#include <unistd.h>
+
+#include <atomic>
+#include <cstdint>
+#include <cstdio>
+#include <functional>
+#include <string>
+#include <utility>
+
+#include "../container/check.hpp"
+#include "isolation/child.hpp"
+#include "isolation/crash_handler.hpp"
+#include "isolation/donor_thread.hpp"
+#include "isolation/symbolise.hpp"
+
+namespace isolation_test {
+
+using namespace play_launch::isolation;
+
+/// A program from a function; cancel() sets `cancelled`.
+class Program final : public ChildProgram {
+ public:
+  explicit Program(std::function<int(Program&)> body) : body_(std::move(body)) {}
+
+  int run() override { return body_(*this); }
+  void cancel() noexcept override { cancelled = true; }
+
+  std::atomic<bool> cancelled{false};
+
+ private:
+  std::function<int(Program&)> body_;
+};
+
+/// One run of a program on a donor of its own.
+struct Outcome {
+  ChildEnd end;
+  CrashSlot slot;
+  std::uint64_t awake_ns = 0;  // CLOCK_MONOTONIC, right after run_in_child() returned
+
+  std::string text() const { return describe_end(end, slot); }
+};
+
+inline std::uint64_t now_ns() {
+  timespec time{};
+  ::clock_gettime(CLOCK_MONOTONIC, &time);
+  return static_cast<std::uint64_t>(time.tv_sec) * 1'000'000'000u +
+         static_cast<std::uint64_t>(time.tv_nsec);
+}
+
+inline void run(Outcome& outcome, Program& program, const ChildOptions& options = {}) {
+  DonorThread donor("donor", [&] {
+    outcome.end = run_in_child(program, outcome.slot, options);
+    outcome.awake_ns = now_ns();
+  });
+}
+
+inline void run(Outcome& outcome, std::function<int(Program&)> body,
+                const ChildOptions& options = {}) {
+  Program program(std::move(body));
+  run(outcome, program, options);
+}
+
+/// A pipe to wait on what happens in another process or thread.
+class Event {
+ public:
+  Event() { CHECK(::pipe2(ends_, O_CLOEXEC) == 0); }
+  ~Event() {
+    ::close(ends_[0]);
+    ::close(ends_[1]);
+  }
+  Event(const Event&) = delete;
+  Event& operator=(const Event&) = delete;
+
+  void set() const { CHECK(::write(ends_[1], "x", 1) == 1); }
+  void wait() const {
+    char byte = 0;
+    CHECK(::read(ends_[0], &byte, 1) == 1);
+  }
+
+ private:
+  int ends_[2] = {-1, -1};
+};
+
+inline std::string joined(const CrashSlot& slot) {
+  std::string text;
+  for (const std::string& line : symbolise(slot)) {
+    text += line + "\n";
+  }
+  return text;
+}
+
+}  // namespace isolation_test

@@ -1,0 +1,296 @@
+// What a crash does to the other threads of its child: they are stopped where they hold nothing
+// that outlives them.
+
+#include <signal.h>
+
+#include <array>
+#include <chrono>
+#include <condition_variable>
+#include <cstdlib>
+#include <mutex>
+#include <new>
+#include <shared_mutex>
+#include <thread>
+
+#include "busy.hpp"
+#include "harness.hpp"
+#include "node_stand_in.hpp"
+#include "rcl_stand_in.hpp"
+
+namespace stand_in {
+
+bool locks_are_free() {
+  const std::unique_lock first(shared_lock(), std::try_to_lock);
+  const std::unique_lock second(pointer_lock(), std::try_to_lock);
+  return first.owns_lock() && second.owns_lock();
+}
+
+/// After a thread was killed with one of them.
+void renew_locks() {
+  new (&shared_lock()) std::mutex;
+  new (&pointer_lock()) std::shared_timed_mutex;
+}
+
+}  // namespace stand_in
+
+namespace {
+
+using namespace isolation_test;
+using namespace std::chrono_literals;
+
+/// Crashes in the first thread beside `threads` that do `work` for ever.
+void crash_beside(Outcome& outcome, int threads, void (*work)()) {
+  run(outcome, [&](Program&) {
+    std::atomic<int> running{0};
+    for (int i = 0; i < threads; ++i) {
+      std::thread([&] {
+        ++running;
+        work();
+      }).detach();
+    }
+    while (running < threads) {
+      std::this_thread::yield();
+    }
+    std::this_thread::sleep_for(std::chrono::microseconds(std::rand() % 300));
+    std::abort();
+    return 0;
+  });
+  CHECK(outcome.end.signal == SIGABRT);
+}
+
+void work_in_the_allocator() {
+  while (true) {
+    for (std::size_t size = 16; size < 100'000; size *= 2) {
+      std::free(std::malloc(size));
+    }
+  }
+}
+
+void work_in_the_middleware() {
+  while (true) {
+    stand_in::publish();
+    busy(1000);
+  }
+}
+
+void wait_in_user_code() {
+  static auto* const mutex = new std::mutex;
+  static auto* const never = new std::condition_variable;  // destroying it would wait for the dead
+  std::unique_lock lock(*mutex);
+  never->wait(lock, [] { return false; });
+}
+
+void sleep_in_user_code() {
+  while (true) {
+    std::this_thread::sleep_for(std::chrono::hours(1));
+  }
+}
+
+struct Case {
+  const char* name;
+  void (*work)();
+  int rounds;
+};
+
+constexpr std::array kCases{
+    Case{"computes", stand_in::compute_for_ever, 20},
+    Case{"called back by the middleware", [] { stand_in::spin_once(stand_in::compute_for_ever); },
+         20},
+    Case{"waits", wait_in_user_code, 20},
+    Case{"sleeps", sleep_in_user_code, 20},
+    Case{"allocates", work_in_the_allocator, 100},
+    Case{"publishes", work_in_the_middleware, 100},
+    Case{"publishes by pointer", stand_in::publish_by_pointer_for_ever, 100},
+};
+
+void test_case(const Case& subject) {
+  constexpr int kThreads = 3;
+  std::uint32_t parked = 0;
+  std::uint32_t not_parked = 0;
+  for (int round = 0; round < subject.rounds; ++round) {
+    Outcome outcome;
+    crash_beside(outcome, kThreads, subject.work);
+    parked += outcome.slot.threads_parked;
+    not_parked += outcome.slot.threads_not_parked;
+    CHECK(!outcome.slot.inside);
+    CHECK(outcome.slot.threads_parked + outcome.slot.threads_not_parked == kThreads);
+    CHECK((outcome.slot.threads_not_parked > 0) ==
+          contains(outcome.text(), "could not be stopped"));
+    if (outcome.slot.threads_not_parked > 0) {
+      stand_in::renew_locks();
+      continue;
+    }
+    CHECK(stand_in::locks_are_free());
+    std::free(std::malloc(1000));
+  }
+  std::printf("%-30s %u threads parked, %u not\n", subject.name, parked, not_parked);
+  std::fflush(stdout);
+  // On a busy machine, the time may be over before a thread has had any.
+  CHECK(not_parked * 20 <= parked + not_parked);
+}
+
+/// A thread that crashes with a lock of the middleware cannot be helped, but told.
+void test_crash_inside_the_middleware() {
+  Outcome outcome;
+  run(outcome, [](Program&) {
+    stand_in::crash();
+    return 0;
+  });
+  CHECK(outcome.slot.inside);
+  CHECK(contains(outcome.text(), "died inside the middleware"));
+  CHECK(!stand_in::locks_are_free());
+  stand_in::renew_locks();
+}
+
+/// The first thread waits for the one that crashes, as a multi-threaded executor's does.
+void test_first_thread_joins() {
+  Outcome outcome;
+  run(outcome, [](Program&) {
+    stand_in::spin_once([] { std::thread([] { std::abort(); }).join(); });
+    return 0;
+  });
+  CHECK(outcome.end.signal == SIGABRT);
+  CHECK(outcome.slot.threads_parked == 1 && outcome.slot.threads_not_parked == 0);
+}
+
+/// A thread that comes out of spin() after a crash elsewhere must not begin to destroy things.
+void test_cancelled_threads_park() {
+  static std::atomic<bool> destroyed{false};
+  Outcome outcome;
+  run(outcome, [](Program& program) {
+    std::thread crashing([] { std::abort(); });
+    while (!program.cancelled) {
+      stand_in::publish();
+    }
+    park_if_dying();
+    destroyed = true;
+    crashing.join();
+    return 0;
+  });
+  CHECK(outcome.end.signal == SIGABRT);
+  CHECK(!destroyed);
+  CHECK(outcome.slot.threads_parked == 1);
+}
+
+void test_several_crash_at_once() {
+  for (int round = 0; round < 50; ++round) {
+    Outcome outcome;
+    run(outcome, [](Program&) {
+      std::atomic<int> ready{0};
+      const auto crash = [&ready] {
+        ++ready;
+        while (ready < 3) {
+        }
+        std::abort();
+      };
+      std::thread one(crash);
+      std::thread two(crash);
+      crash();
+      return 0;
+    });
+    CHECK(outcome.end.signal == SIGABRT);
+    CHECK(outcome.slot.threads_parked == 2);
+  }
+}
+
+/// exit() and the end of run() kill threads as well.
+void test_other_ends() {
+  for (const bool by_exit : {true, false}) {
+    for (int round = 0; round < 20; ++round) {
+      Outcome outcome;
+      run(outcome, [by_exit](Program&) {
+        std::atomic<bool> running{false};
+        std::thread([&running] {
+          running = true;
+          work_in_the_middleware();
+        }).detach();
+        while (!running) {
+          std::this_thread::yield();
+        }
+        if (by_exit) {
+          std::exit(1);
+        }
+        return 1;
+      });
+      CHECK(outcome.end.exit_code == 1);
+      if (outcome.slot.threads_not_parked == 0) {
+        CHECK(outcome.slot.threads_parked == 1);
+        CHECK(stand_in::locks_are_free());
+      } else {
+        stand_in::renew_locks();
+      }
+    }
+  }
+}
+
+/// A node with a thread that waits for work, as its class would be written anywhere.
+class Worker {
+ public:
+  ~Worker() {
+    {
+      const std::lock_guard lock(mutex_);
+      done_ = true;
+    }
+    changed_.notify_all();
+    thread_.join();
+  }
+
+  void wait_until_it_waits() {
+    std::unique_lock lock(mutex_);
+    changed_.wait(lock, [this] { return waits_; });
+  }
+
+ private:
+  std::mutex mutex_;
+  std::condition_variable changed_;
+  bool waits_ = false;
+  bool done_ = false;
+  std::thread thread_{[this] {
+    std::unique_lock lock(mutex_);
+    waits_ = true;
+    changed_.notify_all();
+    changed_.wait(lock, [this] { return done_; });
+  }};
+};
+
+void test_destroying_what_the_dead_left() {
+  static Worker* worker = nullptr;
+  Program crashing([](Program&) {
+    worker = new Worker;
+    worker->wait_until_it_waits();
+    std::abort();
+    return 0;
+  });
+  Program burying([](Program&) {
+    delete worker;
+    return 0;
+  });
+  for (int round = 0; round < 20; ++round) {
+    CrashSlot slot;
+    ChildEnd crash;
+    ChildEnd burial;
+    DonorThread donor("donor", [&] {
+      crash = run_in_child(crashing, slot);
+      burial = run_in_child(burying, slot, {.name = "undertaker", .time_limit = 2s});
+    });
+    donor.join();
+    CHECK(crash.signal == SIGABRT);
+    CHECK(burial.clean());
+  }
+}
+
+}  // namespace
+
+int main() {
+  prepare_crash_handling();
+  for (const Case& subject : kCases) {
+    test_case(subject);
+  }
+  test_crash_inside_the_middleware();
+  test_first_thread_joins();
+  test_cancelled_threads_park();
+  test_several_crash_at_once();
+  test_other_ends();
+  test_destroying_what_the_dead_left();
+  return 0;
+}

@@ -1,0 +1,28 @@
+#include "rcl_stand_in.hpp"
+
+#include <cstdlib>
+
+#include "busy.hpp"
+
+namespace stand_in {
+namespace {
+
+std::mutex lock;
+
+}  // namespace
+
+std::mutex& shared_lock() { return lock; }
+
+void publish() {
+  const std::lock_guard guard(lock);
+  busy(10'000);
+}
+
+void spin_once(void (*callback)()) { callback(); }
+
+void crash() {
+  const std::lock_guard guard(lock);
+  std::abort();
+}
+
+}  // namespace stand_in

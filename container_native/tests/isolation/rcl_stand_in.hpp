@@ -1,0 +1,17 @@
+#pragma once
+
+#include <mutex>
+
+/// What a middleware does, from a library whose name makes it one.
+namespace stand_in {
+
+/// A lock that all nodes share.
+std::mutex& shared_lock();
+/// Takes it, works for some microseconds, and gives it back.
+void publish();
+/// Calls the callback without holding the lock, as an executor does.
+void spin_once(void (*callback)());
+/// Crashes while it holds the lock.
+void crash();
+
+}  // namespace stand_in

@@ -1,0 +1,135 @@
+// Signals from outside ask a child to leave; limits on its life hold.
+
+#include <signal.h>
+
+#include <array>
+#include <chrono>
+#include <string>
+#include <thread>
+
+#include "harness.hpp"
+
+namespace {
+
+using namespace isolation_test;
+using namespace std::chrono_literals;
+
+/// Lets a child run, and does something to it from the container once it does.
+void with_child(Outcome& outcome, std::function<int(Program&)> body, const ChildOptions& options,
+                const std::function<void(Outcome&)>& act) {
+  Event running;
+  Program program([&](Program& self) {
+    running.set();
+    return body(self);
+  });
+  DonorThread donor("donor", [&] { outcome.end = run_in_child(program, outcome.slot, options); });
+  running.wait();
+  act(outcome);
+}
+
+int until_cancelled(Program& program) {
+  while (!program.cancelled) {
+    std::this_thread::sleep_for(1ms);
+  }
+  return 0;
+}
+
+int deaf(Program&) {
+  while (true) {
+    std::this_thread::sleep_for(1h);
+  }
+}
+
+void test_leaves_in_order() {
+  for (const int signal : {SIGTERM, SIGINT, SIGSEGV, SIGBUS, SIGFPE, SIGILL, SIGABRT}) {
+    Outcome outcome;
+    bool left = false;
+    with_child(
+        outcome,
+        [&left](Program& program) {
+          until_cancelled(program);
+          left = true;
+          return 0;
+        },
+        {}, [signal](Outcome& running) { CHECK(send_signal(running.slot, signal)); });
+    CHECK(left && outcome.end.returned);
+    CHECK(outcome.end.signal == signal);
+    CHECK(outcome.slot.stop_signal == signal);
+    CHECK(outcome.slot.stop_sender == ::getpid());
+    CHECK(outcome.slot.thread == 0);
+    CHECK(contains(outcome.text(), "sent by process " + std::to_string(::getpid())));
+    CHECK(!send_signal(outcome.slot, 0));
+  }
+}
+
+void test_one_that_does_not_leave() {
+  Outcome outcome;
+  with_child(outcome, deaf, {.leave_limit = 50ms},
+             [](Outcome& running) { CHECK(send_signal(running.slot, SIGTERM)); });
+  CHECK(outcome.end.signal == SIGTERM && !outcome.end.returned);
+  CHECK(outcome.slot.thread != 0);
+  CHECK(contains(outcome.text(), "did not leave in time"));
+  CHECK(contains(joined(outcome.slot), "deaf"));
+}
+
+void test_crash_while_leaving() {
+  Outcome outcome;
+  with_child(
+      outcome,
+      [](Program& program) {
+        until_cancelled(program);
+        *reinterpret_cast<volatile int*>(::getpid() & 0) = 1;
+        return 0;
+      },
+      {}, [](Outcome& running) { CHECK(send_signal(running.slot, SIGTERM)); });
+  CHECK(outcome.end.signal == SIGSEGV && outcome.slot.signal == SIGSEGV);
+}
+
+void test_time_limit() {
+  Outcome outcome;
+  with_child(outcome, deaf, {.time_limit = 20ms}, [](Outcome&) {});
+  CHECK(outcome.end.signal == SIGKILL);
+}
+
+void test_name() {
+  Outcome outcome;
+  std::array<char, 32> name{};
+  with_child(
+      outcome,
+      [&name](Program&) {
+        ::pthread_getname_np(::pthread_self(), name.data(), name.size());
+        return 0;
+      },
+      {.name = "a_rather_long_name"}, [](Outcome&) {});
+  CHECK(std::string(name.data()) == "a_rather_long_n");
+  CHECK(outcome.end.clean());
+}
+
+/// Signals while children come and go never hit anybody else, and the child always dies of them.
+void test_signals_at_any_instant() {
+  for (int round = 0; round < 300; ++round) {
+    Outcome outcome;
+    Program program(until_cancelled);
+    DonorThread donor("donor", [&] { outcome.end = run_in_child(program, outcome.slot); });
+    const int signal = round % 2 == 0 ? SIGTERM : SIGSEGV;
+    while (!send_signal(outcome.slot, signal)) {
+      std::this_thread::yield();
+    }
+    donor.join();
+    CHECK(outcome.end.signal == signal);
+    CHECK(outcome.end.returned);
+  }
+}
+
+}  // namespace
+
+int main() {
+  prepare_crash_handling();
+  test_leaves_in_order();
+  test_one_that_does_not_leave();
+  test_crash_while_leaving();
+  test_time_limit();
+  test_name();
+  test_signals_at_any_instant();
+  return 0;
+}
