@@ -45,6 +45,9 @@ TRACED = {"segv", "abrt", "exception"}
 
 both_modes = pytest.mark.parametrize("mode", MODES)
 
+# A finished thread or two may wait to be joined at any moment; growth would be dozens.
+MOMENTARY = 2
+
 
 def assert_death(event: ComponentEvent, how: str) -> None:
     """The event tells of that way to die, and where the component did it."""
@@ -184,5 +187,8 @@ def test_reloading_after_crashes_leaves_nothing_behind(spawn: StartContainer, mo
         assert_cleaned_up(container, crashes=200)
         # A donor or two may wait to be joined at any moment; growth would stay.
         for each in (0, 1):
-            assert median(u[each] for u in used[100:]) <= median(u[each] for u in used[5:100]), used
+            assert (
+                median(u[each] for u in used[100:])
+                <= median(u[each] for u in used[5:100]) + MOMENTARY
+            ), used
         assert only_these_remain(container, talker.pid)

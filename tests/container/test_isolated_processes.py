@@ -111,7 +111,12 @@ def test_the_end_of_the_channel_ends_everything(spawn: StartContainer) -> None:
     container.loaded("Talker")
     container.load("SlowConstructor", parameters=FOREVER)
     container.event(LOADING, plugin_name="play_launch_demo::SlowConstructor")
-    pids = children(container)
+    # LOADING is told before the process is there; each answer gives the container a turn.
+    for _ in range(1000):
+        pids = children(container)
+        if len(pids) == 2:
+            break
+        container.status()
     assert len(pids) == 2
     assert container.peer is not None
     container.peer.close()

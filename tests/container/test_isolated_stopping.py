@@ -29,6 +29,9 @@ FOREVER = {"seconds": 3600.0}
 
 both_modes = pytest.mark.parametrize("mode", MODES)
 
+# A finished thread or two may wait to be joined at any moment; growth would be dozens.
+MOMENTARY = 2
+
 
 def segments(container: Container) -> set[Path]:
     """The container's segments in /dev/shm, by the lock files it holds, without those of ports."""
@@ -140,5 +143,8 @@ def test_reloading_leaves_nothing_behind(spawn: StartContainer) -> None:
             container.event(UNLOADED, unique_id=node.unique_id)
             used.append((container.threads(), container.descriptors()))
         for each in (0, 1):
-            assert median(u[each] for u in used[50:]) <= median(u[each] for u in used[5:50]), used
+            assert (
+                median(u[each] for u in used[50:])
+                <= median(u[each] for u in used[5:50]) + MOMENTARY
+            ), used
         assert only_these_remain(container)

@@ -17,6 +17,9 @@ LOADED, UNLOADED, LOAD_FAILED = (
     ComponentEvent.LOAD_FAILED,
 )
 
+# A finished thread or two may wait to be joined at any moment; growth would be dozens.
+MOMENTARY = 2
+
 
 def test_a_slow_constructor_blocks_nobody(container: Container) -> None:
     container.load("SlowConstructor", parameters={"seconds": 3600.0})
@@ -50,7 +53,7 @@ def test_loading_again_and_again_leaves_nothing_behind(spawn: StartContainer) ->
             container.event(UNLOADED, unique_id=node.unique_id)
         usage.append((container.threads(), container.descriptors()))
     # A finished thread or two may wait to be joined at any moment; growth would stay.
-    assert median(t for t, _ in usage[50:]) <= median(t for t, _ in usage[:50]), usage
+    assert median(t for t, _ in usage[50:]) <= median(t for t, _ in usage[:50]) + MOMENTARY, usage
     assert max(d for _, d in usage[5:]) <= max(d for _, d in usage[:5]), usage
     assert container.shut_down() == 0
 
