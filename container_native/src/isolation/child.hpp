@@ -82,7 +82,7 @@ struct ChildRecord {
   bool after_death = false;
   /// The thread that ends the child: the first to crash, to call exit() or to return from run().
   std::atomic<pid_t> ender{0};
-  /// Half of the time to quiesce is over.
+  /// The time for careful looks is over.
   std::atomic<bool> impatient{false};
   /// Threads that were parked, in order of arrival.
   std::array<std::atomic<pid_t>, kMaxParked> parked{};

@@ -1,9 +1,7 @@
 #include "isolation/code_map.hpp"
 
 #include <dlfcn.h>
-#include <execinfo.h>
 #include <link.h>
-#include <ucontext.h>
 
 #include <algorithm>
 #include <array>
@@ -18,6 +16,8 @@ using namespace std::string_view_literals;
 
 enum class Place {
   neutral,   // decided by who called it
+  header,    // likewise: from the C++ library's headers
+  unnamed,   // a function of a node or of this program that is not exported
   harmless,  // no lock of others is held here
   inside,    // maybe one is
 };
@@ -52,6 +52,14 @@ constexpr std::array kCLibrary{"libc.so"sv, "libc-"sv, "libpthread"sv};
 /// hold the locks of delivery by pointer.
 constexpr std::array kTemplates{"_ZN6rclcpp"sv, "_ZNK6rclcpp"sv, "_ZN11play_launch"sv,
                                 "_ZNK11play_launch"sv};
+
+/// Functions from the C++ library's headers that were not merged into who called them, such as
+/// those of locks and containers: that one decides.
+constexpr std::array kCppHeaders{"_ZSt"sv, "_ZNSt"sv, "_ZNKSt"sv, "_ZN9__gnu_cxx"sv,
+                                 "_ZNK9__gnu_cxx"sv};
+/// But these call what users wrote, which is often merged into them.
+constexpr std::array kCallers{"_ZNSt17_Function_handler"sv, "_ZNSt6thread11_State_impl"sv,
+                              "_ZNSt13__future_base"sv};
 
 struct Landmarks {
   std::array<Range, 3> c_library_inside{};  // allocator, stdio, starting of threads
@@ -236,8 +244,7 @@ Place in_c_library(std::uintptr_t address, bool innermost, Caution caution) {
     return Place::inside;
   }
   const bool running = innermost && !at_syscall(address);
-  if (running &&
-      (caution == Caution::wait_for_syscall || is_in_any(address, landmarks.c_library_locks))) {
+  if (running && (caution == Caution::careful || is_in_any(address, landmarks.c_library_locks))) {
     return Place::inside;
   }
   return Place::neutral;
@@ -254,12 +261,7 @@ Place place_of(std::uintptr_t address, bool innermost, Caution caution) {
   }
   const link_map& library = *object.dlfo_link_map;
   const std::string_view name = base_name(library.l_name);
-  if (innermost && in_call_stub(address)) {
-    return Place::inside;
-  }
-  if (name.empty()) {
-    return Place::harmless;  // this program, which keeps children away from its locks
-  }
+  const bool is_program = name.empty();
   if (begins_with_any(name, kCLibrary)) {
     return in_c_library(address, innermost, caution);
   }
@@ -270,38 +272,23 @@ Place place_of(std::uintptr_t address, bool innermost, Caution caution) {
       (begins_with_any(name, kShared) && !begins_with_any(name, kNotShared))) {
     return Place::inside;
   }
-  const std::string_view function = DynamicSymbols(library).function_at(address);
-  return begins_with_any(function, kTemplates) ? Place::inside : Place::harmless;
-}
-
-struct Registers {
-  std::uintptr_t program_counter;
-  std::uintptr_t caller;  // the return address right after a call, when nothing else is known
-};
-
-Registers registers_of(void* context) {
-  const mcontext_t& registers = static_cast<ucontext_t*>(context)->uc_mcontext;
-#if defined(__x86_64__)
-  const auto pc = static_cast<std::uintptr_t>(registers.gregs[REG_RIP]);
-  dl_find_object object{};
-  if (::_dl_find_object(reinterpret_cast<void*>(pc), &object) == 0) {
-    return {pc, 0};
+  if (innermost && in_call_stub(address)) {
+    return Place::inside;
   }
-  // A call to no code: the return address lies on top of the stack.
-  return {pc, *reinterpret_cast<const std::uintptr_t*>(registers.gregs[REG_RSP])};
-#else
-  return {static_cast<std::uintptr_t>(registers.pc),
-          static_cast<std::uintptr_t>(registers.regs[30])};
-#endif
+  const std::string_view function = DynamicSymbols(library).function_at(address);
+  if (function.empty()) {
+    return Place::unnamed;
+  }
+  if (begins_with_any(function, kCppHeaders)) {
+    return begins_with_any(function, kCallers) ? Place::harmless : Place::header;
+  }
+  // This program is no node's, and keeps children away from its own locks.
+  return !is_program && begins_with_any(function, kTemplates) ? Place::inside : Place::harmless;
 }
 
 }  // namespace
 
 void prepare_code_map() {
-  // The first call loads the unwinder.
-  std::array<void*, 4> frames{};
-  ::backtrace(frames.data(), static_cast<int>(frames.size()));
-
   if (void* const library = ::dlopen("libc.so.6", RTLD_NOW | RTLD_NOLOAD)) {
     const DynamicSymbols symbols(*static_cast<const link_map*>(library));
     landmarks.c_library_inside = {
@@ -327,43 +314,29 @@ void prepare_code_map() {
   }
 }
 
-bool is_harmless(const std::uintptr_t* frames, std::size_t count, Caution caution) noexcept {
-  for (std::size_t i = 0; i < count; ++i) {
+Judgement judge(const CallStack& stack, Caution caution) noexcept {
+  Judgement judgement;
+  bool after_unnamed = false;
+  for (std::size_t i = 0; i < stack.count; ++i) {
     // A return address may already be the next function's: a call can be the last of its caller.
-    switch (place_of(i == 0 ? frames[0] : frames[i] - 1, i == 0, caution)) {
-      case Place::neutral:
-        break;
-      case Place::harmless:
-        return true;
-      case Place::inside:
-        return false;
+    const std::uintptr_t address = stack.frames[i].address - (i == 0 ? 0 : 1);
+    const Place place = place_of(address, i == 0, caution);
+    // Without optimisation, locking ends in functions without a name; all others are the node's.
+    if (after_unnamed && caution == Caution::lenient && place != Place::header) {
+      judgement.way_out = i - 1;
+      return judgement;
+    }
+    after_unnamed = place == Place::unnamed;
+    if (place == Place::harmless) {
+      judgement.way_out = i;
+      return judgement;
+    }
+    if (place == Place::inside) {
+      judgement.harmless = false;
     }
   }
-  return true;
-}
-
-std::size_t interrupted_frames(void* context, std::uintptr_t* frames, std::size_t size) noexcept {
-  // The handler's own frames come first, and are left out.
-  constexpr std::size_t kHandlerFrames = 16;
-  constexpr std::size_t kMost = 128;
-  std::array<void*, kMost> all{};
-  const std::size_t wanted = std::min(size + kHandlerFrames, kMost);
-  const auto got = static_cast<std::size_t>(::backtrace(all.data(), static_cast<int>(wanted)));
-  const Registers registers = registers_of(context);
-  auto* const end = all.data() + got;
-  auto* next = std::find(all.data(), end, reinterpret_cast<void*>(registers.program_counter));
-  std::size_t count = 0;
-  if (count < size) {
-    frames[count++] = registers.program_counter;
-  }
-  next = next == end ? end : next + 1;
-  if (next == end && registers.caller != 0 && count < size) {
-    frames[count++] = registers.caller;
-  }
-  for (; next != end && count < size; ++next) {
-    frames[count++] = reinterpret_cast<std::uintptr_t>(*next);
-  }
-  return count;
+  judgement.way_out = stack.count;
+  return judgement;
 }
 
 }  // namespace play_launch::isolation

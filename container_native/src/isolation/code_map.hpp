@@ -3,31 +3,32 @@
 #include <cstddef>
 #include <cstdint>
 
+#include "isolation/call_stack.hpp"
+
 namespace play_launch::isolation {
 
-/// How strictly to judge a thread whose innermost frame is in the C library.
+/// How to judge a thread of which too little can be seen: one that runs in the C library, where a
+/// function may hold one of many short locks, and one in a function without an exported name.
 enum class Caution {
-  /// It must be blocked in a system call there: a function that is running may hold one of the
-  /// library's many short locks, and is soon done.
-  wait_for_syscall,
-  /// Wherever it is there, but for the allocator, stdio and what starts threads.
-  accept_running,
+  careful,  // look again, it is soon done; ask who called the function
+  lenient,  // take it as harmless, but for the allocator, stdio and what starts threads
+};
+
+struct Judgement {
+  /// The thread holds nothing, as far as can be seen, that others wait for.
+  bool harmless = true;
+  /// If it is not: the first frame where it would be; the number of frames when there is none.
+  std::size_t way_out = 0;
 };
 
 /// Looks up the places in the C library that matter. Once, before the first child.
 void prepare_code_map();
 
-/// Whether a thread with these frames (innermost first: a program counter, then return addresses)
-/// holds nothing, as far as can be seen, that others wait for. Decided by the innermost frame that
-/// is neither in the C nor the C++ library: not in the middleware, an allocator or the loader, nor
-/// in a template of rclcpp or of this SDK that was compiled into somebody's library. (Outer frames
-/// always are the middleware's: it calls the callbacks, without holding a lock.) A thread that
-/// waits for another one to end is harmless anywhere. Async-signal-safe.
-bool is_harmless(const std::uintptr_t* frames, std::size_t count, Caution caution) noexcept;
-
-/// The call stack of the thread that a signal interrupted, from its handler: `context` is the
-/// handler's third argument. Gives the number of frames written, innermost first. Async-signal-safe
-/// once prepare_code_map() has run.
-std::size_t interrupted_frames(void* context, std::uintptr_t* frames, std::size_t size) noexcept;
+/// Decided by the innermost frame that is neither in the C nor the C++ library: whether it is in
+/// the middleware, an allocator or the loader, or in a template of rclcpp or of this SDK that was
+/// compiled into somebody's library. (Outer frames always are the middleware's: it calls the
+/// callbacks, without holding a lock.) A thread that waits for another one to end is harmless
+/// anywhere. Async-signal-safe.
+Judgement judge(const CallStack& stack, Caution caution) noexcept;
 
 }  // namespace play_launch::isolation

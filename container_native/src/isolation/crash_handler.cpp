@@ -20,6 +20,7 @@
 #include <memory>
 #include <typeinfo>
 
+#include "isolation/call_stack.hpp"
 #include "isolation/code_map.hpp"
 #include "isolation/donor_state.hpp"
 #include "isolation/quiesce.hpp"
@@ -91,10 +92,12 @@ void fill(CrashSlot& slot, int signal, const siginfo_t& info, void* context) noe
     slot.fault_address = reinterpret_cast<std::uintptr_t>(info.si_addr);
   }
   ::prctl(PR_GET_NAME, slot.thread_name.data());
-  const std::size_t count = interrupted_frames(context, slot.frames.data(), slot.frames.size());
+  const CallStack stack = interrupted_call_stack(context);
+  std::transform(stack.frames.begin(), stack.frames.begin() + stack.count, slot.frames.begin(),
+                 [](const Frame& frame) { return frame.address; });
   slot.program_counter = slot.frames[0];
-  slot.frame_count = static_cast<std::uint32_t>(count);
-  slot.inside = !is_harmless(slot.frames.data(), count, Caution::accept_running);
+  slot.frame_count = static_cast<std::uint32_t>(stack.count);
+  slot.inside = !judge(stack, Caution::lenient).harmless;
 }
 
 void crash(ChildRecord& child, int signal, const siginfo_t& info, void* context) noexcept {
@@ -182,6 +185,7 @@ iovec piece(const char* text) { return {const_cast<char*>(text), std::strlen(tex
 }  // namespace
 
 void prepare_crash_handling() {
+  prepare_call_stack();
   prepare_code_map();
   prepare_throw_sites();
   const std::terminate_handler before = std::set_terminate(on_terminate);

@@ -27,6 +27,8 @@ using std::chrono::nanoseconds;
 /// Between two looks at threads that were in a bad place. Short: in a loop that allocates, most
 /// looks come at a bad moment.
 constexpr nanoseconds kRetry = 100us;
+/// How long to look carefully.
+constexpr nanoseconds kCareful = 10ms;
 
 nanoseconds now() noexcept {
   timespec time{};
@@ -117,11 +119,14 @@ extern "C" void on_park_signal(int, siginfo_t* info, void* context) {
   const int error = errno;
   ChildRecord* const child = current_child();
   if (child != nullptr && info->si_pid == ::getpid() && is_ending(*child)) {
-    std::array<std::uintptr_t, CrashSlot::kMaxFrames> frames;
-    const std::size_t count = interrupted_frames(context, frames.data(), frames.size());
-    const Caution caution = child->impatient ? Caution::accept_running : Caution::wait_for_syscall;
-    if (is_harmless(frames.data(), count, caution)) {
+    const CallStack stack = interrupted_call_stack(context);
+    const Judgement judgement =
+        judge(stack, child->impatient ? Caution::lenient : Caution::careful);
+    if (judgement.harmless) {
       park(*child);
+    }
+    if (judgement.way_out < stack.count) {
+      park_on_return_to(stack.frames[judgement.way_out]);
     }
   }
   errno = error;
@@ -168,7 +173,7 @@ void quiesce(ChildRecord& child) noexcept {
     if (left == 0 || passed >= limit) {
       break;
     }
-    child.impatient = passed >= limit / 2;
+    child.impatient = passed >= std::min(limit / 2, kCareful);
     wait_for_change(child.parked_count, seen);
   }
   child.slot->threads_parked = child.parked_count;

@@ -11,7 +11,7 @@ namespace play_launch::isolation {
 /// brings every other thread to a place where its death takes no lock along, within
 /// ChildOptions::quiesce_limit. A thread may end by itself, come to park_if_dying(), or is
 /// interrupted: when its innermost frames are neither in the middleware, nor in the allocator, the
-/// loader or stdio, it is parked there, else let go on and interrupted again. Writes the counts
+/// loader or stdio, it is parked there, else let go on until it comes out. Writes the counts
 /// into the slot. Async-signal-safe.
 void quiesce(ChildRecord& child) noexcept;
 

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <functional>
 #include <mutex>
 
 /// What a middleware does, from a library whose name makes it one.
@@ -11,6 +12,8 @@ std::mutex& shared_lock();
 void publish();
 /// Calls the callback without holding the lock, as an executor does.
 void spin_once(void (*callback)());
+/// Takes it, tells that it has it, and never gives it back.
+[[noreturn]] void stay_inside(const std::function<void()>& tell);
 /// Crashes while it holds the lock.
 void crash();
 

@@ -1,0 +1,37 @@
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+
+namespace play_launch::isolation {
+
+/// One function that has not returned.
+struct Frame {
+  /// Where it goes on: the program counter, or a return address.
+  std::uintptr_t address = 0;
+  /// The stack pointer when it does; 0 for the innermost one.
+  std::uintptr_t stack = 0;
+};
+
+/// The call stack of the thread that a signal interrupted, innermost first.
+struct CallStack {
+  static constexpr std::size_t kMaxFrames = 64;
+
+  std::array<Frame, kMaxFrames> frames{};
+  std::size_t count = 0;
+};
+
+/// From the signal's handler: `context` is the handler's third argument. Async-signal-safe once
+/// prepare_call_stack() has run.
+CallStack interrupted_call_stack(void* context) noexcept;
+
+/// The first call may load things. Once, before the first child.
+void prepare_call_stack();
+
+/// Makes the thread, whose call stack that is and whose signal handler calls this, park in the
+/// moment when it would return to that frame. False where this cannot be done. The frame's function
+/// does not run on. Async-signal-safe.
+bool park_on_return_to(const Frame& frame) noexcept;
+
+}  // namespace play_launch::isolation
