@@ -157,7 +157,6 @@ void CrashSlot::reset() {
   start_time = 0;
   alive = false;
   phase = ChildPhase::none;
-  heartbeat = 0;
   stop_signal = 0;
   stop_sender = 0;
   thread = 0;

@@ -35,8 +35,6 @@ struct CrashSlot {
   std::atomic<bool> alive{false};            // from then until just before the pid is free again
   std::atomic<int> senders{0};               // see send_signal()
   std::atomic<ChildPhase> phase{ChildPhase::none};
-  /// For the program to count in, if it likes; nothing here reads it.
-  std::atomic<std::uint64_t> heartbeat{0};
 
   // A signal asked the child to leave.
   std::atomic<int> stop_signal{0};
