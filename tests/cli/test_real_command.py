@@ -9,9 +9,7 @@ import sys
 from typing import TYPE_CHECKING
 
 import psutil
-import pytest
 
-from play_launch.native.locate import NotInstalledError, component_container
 from tests.recording.reading import messages
 
 if TYPE_CHECKING:
@@ -26,17 +24,6 @@ containers:
       - {package: play_launch_demo, plugin: "play_launch_demo::Talker", name: talker}
       - {package: play_launch_demo, plugin: "play_launch_demo::Listener", name: listener}
 """
-
-
-def installed() -> bool:
-    try:
-        component_container()
-    except NotInstalledError:
-        return False
-    return True
-
-
-pytestmark = pytest.mark.skipif(not installed(), reason="the container is not installed")
 
 
 def test_nodes_load_talk_stop_and_are_recorded(tmp_path: Path) -> None:
