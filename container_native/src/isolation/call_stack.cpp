@@ -1,7 +1,9 @@
 #include "isolation/call_stack.hpp"
 
 #include <dlfcn.h>
+#include <linux/futex.h>
 #include <signal.h>
+#include <sys/syscall.h>
 #include <ucontext.h>
 #include <unwind.h>
 
@@ -56,6 +58,31 @@ Registers registers_of(void* context) noexcept {
 #endif
 }
 
+bool has_registers_of_a_wake(void* context) noexcept {
+  const mcontext_t& registers = static_cast<ucontext_t*>(context)->uc_mcontext;
+#if defined(__x86_64__)
+  const auto number = registers.gregs[REG_RAX];
+  const auto operation = registers.gregs[REG_RSI];
+#else
+  const auto number = registers.regs[8];
+  const auto operation = registers.regs[1];
+#endif
+  if (number != SYS_futex) {
+    return false;
+  }
+  switch (operation & FUTEX_CMD_MASK) {
+    case FUTEX_WAKE:
+    case FUTEX_WAKE_OP:
+    case FUTEX_WAKE_BITSET:
+    case FUTEX_REQUEUE:
+    case FUTEX_CMP_REQUEUE:
+    case FUTEX_UNLOCK_PI:
+      return true;
+    default:
+      return false;
+  }
+}
+
 struct Collection {
   CallStack& stack;
   std::uintptr_t begin;  // the interrupted place; the handler's own frames come before it
@@ -82,6 +109,7 @@ _Unwind_Reason_Code collect(_Unwind_Context* context, void* argument) noexcept {
 
 CallStack interrupted_call_stack(void* context) noexcept {
   CallStack stack;
+  stack.wakes_others = has_registers_of_a_wake(context);
   const Registers registers = registers_of(context);
   Collection collection{stack, registers.program_counter};
   _Unwind_Backtrace(collect, &collection);

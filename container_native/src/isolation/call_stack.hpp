@@ -20,6 +20,8 @@ struct CallStack {
 
   std::array<Frame, kMaxFrames> frames{};
   std::size_t count = 0;
+  /// The registers are those for a system call that wakes other threads, made or not.
+  bool wakes_others = false;
 };
 
 /// From the signal's handler: `context` is the handler's third argument. Async-signal-safe once

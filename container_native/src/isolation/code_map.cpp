@@ -65,7 +65,7 @@ struct Landmarks {
   std::array<Range, 3> c_library_inside{};  // allocator, stdio, starting of threads
   // What takes and gives back locks: the one that called it may be out of the picture already, as
   // the last thing that a function does is often a jump.
-  std::array<Range, 2> c_library_locks{};
+  std::array<Range, 4> c_library_locks{};
   Range join;  // std::thread::join()
 };
 Landmarks landmarks;
@@ -198,18 +198,20 @@ Range code_of(const DynamicSymbols& library, std::initializer_list<std::string_v
   return range.end <= range.begin || range.end - range.begin > kImplausible ? Range{} : range;
 }
 
-/// A thread blocked in a system call is interrupted before it (to be made again) or behind it.
-bool at_syscall(std::uintptr_t address) {
 #if defined(__x86_64__)
-  static constexpr std::array<unsigned char, 2> kInstruction{0x0f, 0x05};
+constexpr std::array<unsigned char, 2> kSystemCall{0x0f, 0x05};
 #else
-  static constexpr std::array<unsigned char, 4> kInstruction{0x01, 0x00, 0x00, 0xd4};
+constexpr std::array<unsigned char, 4> kSystemCall{0x01, 0x00, 0x00, 0xd4};
 #endif
-  const auto is_there = [](std::uintptr_t place) {
-    return std::memcmp(reinterpret_cast<const void*>(place), kInstruction.data(),
-                       kInstruction.size()) == 0;
-  };
-  return is_there(address) || is_there(address - kInstruction.size());
+
+bool before_system_call(std::uintptr_t address) {
+  return std::memcmp(reinterpret_cast<const void*>(address), kSystemCall.data(),
+                     kSystemCall.size()) == 0;
+}
+
+/// A thread blocked in a system call is interrupted before it (to be made again) or behind it.
+bool at_system_call(std::uintptr_t address) {
+  return before_system_call(address) || before_system_call(address - kSystemCall.size());
 }
 
 /// A jump from a library to a function of another one, with which unlocking often begins.
@@ -239,18 +241,26 @@ bool is_in_any(std::uintptr_t address, const std::array<Range, size>& ranges) {
                      [address](const Range& range) { return range.contains(address); });
 }
 
-Place in_c_library(std::uintptr_t address, bool innermost, Caution caution) {
+Place in_c_library(std::uintptr_t address, bool innermost, bool wakes_others, Caution caution) {
   if (is_in_any(address, landmarks.c_library_inside)) {
     return Place::inside;
   }
-  const bool running = innermost && !at_syscall(address);
+  if (innermost && wakes_others && before_system_call(address)) {
+    // The kernel never asks for a wake a second time, so this one is still to come. What the
+    // thread held is free by now, but who waits for it would sleep for ever.
+    return Place::inside;
+  }
+  const bool running = innermost && !at_system_call(address);
   if (running && (caution == Caution::careful || is_in_any(address, landmarks.c_library_locks))) {
     return Place::inside;
   }
   return Place::neutral;
 }
 
-Place place_of(std::uintptr_t address, bool innermost, Caution caution) {
+Place place_of(const CallStack& stack, std::size_t frame, Caution caution) {
+  const bool innermost = frame == 0;
+  // A return address may already be the next function's: a call can be the last of its caller.
+  const std::uintptr_t address = stack.frames[frame].address - (innermost ? 0 : 1);
   if (landmarks.join.contains(address)) {
     return Place::harmless;
   }
@@ -263,7 +273,7 @@ Place place_of(std::uintptr_t address, bool innermost, Caution caution) {
   const std::string_view name = base_name(library.l_name);
   const bool is_program = name.empty();
   if (begins_with_any(name, kCLibrary)) {
-    return in_c_library(address, innermost, caution);
+    return in_c_library(address, innermost, stack.wakes_others, caution);
   }
   if (begins_with_any(name, kCppRuntime)) {
     return Place::neutral;
@@ -304,7 +314,9 @@ void prepare_code_map() {
         code_of(symbols,
                 {"pthread_rwlock_rdlock", "pthread_rwlock_wrlock", "pthread_rwlock_tryrdlock",
                  "pthread_rwlock_trywrlock", "pthread_rwlock_timedrdlock",
-                 "pthread_rwlock_timedwrlock", "pthread_rwlock_unlock"})};
+                 "pthread_rwlock_timedwrlock", "pthread_rwlock_unlock"}),
+        code_of(symbols, {"__lll_lock_wait_private", "__lll_lock_wake_private"}),
+        code_of(symbols, {"pthread_cond_signal", "pthread_cond_broadcast"})};
     ::dlclose(library);
   }
   if (void* const library = ::dlopen("libstdc++.so.6", RTLD_NOW | RTLD_NOLOAD)) {
@@ -316,17 +328,21 @@ void prepare_code_map() {
 
 Judgement judge(const CallStack& stack, Caution caution) noexcept {
   Judgement judgement;
-  bool after_unnamed = false;
+  constexpr std::size_t kNone = CallStack::kMaxFrames;
+  std::size_t unnamed = kNone;  // the first of those in a row
   for (std::size_t i = 0; i < stack.count; ++i) {
-    // A return address may already be the next function's: a call can be the last of its caller.
-    const std::uintptr_t address = stack.frames[i].address - (i == 0 ? 0 : 1);
-    const Place place = place_of(address, i == 0, caution);
-    // Without optimisation, locking ends in functions without a name; all others are the node's.
-    if (after_unnamed && caution == Caution::lenient && place != Place::header) {
-      judgement.way_out = i - 1;
+    const Place place = place_of(stack, i, caution);
+    // Without optimisation, locking ends in some functions without a name, and is what called
+    // them; all others are the node's.
+    if (place == Place::unnamed) {
+      unnamed = std::min(unnamed, i);
+      continue;
+    }
+    if (unnamed != kNone && caution == Caution::lenient && place != Place::header) {
+      judgement.way_out = unnamed;
       return judgement;
     }
-    after_unnamed = place == Place::unnamed;
+    unnamed = kNone;
     if (place == Place::harmless) {
       judgement.way_out = i;
       return judgement;
@@ -335,7 +351,8 @@ Judgement judge(const CallStack& stack, Caution caution) noexcept {
       judgement.harmless = false;
     }
   }
-  judgement.way_out = stack.count;
+  const bool is_the_nodes = unnamed != kNone && caution == Caution::lenient;
+  judgement.way_out = is_the_nodes ? unnamed : stack.count;
   return judgement;
 }
 

@@ -1,0 +1,112 @@
+// Judging a call stack that was made up: what a thread in these functions may hold.
+
+#include "isolation/code_map.hpp"
+
+#include <dlfcn.h>
+
+#include <cstdint>
+#include <initializer_list>
+
+#include "../container/check.hpp"
+#include "rcl_stand_in.hpp"
+
+// Named as a function of the C++ library's headers that was compiled into this program.
+extern "C" void play_launch_test_header_function() __asm__("_ZNSt5mutex16play_launch_testEv");
+void play_launch_test_header_function() {}
+
+extern "C" void play_launch_test_function_of_a_node();
+void play_launch_test_function_of_a_node() {}
+
+namespace {
+
+using namespace play_launch::isolation;
+
+[[gnu::noinline]] void unnamed() { __asm__ volatile("nop"); }
+[[gnu::noinline]] void also_unnamed() { __asm__ volatile("nop; nop"); }
+
+/// Some bytes into a function, as the frames of a stack are.
+std::uintptr_t within(void (*function)()) { return reinterpret_cast<std::uintptr_t>(function) + 1; }
+
+CallStack stack_of(std::initializer_list<void (*)()> functions) {
+  CallStack stack;
+  for (const auto function : functions) {
+    stack.frames[stack.count++] = {within(function), 1};
+  }
+  return stack;
+}
+
+/// The address of a system call in the C library.
+std::uintptr_t a_system_call() {
+  auto* const begin = reinterpret_cast<const unsigned char*>(::dlsym(RTLD_DEFAULT, "getppid"));
+  for (int i = 0; i < 64; ++i) {
+#if defined(__x86_64__)
+    if (begin[i] == 0x0f && begin[i + 1] == 0x05) {
+      return reinterpret_cast<std::uintptr_t>(begin + i);
+    }
+#else
+    if (i % 4 == 0 && begin[i] == 0x01 && begin[i + 1] == 0 && begin[i + 2] == 0 &&
+        begin[i + 3] == 0xd4) {
+      return reinterpret_cast<std::uintptr_t>(begin + i);
+    }
+#endif
+  }
+  CHECK(!"a system call in getppid()");
+  return 0;
+}
+
+void test_who_called_decides() {
+  for (const Caution caution : {Caution::careful, Caution::lenient}) {
+    CHECK(judge(stack_of({play_launch_test_function_of_a_node}), caution).harmless);
+    const Judgement below =
+        judge(stack_of({stand_in::publish, play_launch_test_function_of_a_node}), caution);
+    CHECK(!below.harmless && below.way_out == 1);
+    const Judgement nowhere = judge(stack_of({stand_in::publish}), caution);
+    CHECK(!nowhere.harmless && nowhere.way_out == 1);
+    CHECK(
+        !judge(stack_of({play_launch_test_header_function, stand_in::publish}), caution).harmless);
+  }
+}
+
+/// Without optimisation, and with the program's copy of the headers' functions in use, unlocking in
+/// the middleware ends so.
+void test_functions_without_a_name_at_the_end_of_unlocking() {
+  const CallStack unlocking = stack_of({unnamed, also_unnamed, play_launch_test_header_function,
+                                        play_launch_test_header_function, stand_in::publish});
+  for (const Caution caution : {Caution::careful, Caution::lenient}) {
+    CHECK(!judge(unlocking, caution).harmless);
+  }
+}
+
+void test_functions_without_a_name_of_a_node() {
+  const CallStack callback = stack_of({unnamed, also_unnamed, stand_in::publish});
+  CHECK(!judge(callback, Caution::careful).harmless);
+  const Judgement judgement = judge(callback, Caution::lenient);
+  CHECK(judgement.harmless && judgement.way_out == 0);
+  const CallStack below = stack_of({stand_in::publish, unnamed, also_unnamed});
+  const Judgement way_out = judge(below, Caution::lenient);
+  CHECK(!way_out.harmless && way_out.way_out == 1);
+}
+
+/// A thread that gave back a lock and has not yet woken who waits for it.
+void test_before_a_wake() {
+  CallStack stack = stack_of({nullptr, play_launch_test_function_of_a_node});
+  stack.frames[0].address = a_system_call();
+  for (const Caution caution : {Caution::careful, Caution::lenient}) {
+    stack.wakes_others = false;
+    CHECK(judge(stack, caution).harmless);
+    stack.wakes_others = true;
+    const Judgement judgement = judge(stack, caution);
+    CHECK(!judgement.harmless && judgement.way_out == 1);
+  }
+}
+
+}  // namespace
+
+int main() {
+  prepare_code_map();
+  test_who_called_decides();
+  test_functions_without_a_name_at_the_end_of_unlocking();
+  test_functions_without_a_name_of_a_node();
+  test_before_a_wake();
+  return 0;
+}
