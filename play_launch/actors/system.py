@@ -73,6 +73,8 @@ async def run_system(
     if launcher is None:
         launcher = await asyncio.to_thread(NativeLauncher.of, config)
     try:
+        # A participant that gets a port number of a dead one stumbles over what that one left.
+        await launcher.clean_up()
         return await _run(
             config, Publisher(sink), stop, launcher=launcher, limits=limits, starts=starts
         )

@@ -290,6 +290,7 @@ class FakeLauncher:
     on_process: Callable[[FakeProcess], None] = lambda process: None
     failures: dict[str, StartError] = field(default_factory=dict)
     cleaned: int = 0
+    cleaned_before_a_start: list[int] = field(default_factory=list)
     closed: bool = False
 
     def hello(self) -> Hello:
@@ -299,6 +300,7 @@ class FakeLauncher:
         self, config: ContainerConfig, on_output: OutputCallback
     ) -> tuple[FakeProcess, FakeLink]:
         name = config.full_name
+        self.cleaned_before_a_start.append(self.cleaned)
         if name in self.failures:
             raise self.failures[name]
         started = self.containers.setdefault(name, [])

@@ -185,6 +185,18 @@ def test_the_duration_ends_a_run() -> None:
     assert sys.outcome.final_view.containers["/c"].state is ContainerState.STOPPED
 
 
+def test_what_dead_processes_left_is_removed_before_the_first_start_and_after_the_end() -> None:
+    async def main() -> FakeLauncher:
+        fakes = FakeLauncher()
+        async with running(system(container("c", "a"), duration=1.0), fakes) as sys:
+            await sys.stop.requested.wait()
+        return fakes
+
+    fakes = run(main())
+    assert fakes.cleaned_before_a_start == [1]
+    assert fakes.cleaned == 2
+
+
 def test_nothing_to_run_ends_at_once() -> None:
     async def main() -> Running:
         async with running(system(), FakeLauncher()) as sys:

@@ -15,6 +15,8 @@ from typing import Any
 
 import psutil
 
+from tests.support.loopback_network import wrapped
+
 COMMAND = Path(sys.executable).parent / "play-launch"
 
 
@@ -61,10 +63,16 @@ class Replay:
 
 
 @contextmanager
-def replaying(config: Path, log_dir: Path, *arguments: str) -> Iterator[Replay]:
-    """Run ``play-launch replay``; afterwards it is gone, and so is everything it started."""
+def replaying(
+    config: Path, log_dir: Path, *arguments: str, in_a_network: bool = False
+) -> Iterator[Replay]:
+    """Run ``play-launch replay``; afterwards it is gone, and so is everything it started.
+
+    With ``in_a_network`` it has a network of its own, with nothing but a loopback.
+    """
+    command = [str(COMMAND), "replay", str(config), "--log-dir", str(log_dir), "--json", *arguments]
     process = subprocess.Popen(
-        [COMMAND, "replay", config, "--log-dir", log_dir, "--json", *arguments],
+        wrapped(*command) if in_a_network else command,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

@@ -1,0 +1,81 @@
+"""The Fast DDS profiles of fixtures/fastdds do what their comments say."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from tests.support.loopback_network import permitted
+from tests.support.replay import Replay, replaying
+
+ROOT = Path(__file__).resolve().parents[2]
+PROFILES = ROOT / "fixtures" / "fastdds"
+MEBIBYTE = 1 << 20
+
+# Two containers, so that what is published goes from process to process. With LOCALHOST the RMW
+# makes transports of its own beside those of a profile, hence the default range, and a network of
+# its own.
+SYSTEM = """
+version: 1
+environment:
+  ROS_AUTOMATIC_DISCOVERY_RANGE: SUBNET
+  FASTRTPS_DEFAULT_PROFILES_FILE: {profile}
+containers:
+  - name: sender
+    composable_nodes:
+      - package: play_launch_demo
+        plugin: play_launch_demo::Talker
+        name: talker
+  - name: receiver
+    composable_nodes:
+      - package: play_launch_demo
+        plugin: play_launch_demo::Listener
+        name: listener
+"""
+
+
+def segments(replay: Replay) -> list[Path]:
+    """The shared memory of the participants of a run, by the locks that they hold."""
+    found = set()
+    for process in replay.descendants():
+        for entry in Path(f"/proc/{process.pid}/fd").iterdir():
+            try:
+                target = str(entry.readlink())
+            except FileNotFoundError:  # closed since
+                continue
+            if match := re.fullmatch(r"(/dev/shm/fastrtps_[0-9a-f]{16})_el", target):
+                found.add(Path(match[1]))
+    return sorted(found)
+
+
+@pytest.fixture
+def in_a_network_of_its_own() -> None:
+    if not permitted():
+        pytest.skip("this kernel permits no network namespace")
+
+
+@pytest.mark.usefixtures("in_a_network_of_its_own")
+@pytest.mark.parametrize(("profile", "expected"), [("no_shm", []), ("large_segment", [4, 4])])
+def test_profile(profile: str, expected: list[int], tmp_path: Path) -> None:
+    config = tmp_path / "system.yaml"
+    config.write_text(SYSTEM.format(profile=PROFILES / f"{profile}.xml"), encoding="utf-8")
+
+    with replaying(config, tmp_path / "log", in_a_network=True) as replay:
+        replay.read_until(
+            lambda event: "I heard" in event.get("text", ""), "a message from process to process"
+        )
+        found = segments(replay)
+        sizes = [path.stat().st_size // MEBIBYTE for path in found]
+
+    assert sizes == expected
+    assert replay.process.returncode == 130
+    assert not [path for path in found if path.exists()]
+
+
+def test_profiles_are_named_in_the_docs() -> None:
+    text = (ROOT / "docs" / "fastdds.md").read_text(encoding="utf-8")
+    profiles = list(PROFILES.iterdir())
+    assert profiles
+    assert not [path for path in profiles if f"fixtures/fastdds/{path.name}" not in text]
