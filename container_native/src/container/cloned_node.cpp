@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "container/doorbell.hpp"
+#include "container/failpoints.hpp"
 #include "container/report.hpp"
 #include "isolation/symbolise.hpp"
 
@@ -48,11 +49,13 @@ ClonedNode::ClonedNode(std::uint64_t unique_id, const BackendList& backends,
 void ClonedNode::donate() noexcept {
   isolation::ChildOptions options;
   options.name = process_name_;
+  options.dies_abruptly = hit(Failpoint::abrupt_deaths);
   end_ = isolation::run_in_child(program_, slot_, options);
   dead_ = true;
   ring(doorbell());
   if (program_.left_remains()) {
     options.name = "undertaker";
+    options.dies_abruptly = false;
     options.time_limit = kBurialLimit;
     burial_end_ = isolation::run_in_child(burial_, burial_slot_, options);
   }

@@ -28,6 +28,7 @@ constexpr std::array<std::string_view, kCount> kNames{
     "container.drop_event_loaded",  "container.drop_event_failed", "container.drop_event_unloaded",
     "container.drop_event_crashed", "container.ignore_query",      "container.before_unload",
     "container.on_shutdown",        "container.during_stop",       "container.during_burial",
+    "container.abrupt_deaths",
 };
 
 enum class Action : unsigned char { none, hang, abort, kill, exit, delay, once, always };

@@ -40,6 +40,9 @@ struct ChildOptions {
   std::chrono::milliseconds leave_limit{1000};
   /// For bringing the other threads to a harmless place before the child dies of a fault.
   std::chrono::milliseconds quiesce_limit{50};
+  /// Every signal that it handles ends it at once, with its other threads wherever they are. For
+  /// measuring what the care above is worth.
+  bool dies_abruptly = false;
 };
 
 /// At most so many children live at a time; more of them fail with EAGAIN.

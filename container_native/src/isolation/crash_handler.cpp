@@ -115,7 +115,8 @@ extern "C" void on_crash_signal(int signal, siginfo_t* info, void* context) {
   ChildRecord* const child = current_child();
   if (child == nullptr) {
     die_in_place(signal, *info, context);  // a process that a node forked
-  } else if (is_deadline(*info, *child) || !is_request(signal, *info)) {
+  } else if (child->options.dies_abruptly || is_deadline(*info, *child) ||
+             !is_request(signal, *info)) {
     crash(*child, signal, *info, context);
     die_in_place(signal, *info, context);
   } else {

@@ -90,6 +90,13 @@ class ThreadList {
   int fd_;
 };
 
+std::uint32_t count_others(ThreadList& threads) noexcept {
+  const pid_t self = ::gettid();
+  std::uint32_t count = 0;
+  const bool listed = threads.for_each([&](pid_t thread) { count += thread == self ? 0 : 1; });
+  return listed ? count : 1;
+}
+
 /// Interrupts the threads that are left, and counts them.
 std::uint32_t ask_to_park(ChildRecord& child, ThreadList& threads) noexcept {
   const pid_t process = ::getpid();
@@ -159,12 +166,16 @@ void park(ChildRecord& child) noexcept {
 }
 
 void quiesce(ChildRecord& child) noexcept {
+  ThreadList threads;
+  if (child.options.dies_abruptly) {
+    child.slot->threads_not_parked = count_others(threads);
+    return;
+  }
   if (child.slot->phase != ChildPhase::returned) {
     child.program->cancel();
   }
   const nanoseconds begin = now();
   const nanoseconds limit = child.options.quiesce_limit;
-  ThreadList threads;
   std::uint32_t left = 0;
   while (true) {
     const std::uint32_t seen = child.parked_count;
