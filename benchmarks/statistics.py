@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import statistics
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Self
 
 
 def row(name: str, values: Sequence[float], unit: str) -> str:
@@ -15,3 +18,46 @@ def row(name: str, values: Sequence[float], unit: str) -> str:
 
 def header() -> str:
     return f"{'':<44} {'min':>8} {'median':>8} {'max':>8}"
+
+
+def percentile(values: Sequence[float], percent: float) -> float:
+    """The smallest of the values that at least so many percent of them do not exceed."""
+    if not values:
+        raise ValueError("no values have no percentile")
+    ordered = sorted(values)
+    rank = math.ceil(percent / 100 * len(ordered))
+    return ordered[max(rank, 1) - 1]
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """What is kept of many values of one unit."""
+
+    count: int
+    min: float
+    p50: float
+    p99: float
+    max: float
+
+    @classmethod
+    def of(cls, values: Sequence[float]) -> Self | None:
+        """Sum them up; None when there are none."""
+        if not values:
+            return None
+        return cls(
+            count=len(values),
+            min=min(values),
+            p50=percentile(values, 50),
+            p99=percentile(values, 99),
+            max=max(values),
+        )
+
+    @classmethod
+    def from_json(cls, stored: Mapping[str, float]) -> Self:
+        return cls(int(stored["count"]), *(stored[name] for name in ("min", "p50", "p99", "max")))
+
+    def as_json(self) -> dict[str, float]:
+        return {
+            name: value if name == "count" else float(f"{value:.6g}")
+            for name, value in asdict(self).items()
+        }

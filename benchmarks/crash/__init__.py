@@ -1,0 +1,1 @@
+"""Crashes by the thousand: what the container, the supervisor and the neighbours make of them."""

@@ -1,0 +1,135 @@
+"""Crash nodes by the thousand and see what becomes of the rest.
+
+    python -m benchmarks.crash [--count N] [--modes isolated,isolated_mt] [--kinds 'segv/*,…']
+                               [--unquiesced …] [--json FILE] [--plot FILE] [--quick]
+
+A container with a node that dies again and again, and two neighbours with 1 kHz timers that hear
+it by pointer; the supervisor is the real one, without pauses before reloads. Kinds are way/place:
+segv, abrt, exception, kill (SIGKILL to itself) in a callback, the constructor, a thread of its own,
+or a callback while other threads allocate (malloc); segv/outside and kill/outside come from another
+process at a random instant.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import logging
+import os
+import platform
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from benchmarks.crash.cases import MODES, Case, choose, plan
+from benchmarks.crash.report import Row, heading, line, picture, result
+from benchmarks.crash.trial import run_trial
+from benchmarks.systems import keep_to_this_machine
+
+_QUICK_COUNT = 20
+_QUICK_LIMIT = 40.0
+_UNQUIESCED_PART = 5
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    arguments = _arguments(words)
+    logging.getLogger("play_launch").addHandler(
+        logging.StreamHandler() if arguments.verbose else logging.NullHandler()
+    )
+    keep_to_this_machine()
+    count = arguments.count
+    try:
+        cases = list(
+            plan(
+                arguments.modes,
+                choose(arguments.kinds),
+                choose(arguments.unquiesced) if arguments.unquiesced else (),
+                count=count,
+                unquiesced_count=max(1, count // _UNQUIESCED_PART),
+            )
+        )
+    except ValueError as error:
+        raise SystemExit(f"benchmarks.crash: {error}") from None
+    print(heading(), flush=True)
+    rows: list[Row] = []
+    for number, case in enumerate(cases, 1):
+        row = _try(case, arguments.limit, f"{number}/{len(cases)} {case.name}")
+        print(line(row), flush=True)
+        rows.append(row)
+        _keep(arguments, rows)  # each time: what is measured is not lost when it is interrupted
+    print("\n* dies with all threads where they are, without quiescing")
+
+
+def _try(case: Case, limit: float, label: str) -> Row:
+    begin = time.monotonic()
+    last = 0.0
+
+    def report(progress: str) -> None:
+        nonlocal last
+        now = time.monotonic()
+        if now - last >= 2.0:
+            last = now
+            print(f"  {label}: {progress}, {now - begin:.0f} s", file=sys.stderr, flush=True)
+
+    tally, taken, complete = asyncio.run(run_trial(case, limit=limit, report=report))
+    enough = tally.crashes >= case.count or not case.kind.is_crash
+    seconds = time.monotonic() - begin
+    return result(case, tally, taken, seconds=seconds, complete=complete and enough)
+
+
+def _keep(arguments: argparse.Namespace, rows: Sequence[Row]) -> None:
+    if arguments.json is not None:
+        document: dict[str, Any] = {"benchmark": "crash", "machine": _machine(), "rows": rows}
+        arguments.json.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    if arguments.plot is not None and any(row["gap_ms"] or row["event_ms"] for row in rows):
+        arguments.plot.write_text(picture(rows), encoding="utf-8")
+
+
+def _machine() -> dict[str, object]:
+    return {"cpus": os.cpu_count(), "kernel": platform.release(), "architecture": platform.machine()}
+
+
+def _list(text: str) -> list[str]:
+    return [part.strip() for part in text.split(",") if part.strip()]
+
+
+def _modes(text: str) -> list[str]:
+    modes = _list(text)
+    if not modes or not set(modes) <= set(MODES):
+        raise argparse.ArgumentTypeError(f"one or more of {', '.join(MODES)}")
+    return modes
+
+
+def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="benchmarks.crash",
+        description=__doc__,
+        formatter_class=argparse.RawTextHelpFormatter,
+    )
+    parser.add_argument("--count", type=int, default=None, help="crashes per trial (1000)")
+    parser.add_argument("--modes", type=_modes, default=list(MODES))
+    parser.add_argument("--kinds", type=_list, default=["*"], help="patterns")
+    parser.add_argument(
+        "--unquiesced",
+        type=_list,
+        default=["segv/*"],
+        help="kinds to try without quiescing as well, a fifth as often (segv/*); '' for none",
+    )
+    parser.add_argument("--limit", type=float, default=None, help="seconds per trial (600)")
+    parser.add_argument("--json", type=Path, default=None)
+    parser.add_argument("--plot", type=Path, default=None, help="an SVG file")
+    parser.add_argument("--quick", action="store_true", help=f"{_QUICK_COUNT} crashes per trial")
+    parser.add_argument("--verbose", action="store_true", help="the supervisor's log on stderr")
+    arguments = parser.parse_args(words)
+    arguments.count = arguments.count or (_QUICK_COUNT if arguments.quick else 1000)
+    arguments.limit = arguments.limit or (_QUICK_LIMIT if arguments.quick else 600.0)
+    if arguments.count < 1 or arguments.limit <= 0:
+        parser.error("--count and --limit must be above 0")
+    return arguments
+
+
+if __name__ == "__main__":
+    main()

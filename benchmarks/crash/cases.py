@@ -1,0 +1,101 @@
+"""What can be tried: how a node dies, where, in which company and in which container."""
+
+from __future__ import annotations
+
+import fnmatch
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+MODES = ("isolated", "isolated_mt")
+_WAYS = ("segv", "abrt", "exception", "kill")
+_PLACES = ("callback", "constructor", "thread", "malloc")
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """A way to die, and where.
+
+    `where`: in a callback, in the constructor, in a thread of the node's own, in a callback while
+    other threads of the node allocate (malloc), or by a signal from outside at a random instant.
+    The kind none/nowhere does not die at all: what the neighbours notice then is the machine's.
+    """
+
+    how: str
+    where: str
+
+    @property
+    def name(self) -> str:
+        return f"{self.how}/{self.where}"
+
+    @property
+    def is_kill(self) -> bool:
+        """Whether the node has no chance to prepare for its death."""
+        return self.how == "kill"
+
+    @property
+    def is_crash(self) -> bool:
+        return self != QUIET
+
+
+QUIET = Kind("none", "nowhere")
+KINDS = (
+    *(Kind(how, where) for where in _PLACES for how in _WAYS),
+    Kind("segv", "outside"),
+    Kind("kill", "outside"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """A trial to be done.
+
+    Attributes:
+        mode: Of the container.
+        kind: What happens to the node.
+        count: Crashes.
+        quiesced: False: the node dies with all its threads wherever they are.
+    """
+
+    mode: str
+    kind: Kind
+    count: int
+    quiesced: bool = True
+
+    @property
+    def name(self) -> str:
+        return f"{self.mode} {self.kind.name}{'' if self.quiesced else ', not quiesced'}"
+
+
+def choose(patterns: Iterable[str]) -> list[Kind]:
+    """The kinds whose names match one of the patterns, such as segv/callback or kill/*.
+
+    Raises:
+        ValueError: When a pattern matches nothing.
+    """
+    chosen: set[Kind] = set()
+    for pattern in patterns:
+        matching = {kind for kind in KINDS if fnmatch.fnmatchcase(kind.name, pattern)}
+        if not matching:
+            names = ", ".join(kind.name for kind in KINDS)
+            raise ValueError(f"{pattern!r} matches none of {names}")
+        chosen |= matching
+    return [kind for kind in KINDS if kind in chosen]
+
+
+def plan(
+    modes: Sequence[str],
+    kinds: Sequence[Kind],
+    unquiesced: Sequence[Kind],
+    *,
+    count: int,
+    unquiesced_count: int,
+) -> Iterator[Case]:
+    """The trials, in the order in which they are done."""
+    for mode in modes:
+        yield Case(mode, QUIET, count)
+        for kind in kinds:
+            yield Case(mode, kind, count)
+        for kind in unquiesced:
+            # SIGKILL leaves no time for quiescing in any case.
+            if not kind.is_kill:
+                yield Case(mode, kind, unquiesced_count, quiesced=False)

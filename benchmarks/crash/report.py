@@ -1,0 +1,124 @@
+"""The results of trials: as JSON, as a table, as a picture."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from benchmarks.crash.cases import Case
+from benchmarks.crash.footprint import Footprint, growth
+from benchmarks.crash.tally import Tally
+from benchmarks.range_chart import Bar, Lane, range_chart
+from benchmarks.statistics import Summary
+
+Row = Mapping[str, Any]
+"""A trial's result, of JSON's types."""
+
+_TIMES = ("event_ms", "loaded_ms", "gap_ms", "detection_s", "recovery_s")
+_COUNTS = (
+    "crashes",
+    "survived",
+    "restarts",
+    "recovered",
+    "undetected",
+    "collateral",
+    "missed",
+    "leaked",
+    "given_up",
+    "stopped_hard",
+)
+MODE, KIND = 12, 22
+
+EVENT_P50, EVENT_P99, LOADED_P50, GAP_MAX, DETECTED = 1.0, 5.0, 20.0, 11.0, 5.0
+"""The goals: milliseconds, the last one seconds."""
+
+
+def result(
+    case: Case, tally: Tally, taken: Sequence[Footprint], *, seconds: float, complete: bool
+) -> Row:
+    """What is kept of a trial."""
+    times = {name: Summary.of(getattr(tally, name)) for name in _TIMES}
+    grown = growth(taken)
+    return {
+        "mode": case.mode,
+        "kind": case.kind.name,
+        "quiesced": case.quiesced,
+        "wanted": case.count,
+        "complete": complete,
+        "seconds": round(seconds, 1),
+        **{name: getattr(tally, name) for name in _COUNTS},
+        **{name: None if s is None else s.as_json() for name, s in times.items()},
+        "reasons": dict(tally.reasons),
+        "growth_per_1000": None if grown is None else {n: round(v, 3) for n, v in grown.items()},
+    }
+
+
+def heading() -> str:
+    return (
+        f"{'':<{MODE + KIND}}{'':>8}{'con-':>9}{'poisoned,':>11}{'found':>8}"
+        f"{'crash to event':>17}{'to loaded':>17}{'longest gap':>17}\n"
+        f"{'mode':<{MODE}}{'dies of / where':<{KIND}}{'crashes':>8}{'tainer ok':>9}"
+        f"{'recovered':>11}{'max s':>8}"
+        f"{'p50 / p99 ms':>17}{'p50 / p99 ms':>17}{'p50 / max ms':>17}"
+    )
+
+
+def line(row: Row) -> str:
+    """One row of the table, and below it what went wrong."""
+    kind = row["kind"] if row["quiesced"] else f"{row['kind']} *"
+    if row["kind"] == "none/nowhere":
+        kind, counts = "nothing", f"{'-':>8}{'-':>9}{'-':>11}{'-':>8}"
+    else:
+        poisoned = f"{row['restarts']}, {row['recovered']}" if row["restarts"] else "0"
+        found = "-" if row["detection_s"] is None else f"{row['detection_s']['max']:.1f}"
+        counts = f"{row['crashes']:>8}{row['survived']:>9}{poisoned:>11}{found:>8}"
+    text = f"{row['mode']:<{MODE}}{kind:<{KIND}}{counts}" + "".join(
+        f"{_pair(row[name], second):>17}"
+        for name, second in (("event_ms", "p99"), ("loaded_ms", "p99"), ("gap_ms", "max"))
+    )
+    return "\n".join([text, *(f"{'':<{MODE}}! {remark}" for remark in remarks(row))])
+
+
+def remarks(row: Row) -> list[str]:
+    """What somebody who reads only these lines has to know."""
+    said = [
+        (not row["complete"], f"ended early, after {row['seconds']:.0f} s"),
+        (row["undetected"], f"{row['undetected']} times the supervisor did not notice"),
+        (row["collateral"], f"{row['collateral']} neighbours died"),
+        (row["missed"], f"{row['missed']} deaths were not told"),
+        (row["leaked"], f"{row['leaked']} dead nodes could not be cleaned up after"),
+        (row["given_up"], f"{row['given_up']} times something was given up"),
+        (row["stopped_hard"], "the container did not end in order"),
+    ]
+    return [text for happened, text in said if happened]
+
+
+def table(rows: Iterable[Row]) -> str:
+    body = [heading(), *(line(row) for row in rows)]
+    return "\n".join([*body, "", "* dies with all threads where they are, without quiescing"])
+
+
+def picture(rows: Sequence[Row]) -> str:
+    """The times as an SVG."""
+    bars = [
+        Bar(
+            f"{row['mode']} · {row['kind']}{'' if row['quiesced'] else ' *'}",
+            [
+                _lane("crash to event, p50 to p99", row["event_ms"], "p50", "p99"),
+                _lane("crash to loaded again, p50 to p99", row["loaded_ms"], "p50", "p99"),
+                _lane("longest gap of a 1 kHz neighbour, p50 to max", row["gap_ms"], "p50", "max"),
+            ],
+        )
+        for row in rows
+    ]
+    return range_chart("Crashes of isolated nodes", "ms", bars)
+
+
+def _pair(times: Mapping[str, float] | None, second: str) -> str:
+    if times is None:
+        return "-"
+    return f"{times['p50']:.2f} / {times[second]:.2f}"
+
+
+def _lane(name: str, times: Mapping[str, float] | None, low: str, high: str) -> Lane:
+    return Lane(name, None if times is None else (times[low], times[high]))
