@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final
 
 from play_launch.actors.ports import StartError
 from play_launch.config.model import Isolation
-from play_launch.native.allocator import find_allocator, preloading
+from play_launch.native.allocator import find_allocator, for_isolation
 from play_launch.native.argv import (
     ExecutableNotFoundError,
     container_argv,
@@ -162,8 +162,8 @@ class NativeLauncher:
             config, self._container, stop_timeout=self._policy.ask * _CONTAINER_SHARE
         )
         environment = child_environment(os.environ, self._ros, config.environment)
-        if self._allocator is not None and _shares_memory(config):
-            environment = preloading(environment, self._allocator)
+        if _shares_memory(config):
+            environment = for_isolation(environment, self._allocator)
         try:
             pair = control_pair()
         except OSError as error:

@@ -29,6 +29,10 @@ ADVICE: Final = (
     "its container may then freeze, and is killed and started again with all of its nodes. "
     f"Way out: apt install libmimalloc2.0, or {ALLOCATOR_VARIABLE}=/path/to/libmimalloc.so.2"
 )
+TUNABLES_VARIABLE: Final = "GLIBC_TUNABLES"
+"""Settings of glibc, `name=value` with colons between them."""
+_ARENAS: Final = 100_000
+"""More than a container has threads in its life."""
 _NAME: Final = re.compile(r"lib(?:mimalloc|jemalloc)\b.*\.so\b")
 _LDCONFIG_LIMIT: Final = 5.0
 """Seconds."""
@@ -79,12 +83,31 @@ def find_allocator(
     return Allocator(None, f"neither mimalloc nor jemalloc is installed; {ADVICE}")
 
 
+def for_isolation(environment: Mapping[str, str], library: Path | None) -> dict[str, str]:
+    """Return the environment of an isolated container: with the library, or the best without."""
+    return with_own_arenas(environment) if library is None else preloading(environment, library)
+
+
 def preloading(environment: Mapping[str, str], library: Path) -> dict[str, str]:
     """Add the library to what is preloaded, unless such an allocator is preloaded already."""
     changed = dict(environment)
     preloaded = [name for name in re.split(r"[: ]+", changed.get("LD_PRELOAD", "")) if name]
     if not any(_NAME.match(Path(name).name) for name in preloaded):
         changed["LD_PRELOAD"] = ":".join([os.fspath(library), *preloaded])
+    return changed
+
+
+def with_own_arenas(environment: Mapping[str, str]) -> dict[str, str]:
+    """Let each thread of the C library's allocator have an arena of its own.
+
+    An arena has a lock, and one that is held by a dead node is held for ever. By default there are
+    eight per processor, shared by all threads. What the user set stays as it is.
+    """
+    changed = dict(environment)
+    tunables = changed.get(TUNABLES_VARIABLE, "")
+    if "glibc.malloc.arena_max=" not in tunables:
+        ours = f"glibc.malloc.arena_max={_ARENAS}"
+        changed[TUNABLES_VARIABLE] = f"{tunables}:{ours}" if tunables else ours
     return changed
 
 

@@ -12,6 +12,7 @@ from composition_interfaces.srv import ListNodes
 from play_launch_msgs.msg import ComponentEvent, ControlCancel, ControlUnload, NodeStatus
 from std_msgs.msg import String
 
+from play_launch.native.allocator import find_allocator
 from tests.support.isolated import (
     MODES,
     children,
@@ -82,7 +83,7 @@ def test_the_hello_tells_the_mechanism(spawn: StartContainer, mode: str) -> None
     container = start_isolated(spawn, mode)
     (hello,) = container.seen
     assert (hello.mode, hello.mechanism) == (mode, "shared_memory")
-    assert not hello.notes
+    assert bool(hello.notes) is (find_allocator().library is None)
     assert hello.thread_num == (1 if mode == "isolated" else min(max(os.cpu_count() or 2, 2), 4))
     assert container.shut_down() == 0
 

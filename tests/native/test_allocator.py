@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from play_launch.native.allocator import Allocator, find_allocator, preloading
+from play_launch.native.allocator import Allocator, find_allocator, for_isolation, preloading
 
 PYTHON = Path(sys.executable).resolve()
 
@@ -84,3 +84,24 @@ def test_this_machine_is_looked_at_without_an_error() -> None:
 )
 def test_preloading(before: dict[str, str], after: str) -> None:
     assert preloading(before, Path("/l/libmimalloc.so.2"))["LD_PRELOAD"] == after
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ({}, "glibc.malloc.arena_max=100000"),
+        (
+            {"GLIBC_TUNABLES": "glibc.malloc.check=1"},
+            "glibc.malloc.check=1:glibc.malloc.arena_max=100000",
+        ),
+        ({"GLIBC_TUNABLES": "glibc.malloc.arena_max=2"}, "glibc.malloc.arena_max=2"),
+    ],
+)
+def test_without_a_library_each_thread_gets_an_arena(before: dict[str, str], after: str) -> None:
+    environment = for_isolation({"LD_PRELOAD": "/l/libguard.so"} | before, None)
+    assert environment == {"LD_PRELOAD": "/l/libguard.so", "GLIBC_TUNABLES": after}
+
+
+def test_with_a_library_the_c_librarys_allocator_is_left_alone() -> None:
+    library = Path("/l/libmimalloc.so.2")
+    assert for_isolation({}, library) == {"LD_PRELOAD": str(library)}
