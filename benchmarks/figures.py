@@ -1,4 +1,4 @@
-"""The figures that components of a benchmark leave in shared memory (fixtures/src/measurements.hpp)."""
+"""The figures that components leave in shared memory, see fixtures/src/measurements.hpp."""
 
 from __future__ import annotations
 

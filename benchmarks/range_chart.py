@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 
+_OPEN = '<svg xmlns="http://www.w3.org/2000/svg"'
 _COLOURS = ("#2f6fde", "#d9822b", "#3d9a50", "#a24bc4")
 _LABEL, _PLOT, _RIGHT = 250, 560, 30
 _LANE, _BETWEEN, _TOP, _BOTTOM = 9, 9, 74, 34
@@ -63,8 +64,7 @@ def range_chart(title: str, unit: str, bars: Sequence[Bar]) -> str:
     bottom = _TOP + sum(heights)
     width, height = _LABEL + _PLOT + _RIGHT, bottom + _BOTTOM
     drawn = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" '
-        f'width="{width}" height="{height}">',
+        f'{_OPEN} viewBox="0 0 {width} {height}" width="{width}" height="{height}">',
         f"<style>{_STYLE}</style>",
         f'<text class="title" x="10" y="22">{escape(title)}</text>',
     ]

@@ -16,10 +16,6 @@ import argparse
 import asyncio
 import json
 import logging
-import os
-import platform
-import sys
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -27,6 +23,8 @@ from typing import Any
 from benchmarks.crash.cases import MODES, Case, choose, plan
 from benchmarks.crash.report import Row, heading, line, picture, result
 from benchmarks.crash.trial import run_trial
+from benchmarks.machine import machine
+from benchmarks.progress import Progress
 from benchmarks.systems import keep_to_this_machine
 
 _QUICK_COUNT = 20
@@ -64,32 +62,20 @@ def main(words: Sequence[str] | None = None) -> None:
 
 
 def _try(case: Case, limit: float, label: str) -> Row:
-    begin = time.monotonic()
-    last = 0.0
-
-    def report(progress: str) -> None:
-        nonlocal last
-        now = time.monotonic()
-        if now - last >= 2.0:
-            last = now
-            print(f"  {label}: {progress}, {now - begin:.0f} s", file=sys.stderr, flush=True)
-
-    tally, taken, complete = asyncio.run(run_trial(case, limit=limit, report=report))
+    progress = Progress()
+    tally, taken, complete = asyncio.run(
+        run_trial(case, limit=limit, report=lambda text: progress.tell(f"{label}: {text}"))
+    )
     enough = tally.crashes >= case.count or not case.kind.is_crash
-    seconds = time.monotonic() - begin
-    return result(case, tally, taken, seconds=seconds, complete=complete and enough)
+    return result(case, tally, taken, seconds=progress.seconds, complete=complete and enough)
 
 
 def _keep(arguments: argparse.Namespace, rows: Sequence[Row]) -> None:
     if arguments.json is not None:
-        document: dict[str, Any] = {"benchmark": "crash", "machine": _machine(), "rows": rows}
+        document: dict[str, Any] = {"benchmark": "crash", "machine": machine(), "rows": rows}
         arguments.json.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
     if arguments.plot is not None and any(row["gap_ms"] or row["event_ms"] for row in rows):
         arguments.plot.write_text(picture(rows), encoding="utf-8")
-
-
-def _machine() -> dict[str, object]:
-    return {"cpus": os.cpu_count(), "kernel": platform.release(), "architecture": platform.machine()}
 
 
 def _list(text: str) -> list[str]:

@@ -55,10 +55,10 @@ def result(
 
 def heading() -> str:
     return (
-        f"{'':<{MODE + KIND}}{'':>8}{'con-':>9}{'poisoned,':>11}{'found':>8}"
+        f"{'':<{MODE + KIND}}{'':>8}{'container':>11}{'poisoned,':>11}{'found':>7}"
         f"{'crash to event':>17}{'to loaded':>17}{'longest gap':>17}\n"
-        f"{'mode':<{MODE}}{'dies of / where':<{KIND}}{'crashes':>8}{'tainer ok':>9}"
-        f"{'recovered':>11}{'max s':>8}"
+        f"{'mode':<{MODE}}{'dies of / where':<{KIND}}{'crashes':>8}{'untouched':>11}"
+        f"{'recovered':>11}{'max s':>7}"
         f"{'p50 / p99 ms':>17}{'p50 / p99 ms':>17}{'p50 / max ms':>17}"
     )
 
@@ -67,11 +67,11 @@ def line(row: Row) -> str:
     """One row of the table, and below it what went wrong."""
     kind = row["kind"] if row["quiesced"] else f"{row['kind']} *"
     if row["kind"] == "none/nowhere":
-        kind, counts = "nothing", f"{'-':>8}{'-':>9}{'-':>11}{'-':>8}"
+        kind, counts = "nothing", f"{'-':>8}{'-':>11}{'-':>11}{'-':>7}"
     else:
         poisoned = f"{row['restarts']}, {row['recovered']}" if row["restarts"] else "0"
         found = "-" if row["detection_s"] is None else f"{row['detection_s']['max']:.1f}"
-        counts = f"{row['crashes']:>8}{row['survived']:>9}{poisoned:>11}{found:>8}"
+        counts = f"{row['crashes']:>8}{row['survived']:>11}{poisoned:>11}{found:>7}"
     text = f"{row['mode']:<{MODE}}{kind:<{KIND}}{counts}" + "".join(
         f"{_pair(row[name], second):>17}"
         for name, second in (("event_ms", "p99"), ("loaded_ms", "p99"), ("gap_ms", "max"))
@@ -86,7 +86,7 @@ def remarks(row: Row) -> list[str]:
         (row["undetected"], f"{row['undetected']} times the supervisor did not notice"),
         (row["collateral"], f"{row['collateral']} neighbours died"),
         (row["missed"], f"{row['missed']} deaths were not told"),
-        (row["leaked"], f"{row['leaked']} dead nodes could not be cleaned up after"),
+        (row["leaked"], _leak(row)),
         (row["given_up"], f"{row['given_up']} times something was given up"),
         (row["stopped_hard"], "the container did not end in order"),
     ]
@@ -112,6 +112,12 @@ def picture(rows: Sequence[Row]) -> str:
         for row in rows
     ]
     return range_chart("Crashes of isolated nodes", "ms", bars)
+
+
+def _leak(row: Row) -> str:
+    if row["kind"].endswith("/constructor"):
+        return f"{row['leaked']} half-built nodes left their memory behind"
+    return f"{row['leaked']} dead nodes could not be cleaned up after"
 
 
 def _pair(times: Mapping[str, float] | None, second: str) -> str:

@@ -14,13 +14,13 @@ import time
 from collections.abc import Callable
 from typing import Final
 
-from benchmarks.crash.cases import Case, Kind
+from benchmarks.crash.cases import Case
 from benchmarks.crash.footprint import Footprint, footprint
-from benchmarks.crash.tally import MS, SECOND, Tally
+from benchmarks.crash.tally import SECOND, Tally
 from benchmarks.figures import Figures
-from benchmarks.systems import CONTAINER, Node, system
+from benchmarks.systems import Node, system
 from play_launch.actors.stop_requests import StopRequests
-from play_launch.actors.system import run_system
+from play_launch.actors.system import Outcome, run_system
 from play_launch.config.model import ReplayConfig
 from play_launch.core.events import (
     ComponentEvent,
@@ -294,7 +294,7 @@ async def run_trial(
 
 
 async def _accompany(
-    trial: Trial, running: asyncio.Future[object], limit: float, report: Callable[[str], None]
+    trial: Trial, running: asyncio.Future[Outcome], limit: float, report: Callable[[str], None]
 ) -> bool:
     begin = time.monotonic()
     while not running.done():

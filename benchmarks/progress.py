@@ -1,0 +1,29 @@
+"""Where a long measurement is, for whoever waits for it."""
+
+from __future__ import annotations
+
+import sys
+import time
+
+_EVERY = 2.0
+"""Seconds."""
+
+
+class Progress:
+    """Lines on stderr, not too many."""
+
+    def __init__(self) -> None:
+        self._begin = time.monotonic()
+        self._last = -_EVERY
+
+    @property
+    def seconds(self) -> float:
+        """Since it was made."""
+        return time.monotonic() - self._begin
+
+    def tell(self, text: str, *, force: bool = False) -> None:
+        """Say it, unless something was said just before."""
+        seconds = self.seconds
+        if force or seconds - self._last >= _EVERY:
+            self._last = seconds
+            print(f"  {text}, {seconds:.0f} s", file=sys.stderr, flush=True)
