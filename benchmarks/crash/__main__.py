@@ -6,8 +6,8 @@
 A container with a node that dies again and again, and two neighbours with 1 kHz timers that hear
 it by pointer; the supervisor is the real one, without pauses before reloads. Kinds are way/place:
 segv, abrt, exception, kill (SIGKILL to itself) in a callback, the constructor, a thread of its own,
-or a callback while other threads allocate (malloc); segv/outside and kill/outside come from another
-process at a random instant.
+or a callback while other threads allocate (malloc). For segv and kill, `outside` is from another
+process at a random instant, and `dds` the same while a thread publishes over DDS without a pause.
 """
 
 from __future__ import annotations
@@ -29,7 +29,6 @@ from benchmarks.systems import keep_to_this_machine
 
 _QUICK_COUNT = 20
 _QUICK_LIMIT = 40.0
-_UNQUIESCED_PART = 5
 
 
 def main(words: Sequence[str] | None = None) -> None:
@@ -38,15 +37,13 @@ def main(words: Sequence[str] | None = None) -> None:
         logging.StreamHandler() if arguments.verbose else logging.NullHandler()
     )
     keep_to_this_machine()
-    count = arguments.count
     try:
         cases = list(
             plan(
                 arguments.modes,
                 choose(arguments.kinds),
                 choose(arguments.unquiesced) if arguments.unquiesced else (),
-                count=count,
-                unquiesced_count=max(1, count // _UNQUIESCED_PART),
+                count=arguments.count,
             )
         )
     except ValueError as error:

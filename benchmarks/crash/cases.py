@@ -16,7 +16,8 @@ class Kind:
     """A way to die, and where.
 
     `where`: in a callback, in the constructor, in a thread of the node's own, in a callback while
-    other threads of the node allocate (malloc), or by a signal from outside at a random instant.
+    other threads of the node allocate (malloc), or by a signal from outside at a random instant,
+    with or without (outside) a thread of the node that publishes over DDS all the time (dds).
     The kind none/nowhere does not die at all: what the neighbours notice then is the machine's.
     """
 
@@ -33,6 +34,11 @@ class Kind:
         return self.how == "kill"
 
     @property
+    def is_sent(self) -> bool:
+        """Whether another process sends the signal."""
+        return self.where in {"outside", "dds"}
+
+    @property
     def is_crash(self) -> bool:
         return self != QUIET
 
@@ -42,7 +48,10 @@ KINDS = (
     *(Kind(how, where) for where in _PLACES for how in _WAYS),
     Kind("segv", "outside"),
     Kind("kill", "outside"),
+    Kind("segv", "dds"),
+    Kind("kill", "dds"),
 )
+_DEADLY = KINDS[-1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,14 +97,18 @@ def plan(
     unquiesced: Sequence[Kind],
     *,
     count: int,
-    unquiesced_count: int,
 ) -> Iterator[Case]:
-    """The trials, in the order in which they are done."""
+    """The trials, in the order in which they are done.
+
+    `count` crashes in each; a fifth of that without quiescing, and a tenth where nearly every crash
+    costs a container, and thereby seconds.
+    """
+    few, fewest = max(1, count // 5), max(1, count // 10)
     for mode in modes:
         yield Case(mode, QUIET, count)
         for kind in kinds:
-            yield Case(mode, kind, count)
+            yield Case(mode, kind, fewest if kind == _DEADLY else count)
         for kind in unquiesced:
             # SIGKILL leaves no time for quiescing in any case.
             if not kind.is_kill:
-                yield Case(mode, kind, unquiesced_count, quiesced=False)
+                yield Case(mode, kind, fewest if kind.where == "dds" else few, quiesced=False)

@@ -32,7 +32,8 @@ def goals(rows: Sequence[Row]) -> list[Goal]:
         _share("SIGSEGV from outside that poisons", _outside(sudden, "segv"), _POISONED_BY_SEGV),
         _share(
             "SIGKILL that poisons",
-            [row for row in sudden if row["kind"].startswith("kill/")],
+            # Not the one that does nothing but wait for being killed inside of the DDS.
+            [r for r in sudden if r["kind"].startswith("kill/") and r["kind"] != "kill/dds"],
             _POISONED_BY_KILL,
         ),
         _detection(care),
@@ -45,7 +46,7 @@ def goals(rows: Sequence[Row]) -> list[Goal]:
 
 def _is_sudden(row: Row) -> bool:
     how, _, where = row["kind"].partition("/")
-    return how == "kill" or where == "outside"
+    return bool(how == "kill" or where in {"outside", "dds"})
 
 
 def _outside(rows: Iterable[Row], how: str) -> list[Row]:

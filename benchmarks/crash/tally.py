@@ -53,8 +53,14 @@ class Tally:
     """0: that death is none to be measured."""
     _last_death: int = 0
     _is_alive: bool = False
-    _restarting: bool = False
+    _coming_back: int = 0
+    """Restarts after which not everybody was there again yet."""
     _loaded: set[str] = field(default_factory=set)
+
+    @property
+    def is_well(self) -> bool:
+        """Whether no node is still missing because of a restart."""
+        return self._coming_back == 0
 
     @property
     def survived(self) -> int:
@@ -64,7 +70,7 @@ class Tally:
     def victim_loaded(self, now: int) -> None:
         if self._is_alive:
             self.missed += 1
-        if self._died_at and not self._restarting:
+        if self._died_at and not self._coming_back:
             self.loaded_ms.append((now - self._died_at) / MS)
         self._is_alive = True
 
@@ -90,22 +96,22 @@ class Tally:
         self.reasons[reason] += 1
         self.undetected += by_us
         self._is_alive = False
-        self._restarting = True
+        self._coming_back += 1
         self._loaded.clear()
 
     def node_loaded(self, name: str, everybody: set[str], now: int) -> None:
         """Any node, the victim too (after victim_loaded)."""
-        if not self._restarting:
+        if not self._coming_back:
             return
         self._loaded.add(name)
         if self._loaded >= everybody:
-            self._restarting = False
-            self.recovered += 1
+            self.recovered += self._coming_back
+            self._coming_back = 0
             if self._last_death:
                 self.recovery_s.append((now - self._last_death) / SECOND)
             self._died_at = self._last_death = 0
 
     def neighbours_disturbed(self, longest_gap_ns: int) -> None:
         """Since the last call; 0: nothing is known."""
-        if longest_gap_ns and not self._restarting:
+        if longest_gap_ns and not self._coming_back:
             self.gap_ms.append(longest_gap_ns / MS)

@@ -58,7 +58,7 @@ _LEAK_TEXT: Final = "could not clean up after"
 
 def configuration(case: Case, figures: Figures) -> ReplayConfig:
     kind = case.kind
-    dies_by_itself = kind.is_crash and kind.where != "outside"
+    dies_by_itself = kind.is_crash and not kind.is_sent
     victim: dict[str, object] = {
         "figures": _LIVES,
         "how": kind.how if dies_by_itself else "none",
@@ -66,6 +66,7 @@ def configuration(case: Case, figures: Figures) -> ReplayConfig:
         "delay": _DELAY,
         "spread": _SPREAD,
         "allocating_threads": 2 if kind.where == "malloc" else 0,
+        "publishing_threads": 1 if kind.where == "dds" else 0,
     }
     environment = dict(figures.environment)
     if not case.quiesced:
@@ -75,7 +76,7 @@ def configuration(case: Case, figures: Figures) -> ReplayConfig:
             Node(name.removeprefix("/"), "Metronome", {"figures": place})
             for name, place in zip(NEIGHBOURS, _METRONOMES, strict=True)
         ),
-        Node(VICTIM.removeprefix("/"), "Faulty", victim),
+        Node(VICTIM.removeprefix("/"), "Faulty", victim, by_pointer=kind.where != "dds"),
     ]
     return system(case.mode, nodes, environment=environment)
 
@@ -168,18 +169,18 @@ class Trial:
                 self.tally.victim_loaded(now)
                 self._victim_pid = event.pid
             self.tally.node_loaded(name, _EVERYBODY, now)
-            if name == VICTIM or not self._case.kind.is_crash:
+            if self._loaded >= _EVERYBODY:
                 self._go_on()
         elif kind in {ComponentEventKind.CRASHED, ComponentEventKind.LOAD_FAILED}:
             if name == VICTIM:
                 self._victim_died(event, now)
             else:
-                self._loaded.discard(name)
                 self.tally.neighbour_died()
+            self._loaded.discard(name)
 
     def _victim_died(self, event: ComponentEvent, now: int) -> None:
         kind = self._case.kind
-        if kind.where == "outside":
+        if kind.is_sent:
             died_at, self._killed_at = self._killed_at or now, 0
         else:
             died_at = self._figures[_DIED_AT]
@@ -191,14 +192,14 @@ class Trial:
         self._take_footprint()
 
     def _go_on(self) -> None:
-        """The victim is loaded (again)."""
+        """Everybody is loaded (again)."""
         kind = self._case.kind
         if kind.is_crash and self.tally.crashes >= self._case.count:
             self.end()
-        elif kind.where == "outside":
+        elif kind.is_sent:
             delay = _DELAY + random.uniform(0, _SPREAD)
             self._timer = asyncio.get_running_loop().call_later(delay, self._strike)
-        elif not kind.is_crash and self._loaded >= _EVERYBODY and self._timer is None:
+        elif not kind.is_crash and self._timer is None:
             self._wait_in_peace()
 
     def _strike(self) -> None:
@@ -250,8 +251,6 @@ class Trial:
 
     def _container_exited(self, event: ProcessEvent) -> None:
         self.container_pid = 0
-        self._loaded.clear()
-        self.footprints.clear()  # growth is that of one process
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
@@ -260,6 +259,8 @@ class Trial:
                 self.tally.stopped_hard += 1
                 self.tally.reasons[f"when it was stopped: {event.message}"] += 1
             return
+        self._loaded.clear()
+        self.footprints.clear()  # growth is that of one process
         self.tally.container_died(self._helped or event.message, by_us=bool(self._helped))
         self._helped = ""
 

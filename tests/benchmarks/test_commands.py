@@ -1,0 +1,95 @@
+"""The benchmarks run: a few crashes and a few images are enough to see that they measure."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree as ET
+
+import pytest
+
+from benchmarks.intra_process import DDS, ISOLATED, STANDARD
+from tests.support.isolated import allocator_environment
+
+ROOT = Path(__file__).parents[2]
+
+
+def run(module: str, *arguments: str | Path) -> str:
+    """What it printed."""
+    result = subprocess.run(
+        [sys.executable, "-m", f"benchmarks.{module}", *arguments],
+        cwd=ROOT,
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=240,
+    )
+    assert result.returncode == 0, result.stderr
+    return result.stdout
+
+
+def crash(folder: Path, *arguments: str) -> list[dict[str, Any]]:
+    """The rows that it measured, with pictures drawn on the way."""
+    allocator_environment()
+    stored, plot = folder / "crash.json", folder / "crash.svg"
+    printed = run("crash", "--count", "3", *arguments, "--json", stored, "--plot", plot)
+    assert ET.fromstring(plot.read_text(encoding="utf-8")).tag.endswith("svg")
+    document = json.loads(stored.read_text(encoding="utf-8"))
+    assert document["benchmark"] == "crash"
+    rows: list[dict[str, Any]] = document["rows"]
+    assert all(row["kind"] in printed for row in rows[1:])
+    assert rows[0]["kind"] == "none/nowhere"
+    assert rows[0]["gap_ms"]["count"] > 0
+    return rows[1:]
+
+
+@pytest.mark.parametrize("mode", ["isolated", "isolated_mt"])
+def test_crashes_of_every_place_are_measured(tmp_path: Path, mode: str) -> None:
+    kinds = "segv/callback,exception/constructor,kill/thread,abrt/malloc,segv/outside"
+    rows = crash(tmp_path, "--modes", mode, "--kinds", kinds, "--unquiesced", "")
+    assert {row["kind"] for row in rows} == set(kinds.split(","))
+    for row in rows:
+        assert row["complete"], row
+        assert (row["crashes"], row["missed"]) == (3, 0), row
+        assert row["event_ms"]["count"] == 3
+        assert row["loaded_ms"]["count"] + row["restarts"] == 3
+        assert row["event_ms"]["min"] > 0
+        assert row["loaded_ms"]["min"] > row["event_ms"]["min"]
+
+
+def test_dying_without_quiescing_is_measured(tmp_path: Path) -> None:
+    arguments = ("--modes", "isolated", "--kinds", "segv/callback", "--unquiesced", "segv/callback")
+    quiesced, unquiesced = crash(tmp_path, *arguments)
+    assert quiesced["quiesced"]
+    assert not unquiesced["quiesced"]
+    assert (unquiesced["crashes"], unquiesced["wanted"]) == (1, 1)
+
+
+def test_images_are_measured(tmp_path: Path) -> None:
+    allocator_environment()
+    names = [STANDARD, ISOLATED, DDS]
+    stored, plot = tmp_path / "images.json", tmp_path / "images.svg"
+    arguments = ["--rounds", "2", "--images", "5", "--variants", ";".join(names)]
+    printed = run("intra_process", *arguments, "--json", stored, "--plot", plot)
+    assert "isolated / standard" in printed
+    assert "over DDS / isolated" in printed
+    rows = json.loads(stored.read_text(encoding="utf-8"))["rows"]
+    assert list(rows) == names
+    assert all(row["count"] == 10 and row["min"] > 0 for row in rows.values())
+    assert ET.fromstring(plot.read_text(encoding="utf-8")).tag.endswith("svg")
+
+
+def test_a_kind_that_does_not_exist_is_refused() -> None:
+    result = subprocess.run(
+        [sys.executable, "-m", "benchmarks.crash", "--kinds", "boredom/*"],
+        cwd=ROOT,
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert result.returncode == 1
+    assert "segv/callback" in result.stderr
