@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from benchmarks.figures import Figures
+from benchmarks.goal import Goal
 from benchmarks.machine import machine
 from benchmarks.progress import Progress
 from benchmarks.range_chart import Bar, Lane, range_chart
@@ -57,6 +58,7 @@ class Variant:
 
 VARIANTS: Final = (
     Variant("standard, by pointer", "standard"),
+    Variant("mt, by pointer", "mt"),
     Variant("isolated, by pointer", "isolated"),
     Variant("isolated_mt, by pointer", "isolated_mt"),
     Variant("process, over DDS", "isolated", isolation="process", by_pointer=False),
@@ -68,7 +70,7 @@ VARIANTS: Final = (
         environment={"FASTRTPS_DEFAULT_PROFILES_FILE": str(LARGE_SEGMENT)},
     ),
 )
-STANDARD, ISOLATED, DDS = VARIANTS[0].name, VARIANTS[1].name, VARIANTS[3].name
+STANDARD, THREADS, ISOLATED, _, DDS, LARGE_DDS = (variant.name for variant in VARIANTS)
 
 
 class _Failures:
@@ -127,27 +129,32 @@ async def measure(variant: Variant, images: int, rate: float) -> list[float]:
         return [ns / _US for ns in figures.read(_HEADER + _WARM_UP, images)]
 
 
-def verdict(rows: Mapping[str, Summary]) -> list[str]:
-    """The ratios against the goals; those of what was measured."""
-    lines = []
-    if ISOLATED in rows and STANDARD in rows:
-        ratio = rows[ISOLATED].p50 / rows[STANDARD].p50
-        lines.append(
-            f"isolated / standard, medians: {ratio:.2f} x (goal: at most {MOST_OF_STANDARD} x)"
-        )
-    if ISOLATED in rows and DDS in rows:
-        ratio = rows[DDS].p50 / rows[ISOLATED].p50
-        lines.append(
-            f"over DDS / isolated, medians: {ratio:.0f} x (goal: at least {LEAST_OF_DDS:.0f} x)"
-        )
-    return lines
+def goals(rows: Mapping[str, Summary]) -> list[Goal]:
+    """The ratios of medians against the goals; those of what was measured."""
+    medians = {name: summary.p50 for name, summary in rows.items()}
+    found = []
+    if ISOLATED in medians and STANDARD in medians:
+        ratio = medians[ISOLATED] / medians[STANDARD]
+        measured = f"{ratio:.2f} x"
+        if THREADS in medians:
+            measured += f" ({medians[ISOLATED] / medians[THREADS]:.2f} x {THREADS})"
+        goal = f"at most {MOST_OF_STANDARD} x"
+        met = ratio <= MOST_OF_STANDARD
+        found.append(Goal(f"{ISOLATED} / {STANDARD}", goal, measured, met))
+    for dds in (DDS, LARGE_DDS):
+        if ISOLATED in medians and dds in medians:
+            ratio = medians[dds] / medians[ISOLATED]
+            goal = f"at least {LEAST_OF_DDS:.0f} x"
+            met = ratio >= LEAST_OF_DDS
+            found.append(Goal(f"{dds} / {ISOLATED}", goal, f"{ratio:.0f} x", met))
+    return found
 
 
 def table(rows: Mapping[str, Summary]) -> str:
     lines = [f"{'':<36}{'min':>9}{'median':>9}{'p99':>9}{'max':>9}"]
     for name, s in rows.items():
         lines.append(f"{name:<36}{s.min:9.0f}{s.p50:9.0f}{s.p99:9.0f}{s.max:9.0f} us")
-    return "\n".join([*lines, *verdict(rows)])
+    return "\n".join(lines)
 
 
 def picture(rows: Mapping[str, Summary]) -> str:
@@ -179,6 +186,8 @@ def main(words: Sequence[str] | None = None) -> None:
     found = {name: summary for name, summary in rows.items() if summary is not None}
     print(f"2 MB images at {arguments.rate:g} Hz, {arguments.rounds} x {arguments.images} of each")
     print(table(found))
+    for goal in goals(found):
+        print(f"{goal.what}: {goal.measured} (goal: {goal.goal})")
     if arguments.json is not None:
         document: dict[str, Any] = {
             "benchmark": "intra_process",

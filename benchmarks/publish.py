@@ -55,7 +55,8 @@ def two_nodes(document: Document) -> tuple[str, str]:
     rows = {name: Summary.from_json(row) for name, row in document["rows"].items()}
     text = (
         f"{_machine(document)}, {document['rounds']} turns of {document['images']} images of each, "
-        f"{document['rate']:g} Hz.\n\n```\n{intra_process.table(rows)}\n```\n\n"
+        f"{document['rate']:g} Hz.\n\n"
+        f"{markdown(intra_process.goals(rows))}\n\n```\n{intra_process.table(rows)}\n```\n\n"
         "![Times of 2 MB messages](intra_process.svg)"
     )
     return text, intra_process.picture(rows)

@@ -9,7 +9,7 @@ from html import escape
 
 _OPEN = '<svg xmlns="http://www.w3.org/2000/svg"'
 _COLOURS = ("#2f6fde", "#d9822b", "#3d9a50", "#a24bc4")
-_LABEL, _PLOT, _RIGHT = 250, 560, 30
+_LABEL, _PLOT, _RIGHT = 250, 560, 50
 _LANE, _BETWEEN, _TOP, _BOTTOM = 9, 9, 74, 34
 _STYLE = (
     "text{font:12px sans-serif;fill:#808890}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
+from benchmarks.crash.cases import QUIET
 from benchmarks.crash.report import (
     DETECTED,
     EVENT_P50,
@@ -15,12 +16,11 @@ from benchmarks.crash.report import (
 from benchmarks.goal import Goal
 
 _POISONED_BY_SEGV, _POISONED_BY_KILL = 1 / 1000, 1 / 20
-_QUIET = "none/nowhere"
 
 
 def goals(rows: Sequence[Row]) -> list[Goal]:
     """One line for each goal that these rows say something about."""
-    care = [row for row in rows if row["quiesced"] and row["kind"] != _QUIET]
+    care = [row for row in rows if row["quiesced"] and row["kind"] != QUIET.name]
     own = [row for row in care if not _is_sudden(row)]
     sudden = [row for row in care if _is_sudden(row)]
     found = [
@@ -28,7 +28,7 @@ def goals(rows: Sequence[Row]) -> list[Goal]:
         _worst(care, "crash to event, p99", "event_ms", "p99", EVENT_P99),
         _worst(care, "crash to loaded again, median", "loaded_ms", "p50", LOADED_P50),
         _share("faults in a node's own code that cost a container", own, 0.0),
-        _gap(own, [row for row in rows if row["kind"] == _QUIET]),
+        _gap(own, [row for row in rows if row["kind"] == QUIET.name]),
         _share("SIGSEGV from outside that poisons", _outside(sudden, "segv"), _POISONED_BY_SEGV),
         _share(
             "SIGKILL that poisons",

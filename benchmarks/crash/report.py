@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from benchmarks.crash.cases import Case
+from benchmarks.crash.cases import QUIET, Case
 from benchmarks.crash.footprint import Footprint, growth
 from benchmarks.crash.tally import Tally
 from benchmarks.range_chart import Bar, Lane, range_chart
@@ -63,16 +63,22 @@ def heading() -> str:
     )
 
 
+def label(row: Row) -> str:
+    """How and where its nodes die."""
+    if row["kind"] == QUIET.name:
+        return "nothing"
+    return row["kind"] if row["quiesced"] else f"{row['kind']} *"
+
+
 def line(row: Row) -> str:
     """One row of the table, and below it what went wrong."""
-    kind = row["kind"] if row["quiesced"] else f"{row['kind']} *"
-    if row["kind"] == "none/nowhere":
-        kind, counts = "nothing", f"{'-':>8}{'-':>11}{'-':>11}{'-':>7}"
+    if row["kind"] == QUIET.name:
+        counts = f"{'-':>8}{'-':>11}{'-':>11}{'-':>7}"
     else:
         poisoned = f"{row['restarts']}, {row['recovered']}" if row["restarts"] else "0"
         found = "-" if row["detection_s"] is None else f"{row['detection_s']['max']:.1f}"
         counts = f"{row['crashes']:>8}{row['survived']:>11}{poisoned:>11}{found:>7}"
-    text = f"{row['mode']:<{MODE}}{kind:<{KIND}}{counts}" + "".join(
+    text = f"{row['mode']:<{MODE}}{label(row):<{KIND}}{counts}" + "".join(
         f"{_pair(row[name], second):>17}"
         for name, second in (("event_ms", "p99"), ("loaded_ms", "p99"), ("gap_ms", "max"))
     )
@@ -102,7 +108,7 @@ def picture(rows: Sequence[Row]) -> str:
     """The times as an SVG."""
     bars = [
         Bar(
-            f"{row['mode']} · {row['kind']}{'' if row['quiesced'] else ' *'}",
+            f"{row['mode']} · {label(row)}",
             [
                 _lane("crash to event, p50 to p99", row["event_ms"], "p50", "p99"),
                 _lane("crash to loaded again, p50 to p99", row["loaded_ms"], "p50", "p99"),

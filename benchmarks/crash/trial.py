@@ -71,12 +71,13 @@ def configuration(case: Case, figures: Figures) -> ReplayConfig:
     environment = dict(figures.environment)
     if not case.quiesced:
         environment["PLAY_LAUNCH_FAILPOINTS"] = "container.abrupt_deaths=always"
+    by_pointer = kind.where != "dds"
     nodes = [
         *(
-            Node(name.removeprefix("/"), "Metronome", {"figures": place})
+            Node(name.removeprefix("/"), "Metronome", {"figures": place}, by_pointer)
             for name, place in zip(NEIGHBOURS, _METRONOMES, strict=True)
         ),
-        Node(VICTIM.removeprefix("/"), "Faulty", victim, by_pointer=kind.where != "dds"),
+        Node(VICTIM.removeprefix("/"), "Faulty", victim, by_pointer),
     ]
     return system(case.mode, nodes, environment=environment)
 

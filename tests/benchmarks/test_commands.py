@@ -74,8 +74,8 @@ def test_images_are_measured(tmp_path: Path) -> None:
     stored, plot = tmp_path / "images.json", tmp_path / "images.svg"
     arguments = ["--rounds", "2", "--images", "5", "--variants", ";".join(names)]
     printed = run("intra_process", *arguments, "--json", stored, "--plot", plot)
-    assert "isolated / standard" in printed
-    assert "over DDS / isolated" in printed
+    assert f"{ISOLATED} / {STANDARD}" in printed
+    assert f"{DDS} / {ISOLATED}" in printed
     rows = json.loads(stored.read_text(encoding="utf-8"))["rows"]
     assert list(rows) == names
     assert all(row["count"] == 10 and row["min"] > 0 for row in rows.values())
