@@ -31,3 +31,10 @@ format:
 # Measure: just bench bring_up
 bench name *arguments:
     {{python}} -m benchmarks.{{name}} {{arguments}}
+
+# Measure crashes and large messages in full, and renew the figures of docs/benchmarks.md.
+bench-docs:
+    mkdir -p build
+    {{python}} -m benchmarks.crash --json build/crash.json
+    {{python}} -m benchmarks.intra_process --json build/intra_process.json
+    {{python}} -m benchmarks.publish build/crash.json build/intra_process.json

@@ -231,6 +231,9 @@ def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
     arguments.images = arguments.images or (30 if arguments.quick else 200)
     if arguments.rounds < 1 or arguments.images < 1 or arguments.rate <= 0:
         parser.error("--rounds, --images and --rate must be above 0")
+    for file in (arguments.json, arguments.plot):
+        if file is not None and not file.parent.is_dir():
+            parser.error(f"there is no folder {file.parent}")
     return arguments
 
 

@@ -6,10 +6,14 @@ import os
 import platform
 from typing import Any
 
+from play_launch.native.allocator import find_allocator
+
 
 def machine() -> dict[str, Any]:
+    allocator = find_allocator().library
     return {
         "cpus": os.cpu_count(),
         "kernel": platform.release(),
         "architecture": platform.machine(),
+        "allocator": "the C library's" if allocator is None else allocator.name,
     }

@@ -84,7 +84,10 @@ def publish(files: Sequence[Path], page: Path) -> None:
 
 def _machine(document: Document) -> str:
     told = document["machine"]
-    return f"{told['cpus']} CPUs, {told['architecture']}, Linux {told['kernel']}"
+    return (
+        f"{told['cpus']} CPUs, {told['architecture']}, Linux {told['kernel']}, isolated containers "
+        f"with {told['allocator']}"
+    )
 
 
 def main() -> None:

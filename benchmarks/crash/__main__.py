@@ -50,12 +50,19 @@ def main(words: Sequence[str] | None = None) -> None:
         raise SystemExit(f"benchmarks.crash: {error}") from None
     print(heading(), flush=True)
     rows: list[Row] = []
+    try:
+        _try_all(cases, arguments, rows)
+    except KeyboardInterrupt:
+        raise SystemExit(130) from None
+    print("\n* dies with all threads where they are, without quiescing")
+
+
+def _try_all(cases: Sequence[Case], arguments: argparse.Namespace, rows: list[Row]) -> None:
     for number, case in enumerate(cases, 1):
         row = _try(case, arguments.limit, f"{number}/{len(cases)} {case.name}")
         print(line(row), flush=True)
         rows.append(row)
         _keep(arguments, rows)  # each time: what is measured is not lost when it is interrupted
-    print("\n* dies with all threads where they are, without quiescing")
 
 
 def _try(case: Case, limit: float, label: str) -> Row:
@@ -111,6 +118,9 @@ def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
     arguments.limit = arguments.limit or (_QUICK_LIMIT if arguments.quick else 600.0)
     if arguments.count < 1 or arguments.limit <= 0:
         parser.error("--count and --limit must be above 0")
+    for file in (arguments.json, arguments.plot):
+        if file is not None and not file.parent.is_dir():
+            parser.error(f"there is no folder {file.parent}")
     return arguments
 
 

@@ -45,6 +45,7 @@ def result(
         "quiesced": case.quiesced,
         "wanted": case.count,
         "complete": complete,
+        "mechanism": tally.mechanism,
         "seconds": round(seconds, 1),
         **{name: getattr(tally, name) for name in _COUNTS},
         **{name: None if s is None else s.as_json() for name, s in times.items()},
@@ -88,6 +89,7 @@ def line(row: Row) -> str:
 def remarks(row: Row) -> list[str]:
     """What somebody who reads only these lines has to know."""
     said = [
+        (row["mechanism"] == "process", "isolated by ordinary processes, without shared memory"),
         (not row["complete"], f"ended early, after {row['seconds']:.0f} s"),
         (row["undetected"], f"{row['undetected']} times the supervisor did not notice"),
         (row["collateral"], f"{row['collateral']} neighbours died"),

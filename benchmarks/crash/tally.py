@@ -46,6 +46,8 @@ class Tally:
     """From the last crash to the decision that the container is beyond help."""
     recovery_s: list[float] = field(default_factory=list)
     """From the last crash to all nodes being loaded again, in a new container."""
+    mechanism: str = ""
+    """How the nodes were isolated."""
     reasons: Counter[str] = field(default_factory=Counter)
     """Why the containers died."""
 

@@ -126,6 +126,8 @@ class Trial:
                 | ContainerStateChanged(state=ContainerState.GAVE_UP)
             ):
                 self.tally.given_up += 1
+            case ContainerStateChanged(state=ContainerState.RUNNING):
+                self.tally.mechanism = event.mechanism
             case _:
                 pass
 

@@ -19,7 +19,7 @@ from benchmarks.publish import PAGE, PageError, publish, put
 from benchmarks.range_chart import Bar, Lane, range_chart
 
 positive = st.floats(1e-5, 1e7)
-MACHINE = {"cpus": 2, "kernel": "6.1", "architecture": "x86_64"}
+MACHINE = {"cpus": 2, "kernel": "6.1", "architecture": "x86_64", "allocator": "lib.so"}
 
 
 def row(kind: Kind, tally: Tally) -> Any:
