@@ -30,6 +30,8 @@ class Tally:
     """... how often all nodes were loaded again after that."""
     undetected: int = 0
     """Restarts that needed us: nothing moved any more, and the supervisor did nothing."""
+    doubtful: int = 0
+    """Deaths that came with a remark that a thread may have held a lock."""
     leaked: int = 0
     """Dead nodes that could not be cleaned up after."""
     given_up: int = 0
@@ -43,13 +45,14 @@ class Tally:
     gap_ms: list[float] = field(default_factory=list)
     """Longest time between two beats of a neighbour, from one crash to the next."""
     detection_s: list[float] = field(default_factory=list)
-    """From the last crash to the decision that the container is beyond help."""
+    """To the decision that the container is beyond help: from the last crash, or from the last
+    beat of a neighbour that had fallen silent before it."""
     recovery_s: list[float] = field(default_factory=list)
     """From the last crash to all nodes being loaded again, in a new container."""
     mechanism: str = ""
     """How the nodes were isolated."""
     reasons: Counter[str] = field(default_factory=Counter)
-    """Why the containers died."""
+    """Why containers died and cleaning up failed."""
 
     _died_at: int = 0
     """0: that death is none to be measured."""
@@ -88,10 +91,11 @@ class Tally:
     def neighbour_died(self) -> None:
         self.collateral += 1
 
-    def container_condemned(self, now: int) -> None:
-        """The supervisor kills it."""
-        if self._last_death:
-            self.detection_s.append((now - self._last_death) / SECOND)
+    def container_condemned(self, now: int, silent_since: int) -> None:
+        """The supervisor kills it. `silent_since`: when a neighbour fell silent; 0: none did."""
+        began = min(filter(None, (self._last_death, silent_since)), default=0)
+        if began:
+            self.detection_s.append((now - began) / SECOND)
 
     def container_died(self, reason: str, *, by_us: bool) -> None:
         self.restarts += 1

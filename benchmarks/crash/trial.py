@@ -50,10 +50,16 @@ _QUIET_WINDOW: Final = 0.03
 """Seconds between two looks at the neighbours where nobody dies."""
 STUCK_AFTER: Final = 12.0
 """Seconds without any progress after which we help; the supervisor should in 5."""
+_SILENT: Final = 0.2
+"""Seconds without a beat after which a neighbour with a 1 kHz timer is taken for stuck."""
 _SAMPLES: Final = 20
 """How often in a trial the container's footprint is taken."""
 _LOOK_EVERY: Final = 0.25
 _LEAK_TEXT: Final = "could not clean up after"
+_DOUBTS: Final = (
+    "it died inside the middleware or the allocator",
+    "of its threads could not be stopped in a harmless place",
+)
 
 
 def configuration(case: Case, figures: Figures) -> ReplayConfig:
@@ -119,8 +125,10 @@ class Trial:
                 self._hear_component(event, now)
             case ProcessEvent():
                 self._hear_process(event, now)
-            case OutputLine():
-                self.tally.leaked += _LEAK_TEXT in event.text
+            case OutputLine() if _LEAK_TEXT in event.text:
+                self.tally.leaked += 1
+                why = event.text.partition(_LEAK_TEXT)[2].partition("; ")[0]
+                self.tally.reasons[f"{_LEAK_TEXT}{why}"] += 1
             case (
                 NodeStateChanged(state=NodeState.GAVE_UP)
                 | ContainerStateChanged(state=ContainerState.GAVE_UP)
@@ -141,6 +149,9 @@ class Trial:
         """Help, and count it, when nothing has moved for so long that a person would."""
         if self._is_over or not self.container_pid or self._helped:
             return
+        if self._is_done(now):
+            self.end()
+            return
         why = ""
         if self._case.kind.is_crash and now - self.progress_at > STUCK_AFTER * SECOND:
             why = "the node that crashes has not moved, and nobody cared"
@@ -159,7 +170,19 @@ class Trial:
             self._stop()
 
     def _silence(self, now: int) -> int:
-        return max(now - self._figures[place + _LAST_BEAT] for place in _METRONOMES)
+        return now - min(self._figures[place + _LAST_BEAT] for place in _METRONOMES)
+
+    def _is_done(self, now: int) -> bool:
+        """Everybody is there and well after the last crash.
+
+        A neighbour that is stuck is given time to be found.
+        """
+        return (
+            self._case.kind.is_crash
+            and self.tally.crashes >= self._case.count
+            and self._loaded >= _EVERYBODY
+            and self._silence(now) < _SILENT * SECOND
+        )
 
     def _hear_component(self, event: ComponentEvent, now: int) -> None:
         if self._is_over:
@@ -173,7 +196,7 @@ class Trial:
                 self._victim_pid = event.pid
             self.tally.node_loaded(name, _EVERYBODY, now)
             if self._loaded >= _EVERYBODY:
-                self._go_on()
+                self._go_on(now)
         elif kind in {ComponentEventKind.CRASHED, ComponentEventKind.LOAD_FAILED}:
             if name == VICTIM:
                 self._victim_died(event, now)
@@ -191,13 +214,17 @@ class Trial:
         self.tally.victim_died(now, died_at, counts=failed or kind.where != "constructor")
         if failed and kind.where != "constructor":
             self.tally.reasons[f"not loaded: {event.error_message[:80]}"] += 1
-        self._look_at_neighbours()
+        for text in _DOUBTS:
+            if text in event.error_message:
+                self.tally.doubtful += 1
+                self.tally.reasons[text] += 1
+        self._look_at_neighbours(now)
         self._take_footprint()
 
-    def _go_on(self) -> None:
+    def _go_on(self, now: int) -> None:
         """Everybody is loaded (again)."""
         kind = self._case.kind
-        if kind.is_crash and self.tally.crashes >= self._case.count:
+        if self._is_done(now):
             self.end()
         elif kind.is_sent:
             delay = _DELAY + random.uniform(0, _SPREAD)
@@ -214,7 +241,7 @@ class Trial:
             self._killed_at = 0  # its container has just died
 
     def _wait_in_peace(self) -> None:
-        self._look_at_neighbours()
+        self._look_at_neighbours(self._clock())
         self._take_footprint()
         self._windows += 1
         if self._windows > self._case.count:
@@ -222,8 +249,9 @@ class Trial:
             return
         self._timer = asyncio.get_running_loop().call_later(_QUIET_WINDOW, self._wait_in_peace)
 
-    def _look_at_neighbours(self) -> None:
-        longest = 0
+    def _look_at_neighbours(self, now: int) -> None:
+        # Who is stuck has no gap yet, only a long silence.
+        longest = self._silence(now) if self._loaded >= set(NEIGHBOURS) else 0
         for place in _METRONOMES:
             longest = max(longest, self._figures[place + _LONGEST_GAP])
             self._figures[place + _LONGEST_GAP] = 0
@@ -246,7 +274,9 @@ class Trial:
                     self._figures[place + _LAST_BEAT] = now
                     self._figures[place + _LONGEST_GAP] = 0
             case ProcessEventKind.STOPPING if not self._is_over:
-                self.tally.container_condemned(now)
+                silence = self._silence(now)
+                silent_since = now - silence if silence > _SILENT * SECOND else 0
+                self.tally.container_condemned(now, silent_since)
             case ProcessEventKind.EXITED:
                 self._container_exited(event)
             case _:

@@ -44,7 +44,7 @@ def test_a_poisoned_container() -> None:
     tally = Tally()
     load(tally, 0, *EVERYBODY)
     tally.victim_died(11 * SECOND, 10 * SECOND)
-    tally.container_condemned(14 * SECOND)
+    tally.container_condemned(14 * SECOND, 0)
     tally.container_died("frozen", by_us=False)
     tally.neighbours_disturbed(3 * SECOND)  # not while it is being started again
     load(tally, 15 * SECOND, "/left", "/victim")
@@ -62,6 +62,15 @@ def test_a_poisoned_container() -> None:
     assert tally.loaded_ms == [2000.0]
     assert tally.gap_ms == [3.0]
     assert tally.recovered == 1
+
+
+def test_a_neighbour_may_have_been_stuck_for_longer() -> None:
+    tally = Tally()
+    load(tally, 0, *EVERYBODY)
+    tally.victim_died(11 * SECOND, 10 * SECOND)
+    tally.container_condemned(14 * SECOND, 8 * SECOND)
+    tally.container_condemned(14 * SECOND, 13 * SECOND)
+    assert tally.detection_s == [6.0, 4.0]
 
 
 def test_help_is_counted() -> None:
