@@ -95,6 +95,8 @@ class Composition:
     _surplus: dict[int, Wanted] = field(default_factory=dict)
     """Nodes of attempts that were given up, by unique_id."""
     _rejecting: dict[int, str] = field(default_factory=dict)
+    """Nodes that were not unloaded and why; the list is to tell whether they are there."""
+    _is_stopping: bool = False
 
     def begin(self, nodes: Iterable[tuple[int, str]]) -> None:
         """Take the first list: what is there before anything is loaded."""
@@ -117,6 +119,19 @@ class Composition:
     def loaded(self) -> list[Load]:
         """The nodes that are there, in the order of their attempts."""
         return [load for load in self._loads.values() if load.stage is Stage.LOADED]
+
+    def unfinished(self) -> list[Load]:
+        """What is being loaded or unloaded, or is there and came by us."""
+        return [
+            load
+            for load in self._loads.values()
+            if load.stage is not Stage.QUEUED and not (load.stage is Stage.LOADED and load.adopted)
+        ]
+
+    def stop(self) -> None:
+        """Send no further loads; what was sent takes its course."""
+        self._is_stopping = True
+        self._queue.clear()
 
     def load(self, attempt: int, wanted: Wanted) -> list[Action]:
         """Have a node loaded, or take one that is there already for it."""
@@ -220,7 +235,7 @@ class Composition:
         return []
 
     def _go_on(self) -> list[Action]:
-        if self._current is not None or not self._queue:
+        if self._is_stopping or self._current is not None or not self._queue:
             return []
         self._current = load = self._queue.popleft()
         load.stage = Stage.NEXT

@@ -149,9 +149,16 @@ class CompositionClient:
             if client is None:  # closed in the meantime
                 return
             try:
-                client.call_async(request(client.srv_type)).add_done_callback(answered)
+                expected = client.call_async(request(client.srv_type))
             except Exception as error:  # noqa: BLE001 - it is the caller's
                 self._tell(finish, None, error)
+                return
+            expected.add_done_callback(answered)
+            self._tell(future.add_done_callback, lambda _: forget(client, expected))
+
+        def forget(client: Any, expected: Any) -> None:
+            if future.cancelled() and not self._closed:
+                self._ros.post(lambda _: client.remove_pending_request(expected))
 
         self._ros.post(send)
         return future
