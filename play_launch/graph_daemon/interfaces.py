@@ -41,7 +41,7 @@ _READ: Final = 64 * 1024
 class InterfaceAddress(NamedTuple):
     """One address of one interface; both change their owner over time."""
 
-    index: int
+    interface: int
     family: int
     address: bytes
 

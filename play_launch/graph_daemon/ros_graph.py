@@ -29,6 +29,8 @@ from play_launch.graph_daemon.ros_values import to_wire
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from play_launch.graph_daemon.service import Graph
+
 NODE_PREFIX: Final = "_ros2cli_daemon_"
 """How the nodes of ros2cli's daemon begin; the underscore hides them from `ros2 node list`."""
 COALESCING: Final = 0.05
@@ -184,7 +186,7 @@ _ACTION_FUNCTIONS: Final[dict[str, Any]] = {
 }
 
 
-def graph_functions(graph: Callable[[], RosGraph]) -> dict[str, Callable[..., Any]]:
+def graph_functions(graph: Callable[[], Graph]) -> dict[str, Callable[..., Any]]:
     """Return the functions behind `GRAPH_METHODS`, as far as this rclpy has them.
 
     They look at whatever ``graph`` returns when they are called, carry rclpy's documentation, and
@@ -199,7 +201,7 @@ def graph_functions(graph: Callable[[], RosGraph]) -> dict[str, Callable[..., An
 
 
 def _on_wire(
-    method: str, original: Callable[..., Any], graph: Callable[[], RosGraph]
+    method: str, original: Callable[..., Any], graph: Callable[[], Graph]
 ) -> Callable[..., Any]:
     # Only these answer in classes of rclpy; to look through all others would double their costs.
     convert = to_wire if method.endswith("_info_by_topic") else _unchanged

@@ -8,6 +8,10 @@ from pathlib import Path
 from typing import Final
 
 _PROC: Final = Path("/proc")
+_MODULE: Final = "play_launch.graph_daemon"
+_PROGRAM: Final = "play-launch"
+_START_TIME: Final = 19
+"""Field 22 of proc_pid_stat(5), counted behind the program's name: clock ticks after boot."""
 _LISTENING: Final = "0A"
 _TIME_WAIT: Final = "06"
 _ANYWHERE: Final = "00000000"
@@ -40,6 +44,19 @@ class Holder:
         if not self.pid:
             return "a process of another user"
         return f"process {self.pid} ({' '.join(self.command)[:120] or 'unknown command'})"
+
+    @property
+    def is_daemon(self) -> bool:
+        """Whether this is a daemon of the graph, by its command line."""
+        return self.is_ours or self.is_ros2_daemon
+
+    @property
+    def is_ours(self) -> bool:
+        """Whether this is our daemon, in the background or not."""
+        in_foreground = self.command[-1:] and {"daemon", "run"} <= set(self.command)
+        return _MODULE in self.command or bool(
+            in_foreground and any(Path(word).name == _PROGRAM for word in self.command)
+        )
 
     @property
     def is_ros2_daemon(self) -> bool:
@@ -103,10 +120,24 @@ def holder_of(port: int) -> Holder | None:
     if not inodes:
         return None
     wanted = {f"socket:[{inode}]" for inode in inodes}
-    for process in _PROC.iterdir():
-        if process.name.isdigit() and _has_one_of(process, wanted):
-            return Holder(int(process.name), _command(process))
-    return Holder(0, ())
+    holders = [
+        Holder(int(process.name), _command(process))
+        for process in _PROC.iterdir()
+        if process.name.isdigit() and _has_one_of(process, wanted)
+    ]
+    # While a daemon is being started, its starter has the socket, too.
+    return max(holders, key=lambda holder: holder.is_daemon, default=Holder(0, ()))
+
+
+def age_of(pid: int) -> float:
+    """Return the seconds since a process began; 0 when it is gone."""
+    try:
+        # The name of the program, in parentheses, may hold anything.
+        fields = (_PROC / str(pid) / "stat").read_text(errors="replace").rpartition(")")[2].split()
+        uptime = float((_PROC / "uptime").read_text(encoding="ascii").split()[0])
+        return max(0.0, uptime - int(fields[_START_TIME]) / os.sysconf("SC_CLK_TCK"))
+    except (OSError, IndexError, ValueError):
+        return 0.0
 
 
 def _has_one_of(process: Path, links: set[str]) -> bool:
