@@ -28,6 +28,8 @@ from play_launch.graph_daemon.client import (
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
+    from play_launch.graph_daemon.address import DaemonAddress
+
 GROUPS: Final = {
     "node": "Nodes of the running system: list, info.",
     "topic": "Topics of the running system: list.",
@@ -73,21 +75,44 @@ def main(arguments: Sequence[str]) -> int:
 def _run(options: argparse.Namespace) -> int:
     verb: Callable[[GraphClient, argparse.Namespace], int] = options.verb
     try:
-        return verb(GraphClient(daemon_address(), options.call_timeout), options)
+        address = daemon_address()
+        client = GraphClient(address, options.call_timeout)
+        try:
+            return verb(client, options)
+        except NoDaemonError as error:
+            if options.no_start:
+                _tell(f"{error}; start one with 'play-launch daemon start'")
+                return FAILED
+        _start(address)
+        options.no_start = True
+        return verb(client, options)
     except DomainError as error:
         _tell(str(error))
         return USAGE
-    except NoDaemonError as error:
-        _tell(f"{error}; start one with 'play-launch daemon start'")
     except DaemonError as error:
         _tell(str(error))
     return FAILED
 
 
+def _start(address: DaemonAddress) -> None:
+    """Start our daemon; returns when it knows the graph."""
+    # Takes longer to import than all the rest, and is needed once.
+    from play_launch.graph_daemon.control import StartError, start_daemon  # noqa: PLC0415
+
+    sys.stderr.write(f"starting the graph daemon of ROS domain {address.domain}\n")
+    try:
+        messages = start_daemon(address).messages
+    except (StartError, OSError) as error:
+        raise DaemonError(str(error)) from None
+    for message in messages:
+        _warn(message)
+
+
 def _parser(group: str) -> argparse.ArgumentParser:
     """Build the parser of one group only; the others would cost time for nothing."""
     parser = argparse.ArgumentParser(prog=f"play-launch {group}", description=GROUPS[group])
-    verbs = parser.add_subparsers(required=True, metavar="VERB")
+    # Named, or argparse would lay out a usage line first.
+    verbs = parser.add_subparsers(required=True, metavar="VERB", prog=parser.prog)
     if group == "graph":
         verb = _verb(verbs, "wait", "Wait until at least N nodes are there.", wait)
         verb.add_argument("--nodes", type=_count, required=True, metavar="N", help="how many")
@@ -135,6 +160,9 @@ def _verb(
         default=DEFAULT_TIMEOUT,
         metavar="S",
         help=f"seconds that the daemon has for an answer ({DEFAULT_TIMEOUT:g})",
+    )
+    verb.add_argument(
+        "--no-start", action="store_true", help="do not start a daemon where none runs"
     )
     return verb
 
@@ -224,6 +252,8 @@ def wait(client: GraphClient, options: argparse.Namespace) -> int:
             seen = len(_visible(client.nodes(), with_hidden=options.all))
             trouble = None
         except (NoDaemonError, RemoteError) as error:
+            if isinstance(error, NoDaemonError) and not options.no_start:
+                raise
             # It may be starting, or being replaced; what it is missing is told at the end.
             trouble = error
         elapsed = time.monotonic() - begin
