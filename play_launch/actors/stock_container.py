@@ -88,10 +88,16 @@ class StockContainers:
         task.add_done_callback(self._following.discard)
         return link
 
+    @property
+    def is_open(self) -> bool:
+        """Whether there is anything that takes part in ROS."""
+        return bool(self._threads)
+
     def close(self) -> None:
         """End the threads; waits for them."""
         for thread in self._threads.values():
             thread.close()
+        self._threads = {}
 
     def _link(
         self, config: ContainerConfig, container: ContainerIdentity

@@ -228,7 +228,10 @@ class NativeLauncher:
     async def close(self) -> None:
         """Remove our own files."""
         await asyncio.to_thread(self._parameters.remove)
-        await asyncio.to_thread(self._stock.close)
+        if self._stock.is_open:
+            await asyncio.to_thread(self._stock.close)
+            # As long as we took part ourselves, we held what dead containers had left.
+            await self.clean_up()
 
     def _spawn(
         self,

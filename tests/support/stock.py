@@ -57,10 +57,9 @@ def install(folder: Path) -> Double:
     double = Double(folder / "prefix", folder / "state")
     double.program.parent.mkdir(parents=True)
     double.state.mkdir()
-    root = Path(stock_double.__file__).parents[2]
     double.program.write_text(
-        f"#!{sys.executable}\nimport sys\nsys.path.append({str(root)!r})\n"
-        "from tests.support.stock_double import main\nmain()\n"
+        f"#!{sys.executable}\nimport runpy\n"
+        f"runpy.run_path({stock_double.__file__!r}, run_name='__main__')\n"
     )
     double.program.chmod(0o755)
     return double

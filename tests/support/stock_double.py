@@ -1,10 +1,10 @@
 """A component container that nobody should have: it offers ROS's services and misbehaves.
 
 It is run as a program, by the supervisor or by a test, and constructs nodes that are names only.
-What goes wrong is said by the nodes themselves: parameter ``faults`` is a list of strings, the first
-for the first load of a node of that name, the second for the second, ... ; after its end all is well.
+What goes wrong is said by the nodes themselves: parameter ``faults`` is a list of strings, the
+first for the first load of a node of that name, and so on; after its end all is well.
 
-=================  ================================================================================
+=================  ===============================================================================
 ``slow:S``         the constructor takes S seconds, and nothing is answered meanwhile
 ``hang``           it never returns
 ``lose_request``   the request never came: nothing is constructed, nothing answered
@@ -14,9 +14,9 @@ for the first load of a node of that name, the second for the second, ... ; afte
 ``pretend``        the answer says success, the node is not there
 ``same_id``        the node is there, the answer gives the unique_id of another one
 ``die``            the process is killed in the middle of the constructor
-``late:S``         with --background: constructed and answered after S seconds, others served meanwhile
+``late:S``         with --background: constructed and answered after S seconds
 ``keep``           loads as it should; an unload says that it failed the first time
-=================  ================================================================================
+=================  ===============================================================================
 
 Options: ``--background`` constructs in threads, ``--mute-lists N`` does not answer the first N
 questions for the list, ``--twice-listed`` lists every node under two ids.
@@ -30,6 +30,7 @@ import signal
 import sys
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +45,7 @@ STATE = "STOCK_DOUBLE_STATE"
 JOURNAL = "journal.txt"
 
 
-class StockDouble(Node):  # type: ignore[misc]  # rclpy is untyped
+class StockDouble(Node):
     def __init__(self, options: argparse.Namespace) -> None:
         super().__init__("ComponentManager")
         self._state = Path(os.environ[STATE])
@@ -155,10 +156,8 @@ def main() -> None:
     # With one thread in the group the callbacks wait for one another all the same.
     executor = MultiThreadedExecutor(num_threads=8)
     executor.add_node(StockDouble(options))
-    try:
+    with suppress(KeyboardInterrupt, ExternalShutdownException):
         executor.spin()
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
     # A constructor that hangs keeps a thread, as it would keep the process of a real container.
     sys.stdout.flush()
     os._exit(0)
