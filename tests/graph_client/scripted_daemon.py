@@ -6,6 +6,7 @@ import socket
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any
 from xmlrpc.client import Fault, dumps, loads
 
 from play_launch.graph_daemon.address import HOST, DaemonAddress
@@ -91,7 +92,7 @@ def asked(request: bytes) -> tuple[str, tuple[object, ...]]:
 
 def reply(value: object, *, status: str = "200 OK", length: int | None = None) -> bytes:
     """Write a value, or a Fault, as the standard library's server does."""
-    content = value if isinstance(value, Fault) else (value,)
+    content: Any = value if isinstance(value, Fault) else (value,)
     body = dumps(content, methodresponse=True, allow_none=True).encode()
     return http(body, status=status, length=length)
 

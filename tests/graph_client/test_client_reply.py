@@ -30,7 +30,7 @@ VALUES = st.recursive(
 )
 
 
-def written(value: object) -> bytes:
+def written(value: Any) -> bytes:
     return dumps((value,), methodresponse=True, allow_none=True).encode()
 
 
@@ -87,7 +87,7 @@ def test_malformed_and_foreign_values_are_refused(value: str) -> None:
 
 
 def test_nesting_is_bounded() -> None:
-    value: object = "x"
+    value: Any = "x"
     for _ in range(40):
         value = [value]
     with pytest.raises(ReplyFormatError, match="nested deeper than 32"):
