@@ -39,6 +39,7 @@ from composition_interfaces.srv import ListNodes, LoadNode, UnloadNode
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
+from rclpy.utilities import remove_ros_args, try_shutdown
 
 STATE = "STOCK_DOUBLE_STATE"
 """Environment variable: a folder for the journal and for what outlives the process."""
@@ -151,13 +152,17 @@ def main() -> None:
     parser.add_argument("--background", action="store_true")
     parser.add_argument("--mute-lists", type=int, default=0)
     parser.add_argument("--twice-listed", action="store_true")
-    options = parser.parse_args(rclpy.utilities.remove_ros_args(sys.argv)[1:])
+    options = parser.parse_args(remove_ros_args(sys.argv)[1:])
     rclpy.init()
     # With one thread in the group the callbacks wait for one another all the same.
     executor = MultiThreadedExecutor(num_threads=8)
-    executor.add_node(StockDouble(options))
+    node = StockDouble(options)
+    executor.add_node(node)
     with suppress(KeyboardInterrupt, ExternalShutdownException):
         executor.spin()
+    # So that it leaves the graph at once, and not when its lease is over.
+    node.destroy_node()
+    try_shutdown()
     # A constructor that hangs keeps a thread, as it would keep the process of a real container.
     sys.stdout.flush()
     os._exit(0)
