@@ -60,6 +60,7 @@ def start(
         started = start_daemon(address, idle_timeout=seconds, restart=restart)
     except (PortHeldError, StartError, OSError) as error:
         fail(f"{error}", ExitCode.NODE_FAILED)
+    started.let_go()
     if started.started:
         say(f"the daemon of domain {address.domain} was started (pid {started.pid})")
         for message in started.messages:

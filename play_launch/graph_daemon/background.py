@@ -41,8 +41,8 @@ def spawn(
     idle_timeout: float,
     wait_for: str,
     limit: float = START_LIMIT,
-) -> int:
-    """Start a daemon on ``listener`` and return its pid.
+) -> subprocess.Popen[bytes]:
+    """Start a daemon on ``listener`` and return its process, which the caller is to wait for.
 
     Args:
         address: Where it serves.
@@ -89,9 +89,7 @@ def spawn(
         process.kill()
         process.wait()
         raise StartError(f"the daemon ended or got stuck while it started{_end_of(path)}")
-    # It goes on without us; there is nobody to wait for it but init.
-    process.returncode = 0
-    return process.pid
+    return process
 
 
 def _wait(read: int, word: str, limit: float) -> bool:

@@ -23,6 +23,7 @@ from play_launch.graph_daemon.takeover import (
 
 if TYPE_CHECKING:
     import socket
+    import subprocess
 
     from play_launch.graph_daemon.address import DaemonAddress
 
@@ -40,6 +41,14 @@ class Started:
     pid: int
     messages: tuple[str, ...]
     """What a person should know, a line each: whom it took over from, which settings differ."""
+    process: subprocess.Popen[bytes] | None = None
+    """The process that was started. Who lives longer than it must wait for it; who ends earlier
+    need not, then somebody else does."""
+
+    def let_go(self) -> None:
+        """Leave the process to itself, without Python's warning that it was forgotten."""
+        if self.process is not None:
+            self.process.returncode = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,8 +116,8 @@ def start_daemon(
     if port.listener is None:
         return Started(started=False, pid=port.pid, messages=port.messages)
     with port.listener as listener:
-        pid = spawn(address, listener, idle_timeout=idle_timeout, wait_for=wait_for)
-    return Started(started=True, pid=pid, messages=port.messages)
+        process = spawn(address, listener, idle_timeout=idle_timeout, wait_for=wait_for)
+    return Started(started=True, pid=process.pid, messages=port.messages, process=process)
 
 
 def stop_daemon(address: DaemonAddress) -> Occupant:
