@@ -252,8 +252,10 @@ def test_after_a_stop_nothing_more_is_sent() -> None:
 
 @dataclass
 class Container:
-    """One that constructs in the service's callback: what it does is true, what it says may be
-    lost or late."""
+    """What it does is true, what it says may be lost or late.
+
+    Some constructors run in the background, which is not known to the other side.
+    """
 
     next_id: int = 1
     nodes: dict[int, str] = field(default_factory=dict)
@@ -261,6 +263,8 @@ class Container:
     """Waiting for its executor, in the order of their arrival."""
     answers: list[tuple[Any, ...]] = field(default_factory=list)
     """On their way back, or lost for good when taken away."""
+    background: list[int] = field(default_factory=list)
+    """Attempts whose constructors run while others are served."""
 
 
 class Dialogue(RuleBasedStateMachine):
@@ -273,6 +277,8 @@ class Dialogue(RuleBasedStateMachine):
         self.attempts: dict[int, str] = {}
         self.ended: dict[int, Action] = {}
         self.constructed: dict[int, list[int]] = {}
+        self.heard_of: set[int] = set()
+        """Nodes whose success was answered, and the answer arrived."""
         self.upcoming = 1
 
     @initialize(names=st.lists(st.sampled_from("abc"), unique=True, min_size=1))
@@ -314,31 +320,46 @@ class Dialogue(RuleBasedStateMachine):
                     assert unique_id not in self.container.nodes, "told dead while it lives"
 
     @precondition(lambda self: self.container.requests)
-    @rule(fails=st.booleans())
-    def container_works(self, fails: bool) -> None:
+    @rule(fails=st.booleans(), takes_long=st.booleans())
+    def container_works(self, fails: bool, takes_long: bool) -> None:
         """It takes the oldest request."""
         box = self.container
         kind, what = box.requests.pop(0)
-        if kind == "load":
-            name = f"/{self.attempts[what]}"
-            unique_id, box.next_id = box.next_id, box.next_id + 1
-            if not fails:
-                box.nodes[unique_id] = name
-                self.constructed.setdefault(what, []).append(unique_id)
-            box.answers.append(("load", what, not fails, unique_id, name))
+        if kind == "load" and takes_long:
+            box.background.append(what)
+        elif kind == "load":
+            self.construct(what, fails)
         elif kind == "unload":
             box.answers.append(("unload", what, box.nodes.pop(what, None) is not None))
         else:
             box.answers.append(("list", what, tuple(box.nodes.items())))
+
+    def construct(self, attempt: int, fails: bool) -> None:
+        box = self.container
+        name = f"/{self.attempts[attempt]}"
+        unique_id, box.next_id = box.next_id, box.next_id + 1
+        if not fails:
+            box.nodes[unique_id] = name
+            self.constructed.setdefault(attempt, []).append(unique_id)
+        box.answers.append(("load", attempt, not fails, unique_id, name))
+
+    @precondition(lambda self: self.container.background)
+    @rule(fails=st.booleans())
+    def a_slow_constructor_returns(self, fails: bool) -> None:
+        self.construct(self.container.background.pop(0), fails)
 
     @precondition(lambda self: self.container.answers)
     @rule(data=st.data())
     def an_answer_arrives(self, data: st.DataObject) -> None:
         """In any order."""
         answers = self.container.answers
-        kind, what, *rest = answers.pop(data.draw(st.integers(0, len(answers) - 1)))
+        self.hear(answers.pop(data.draw(st.integers(0, len(answers) - 1))))
+
+    def hear(self, answer: tuple[Any, ...]) -> None:
+        kind, what, *rest = answer
         if kind == "load":
             ok, unique_id, name = rest
+            self.heard_of |= {unique_id} if ok else set()
             self.do(
                 self.composition.answered(
                     what,
@@ -410,50 +431,34 @@ class Dialogue(RuleBasedStateMachine):
         assert len(ids) == len(set(ids))
 
     def teardown(self) -> None:
-        """When the line is good again, everything comes to its end, and each node is there once."""
-        for _ in range(400):
-            if self.container.requests:
-                self.container_works(fails=False)
-            elif self.container.answers:
-                kind = self.container.answers[0][0]
-                assert kind
-                self.first_answer()
+        """When the line is good again, all comes to its end, and each node is there once."""
+        box = self.container
+        for _ in range(1000):
+            if box.background:
+                self.construct(box.background.pop(0), fails=False)
+            elif box.requests:
+                self.container_works(fails=False, takes_long=False)
+            elif box.answers:
+                self.hear(box.answers.pop(0))
             elif self.composition.current is not None:
                 self.silence_lasts()
             else:
                 self.resend()
-                if not self.container.requests:
+                if not box.requests:
                     break
         assert self.composition.current is None
-        self.do(self.composition.look())
-        while self.container.requests or self.container.answers:
-            if self.container.requests:
-                self.container_works(fails=False)
-            else:
-                self.first_answer()
+        for _ in range(3):
+            self.do(self.composition.look())
+            while box.requests or box.answers:
+                if box.requests:
+                    self.container_works(fails=False, takes_long=False)
+                else:
+                    self.hear(box.answers.pop(0))
         believed = {load.unique_id: load.full_name for load in self.composition.loaded()}
-        assert believed.items() <= self.container.nodes.items(), "a dead node is believed alive"
-        lost_answers = {
-            unique_id
-            for attempt, ids in self.constructed.items()
-            for unique_id in ids
-            if attempt not in self.ended
-        }
-        surplus = self.container.nodes.keys() - believed.keys()
-        assert surplus <= lost_answers, "a node that was told of is there and nobody knows it"
-
-    def first_answer(self) -> None:
-        kind, what, *rest = self.container.answers.pop(0)
-        self.container.answers.insert(0, (kind, what, *rest))
-
-        class First:
-            """Draws the first answer."""
-
-            def draw(self, _: Any) -> int:
-                return 0
-
-        self.an_answer_arrives.__wrapped__(self, First())  # type: ignore[attr-defined]
+        assert believed.items() <= box.nodes.items(), "a dead node is believed alive"
+        surplus = box.nodes.keys() - believed.keys()
+        assert not surplus & self.heard_of, "a node that was told of is there and nobody has it"
 
 
 TestDialogue = Dialogue.TestCase
-TestDialogue.settings = settings(max_examples=200, stateful_step_count=40, deadline=None)
+TestDialogue.settings = settings(max_examples=400, stateful_step_count=40, deadline=None)

@@ -17,7 +17,13 @@ from std_msgs.msg import String
 from tests.support.container import running_container
 from tests.support.replay import COMMAND, Replay, replaying
 from tests.support.ros import Probe
-from tests.support.stock import Double, install, rclcpp_container, running_double
+from tests.support.stock import (
+    Double,
+    has_components,
+    install,
+    rclcpp_container,
+    running_double,
+)
 
 LIMIT = "180s"
 """Ends a run whose test waits in vain."""
@@ -268,17 +274,23 @@ def test_our_own_container_can_be_attached_to_as_well(tmp_path: Path) -> None:
 @pytest.fixture(name="_rclcpp")
 def _needs_rclcpp(request: pytest.FixtureRequest) -> None:
     """Each test is named in the list of what was not run, and not only its line."""
+    missing = []
     if rclcpp_container() is None:
-        why = "there is no component_container of rclcpp_components here"
-        pytest.skip(f"{request.node.name} was NOT RUN: {why}")
+        missing.append("component_container of rclcpp_components")
+    if not has_components("composition"):
+        missing.append("the package composition of ROS's demos")
+    if missing:
+        pytest.skip(f"{request.node.name} was NOT RUN: not on this machine: {', '.join(missing)}")
 
 
 @pytest.mark.usefixtures("_rclcpp")
-@pytest.mark.parametrize("executable", ["component_container", "component_container_mt"])
+@pytest.mark.parametrize(
+    "executable", ["component_container", "component_container_mt", "component_container_isolated"]
+)
 def test_rclcpps_own_container_loads_the_demo_components(tmp_path: Path, executable: str) -> None:
     nodes = [
-        {"package": "demo_nodes_cpp", "plugin": f"demo_nodes_cpp::{plugin}", "name": plugin.lower()}
-        for plugin in ("Talker", "Listener", "ServerNode")
+        {"package": "composition", "plugin": f"composition::{plugin}", "name": plugin.lower()}
+        for plugin in ("Talker", "Listener", "Server")
     ]
     config = write(
         tmp_path,
@@ -294,7 +306,7 @@ def test_rclcpps_own_container_loads_the_demo_components(tmp_path: Path, executa
         assert failed["reason"]
         with Probe() as probe:
             assert probe.collect(String, "/chatter", timeout=60)
-        assert set(listed("/real")) == {"/talker", "/listener", "/servernode"}
+        assert set(listed("/real")) == {"/talker", "/listener", "/server"}
         replay.process.terminate()
         replay.read_all()
     assert replay.seen[-1]["containers"][0]["loaded"] == 3
@@ -302,7 +314,7 @@ def test_rclcpps_own_container_loads_the_demo_components(tmp_path: Path, executa
 
 @pytest.mark.usefixtures("_rclcpp")
 def test_rclcpps_own_container_comes_back_after_sigkill(tmp_path: Path) -> None:
-    talker = {"package": "demo_nodes_cpp", "plugin": "demo_nodes_cpp::Talker", "name": "talker"}
+    talker = {"package": "composition", "plugin": "composition::Talker", "name": "talker"}
     container = {"name": "real", "container_type": "stock", "composable_nodes": [talker]}
     with replaying(write(tmp_path, container), tmp_path, "--duration", LIMIT) as replay:
         first = replay.read_until(state("/talker", "loaded"), "the node")

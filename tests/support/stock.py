@@ -94,3 +94,10 @@ def rclcpp_container() -> Path | None:
         )
     except ExecutableNotFoundError:
         return None
+
+
+def has_components(package: str) -> bool:
+    """Whether this machine has the rclcpp components of a package."""
+    environment = child_environment(os.environ, ros_installation())
+    index = Path("share/ament_index/resource_index/rclcpp_components") / package
+    return any((prefix / index).is_file() for prefix in ament_prefixes(environment))
