@@ -322,7 +322,9 @@ class ContainerActor:
         self._ended = False
         self._killed_because = ""
         self._mechanism = ""
-        self._hello_due = self._loop.time() + self._limits.hello
+        # One that somebody else starts comes when it comes.
+        attaches = self._config.attach
+        self._hello_due = None if attaches else self._loop.time() + self._limits.hello
         self._reports.started(process)
 
     def _greeted(self, link: ControlLink, hello: Hello) -> None:
@@ -368,7 +370,8 @@ class ContainerActor:
             return self._apply(ContainerInput.DIED_FOR_GOOD, reason)
         self._delay = verdict.delay
         self._reports.restarts = self._restarter.total
-        reason = f"{death.reason}; starts again in {verdict.delay:.2f} s"
+        sequel = "is waited for" if self._config.attach else "starts again"
+        reason = f"{death.reason}; {sequel} in {verdict.delay:.2f} s"
         actions = self._apply(ContainerInput.DIED_RESTART, reason)
         _told.warning("%s: %s", self._name, reason)
         self._reports.publish(ProcessEventKind.RESTARTING, message=reason)

@@ -70,7 +70,7 @@ def facts_of_status(asked: Asked, listed: NodeStatus | None) -> Facts:
     return Facts(
         attempt=listed.attempt,
         unique_id=listed.unique_id,
-        reason=slow if listed.state == 0 else "",
+        reason=listed.note or (slow if listed.state == 0 else ""),
         pid=listed.pid,
         start_time=listed.start_time,
         cpu_time_ns=listed.cpu_time_ns,

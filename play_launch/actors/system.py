@@ -103,7 +103,8 @@ async def _run(
             publisher=publisher,
             stop=stop,
             attempts=attempts,
-            starts=slots,
+            # Waiting for somebody else's container takes no place from those that start.
+            starts=asyncio.Semaphore(1) if container.attach else slots,
             limits=limits,
         )
         for container in config.containers

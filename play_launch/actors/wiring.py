@@ -15,13 +15,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from play_launch.actors.ports import StartError
-from play_launch.config.model import Isolation
+from play_launch.actors.stock_container import StockContainers
+from play_launch.config.model import ContainerType, Isolation
 from play_launch.native.allocator import find_allocator, for_isolation
 from play_launch.native.argv import (
     ExecutableNotFoundError,
     container_argv,
     find_executable,
     process_argv,
+    stock_container_argv,
 )
 from play_launch.native.codec import preload
 from play_launch.native.control import ControlChannel, control_pair
@@ -42,7 +44,7 @@ from play_launch.process.stop import StopPolicy, stop
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
-    from play_launch.actors.ports import OutputCallback
+    from play_launch.actors.ports import ControlLink, ManagedProcess, OutputCallback
     from play_launch.config.model import ContainerConfig, ProcessConfig, ReplayConfig
     from play_launch.native.locate import RosInstallation
     from play_launch.process.child import Child
@@ -111,9 +113,11 @@ class NativeLauncher:
         guard: Path,
         policy: StopPolicy,
         parameters: ParameterFiles,
+        stock: StockContainers,
         allocator: Path | None = None,
     ) -> None:
         """Take the facts about this machine, see `of`."""
+        self._stock = stock
         self._allocator = allocator
         self._ros = ros
         self._container = container
@@ -147,6 +151,7 @@ class NativeLauncher:
             guard=guard,
             policy=policy,
             parameters=ParameterFiles(config.nodes),
+            stock=StockContainers.of(config),
             allocator=_allocator(config),
         )
 
@@ -156,8 +161,13 @@ class NativeLauncher:
 
     def start_container(
         self, config: ContainerConfig, on_output: OutputCallback
-    ) -> tuple[NativeProcess, ControlChannel]:
-        """Start a container with a control channel; raises StartError."""
+    ) -> tuple[ManagedProcess, ControlLink]:
+        """Start a container, or attach to it, with a way to talk to it; raises StartError."""
+        if config.attach:
+            return self._stock.attach(config)
+        if config.container_type is ContainerType.STOCK:
+            process = self._start_stock(config, on_output)
+            return process, self._stock.talk_to(config, process)
         argv = container_argv(
             config, self._container, stop_timeout=self._policy.ask * _CONTAINER_SHARE
         )
@@ -176,6 +186,15 @@ class NativeLauncher:
             pair.close_child_end()
             opened.pop_all()
         return process, ControlChannel(pair.ours, container=config.full_name)
+
+    def _start_stock(self, config: ContainerConfig, on_output: OutputCallback) -> NativeProcess:
+        environment = child_environment(os.environ, self._ros, config.environment)
+        try:
+            prefixes = ament_prefixes(environment)
+            program = find_executable(config.package, config.executable, prefixes)
+        except ExecutableNotFoundError as error:
+            raise StartError(str(error), permanent=True) from error
+        return self._spawn(stock_container_argv(config, program), environment, on_output)
 
     def start_process(self, config: ProcessConfig, on_output: OutputCallback) -> NativeProcess:
         """Start an ordinary executable; raises StartError."""
@@ -209,6 +228,10 @@ class NativeLauncher:
     async def close(self) -> None:
         """Remove our own files."""
         await asyncio.to_thread(self._parameters.remove)
+        if self._stock.is_open:
+            await asyncio.to_thread(self._stock.close)
+            # As long as we took part ourselves, we held what dead containers had left.
+            await self.clean_up()
 
     def _spawn(
         self,

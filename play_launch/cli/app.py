@@ -18,6 +18,8 @@ if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
 import typer
 
 from play_launch.cli.check import check
+from play_launch.cli.daemon import daemon_app
+from play_launch.cli.graph_commands import add_graph_commands
 from play_launch.cli.replay import replay
 from play_launch.cli.version import print_version, version
 
@@ -53,6 +55,8 @@ app = typer.Typer(
 app.command()(replay)
 app.command()(check)
 app.command()(version)
+app.add_typer(daemon_app)
+add_graph_commands(app)
 
 
 def _version_option(asked: bool) -> None:

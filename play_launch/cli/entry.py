@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import sys
 
 
 def main() -> None:
@@ -13,6 +14,11 @@ def main() -> None:
     """
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
-    from play_launch.cli.app import main as run  # noqa: PLC0415 - after the line above
+    if len(sys.argv) > 1 and sys.argv[1] in {"node", "topic", "service", "graph"}:
+        # Past typer and all that comes with it: these are done before it would be imported.
+        from play_launch.cli.graph import main as ask  # noqa: PLC0415 - not for other verbs
+
+        sys.exit(ask(sys.argv[1:]))
+    from play_launch.cli.app import main as run  # noqa: PLC0415 - after the lines above
 
     run()

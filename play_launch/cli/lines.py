@@ -92,7 +92,8 @@ _VERBS: Final = {
 def _process_line(event: ProcessEvent, before: SystemView) -> Line | None:
     match event.kind:
         case ProcessEventKind.STARTED:
-            text = f"started, pid {event.pid}"
+            # Without a pid it is a container that somebody else starts.
+            text = f"started, pid {event.pid}" if event.pid else "attaching"
             return Line(event.stamp_ns, event.name, text, is_progress=True)
         case ProcessEventKind.EXITED:
             text = event.message or ending(event.exit_code, event.signal)

@@ -22,6 +22,8 @@ class ContainerType(StrEnum):
     MT = "mt"
     ISOLATED = "isolated"
     ISOLATED_MT = "isolated_mt"
+    STOCK = "stock"
+    """Somebody else's program, which offers ROS's composition services."""
 
     @property
     def is_isolated(self) -> bool:
@@ -150,7 +152,8 @@ class ContainerConfig:
     """A component container.
 
     `environment` holds the variables of the whole system too, `thread_num` is None for
-    the container's own choice, `loading_timeout` is seconds.
+    the container's own choice, `loading_timeout` is seconds. A stock container is `executable` of
+    `package` with `arguments`, or, with `attach`, one that somebody else has started.
     """
 
     name: str
@@ -159,6 +162,10 @@ class ContainerConfig:
     container_type: ContainerType = ContainerType.STANDARD
     thread_num: int | None = None
     isolation: Isolation = Isolation.AUTO
+    package: str = ""
+    executable: str = ""
+    arguments: tuple[str, ...] = ()
+    attach: bool = False
     log_level: str | None = None
     environment: Mapping[str, str] = field(default_factory=_no_environment)
     ros_arguments: tuple[str, ...] = ()

@@ -29,6 +29,7 @@ from play_launch.config.parameter_files import ParameterFiles
 from play_launch.config.resolve_nodes import resolve_composable_node, resolve_process
 from play_launch.config.restart import merge_restart
 from play_launch.config.schema import ContainerSection, DocumentSection, LoadingSection
+from play_launch.config.stock import resolve_stock
 from play_launch.config.validation import items_of, validate_mapping
 from play_launch.config.yaml_tree import Mapping, Node, Sequence
 
@@ -179,6 +180,7 @@ class _Resolver:
                 f"thread_num is for container_type mt and isolated_mt, this container is {kind}"
             )
             self._report.add(place, f"{path}.thread_num", message)
+        stock = resolve_stock(section, kind, node, path, self._report)
         namespace = section.namespace or "/"
         timeout = section.loading_timeout or self._loading.loading_timeout or _LOADING_TIMEOUT
         return ContainerConfig(
@@ -188,6 +190,10 @@ class _Resolver:
             container_type=kind,
             thread_num=thread_num,
             isolation=section.isolation or self._loading.isolation or Isolation.AUTO,
+            package=stock.package,
+            executable=stock.executable,
+            arguments=stock.arguments,
+            attach=stock.attach,
             log_level=section.log_level,
             environment=MappingProxyType(self._environment | variables),
             ros_arguments=tuple(section.ros_arguments or ()),

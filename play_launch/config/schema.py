@@ -18,7 +18,6 @@ from play_launch.config.problems import excerpt
 
 LOG_LEVELS = ("debug", "info", "warn", "error", "fatal")
 _LONGEST_RUN_NAME = 150
-_NOT_YET = frozenset({"stock"})
 _PACKAGE = re.compile(r"[A-Za-z][A-Za-z0-9_-]*", re.ASCII)
 _SINGLE_COLON = re.compile(r"(?<!:):(?!:)")
 _IDENTITY_RULE = re.compile(r"(?:[^:]*:)?__(?:node|name|ns):=")
@@ -81,13 +80,6 @@ def _check_version(version: int) -> int:
     return version
 
 
-def _parse_container_type(value: object) -> ContainerType:
-    if isinstance(value, str) and value in _NOT_YET:
-        known = _one_of(ContainerType)
-        raise ValueError(f"container_type {value} does not exist in this version yet; use {known}")
-    return _parse_choice(value, ContainerType)
-
-
 def _one_of(choices: type[StrEnum]) -> str:
     *others, last = choices
     return f"{', '.join(others)} or {last}"
@@ -120,7 +112,9 @@ Namespace = Annotated[str, AfterValidator(check_namespace)]
 Package = Annotated[str, AfterValidator(_check_package)]
 RosArgument = Annotated[str, AfterValidator(_check_ros_argument)]
 LogLevel = Annotated[str, BeforeValidator(_parse_log_level)]
-ContainerTypeName = Annotated[ContainerType, BeforeValidator(_parse_container_type)]
+ContainerTypeName = Annotated[
+    ContainerType, BeforeValidator(lambda it: _parse_choice(it, ContainerType))
+]
 IsolationName = Annotated[Isolation, BeforeValidator(lambda it: _parse_choice(it, Isolation))]
 OnCrashName = Annotated[OnCrash, BeforeValidator(lambda it: _parse_choice(it, OnCrash))]
 ThreadNum = Annotated[int, Field(ge=1, le=1024)]
@@ -214,8 +208,7 @@ class ContainerSection(Section):
     advice: ClassVar[dict[str, str]] = _SAME_FOR_ALL | {
         "composable_node_descriptions": "composable_nodes",
         "nodes": "composable_nodes",
-        "package": "containers are play-launch's own; leave package out",
-        "executable": "containers are play-launch's own; choose one with container_type",
+        "args": "arguments",
         "parameters": "give parameters to the composable nodes",
         "remappings": "give remappings to the composable nodes",
         "respawn": "containers always come back; see restart.max_restarts",
@@ -226,6 +219,10 @@ class ContainerSection(Section):
     container_type: ContainerTypeName | None = None
     thread_num: ThreadNum | None = None
     isolation: IsolationName | None = None
+    package: Package | None = None
+    executable: FilledText | None = None
+    arguments: list[Text] | None = None
+    attach: bool | None = None
     auto_reload_on_crash: bool | None = None
     on_crash: OnCrashName | None = None
     log_level: LogLevel | None = None

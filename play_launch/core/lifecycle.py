@@ -25,6 +25,7 @@ from play_launch.core.node_table import FROM_CONTAINER, TABLE, WAITING, NodeActi
 
 _STATUS: Final = frozenset(
     {
+        NodeInput.STATUS_QUEUED,
         NodeInput.STATUS_CONSTRUCTING,
         NodeInput.STATUS_LOADED,
         NodeInput.STATUS_UNLOADING,

@@ -38,6 +38,8 @@ class NodeInput(StrEnum):
     RELOAD_FAILED = auto()
     """A load that followed a crash was rejected or failed."""
     CRASHED = auto()
+    STATUS_QUEUED = auto()
+    """The load waits for others of the same container; nothing is wrong with that."""
     STATUS_CONSTRUCTING = auto()
     STATUS_LOADED = auto()
     STATUS_UNLOADING = auto()
@@ -92,6 +94,7 @@ FROM_CONTAINER: Final = frozenset(
         Said.RELOAD_FAILED,
         Said.UNLOADED,
         Said.CRASHED,
+        Said.STATUS_QUEUED,
         Said.STATUS_CONSTRUCTING,
         Said.STATUS_LOADED,
         Said.STATUS_UNLOADING,
@@ -154,7 +157,13 @@ TABLE: Final[Mapping[NodeState, Mapping[NodeInput, Transition]]] = {
             # Without a unique_id there is nothing to cancel yet; ACCEPTED brings it.
             Said.UNLOAD_REQUESTED: (State.UNLOADING,),
         },
-        {Said.CONTAINER_READY, Said.RELOAD_DUE, Said.GIVEN_UP, Said.UNLOAD_REJECTED},
+        {
+            Said.CONTAINER_READY,
+            Said.RELOAD_DUE,
+            Said.GIVEN_UP,
+            Said.UNLOAD_REJECTED,
+            Said.STATUS_QUEUED,
+        },
     ),
     State.LOADING: _row(
         State.LOADING,
@@ -182,6 +191,7 @@ TABLE: Final[Mapping[NodeState, Mapping[NodeInput, Transition]]] = {
             Said.UNLOAD_REJECTED,
             Said.ACCEPTED,
             Said.LOADING,
+            Said.STATUS_QUEUED,
         },
     ),
     State.LOADED: _row(
@@ -208,6 +218,7 @@ TABLE: Final[Mapping[NodeState, Mapping[NodeInput, Transition]]] = {
             Said.LOADED,
             Said.STATUS_LOADED,
             Said.STATUS_CONSTRUCTING,
+            Said.STATUS_QUEUED,
         },
     ),
     State.UNLOADING: _row(
@@ -237,6 +248,7 @@ TABLE: Final[Mapping[NodeState, Mapping[NodeInput, Transition]]] = {
             Said.LOADING,
             Said.UNLOAD_REQUESTED,
             Said.STATUS_UNLOADING,
+            Said.STATUS_QUEUED,
         },
     ),
     State.LOAD_FAILED: _row(

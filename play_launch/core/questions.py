@@ -16,11 +16,13 @@ if TYPE_CHECKING:
 
 
 class ListedState(IntEnum):
-    """``play_launch_msgs/NodeStatus.state``."""
+    """``play_launch_msgs/NodeStatus.state``, and one that no container sends."""
 
     CONSTRUCTING = 0
     LOADED = 1
     UNLOADING = 2
+    QUEUED = 255
+    """The queue is on our side: see :mod:`play_launch.core.composition`."""
 
 
 class Asked(NamedTuple):
@@ -65,6 +67,7 @@ _SAID = {
     ListedState.CONSTRUCTING: NodeInput.STATUS_CONSTRUCTING,
     ListedState.LOADED: NodeInput.STATUS_LOADED,
     ListedState.UNLOADING: NodeInput.STATUS_UNLOADING,
+    ListedState.QUEUED: NodeInput.STATUS_QUEUED,
 }
 
 

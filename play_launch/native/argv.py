@@ -1,6 +1,6 @@
 """The command lines of containers and of ordinary nodes.
 
-`container_argv` and `process_argv` are pure; `find_executable` looks at the file system.
+The functions that make them are pure; `find_executable` looks at the file system.
 """
 
 from __future__ import annotations
@@ -47,6 +47,18 @@ def container_argv(
         argv += ["--thread_num", str(config.thread_num)]
     if stop_timeout is not None:
         argv += ["--stop_timeout", f"{stop_timeout:g}"]
+    argv += _ros_arguments(
+        name=config.name,
+        namespace=config.namespace,
+        log_level=config.log_level,
+        others=config.ros_arguments,
+    )
+    return tuple(argv)
+
+
+def stock_container_argv(config: ContainerConfig, program: Path) -> tuple[str, ...]:
+    """Make the command line of a container that is not our own."""
+    argv = [os.fspath(program), *config.arguments]
     argv += _ros_arguments(
         name=config.name,
         namespace=config.namespace,

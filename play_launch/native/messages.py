@@ -85,6 +85,8 @@ class NodeStatusState(IntEnum):
     CONSTRUCTING = 0
     LOADED = 1
     UNLOADING = 2
+    QUEUED = 255
+    """No container sends it: a load that waits on our side, in the queue of a stock container."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,7 +94,8 @@ class NodeStatus:
     """One node as its container sees it.
 
     `elapsed_ns` is the time in this state and `cpu_time_ns` what its constructor used up (0 once
-    loaded), in nanoseconds; `start_time` is in clock ticks after boot.
+    loaded), in nanoseconds; `start_time` is in clock ticks after boot. `note` says in words what
+    there is to say besides; it is not on the wire.
     """
 
     unique_id: int
@@ -103,6 +106,7 @@ class NodeStatus:
     start_time: int = 0
     elapsed_ns: int = 0
     cpu_time_ns: int = 0
+    note: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

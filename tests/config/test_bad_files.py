@@ -82,11 +82,11 @@ def test_keys_known_from_elsewhere_lead_to_ours() -> None:
 
 
 def test_a_key_that_belongs_elsewhere_says_where() -> None:
-    text = "version: 1\ncontainers:\n  - {name: a, params: {}, pkg: b}\n"
+    text = "version: 1\ncontainers:\n  - {name: a, params: {}, remap: {}}\n"
     with pytest.raises(ConfigError) as caught:
         parse_config(text.encode(), Path("demo.yaml"))
     assert "give parameters to the composable nodes" in str(caught.value)
-    assert "leave package out" in str(caught.value)
+    assert "give remappings to the composable nodes" in str(caught.value)
 
 
 def test_problems_of_the_configuration_stand_before_those_of_parameter_files(

@@ -1,0 +1,43 @@
+"""The process of a daemon in the background; `background` starts it."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+import logging
+import os
+import socket
+
+from play_launch.graph_daemon.address import DOMAIN_VARIABLE, DaemonAddress
+from play_launch.graph_daemon.daemon import WARM, Daemon, prepare_environment
+
+
+def main() -> None:
+    """Run the daemon on the socket that was handed over."""
+    parser = argparse.ArgumentParser(prog="play_launch.graph_daemon")
+    parser.add_argument("--domain", type=int, required=True)
+    parser.add_argument("--listener", type=int, required=True, help="descriptor of the socket")
+    parser.add_argument("--ready", type=int, required=True, help="descriptor to report on")
+    parser.add_argument("--idle-timeout", type=float, required=True, help="seconds; 0 for never")
+    options = parser.parse_args()
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s")
+    address = DaemonAddress(options.domain)
+    os.environ[DOMAIN_VARIABLE] = str(address.domain)
+    daemon = Daemon(address, prepare_environment(), idle_timeout=options.idle_timeout)
+    with open(options.ready, "w", encoding="ascii") as ready:  # noqa: PTH123 - a descriptor
+
+        def report(what: str) -> None:
+            # The starter may have gone.
+            with contextlib.suppress(OSError):
+                ready.write(f"{what}\n")
+                ready.flush()
+            if what == WARM:
+                with contextlib.suppress(OSError):
+                    ready.close()
+
+        asyncio.run(daemon.run(socket.socket(fileno=options.listener), report))
+
+
+if __name__ == "__main__":
+    main()

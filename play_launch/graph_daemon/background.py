@@ -1,0 +1,133 @@
+"""Starts a daemon in the background and waits until it serves."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Final
+
+from play_launch.graph_daemon.settings import PROFILE_FILES
+
+if TYPE_CHECKING:
+    import socket
+    from collections.abc import Iterator
+
+    from play_launch.graph_daemon.address import DaemonAddress
+
+START_LIMIT: Final = 30.0
+"""Seconds until a daemon must serve; on a machine under full load loading ROS takes some."""
+_LINES_OF_LOG: Final = 5
+
+
+class StartError(Exception):
+    """The daemon could not be started; the text says why, for a person."""
+
+
+def log_path(address: DaemonAddress) -> Path:
+    """Return where a daemon in the background logs; that of its last run is overwritten."""
+    folder = os.environ.get("ROS_LOG_DIR") or Path.home() / ".ros" / "log"
+    return Path(folder) / f"play_launch_daemon_{address.domain}.log"
+
+
+def spawn(
+    address: DaemonAddress,
+    listener: socket.socket,
+    *,
+    idle_timeout: float,
+    wait_for: str,
+    limit: float = START_LIMIT,
+) -> subprocess.Popen[bytes]:
+    """Start a daemon on ``listener`` and return its process, which the caller is to wait for.
+
+    Args:
+        address: Where it serves.
+        listener: Listens there; the daemon has it afterwards, here it can be closed.
+        idle_timeout: Seconds without a request after which it ends; 0 for never.
+        wait_for: What it must report before this returns: `LISTENING` or `WARM`.
+        limit: Seconds that this may take.
+
+    Raises ``StartError`` when it does not come so far; it does not run then.
+    """
+    read, write = os.pipe()
+    path = log_path(address)
+    try:
+        with _log_file(path) as log, open(os.devnull, "rb") as nothing:  # noqa: PTH123
+            process = subprocess.Popen(
+                [
+                    sys.executable,
+                    # The working directory is no place for modules.
+                    "-P",
+                    "-m",
+                    "play_launch.graph_daemon",
+                    f"--domain={address.domain}",
+                    f"--listener={listener.fileno()}",
+                    f"--ready={write}",
+                    f"--idle-timeout={idle_timeout:g}",
+                ],
+                stdin=nothing,
+                stdout=log,
+                stderr=log,
+                pass_fds=(listener.fileno(), write),
+                cwd=_working_directory(),
+                start_new_session=True,
+            )
+    except OSError as error:
+        os.close(read)
+        raise StartError(f"the daemon could not be started: {error}") from None
+    finally:
+        os.close(write)
+    try:
+        reported = _wait(read, wait_for, limit)
+    finally:
+        os.close(read)
+    if not reported:
+        process.kill()
+        process.wait()
+        raise StartError(f"the daemon ended or got stuck while it started{_end_of(path)}")
+    return process
+
+
+def _wait(read: int, word: str, limit: float) -> bool:
+    deadline = time.monotonic() + limit
+    heard = b""
+    while True:
+        left = deadline - time.monotonic()
+        if left <= 0 or not select.select([read], [], [], left)[0]:
+            return False
+        more = os.read(read, 1024)
+        heard += more
+        if word.encode("ascii") in heard.split():
+            return True
+        if not more:
+            return False
+
+
+def _working_directory() -> str | None:
+    """Stay where a profile of Fast DDS is; elsewhere do not hold the folder."""
+    here = any(Path(name).exists() for name in PROFILE_FILES)
+    return None if here else "/"
+
+
+@contextlib.contextmanager
+def _log_file(path: Path) -> Iterator[IO[bytes]]:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        file = path.open("wb")
+    except OSError:
+        # Not worth to do without the daemon.
+        file = open(os.devnull, "wb")  # noqa: PTH123, SIM115
+    with file:
+        yield file
+
+
+def _end_of(path: Path) -> str:
+    try:
+        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        return ""
+    return "\n".join([f"; see {path}", *(f"  {line}" for line in lines[-_LINES_OF_LOG:])])

@@ -1,0 +1,111 @@
+"""What decides whom a participant meets: settings that freeze when the daemon starts.
+
+Two processes see the same graph only when these agree, so the daemon tells its own and clients
+compare.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from play_launch.graph_daemon.address import DOMAIN_VARIABLE
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+TRANSPORTS: Final = "FASTDDS_BUILTIN_TRANSPORTS"
+_OURS: Final = "UDPv4"
+_PROFILE_VARIABLES: Final = (
+    "FASTDDS_DEFAULT_PROFILES_FILE",
+    "FASTRTPS_DEFAULT_PROFILES_FILE",
+)
+PROFILE_FILES: Final = ("DEFAULT_FASTDDS_PROFILES.xml", "DEFAULT_FASTRTPS_PROFILES.xml")
+"""Fast DDS reads these from the working directory, unless it is told to skip them."""
+_SKIP_PROFILE_FILES: Final = "SKIP_DEFAULT_XML_FILE"
+COMPARED: Final = (
+    DOMAIN_VARIABLE,
+    "RMW_IMPLEMENTATION",
+    "ROS_AUTOMATIC_DISCOVERY_RANGE",
+    "ROS_STATIC_PEERS",
+    "ROS_LOCALHOST_ONLY",
+    "ROS_DISCOVERY_SERVER",
+    "ROS_SUPER_CLIENT",
+    "ROS_SECURITY_ENABLE",
+    "ROS_SECURITY_ENCLAVE_OVERRIDE",
+    *_PROFILE_VARIABLES,
+    "CYCLONEDDS_URI",
+    "ZENOH_ROUTER_CONFIG_URI",
+    "ZENOH_SESSION_CONFIG_URI",
+    "ZENOH_CONFIG_OVERRIDE",
+)
+"""The environment variables that two processes must share in order to meet the same nodes."""
+_DEFAULTS: Final = {
+    DOMAIN_VARIABLE: "0",
+    "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
+    "ROS_LOCALHOST_ONLY": "0",
+    "ROS_SECURITY_ENABLE": "false",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Transports:
+    """What the daemon does about the transports of Fast DDS, and why."""
+
+    variables: Mapping[str, str]
+    """To be added to the environment of the daemon's process."""
+    reason: str
+
+
+def choose_transports(environment: Mapping[str, str], files: Iterable[str]) -> Transports:
+    """Decide about the transports of Fast DDS in the daemon's own process.
+
+    Shared-memory discovery stalls under load and on what crashed processes left in `/dev/shm`; UDP
+    does not. Whoever configured Fast DDS is believed to know better.
+
+    Args:
+        environment: That of the daemon.
+        files: Names of the files in its working directory.
+    """
+    if TRANSPORTS in environment:
+        return Transports({}, f"{TRANSPORTS} is set")
+    for variable in _PROFILE_VARIABLES:
+        if environment.get(variable):
+            return Transports({}, f"{variable} is set")
+    if environment.get(_SKIP_PROFILE_FILES) != "1":
+        for name in sorted(set(files) & set(PROFILE_FILES)):
+            return Transports({}, f"{name} is in the working directory")
+    return Transports({TRANSPORTS: _OURS}, "no profile is set")
+
+
+def compared_settings(environment: Mapping[str, str], rmw: str = "") -> dict[str, str]:
+    """Return the settings of ``environment`` that count, by variable; what is unset is left out.
+
+    Args:
+        environment: That of the process.
+        rmw: The middleware that is really in use; it replaces what the environment asks for.
+    """
+    settings = {name: environment[name] for name in COMPARED if environment.get(name)}
+    if rmw:
+        settings["RMW_IMPLEMENTATION"] = rmw
+    return settings
+
+
+def differences(daemon: Mapping[str, str], caller: Mapping[str, str]) -> list[str]:
+    """Say, a line for each, where the caller's settings are not the daemon's.
+
+    A caller that asks for no middleware is content with any.
+    """
+    found = []
+    for name in COMPARED:
+        default = _DEFAULTS.get(name, "")
+        theirs, ours = daemon.get(name) or default, caller.get(name) or default
+        if name == "RMW_IMPLEMENTATION" and not ours:
+            continue
+        if theirs != ours:
+            found.append(f"{name}: the daemon has {_shown(theirs)}, here it is {_shown(ours)}")
+    return found
+
+
+def _shown(value: str) -> str:
+    return value or "not set"

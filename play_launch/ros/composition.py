@@ -1,0 +1,221 @@
+"""A client of one container's composition services: ListNodes, LoadNode, UnloadNode."""
+
+from __future__ import annotations
+
+import asyncio
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rclpy.node import Node
+
+    from play_launch.ros.thread import RosThread
+
+
+class ListedNode(NamedTuple):
+    """A node that a container has, by its own account."""
+
+    unique_id: int
+    full_node_name: str
+
+
+@dataclass(frozen=True, slots=True)
+class LoadReply:
+    """The answer to LoadNode; the number and name say something with `success` only."""
+
+    success: bool
+    error_message: str = ""
+    full_node_name: str = ""
+    unique_id: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class UnloadReply:
+    """The answer to UnloadNode."""
+
+    success: bool
+    error_message: str = ""
+
+
+class CompositionClient:
+    """Talks to the container of a name; belongs to one event loop.
+
+    Futures of requests stay open as long as no answer comes, which may be for ever: an answer can
+    be late by minutes and is still worth knowing.
+    """
+
+    def __init__(self, ros: RosThread, container: str) -> None:
+        """Talk to the container with this full name; nothing is sent yet."""
+        self._ros = ros
+        self._name = container
+        self._loop = asyncio.get_running_loop()
+        self._clients: dict[str, Any] = {}
+        self._open: set[asyncio.Future[Any]] = set()
+        self._closed = False
+        self._changed = asyncio.Event()
+        self._on_change: Callable[[], None] = lambda: None
+        ros.post(self._create)
+        self._forget = ros.listen(self._graph_changed)
+
+    def on_graph_change(self, callback: Callable[[], None]) -> None:
+        """Have this called after each change of the graph."""
+        self._on_change = callback
+
+    async def ready(self) -> None:
+        """Wait until all three services are there."""
+        while True:
+            changed = self._changed  # of before the look, so that nothing in between is missed
+            if await self.is_ready():
+                return
+            await changed.wait()
+
+    async def graph_change(self) -> None:
+        """Wait for the next change of the graph."""
+        await self._changed.wait()
+
+    async def is_ready(self) -> bool:
+        """Whether somebody offers all three services now."""
+        return await self._ros.call(
+            lambda _: (
+                len(self._clients) == len(_SERVICES)
+                and all(client.service_is_ready() for client in self._clients.values())
+            )
+        )
+
+    async def servers(self) -> frozenset[bytes]:
+        """Identify those who answer ListNodes; empty where the middleware does not tell.
+
+        A dead one is among them until its lease is over, 20 s by default.
+        """
+        return await self._ros.call(self._servers)
+
+    async def constructs_in_background(self) -> bool:
+        """Whether it is known to answer while a constructor runs.
+
+        Containers of play-launch do; they are known by a topic that rclcpp's do not have.
+        """
+        topic = f"{self._name}/_container/component_events"
+        return await self._ros.call(lambda node: node.count_publishers(topic) > 0)
+
+    def list_nodes(self) -> asyncio.Future[tuple[ListedNode, ...]]:
+        """Ask for all nodes."""
+        return self._request("list_nodes", lambda kind: kind.Request(), _listed)
+
+    def load_node(self, request: Any) -> asyncio.Future[LoadReply]:
+        """Send a ``composition_interfaces/LoadNode`` request."""
+        return self._request("load_node", lambda _: request, _loaded)
+
+    def unload_node(self, unique_id: int) -> asyncio.Future[UnloadReply]:
+        """Ask for a node's end."""
+        return self._request(
+            "unload_node", lambda kind: kind.Request(unique_id=unique_id), _unloaded
+        )
+
+    def close(self) -> None:
+        """End it; answers that are still expected are given up."""
+        if self._closed:
+            return
+        self._closed = True
+        self._on_change = lambda: None
+        self._forget()
+        for future in tuple(self._open):
+            future.cancel()
+        self._ros.post(self._destroy)
+
+    def _request(
+        self, name: str, request: Callable[[Any], Any], read: Callable[[Any], Any]
+    ) -> asyncio.Future[Any]:
+        future: asyncio.Future[Any] = self._loop.create_future()
+        self._open.add(future)
+        future.add_done_callback(self._open.discard)
+
+        def finish(reply: Any, error: BaseException | None) -> None:
+            if future.done():
+                return
+            if error is not None:
+                future.set_exception(error)
+            else:
+                future.set_result(read(reply))
+
+        def answered(ros_future: Any) -> None:
+            error = ros_future.exception()
+            self._tell(finish, None if error else ros_future.result(), error)
+
+        def send(_: Node) -> None:
+            client = self._clients.get(name)
+            if client is None:  # closed in the meantime
+                return
+            try:
+                expected = client.call_async(request(client.srv_type))
+            except Exception as error:  # noqa: BLE001 - it is the caller's
+                self._tell(finish, None, error)
+                return
+            expected.add_done_callback(answered)
+            self._tell(future.add_done_callback, lambda _: forget(client, expected))
+
+        def forget(client: Any, expected: Any) -> None:
+            if future.cancelled() and not self._closed:
+                self._ros.post(lambda _: client.remove_pending_request(expected))
+
+        self._ros.post(send)
+        return future
+
+    def _tell(self, callback: Callable[..., None], *values: Any) -> None:
+        # A loop that has ended in the meantime has nobody who waits.
+        with suppress(RuntimeError):
+            self._loop.call_soon_threadsafe(callback, *values)
+
+    def _create(self, node: Node) -> None:
+        # Takes long, so it is done in the thread.
+        from composition_interfaces import srv  # noqa: PLC0415
+
+        # The client that asks first is made last: once a container answers it, it knows the
+        # others as well.
+        for name, kind in _SERVICES.items():
+            full_name = f"{self._name}/_container/{name}"
+            self._clients[name] = node.create_client(getattr(srv, kind), full_name)
+        self._tell(self._graph_changed)
+
+    def _destroy(self, node: Node) -> None:
+        for client in self._clients.values():
+            node.destroy_client(client)
+        self._clients.clear()
+
+    def _servers(self, node: Node) -> frozenset[bytes]:
+        # How the DDS implementations of ROS name the topic that carries a service's answers.
+        topic = f"rr{self._name}/_container/list_nodesReply"
+        try:
+            found = node.get_publishers_info_by_topic(topic, no_mangle=True)
+        except Exception:  # noqa: BLE001 - rclpy's own type of error is private
+            return frozenset()
+        return frozenset(bytes(each.endpoint_gid) for each in found)
+
+    def _graph_changed(self) -> None:
+        changed, self._changed = self._changed, asyncio.Event()
+        changed.set()
+        self._on_change()
+
+
+_SERVICES = {"load_node": "LoadNode", "unload_node": "UnloadNode", "list_nodes": "ListNodes"}
+
+
+def _listed(reply: Any) -> tuple[ListedNode, ...]:
+    # A container that tells two lists of different lengths is not worth more than the shorter one.
+    pairs = zip(reply.unique_ids, reply.full_node_names, strict=False)
+    return tuple(ListedNode(int(unique_id), str(name)) for unique_id, name in pairs)
+
+
+def _loaded(reply: Any) -> LoadReply:
+    return LoadReply(
+        success=bool(reply.success),
+        error_message=str(reply.error_message),
+        full_node_name=str(reply.full_node_name),
+        unique_id=int(reply.unique_id),
+    )
+
+
+def _unloaded(reply: Any) -> UnloadReply:
+    return UnloadReply(success=bool(reply.success), error_message=str(reply.error_message))

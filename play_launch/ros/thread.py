@@ -1,0 +1,202 @@
+"""One thread in which everything of rclpy happens, and the way between it and the event loop.
+
+rclpy's nodes and clients may be used by one thread at a time, and its waits block. So all of them
+live here; the loop hands work over and gets results back, and neither ever waits for the other.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import threading
+from collections import deque
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any, Final, TypeVar
+
+from play_launch.ros.graph import GraphEvents, GraphEventsUnavailableError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rclpy.context import Context
+    from rclpy.executors import Executor
+    from rclpy.node import Node
+
+_log = logging.getLogger(__name__)
+_T = TypeVar("_T")
+
+GRAPH_POLL: Final = 0.25
+"""Seconds between two looks at the graph where its event cannot be had."""
+_JOIN_LIMIT: Final = 5.0
+"""Seconds for the thread's end."""
+
+
+class RosThread:
+    """An rclpy node in a thread of its own.
+
+    ``start`` and ``close`` wait for the thread, about 0.1 s for a DDS participant: call them from
+    another thread than the event loop's. The rest never blocks.
+    """
+
+    def __init__(self, name: str, *, domain_id: int | None = None) -> None:
+        """Name the node; without a ``domain_id`` the environment's holds."""
+        self._name = name
+        self._domain_id = domain_id
+        self._work: deque[Callable[[Node], None]] = deque()
+        self._listeners: list[Callable[[], None]] = []
+        self._started = threading.Event()
+        self._failure: BaseException | None = None
+        self._closing = False
+        self._wake: Callable[[], None] = lambda: None
+        self._thread = threading.Thread(target=self._run, name=f"ros {name}", daemon=True)
+        self.domain_id = 0
+        """The domain that the node is in, once started."""
+        self.rmw_implementation = ""
+
+    def start(self) -> None:
+        """Start and wait until the node is there; raises what kept it from that."""
+        self._thread.start()
+        self._started.wait()
+        if self._failure is not None:
+            raise self._failure
+
+    def close(self) -> None:
+        """End the thread and everything in it; harmless when it has not started."""
+        if not self._thread.is_alive():
+            return
+        self._closing = True
+        self._wake()
+        self._thread.join(_JOIN_LIMIT)
+        if self._thread.is_alive():
+            _log.error("the ROS thread does not end")
+
+    def post(self, work: Callable[[Node], None]) -> None:
+        """Have something done in the thread, in order; from any thread, at any time."""
+        self._work.append(work)
+        self._wake()
+
+    async def call(self, work: Callable[[Node], _T]) -> _T:
+        """Have something done in the thread and wait for its result."""
+        loop = asyncio.get_running_loop()
+        future: asyncio.Future[_T] = loop.create_future()
+
+        def run(node: Node) -> None:
+            try:
+                result = work(node)
+            except Exception as error:  # noqa: BLE001 - it is the caller's
+                _hand_over(loop, _fail, future, error)
+            else:
+                _hand_over(loop, _finish, future, result)
+
+        self.post(run)
+        return await future
+
+    def listen(self, on_change: Callable[[], None]) -> Callable[[], None]:
+        """Have ``on_change`` called in this event loop after changes of the graph.
+
+        Several changes may become one call. Returns what ends it.
+        """
+        loop = asyncio.get_running_loop()
+
+        def told() -> None:
+            _hand_over(loop, on_change)
+
+        self.post(lambda _: self._listeners.append(told))
+
+        def forget(_: Node) -> None:
+            with suppress(ValueError):
+                self._listeners.remove(told)
+
+        return lambda: self.post(forget)
+
+    def _run(self) -> None:
+        try:
+            context, node, executor = self._open()
+        except BaseException as error:  # noqa: BLE001 - raised again where it was started
+            self._failure = error
+            self._started.set()
+            return
+        try:
+            self._started.set()
+            poll = self._watch_graph(node)
+            while not self._closing:
+                executor.spin_once(timeout_sec=poll)
+                self._do_work(node)
+                if poll is not None:
+                    self._graph_changed()
+        except Exception:  # noqa: BLE001 - a thread has nobody else to tell it
+            _log.exception("the ROS thread has failed")
+        finally:
+            self._wake = lambda: None
+            executor.shutdown()
+            node.destroy_node()  # type: ignore[no-untyped-call]
+            context.try_shutdown()
+
+    def _open(self) -> tuple[Context, Node, Executor]:
+        # Takes long, and only those who talk to containers of others need it.
+        import rclpy  # noqa: PLC0415
+        from rclpy.context import Context  # noqa: PLC0415
+        from rclpy.executors import SingleThreadedExecutor  # noqa: PLC0415
+        from rclpy.node import Node  # noqa: PLC0415
+        from rclpy.signals import SignalHandlerOptions  # noqa: PLC0415
+        from rclpy.utilities import get_rmw_implementation_identifier  # noqa: PLC0415
+
+        context = Context()
+        rclpy.init(
+            args=[],
+            context=context,
+            domain_id=self._domain_id,
+            signal_handler_options=SignalHandlerOptions.NO,
+        )
+        node = Node(
+            self._name,
+            context=context,
+            use_global_arguments=False,
+            enable_rosout=False,
+            start_parameter_services=False,
+        )
+        executor = SingleThreadedExecutor(context=context)
+        executor.add_node(node)
+        guard = node.create_guard_condition(lambda: None)
+        self._wake = guard.trigger
+        self.domain_id = context.get_domain_id()
+        self.rmw_implementation = get_rmw_implementation_identifier()
+        return context, node, executor
+
+    def _watch_graph(self, node: Node) -> float | None:
+        """Listen to the graph; the seconds after which to look where that cannot be done."""
+        try:
+            events = GraphEvents(node, node.default_callback_group, self._graph_changed)
+        except GraphEventsUnavailableError as error:
+            _log.debug("no events of the graph, so it is looked at: %s", error)
+            return GRAPH_POLL
+        node.add_waitable(events)
+        return None
+
+    def _do_work(self, node: Node) -> None:
+        while self._work:
+            work = self._work.popleft()
+            try:
+                work(node)
+            except Exception:  # noqa: BLE001 - the others' work goes on
+                _log.exception("work in the ROS thread failed")
+
+    def _graph_changed(self) -> None:
+        for listener in tuple(self._listeners):
+            listener()
+
+
+def _hand_over(loop: asyncio.AbstractEventLoop, callback: Callable[..., Any], *values: Any) -> None:
+    # A loop that has ended in the meantime has nobody who waits.
+    with suppress(RuntimeError):
+        loop.call_soon_threadsafe(callback, *values)
+
+
+def _finish(future: asyncio.Future[_T], result: _T) -> None:
+    if not future.done():
+        future.set_result(result)
+
+
+def _fail(future: asyncio.Future[Any], error: BaseException) -> None:
+    if not future.done():
+        future.set_exception(error)

@@ -1,0 +1,464 @@
+"""Single answers, and any sequence of them, against a container that loses and delays words."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import (
+    RuleBasedStateMachine,
+    initialize,
+    invariant,
+    precondition,
+    rule,
+)
+
+from play_launch.core.composition import Composition
+from play_launch.core.composition_words import (
+    Action,
+    AskList,
+    Remark,
+    SendLoad,
+    SendUnload,
+    Stage,
+    TellFailed,
+    TellLoaded,
+    TellRejected,
+    TellUnloaded,
+    Wanted,
+)
+
+TALKER = Wanted("/talker", "/")
+
+
+def success(composition: Composition, attempt: int, unique_id: int, name: str) -> list[Action]:
+    return composition.answered(
+        attempt, success=True, unique_id=unique_id, full_name=name, reason=""
+    )
+
+
+def failure(composition: Composition, attempt: int, reason: str) -> list[Action]:
+    return composition.answered(attempt, success=False, unique_id=0, full_name="", reason=reason)
+
+
+def sent(composition: Composition, attempt: int, wanted: Wanted = TALKER) -> None:
+    assert composition.load(attempt, wanted) == [SendLoad(attempt)]
+    composition.sent(attempt)
+
+
+def test_a_success_counts_when_the_list_agrees() -> None:
+    composition = Composition()
+    sent(composition, 1)
+    assert success(composition, 1, 4, "/talker") == [AskList(1)]
+    assert composition.stage(1) is Stage.SAID_LOADED
+    assert composition.listed(1, [(4, "/talker")]) == [TellLoaded(1, 4, "/talker")]
+
+
+def test_the_next_load_waits_for_the_end_of_the_one_before() -> None:
+    composition = Composition()
+    sent(composition, 1)
+    assert composition.load(2, Wanted("/listener", "/")) == []
+    success(composition, 1, 1, "/talker")
+    told, go_on = composition.listed(1, [(1, "/talker")])
+    assert (told, go_on) == (TellLoaded(1, 1, "/talker"), SendLoad(2))
+
+
+def test_a_list_that_was_asked_before_the_answer_came_does_not_count() -> None:
+    composition = Composition()
+    sent(composition, 1)
+    assert composition.look() == [AskList(1)]
+    assert success(composition, 1, 1, "/talker") == []
+    assert composition.listed(1, []) == [AskList(2)]
+    assert composition.listed(2, [(1, "/talker")]) == [TellLoaded(1, 1, "/talker")]
+
+
+def test_a_success_that_is_listed_nowhere_is_a_failure() -> None:
+    composition = Composition()
+    sent(composition, 1)
+    success(composition, 1, 1, "/talker")
+    (again,) = composition.listed(1, [])
+    assert isinstance(again, AskList)
+    assert again.delay > 0
+    (failed,) = composition.listed(2, [])
+    assert isinstance(failed, TellFailed)
+
+
+def test_a_failure_that_is_listed_is_a_success_with_a_remark() -> None:
+    composition = Composition()
+    sent(composition, 1)
+    failure(composition, 1, "out of luck")
+    (loaded,) = composition.listed(1, [(3, "/talker")])
+    assert isinstance(loaded, TellLoaded)
+    assert (loaded.unique_id, loaded.confirmed_by) == (3, "list_nodes")
+    assert "out of luck" in loaded.remark
+
+
+def test_a_node_that_was_there_before_is_not_taken_for_one_that_failed() -> None:
+    composition = Composition()
+    composition.begin([(1, "/somebody")])
+    sent(composition, 1, Wanted("", "/"))
+    failure(composition, 1, "no")
+    assert composition.listed(1, [(1, "/somebody")]) == [TellFailed(1, "no")]
+
+
+def test_silence_is_asked_about_and_a_listed_node_is_found() -> None:
+    composition = Composition()
+    sent(composition, 1)
+    assert composition.ask_about([1]) == [AskList(1)]
+    assert composition.ask_about([1]) == []
+    (loaded,) = composition.listed(1, [(1, "/talker")])
+    assert isinstance(loaded, TellLoaded)
+    assert loaded.confirmed_by == "list_nodes"
+
+
+def test_a_container_that_constructs_one_after_the_other_forgets_what_it_lists_nowhere() -> None:
+    composition = Composition()
+    sent(composition, 1)
+    composition.ask_about([1])
+    composition.listed(1, [])
+    assert composition.stage(1) is Stage.SENT
+    composition.listed(2, [])
+    assert composition.stage(1) is None
+    assert composition.load(2, TALKER) == [SendLoad(2)]
+
+
+def test_where_constructors_run_in_the_background_silence_stays_silence() -> None:
+    composition = Composition(serially=False)
+    sent(composition, 1)
+    for serial in (1, 3):
+        composition.ask_about([1])
+        composition.listed(serial, [])
+        composition.listed(serial + 1, [])
+        assert composition.stage(1) is Stage.SENT
+    success(composition, 1, 1, "/talker")
+
+
+def test_an_unanswered_list_says_nothing_about_a_load() -> None:
+    composition = Composition()
+    sent(composition, 1)
+    for serial in range(1, 20):
+        assert composition.ask_about([1]) == [AskList(serial)]
+        assert composition.list_unanswered(serial) == []
+        assert composition.stage(1) is Stage.SENT
+
+
+def test_a_late_answer_saves_the_second_load() -> None:
+    composition = Composition()
+    sent(composition, 1)
+    assert composition.load(2, Wanted("/other", "/")) == []
+    composition.ask_about([1])
+    composition.listed(1, [])
+    assert composition.listed(2, []) == [SendLoad(2)]
+    assert composition.load(3, TALKER) == []
+    composition.sent(2)
+    assert success(composition, 1, 9, "/talker") == [AskList(3)]
+    assert composition.listed(3, [(9, "/talker")]) == [TellLoaded(3, 9, "/talker")]
+
+
+def test_a_late_answer_after_the_second_load_unloads_the_surplus() -> None:
+    composition = Composition()
+    sent(composition, 1)
+    composition.ask_about([1])
+    composition.listed(1, [])
+    composition.listed(2, [])
+    sent(composition, 2)
+    success(composition, 1, 1, "/talker")
+    success(composition, 2, 2, "/talker")
+    told, remark, unload = composition.listed(3, [(1, "/talker"), (2, "/talker")])
+    assert told == TellLoaded(2, 2, "/talker")
+    assert isinstance(remark, Remark)
+    assert unload == SendUnload(1)
+    assert not composition.serially
+
+
+def test_a_refusal_because_the_late_one_is_there_is_no_failure() -> None:
+    """As containers do that refuse a name which is taken."""
+    composition = Composition()
+    sent(composition, 1)
+    composition.ask_about([1])
+    composition.listed(1, [])
+    composition.listed(2, [])
+    sent(composition, 2)
+    success(composition, 1, 1, "/talker")
+    failure(composition, 2, "the name is taken")
+    (loaded,) = composition.listed(3, [(1, "/talker")])
+    assert isinstance(loaded, TellLoaded)
+    assert (loaded.attempt, loaded.unique_id) == (2, 1)
+
+
+def test_what_is_there_is_adopted_once_and_only_if_it_is_still_there() -> None:
+    composition = Composition()
+    composition.begin([(1, "/talker"), (2, "/talker"), (3, "/gone")])
+    assert composition.load(1, TALKER) == [AskList(1)]
+    assert composition.load(2, Wanted("/gone", "/")) == []
+    first, again = composition.listed(1, [(1, "/talker"), (2, "/talker")])
+    assert isinstance(first, TellLoaded)
+    assert (first.unique_id, first.adopted) == (1, True)
+    assert "unique_id 2" in first.remark
+    assert isinstance(again, AskList)
+    assert isinstance(composition.listed(2, [(1, "/talker"), (2, "/talker")])[0], AskList)
+    assert composition.listed(3, [(1, "/talker"), (2, "/talker")])[-1] == SendLoad(2)
+
+
+def test_a_node_that_is_gone_from_two_lists_is_gone() -> None:
+    composition = Composition()
+    sent(composition, 1)
+    success(composition, 1, 1, "/talker")
+    composition.listed(1, [(1, "/talker")])
+    composition.look()
+    (again,) = composition.listed(2, [])
+    assert isinstance(again, AskList)
+    (gone,) = composition.listed(3, [])
+    assert isinstance(gone, TellUnloaded)
+    assert gone.reason
+    assert composition.load(2, TALKER) == [SendLoad(2)]
+
+
+def test_an_unload_that_is_refused_is_looked_up() -> None:
+    composition = Composition()
+    sent(composition, 1)
+    success(composition, 1, 1, "/talker")
+    composition.listed(1, [(1, "/talker")])
+    assert composition.unload(1) == [SendUnload(1)]
+    composition.unload_answered(1, success=False, reason="not now")
+    assert composition.listed(2, [(1, "/talker")]) == [TellRejected(1, "not now")]
+    composition.unload(1)
+    composition.unload_answered(1, success=False, reason="no answer")
+    assert composition.listed(3, []) == [TellUnloaded(1, 1, "/talker")]
+    assert composition.unload(1) == [TellRejected(1, "there is no such node")]
+
+
+def test_nodes_without_a_name_are_found_when_there_is_one_new_node_only() -> None:
+    for listed, is_found in (([(2, "/own")], True), ([(2, "/own"), (3, "/x")], False)):
+        composition = Composition()
+        composition.begin([(1, "/old")])
+        sent(composition, 1, Wanted("", "", "demo/demo::Own"))
+        composition.ask_about([1])
+        actions = composition.listed(1, [(1, "/old"), *listed])
+        assert isinstance(actions[0], TellLoaded) is is_found
+
+
+def test_after_a_stop_nothing_more_is_sent() -> None:
+    composition = Composition()
+    sent(composition, 1)
+    composition.load(2, Wanted("/listener", "/"))
+    composition.stop()
+    success(composition, 1, 1, "/talker")
+    assert composition.listed(1, [(1, "/talker")]) == [TellLoaded(1, 1, "/talker")]
+    assert [each.attempt for each in composition.unfinished()] == [1]
+
+
+@dataclass
+class Container:
+    """What it does is true, what it says may be lost or late.
+
+    Some constructors run in the background, which is not known to the other side.
+    """
+
+    next_id: int = 1
+    nodes: dict[int, str] = field(default_factory=dict)
+    requests: list[tuple[str, Any]] = field(default_factory=list)
+    """Waiting for its executor, in the order of their arrival."""
+    answers: list[tuple[Any, ...]] = field(default_factory=list)
+    """On their way back, or lost for good when taken away."""
+    background: list[int] = field(default_factory=list)
+    """Attempts whose constructors run while others are served."""
+
+
+class Dialogue(RuleBasedStateMachine):
+    """The supervisor's side against a truthful container behind a bad line."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.composition = Composition()
+        self.container = Container()
+        self.attempts: dict[int, str] = {}
+        self.ended: dict[int, Action] = {}
+        self.constructed: dict[int, list[int]] = {}
+        self.heard_of: set[int] = set()
+        """Nodes whose success was answered, and the answer arrived."""
+        self.upcoming = 1
+
+    @initialize(names=st.lists(st.sampled_from("abc"), unique=True, min_size=1))
+    def declare(self, names: list[str]) -> None:
+        for name in names:
+            self.load(name)
+
+    def load(self, name: str) -> None:
+        attempt, self.upcoming = self.upcoming, self.upcoming + 1
+        self.attempts[attempt] = name
+        self.do(self.composition.load(attempt, Wanted(f"/{name}", "/")))
+
+    def do(self, actions: list[Action]) -> None:
+        for action in actions:
+            match action:
+                case SendLoad(attempt):
+                    waiting = [each for kind, each in self.container.requests if kind == "load"]
+                    assert attempt not in waiting, "sent twice"
+                    assert not self.constructed.get(attempt), "sent twice"
+                    self.composition.sent(attempt)
+                    self.container.requests.append(("load", attempt))
+                case SendUnload(unique_id):
+                    self.container.requests.append(("unload", unique_id))
+                case AskList(serial):
+                    self.container.requests.append(("list", serial))
+                case TellLoaded(attempt, unique_id):
+                    assert attempt not in self.ended, "two ends of one attempt"
+                    self.ended[attempt] = action
+                    others = [
+                        each.unique_id
+                        for each in self.composition.loaded()
+                        if each.attempt != attempt
+                    ]
+                    assert unique_id not in others, "one node for two attempts"
+                case TellFailed(attempt):
+                    assert attempt not in self.ended, "two ends of one attempt"
+                    self.ended[attempt] = action
+                case TellUnloaded(attempt, unique_id):
+                    assert unique_id not in self.container.nodes, "told dead while it lives"
+
+    @precondition(lambda self: self.container.requests)
+    @rule(fails=st.booleans(), takes_long=st.booleans())
+    def container_works(self, fails: bool, takes_long: bool) -> None:
+        """It takes the oldest request."""
+        box = self.container
+        kind, what = box.requests.pop(0)
+        if kind == "load" and takes_long:
+            box.background.append(what)
+        elif kind == "load":
+            self.construct(what, fails)
+        elif kind == "unload":
+            box.answers.append(("unload", what, box.nodes.pop(what, None) is not None))
+        else:
+            box.answers.append(("list", what, tuple(box.nodes.items())))
+
+    def construct(self, attempt: int, fails: bool) -> None:
+        box = self.container
+        name = f"/{self.attempts[attempt]}"
+        unique_id, box.next_id = box.next_id, box.next_id + 1
+        if not fails:
+            box.nodes[unique_id] = name
+            self.constructed.setdefault(attempt, []).append(unique_id)
+        box.answers.append(("load", attempt, not fails, unique_id, name))
+
+    @precondition(lambda self: self.container.background)
+    @rule(fails=st.booleans())
+    def a_slow_constructor_returns(self, fails: bool) -> None:
+        self.construct(self.container.background.pop(0), fails)
+
+    @precondition(lambda self: self.container.answers)
+    @rule(data=st.data())
+    def an_answer_arrives(self, data: st.DataObject) -> None:
+        """In any order."""
+        answers = self.container.answers
+        self.hear(answers.pop(data.draw(st.integers(0, len(answers) - 1))))
+
+    def hear(self, answer: tuple[Any, ...]) -> None:
+        kind, what, *rest = answer
+        if kind == "load":
+            ok, unique_id, name = rest
+            self.heard_of |= {unique_id} if ok else set()
+            self.do(
+                self.composition.answered(
+                    what,
+                    success=ok,
+                    unique_id=unique_id if ok else 0,
+                    full_name=name if ok else "",
+                    reason="" if ok else "refused",
+                )
+            )
+        elif kind == "unload":
+            self.do(self.composition.unload_answered(what, success=rest[0], reason="unknown"))
+        else:
+            self.do(self.composition.listed(what, rest[0]))
+
+    @precondition(lambda self: self.container.answers)
+    @rule()
+    def an_answer_is_lost(self) -> None:
+        kind, what, *_ = self.container.answers.pop(0)
+        if kind == "list":
+            self.do(self.composition.list_unanswered(what))
+        elif kind == "unload":
+            self.do(self.composition.unload_answered(what, success=False, reason="silence"))
+
+    @precondition(lambda self: self.container.requests)
+    @rule()
+    def a_request_is_lost(self) -> None:
+        kind, what = self.container.requests.pop(0)
+        if kind == "list":
+            self.do(self.composition.list_unanswered(what))
+        elif kind == "unload":
+            self.do(self.composition.unload_answered(what, success=False, reason="silence"))
+
+    @rule()
+    def silence_lasts(self) -> None:
+        current = self.composition.current
+        if current is not None:
+            self.do(self.composition.ask_about([current.attempt]))
+            self.resend()
+
+    def resend(self) -> None:
+        """As the actor does when the answer to its question is that nobody knows the attempt."""
+        for attempt, name in list(self.attempts.items()):
+            is_latest = attempt == max(a for a, n in self.attempts.items() if n == name)
+            is_forgotten = self.composition.stage(attempt) is None and attempt not in self.ended
+            if is_latest and is_forgotten and len(self.attempts) < 20:
+                self.load(name)
+
+    @rule()
+    def somebody_looks(self) -> None:
+        self.do(self.composition.look())
+
+    @precondition(lambda self: self.composition.loaded())
+    @rule(data=st.data())
+    def it_is_unloaded(self, data: st.DataObject) -> None:
+        load = data.draw(st.sampled_from(self.composition.loaded()))
+        self.do(self.composition.unload(load.unique_id))
+
+    @invariant()
+    def one_load_at_a_time(self) -> None:
+        assert len([kind for kind, _ in self.container.requests if kind == "load"]) <= 1
+
+    @invariant()
+    def nothing_is_constructed_twice_for_one_attempt(self) -> None:
+        assert all(len(ids) == 1 for ids in self.constructed.values())
+
+    @invariant()
+    def one_node_is_one_attempt(self) -> None:
+        ids = [load.unique_id for load in self.composition.loaded()]
+        assert len(ids) == len(set(ids))
+
+    def teardown(self) -> None:
+        """When the line is good again, all comes to its end, and each node is there once."""
+        box = self.container
+        for _ in range(1000):
+            if box.background:
+                self.construct(box.background.pop(0), fails=False)
+            elif box.requests:
+                self.container_works(fails=False, takes_long=False)
+            elif box.answers:
+                self.hear(box.answers.pop(0))
+            elif self.composition.current is not None:
+                self.silence_lasts()
+            else:
+                self.resend()
+                if not box.requests:
+                    break
+        assert self.composition.current is None
+        for _ in range(3):
+            self.do(self.composition.look())
+            while box.requests or box.answers:
+                if box.requests:
+                    self.container_works(fails=False, takes_long=False)
+                else:
+                    self.hear(box.answers.pop(0))
+        believed = {load.unique_id: load.full_name for load in self.composition.loaded()}
+        assert believed.items() <= box.nodes.items(), "a dead node is believed alive"
+        surplus = box.nodes.keys() - believed.keys()
+        assert not surplus & self.heard_of, "a node that was told of is there and nobody has it"
+
+
+TestDialogue = Dialogue.TestCase
+TestDialogue.settings = settings(max_examples=400, stateful_step_count=40, deadline=None)

@@ -1,0 +1,324 @@
+"""Containers that are not our own and behave: the honest kind, and those of somebody else."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from composition_interfaces.srv import ListNodes, LoadNode, UnloadNode
+from mcap.reader import make_reader
+from std_msgs.msg import String
+
+from tests.support.container import running_container
+from tests.support.replay import COMMAND, Replay, replaying
+from tests.support.ros import Probe
+from tests.support.stock import (
+    Double,
+    has_components,
+    install,
+    rclcpp_container,
+    running_double,
+)
+
+LIMIT = "180s"
+"""Ends a run whose test waits in vain."""
+
+
+def demo(plugin: str, name: str, **keys: Any) -> dict[str, Any]:
+    return {
+        "package": "play_launch_demo",
+        "plugin": f"play_launch_demo::{plugin}",
+        "name": name,
+        **keys,
+    }
+
+
+def any_node(name: str, *faults: str) -> dict[str, Any]:
+    parameters = {"parameters": {"faults": list(faults)}} if faults else {}
+    return {"package": "any", "plugin": "any::Node", "name": name, **parameters}
+
+
+def write(folder: Path, *containers: dict[str, Any], **keys: Any) -> Path:
+    path = folder / "stock.yaml"
+    document = {"version": 1, "containers": list(containers), **keys}
+    path.write_text(yaml.safe_dump(document, sort_keys=False))
+    return path
+
+
+def state(node: str, *states: str) -> Callable[[dict[str, Any]], bool]:
+    """Whether an event tells that a node is in one of these states."""
+    return lambda event: (
+        event["event"] == "node" and event["node"] == node and event["state"] in states
+    )
+
+
+def told(replay: Replay, word: str) -> list[str]:
+    """What the supervisor's log said with that word in it."""
+    return [
+        event["message"]
+        for event in replay.seen
+        if event["event"] == "log" and word in event["message"]
+    ]
+
+
+def listed(container: str) -> dict[str, int]:
+    with Probe() as probe:
+        answer = probe.call(
+            ListNodes, f"{container}/_container/list_nodes", ListNodes.Request(), 60
+        )
+    return dict(zip(answer.full_node_names, answer.unique_ids, strict=True))
+
+
+HONEST = {
+    "name": "honest",
+    "container_type": "stock",
+    "package": "play_launch_container",
+    "composable_nodes": [
+        demo("Talker", "talker", parameters={"rate": 50.0}, remappings={"chatter": "/said"}),
+        demo("Listener", "listener", remappings={"chatter": "/said"}),
+        demo("ThrowingConstructor", "broken"),
+    ],
+}
+
+
+def test_real_components_are_loaded_talk_and_are_recorded(tmp_path: Path) -> None:
+    config = write(tmp_path, HONEST)
+    with replaying(config, tmp_path, "--duration", LIMIT) as replay:
+        replay.read_until(state("/broken", "load failed"), "the failure")
+        with Probe() as probe:
+            heard = probe.collect(String, "/said", count=2, timeout=60)
+        assert heard[0].data.startswith("Hello World")
+        replay.process.terminate()
+        replay.read_all()
+    summary = replay.seen[-1]["containers"][0]
+    assert (summary["loaded"], summary["failed"]) == (2, ["/broken"])
+    (started,) = (e for e in replay.seen if e["event"] == "process" and e["kind"] == "started")
+    assert Path(started["command"][0]).name == "component_container"
+    (ready,) = (e for e in replay.seen if e["event"] == "process" and e["kind"] == "ready")
+    assert ready["message"].startswith("stock, rmw_fastrtps_cpp, domain ")
+    with replay.bag.open("rb") as bag:
+        topics = {channel.topic for _, channel, _ in make_reader(bag).iter_messages()}
+    assert {"/play_launch/events", "/play_launch/process_events"} <= topics
+
+
+def test_a_killed_container_comes_back_with_its_nodes(tmp_path: Path) -> None:
+    config = write(tmp_path, HONEST)
+    with replaying(config, tmp_path, "--duration", LIMIT) as replay:
+        first = replay.read_until(state("/listener", "loaded"), "the node")
+        replay.read_until(state("/broken", "load failed"), "the failure")
+        os.kill(first["pid"], 9)
+        replay.read_until(state("/listener", "lost"), "the loss")
+        again = replay.read_until(state("/listener", "loaded"), "the node again")
+        assert again["pid"] != first["pid"]
+        assert again["unique_id"] == first["unique_id"] == 2
+        replay.read_until(state("/broken", "load failed"), "the failure again")
+        assert set(listed("/honest")) == {"/talker", "/listener"}
+
+
+def test_a_node_that_somebody_else_unloads_is_told(tmp_path: Path) -> None:
+    config = write(tmp_path, HONEST)
+    with replaying(config, tmp_path, "--duration", LIMIT) as replay:
+        loaded = replay.read_until(state("/listener", "loaded"), "the node")
+        replay.read_until(state("/broken", "load failed"), "the failure")
+        with Probe() as probe:
+            request = UnloadNode.Request(unique_id=loaded["unique_id"])
+            service = "/honest/_container/unload_node"
+            assert probe.call(UnloadNode, service, request, 60).success
+        unloaded = replay.read_until(state("/listener", "unloaded"), "its end")
+        assert "we did not unload it" in unloaded["reason"]
+
+
+def test_a_program_that_is_not_there_is_said_at_once(tmp_path: Path) -> None:
+    config = write(
+        tmp_path,
+        {"name": "box", "container_type": "stock", "package": "nobody_has_this"},
+    )
+    result = subprocess.run(
+        [COMMAND, "replay", config, "--log-dir", tmp_path],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert result.returncode == 1
+    assert "package nobody_has_this has no executable component_container" in result.stdout
+
+
+THEIRS = {"name": "theirs", "container_type": "stock", "attach": True}
+
+
+@pytest.fixture(name="double")
+def _double(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Double:
+    double = install(tmp_path)
+    for name, value in double.environment.items():
+        monkeypatch.setenv(name, value)
+    return double
+
+
+def load(name: str) -> int:
+    """Have somebody else load a node into /theirs."""
+    with Probe() as probe:
+        request = LoadNode.Request(package_name="any", plugin_name="any::Node", node_name=name)
+        answer = probe.call(LoadNode, "/theirs/_container/load_node", request, 60)
+    assert answer.success
+    return int(answer.unique_id)
+
+
+def test_attaching_adopts_what_is_there_loads_the_rest_and_unloads_only_that(
+    tmp_path: Path, double: Double
+) -> None:
+    nodes = [any_node("there"), any_node("missing")]
+    config = write(tmp_path, THEIRS | {"composable_nodes": nodes})
+    with running_double(double) as container:
+        there = load("there")
+        stranger = load("stranger")
+        with replaying(config, tmp_path, "--duration", LIMIT) as replay:
+            adopted = replay.read_until(state("/there", "loaded"), "the one that was there")
+            replay.read_until(state("/missing", "loaded"), "the one that was missing")
+            assert adopted["unique_id"] == there
+            assert "there already" in adopted["reason"]
+            assert set(listed("/theirs")) == {"/there", "/stranger", "/missing"}
+            replay.process.terminate()
+            replay.read_all()
+        assert listed("/theirs") == {"/there": there, "/stranger": stranger}
+        assert container.poll() is None
+    assert [name for name, _ in double.journal("construct")] == ["/there", "/stranger", "/missing"]
+
+
+def test_a_container_of_somebody_else_is_waited_for_and_for_again(
+    tmp_path: Path, double: Double
+) -> None:
+    config = write(tmp_path, THEIRS | {"composable_nodes": [any_node("one")]})
+    with replaying(config, tmp_path, "--duration", LIMIT) as replay:
+        with running_double(double):
+            replay.read_until(state("/one", "loaded"), "the node")
+        replay.read_until(state("/one", "lost"), "the loss")
+        with running_double(double):
+            replay.read_until(state("/one", "loaded"), "the node again")
+        replay.read_until(state("/one", "lost"), "the second loss")
+        messages = [e["message"] for e in replay.seen if e["event"] == "process"]
+        assert any("services are not in the graph" in message for message in messages)
+    assert len(double.journal("construct")) == 2
+
+
+def test_coming_and_going_is_bounded(tmp_path: Path, double: Double) -> None:
+    container = THEIRS | {"composable_nodes": [any_node("one")], "restart": {"max_restarts": 1}}
+    config = write(tmp_path, container)
+    with replaying(config, tmp_path, "--duration", LIMIT) as replay:
+        for _ in range(2):
+            with running_double(double):
+                replay.read_until(state("/one", "loaded"), "the node")
+            replay.read_until(state("/one", "lost"), "the loss")
+        replay.read_all()
+        assert replay.process.returncode == 1
+    assert told(replay, "/theirs is given up")
+
+
+def test_nobody_is_waited_for_in_silence(tmp_path: Path) -> None:
+    config = write(tmp_path, THEIRS | {"composable_nodes": [any_node("one")]})
+    with replaying(config, tmp_path, "--duration", LIMIT) as replay:
+        replay.read_until(
+            lambda event: (
+                event["event"] == "log"
+                and event["message"]
+                == "/theirs is waited for: no container of that name is running"
+            ),
+            "the word",
+        )
+
+
+def test_a_run_that_ends_before_the_container_came_has_nodes_missing(tmp_path: Path) -> None:
+    config = write(tmp_path, THEIRS | {"composable_nodes": [any_node("one")]}, duration="1 s")
+    with replaying(config, tmp_path) as replay:
+        replay.read_all()
+        assert replay.process.returncode == 3
+
+
+def test_a_container_is_let_go_in_time_though_it_does_not_unload(
+    tmp_path: Path, double: Double
+) -> None:
+    nodes = [any_node("kept", "keep"), any_node("stuck", "hang")]
+    config = write(tmp_path, THEIRS | {"composable_nodes": nodes}, stop={"ask": "1 s"})
+    with running_double(double) as container:
+        with replaying(config, tmp_path, "--duration", LIMIT) as replay:
+            replay.read_until(state("/stuck", "loading"), "the load that hangs")
+            replay.process.terminate()
+            replay.read_all()
+            assert told(replay, "not unloaded in time")
+        assert container.poll() is None
+
+
+def test_our_own_container_can_be_attached_to_as_well(tmp_path: Path) -> None:
+    nodes = [demo("Talker", "talker"), demo("SlowConstructor", "slow", parameters={"seconds": 5.0})]
+    config = write(
+        tmp_path,
+        THEIRS | {"composable_nodes": nodes, "loading_timeout": "1 s"},
+    )
+    with running_container(name="theirs", log=tmp_path / "log") as container:
+        with replaying(config, tmp_path, "--duration", LIMIT) as replay:
+            slow = replay.read_until(state("/slow", "loaded"), "the slow one")
+            # It answers while it constructs, so that a list without the node means nothing.
+            assert slow["attempt"] == 2
+            assert not told(replay, "sent anew")
+            replay.process.terminate()
+            replay.read_all()
+        assert listed("/theirs") == {}
+        assert container.poll() is None
+
+
+@pytest.fixture(name="_rclcpp")
+def _needs_rclcpp(request: pytest.FixtureRequest) -> None:
+    """Each test is named in the list of what was not run, and not only its line."""
+    missing = []
+    if rclcpp_container() is None:
+        missing.append("component_container of rclcpp_components")
+    if not has_components("composition"):
+        missing.append("the package composition of ROS's demos")
+    if missing:
+        pytest.skip(f"{request.node.name} was NOT RUN: not on this machine: {', '.join(missing)}")
+
+
+@pytest.mark.usefixtures("_rclcpp")
+@pytest.mark.parametrize(
+    "executable", ["component_container", "component_container_mt", "component_container_isolated"]
+)
+def test_rclcpps_own_container_loads_the_demo_components(tmp_path: Path, executable: str) -> None:
+    nodes = [
+        {"package": "composition", "plugin": f"composition::{plugin}", "name": plugin.lower()}
+        for plugin in ("Talker", "Listener", "Server")
+    ]
+    config = write(
+        tmp_path,
+        {
+            "name": "real",
+            "container_type": "stock",
+            "executable": executable,
+            "composable_nodes": [*nodes, any_node("nobody_has_it")],
+        },
+    )
+    with replaying(config, tmp_path, "--duration", LIMIT) as replay:
+        failed = replay.read_until(state("/nobody_has_it", "load failed"), "the failure")
+        assert failed["reason"]
+        with Probe() as probe:
+            assert probe.collect(String, "/chatter", timeout=60)
+        assert set(listed("/real")) == {"/talker", "/listener", "/server"}
+        replay.process.terminate()
+        replay.read_all()
+    assert replay.seen[-1]["containers"][0]["loaded"] == 3
+
+
+@pytest.mark.usefixtures("_rclcpp")
+def test_rclcpps_own_container_comes_back_after_sigkill(tmp_path: Path) -> None:
+    talker = {"package": "composition", "plugin": "composition::Talker", "name": "talker"}
+    container = {"name": "real", "container_type": "stock", "composable_nodes": [talker]}
+    with replaying(write(tmp_path, container), tmp_path, "--duration", LIMIT) as replay:
+        first = replay.read_until(state("/talker", "loaded"), "the node")
+        os.kill(first["pid"], 9)
+        replay.read_until(state("/talker", "lost"), "the loss")
+        again = replay.read_until(state("/talker", "loaded"), "the node again")
+        assert again["pid"] != first["pid"]

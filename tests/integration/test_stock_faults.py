@@ -1,0 +1,237 @@
+"""Stock containers that misbehave in every way that is known, and what becomes of their nodes.
+
+One run for all of them: the supervisor and the containers talk over real DDS on the loopback
+interface. What the double really did stands in its journal.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import pytest
+import yaml
+
+from tests.support.replay import replaying
+from tests.support.stock import EXECUTABLE, PACKAGE, Double, install
+
+PATIENCE = 180.0
+
+
+def node(name: str, *faults: str) -> dict[str, Any]:
+    parameters = {"parameters": {"faults": list(faults)}} if faults else {}
+    return {"package": "any", "plugin": "any::Node", "name": name, **parameters}
+
+
+def box(name: str, *nodes: dict[str, Any], **keys: Any) -> dict[str, Any]:
+    return {
+        "name": f"{name}_box",
+        "container_type": "stock",
+        "package": PACKAGE,
+        "executable": EXECUTABLE,
+        "composable_nodes": list(nodes),
+        **keys,
+    }
+
+
+CONTAINERS = [
+    box("requests", node("asked_twice", "lose_request"), node("after_it")),
+    box("answers", node("unanswered", "lose_answer"), node("beside_it")),
+    box("failures", node("failing", "fail"), node("not_failing")),
+    box("liars", node("denied", "deny"), node("pretended", "pretend"), node("honest")),
+    box("numbers", node("first"), node("second", "same_id"), arguments=["--twice-listed"]),
+    box("slow", node("slow", "slow:6"), node("queued")),
+    box("hanging", node("hanging", "hang"), node("behind_it")),
+    box("mortal", node("survivor"), node("killer", "die")),
+    box("doomed", node("destroyer", "die", "die", "die"), restart={"max_restarts": 2}),
+    box("background", node("late", "late:8"), arguments=["--background"]),
+    box("deaf", node("heard"), arguments=["--mute-lists", "2"]),
+]
+SETTLED = {
+    "/asked_twice": "loaded",
+    "/after_it": "loaded",
+    "/unanswered": "loaded",
+    "/beside_it": "loaded",
+    "/failing": "load failed",
+    "/not_failing": "loaded",
+    "/denied": "loaded",
+    "/pretended": "load failed",
+    "/honest": "loaded",
+    "/first": "loaded",
+    "/second": "loaded",
+    "/slow": "loaded",
+    "/queued": "loaded",
+    "/survivor": "loaded",
+    "/killer": "loaded",
+    "/late": "loaded",
+    "/heard": "loaded",
+}
+"""The others never settle: one hangs, one is behind it, and one is given up with its container."""
+
+
+@dataclass
+class Run:
+    """What the run told, and what the containers did."""
+
+    double: Double
+    events: list[dict[str, Any]] = field(default_factory=list)
+    exit_code: int = -1
+    alive_before_stop: list[str] = field(default_factory=list)
+
+    def of(self, event_type: str, /, **fields: Any) -> list[dict[str, Any]]:
+        return [
+            event
+            for event in self.events
+            if event["event"] == event_type and all(event[key] == fields[key] for key in fields)
+        ]
+
+    def states(self, name: str) -> list[str]:
+        """The states of a node, without repetitions."""
+        told = [event["state"] for event in self.of("node", node=name)]
+        return [state for i, state in enumerate(told) if i == 0 or state != told[i - 1]]
+
+    def loaded(self, name: str) -> dict[str, Any]:
+        """The event by which it was loaded at last."""
+        return self.of("component", kind="loaded", full_node_name=name)[-1]
+
+    def reasons(self, name: str) -> str:
+        return " | ".join(e["reason"] for e in self.of("node", node=name))
+
+    def constructed(self, name: str) -> int:
+        return [each[0] for each in self.double.journal("construct")].count(name)
+
+    def requested(self, name: str) -> int:
+        return [each[0] for each in self.double.journal("load")].count(name)
+
+
+@pytest.fixture(scope="module", name="run")
+def _run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    folder = tmp_path_factory.mktemp("stock")
+    run = Run(install(folder))
+    config = folder / "faults.yaml"
+    document = {
+        "version": 1,
+        "composable_node_loading": {"loading_timeout": "1 s"},
+        "stop": {"sigint": "500 ms", "sigterm": "500 ms"},
+        "containers": CONTAINERS,
+    }
+    config.write_text(yaml.safe_dump(document, sort_keys=False))
+    states: dict[str, str] = {}
+    given_up: set[str] = set()
+
+    def settled(event: dict[str, Any]) -> bool:
+        if event["event"] == "node":
+            states[event["node"]] = event["state"]
+        if event["event"] == "container" and event["state"] == "gave up":
+            given_up.add(event["container"])
+        is_cleared = ["/late"] in [each[:1] for each in run.double.journal("destroy")]
+        done = all(states.get(name) == state for name, state in SETTLED.items())
+        return done and is_cleared and given_up == {"/doomed_box"}
+
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in run.double.environment.items():
+            patch.setenv(name, value)
+        with replaying(config, folder / "logs", "--duration", f"{PATIENCE:g}s") as replay:
+            replay.read_until(settled, "everything settled")
+            run.alive_before_stop = run.double.alive()
+            replay.process.terminate()
+            run.events = replay.read_all()
+            run.exit_code = replay.process.returncode
+    return run
+
+
+def test_a_load_whose_request_got_lost_is_sent_once_more(run: Run) -> None:
+    assert run.requested("/asked_twice") == 2
+    assert run.constructed("/asked_twice") == 1
+    assert run.loaded("/asked_twice")["attempt"] > run.loaded("/after_it")["attempt"]
+    assert "did not know the load" in run.reasons("/asked_twice")
+
+
+def test_a_node_whose_answer_got_lost_is_found_in_the_list(run: Run) -> None:
+    assert run.requested("/unanswered") == run.constructed("/unanswered") == 1
+    loaded = run.loaded("/unanswered")
+    assert loaded["confirmed_by"] == "list_nodes"
+    assert "not answered" in loaded["error_message"]
+    assert run.loaded("/beside_it")["confirmed_by"] == ""
+
+
+def test_a_failure_has_its_reason_and_is_not_tried_again(run: Run) -> None:
+    assert run.states("/failing")[-1] == "load failed"
+    assert "threw an exception: as told" in run.reasons("/failing")
+    assert run.requested("/failing") == 1
+
+
+def test_an_answer_is_not_believed_against_the_list(run: Run) -> None:
+    denied = run.loaded("/denied")
+    assert denied["confirmed_by"] == "list_nodes"
+    assert "said that it failed" in denied["error_message"]
+    assert not run.of("component", kind="loaded", full_node_name="/pretended")
+    assert "does not list it" in run.reasons("/pretended")
+    assert run.requested("/pretended") == 1
+
+
+def test_a_unique_id_that_belongs_to_another_node_is_not_taken_over(run: Run) -> None:
+    first, second = run.loaded("/first"), run.loaded("/second")
+    assert (first["unique_id"], second["unique_id"]) == (1, 2)
+    assert second["confirmed_by"] == "list_nodes"
+
+
+def test_a_slow_constructor_is_waited_for_and_reported(run: Run) -> None:
+    assert run.requested("/slow") == run.constructed("/slow") == 1
+    assert "LoadNode was sent" in run.reasons("/slow")
+    assert "answers nothing meanwhile" in run.reasons("/slow")
+    assert run.loaded("/slow")["confirmed_by"] == ""
+
+
+def test_who_waits_behind_a_slow_one_is_no_news(run: Run) -> None:
+    assert run.states("/queued")[:4] == ["pending", "requested", "loading", "loaded"]
+    assert "LoadNode" not in run.reasons("/queued")
+
+
+def test_a_constructor_that_hangs_keeps_up_its_own_container_only(run: Run) -> None:
+    assert run.requested("/hanging") == 1
+    assert "loaded" not in run.states("/hanging")
+    assert run.requested("/behind_it") == 0
+    assert run.states("/behind_it")[:2] == ["pending", "requested"]
+    assert "loading" not in run.states("/behind_it")
+
+
+def test_a_container_that_dies_comes_back_with_all_of_its_nodes(run: Run) -> None:
+    for name in ("/survivor", "/killer"):
+        assert "lost" in run.states(name)
+        assert run.states(name).index("lost") < len(run.states(name)) - 1 - run.states(name)[
+            ::-1
+        ].index("loaded")
+    assert (
+        len({event["pid"] for event in run.of("process", kind="started", name="/mortal_box")}) == 2
+    )
+
+
+def test_a_container_that_dies_of_every_load_is_given_up(run: Run) -> None:
+    assert run.requested("/destroyer") == 3
+    assert run.states("/destroyer")[-1] == "lost"
+
+
+def test_a_node_that_came_late_and_twice_is_there_once(run: Run) -> None:
+    assert run.requested("/late") == run.constructed("/late") == 2
+    assert run.alive_before_stop.count("/late") == 1
+    assert run.loaded("/late")["unique_id"] != int(
+        next(each[1] for each in run.double.journal("destroy") if each[0] == "/late")
+    )
+
+
+def test_a_container_that_does_not_answer_at_first_is_asked_again(run: Run) -> None:
+    assert run.states("/heard")[:4] == ["pending", "requested", "loading", "loaded"]
+
+
+def test_everybody_who_is_declared_is_there_once(run: Run) -> None:
+    there = [name for name, state in SETTLED.items() if state == "loaded"]
+    of_dead_processes = ["/survivor"]
+    assert run.alive_before_stop == sorted([*there, *of_dead_processes])
+
+
+def test_at_the_end_nodes_go_with_their_container(run: Run) -> None:
+    assert run.exit_code == 128 + 15
+    for name in ("/after_it", "/honest", "/first", "/heard"):
+        assert run.states(name)[-1] == "unloaded"
+    assert run.states("/hanging")[-1] == "lost"
