@@ -37,7 +37,7 @@ constexpr std::array kShared{
     "libspdlog"sv,       "libyaml"sv,       "libmimalloc"sv,     "libjemalloc"sv,
     "libtcmalloc"sv,     "libddsc"sv,       "libcyclonedds"sv,   "libiceoryx"sv,
     "libzenoh"sv,        "libfoonathan_"sv, "ld-linux"sv,        "ld.so"sv,
-    "libstatistics_"sv,
+    "libstatistics_"sv, "libconsole_bridge"sv,
 };
 /// The demonstration's components are a user's, not the SDK.
 constexpr std::array kNotShared{"libplay_launch_demo"sv};
