@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import TYPE_CHECKING
 
 import pytest
@@ -9,9 +10,12 @@ from play_launch_msgs.msg import ComponentEvent, ControlUnload
 from rcl_interfaces.srv import GetParameters, ListParameters
 from std_msgs.msg import String
 
+from tests.rclcpp.conftest import prefix_of
 from tests.rclcpp.modes import MODES, start
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from tests.support.control_peer import Container, StartContainer
     from tests.support.ros import Probe
 
@@ -63,9 +67,15 @@ def test_service_and_client(spawn: StartContainer, mode: str, probe: Probe) -> N
 
 @all_modes
 @pytest.mark.needs_packages("demo_nodes_cpp")
-def test_parameters(spawn: StartContainer, mode: str, probe: Probe) -> None:
-    container = start(spawn, mode)
+def test_parameters(spawn: StartContainer, mode: str, probe: Probe, tmp_path: Path) -> None:
     package = "demo_nodes_cpp"
+    # Version 0.33.5 of that package builds its components, but enters none in the index.
+    index = tmp_path / "share" / "ament_index" / "resource_index" / "rclcpp_components"
+    index.mkdir(parents=True)
+    library = f"{prefix_of(package)}/lib/libparameter_blackboard_library.so"
+    (index / package).write_text(f"demo_nodes_cpp::ParameterBlackboard;{library}\n")
+    path = os.pathsep.join([os.fspath(tmp_path), os.environ["AMENT_PREFIX_PATH"]])
+    container = start(spawn, mode, environment={"AMENT_PREFIX_PATH": path})
     node = container.loaded("demo_nodes_cpp::ParameterBlackboard", package=package)
     assert node.full_node_name == "/parameter_blackboard"
     again = container.loaded(

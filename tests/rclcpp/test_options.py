@@ -48,7 +48,9 @@ def test_parameters_keep_their_types(
         for name, (kind, field, value) in TYPED.items()
     ]
     loaded = probe.call(
-        LoadNode, "/container/_container/load_node", request(components, "Options", parameters=given)
+        LoadNode,
+        "/container/_container/load_node",
+        request(components, "Options", parameters=given),
     )
     assert loaded.success, loaded.error_message
     answer = probe.call(
@@ -99,9 +101,7 @@ def test_what_is_not_said_is_off(
     spawn: StartContainer, components: str, mode: str, probe: Probe
 ) -> None:
     start(spawn, mode)
-    loaded = probe.call(
-        LoadNode, "/container/_container/load_node", request(components, "Options")
-    )
+    loaded = probe.call(LoadNode, "/container/_container/load_node", request(components, "Options"))
     # The container's own name is a global argument, and not for the components in it.
     assert (loaded.success, loaded.full_node_name) == (True, "/options")
     (facts,) = probe.collect(String, "/options", qos=LATCHED)

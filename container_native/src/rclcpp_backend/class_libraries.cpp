@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "container/load_request.hpp"
+#include "rclcpp_backend/missing_symbols.hpp"
 
 namespace play_launch::rclcpp_backend {
 namespace {
@@ -43,6 +44,13 @@ class_loader::ClassLoader& ClassLibraries::loader(const std::string& library) {
   } catch (const std::exception& error) {
     throw LoadError("cannot load library " + library + ": " + error.what());
   }
+  if (const std::vector<std::string> missing = missing_functions(library); !missing.empty()) {
+    throw LoadError("cannot load library " + library + ": nobody has " + missing.front() +
+                    (missing.size() > 1
+                         ? " and " + std::to_string(missing.size() - 1) + " more functions"
+                         : "") +
+                    " that it calls");
+  }
   const std::lock_guard lock(mutex_);
   // Somebody else may have been faster; then the loader that was made lets go of the library.
   return *loaders_.emplace(library, std::move(made)).first->second;
@@ -54,9 +62,8 @@ std::shared_ptr<rclcpp_components::NodeFactory> ClassLibraries::factory(const st
   class_loader::ClassLoader& loader = this->loader(library);
   const std::vector<std::string> classes = loader.getAvailableClasses<NodeFactory>();
   const std::string registered_as = kFactoryTemplate + plugin + ">";
-  const auto found = std::ranges::find_if(classes, [&](const std::string& name) {
-    return name == plugin || name == registered_as;
-  });
+  const auto found = std::ranges::find_if(
+      classes, [&](const std::string& name) { return name == plugin || name == registered_as; });
   if (found == classes.end()) {
     throw LoadError("the index says that " + library + " has component '" + plugin +
                     "', but it registers " + listed(classes) +

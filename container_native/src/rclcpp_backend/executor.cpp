@@ -163,9 +163,12 @@ void NodeExecutor::take_out(const Node::SharedPtr& node) {
   std::vector<const rclcpp::CallbackGroup*> groups;
   {
     ++removals_;
-    interrupt_guard_condition_->trigger();
+    if (!abandoned_) {
+      interrupt_guard_condition_->trigger();
+    }
     const std::lock_guard lock(take_mutex_);
-    remove_node(node);
+    // Who died waiting cannot be woken: the C library would wait for it to wake up.
+    remove_node(node, !abandoned_);
     // What was found ready may be this node's; the rest is found ready again.
     wait_result_.reset();
     --removals_;
@@ -184,6 +187,7 @@ bool NodeExecutor::runs_any_of(const std::vector<const rclcpp::CallbackGroup*>& 
 }
 
 void NodeExecutor::abandon() {
+  abandoned_ = true;
   interrupt_.abandon();
   for (Worker& worker : workers_) {
     let_go(worker.thread);

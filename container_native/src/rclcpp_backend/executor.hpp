@@ -74,6 +74,7 @@ class NodeExecutor final : public rclcpp::Executor {
   bool runs_any_of(const std::vector<const rclcpp::CallbackGroup*>& groups) const;
 
   std::atomic<bool> cancelled_{false};
+  bool abandoned_ = false;
   std::vector<Worker> workers_;
 
   /// Held by the one worker that waits for work.

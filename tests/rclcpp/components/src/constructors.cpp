@@ -1,8 +1,8 @@
 #include <future>
 #include <rclcpp/rclcpp.hpp>
 #include <rclcpp_components/register_node_macro.hpp>
-#include <stdexcept>
 #include <std_msgs/msg/string.hpp>
+#include <stdexcept>
 
 namespace play_launch_rclcpp_test {
 

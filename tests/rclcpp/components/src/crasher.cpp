@@ -5,8 +5,8 @@
 #include <cstdlib>
 #include <rclcpp/rclcpp.hpp>
 #include <rclcpp_components/register_node_macro.hpp>
-#include <stdexcept>
 #include <std_msgs/msg/string.hpp>
+#include <stdexcept>
 #include <string>
 
 namespace play_launch_rclcpp_test {

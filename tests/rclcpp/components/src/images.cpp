@@ -45,8 +45,8 @@ class ImageSink : public rclcpp::Node {
  public:
   explicit ImageSink(const rclcpp::NodeOptions& options) : Node("image_sink", options) {
     publisher_ = create_publisher<std_msgs::msg::String>("verdict", 10);
-    subscription_ = create_subscription<Image>(
-        "image", 10, [this](Image::UniquePtr image) { judge(*image); });
+    subscription_ =
+        create_subscription<Image>("image", 10, [this](Image::UniquePtr image) { judge(*image); });
   }
 
  private:
