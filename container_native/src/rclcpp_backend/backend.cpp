@@ -1,6 +1,8 @@
 #include "rclcpp_backend/backend.hpp"
 
 #include <algorithm>
+#include <atomic>
+#include <cstdint>
 #include <rclcpp/logger.hpp>
 #include <rclcpp_components/node_instance_wrapper.hpp>
 #include <string>
@@ -45,6 +47,7 @@ class RclcppExecutor final : public ComponentExecutor {
   void add(Component& component) override { executor_.add_node(node_of(component)); }
   void remove(Component& component) override { executor_.take_out(node_of(component)); }
   void abandon() override { executor_.abandon(); }
+  void beat_into(std::atomic<std::int64_t>& beat) { executor_.beat_into(beat); }
 
  private:
   static const NodeBaseInterface::SharedPtr& node_of(Component& component) {

@@ -14,8 +14,6 @@
 namespace play_launch::rclcpp_backend {
 namespace {
 
-constexpr std::chrono::nanoseconds kForEver{-1};
-
 /// Frees the stack of a thread whose process died, without waiting for one that lives.
 void let_go(std::thread& thread) {
   if (thread.joinable()) {
@@ -99,6 +97,21 @@ void NodeExecutor::cancel() {
   interrupt_.ring();
 }
 
+void NodeExecutor::beat_into(std::atomic<std::int64_t>& beat) noexcept {
+  beat_ = &beat;
+  note_beat();
+}
+
+/// Notes that a thread looks for work; how long it may then wait for it.
+std::chrono::nanoseconds NodeExecutor::note_beat() {
+  if (beat_ == nullptr) {
+    return std::chrono::nanoseconds(-1);  // for ever
+  }
+  const std::chrono::nanoseconds now = std::chrono::steady_clock::now().time_since_epoch();
+  beat_->store(now.count(), std::memory_order_relaxed);
+  return std::chrono::seconds(1);
+}
+
 bool NodeExecutor::may_run() const { return !cancelled_ && rclcpp::ok(context_); }
 
 void NodeExecutor::run(Worker& worker) noexcept {
@@ -118,7 +131,7 @@ bool NodeExecutor::take(Worker& worker) {
     interrupt_guard_condition_->trigger();  // the others that sit here are to leave, too
     return false;
   }
-  if (!get_next_executable(*worker.work, kForEver)) {
+  if (!get_next_executable(*worker.work, note_beat())) {
     return false;
   }
   const std::lock_guard runs(runs_mutex_);

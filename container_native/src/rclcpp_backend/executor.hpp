@@ -3,8 +3,10 @@
 #include <semaphore.h>
 
 #include <atomic>
+#include <chrono>
 #include <condition_variable>
 #include <cstddef>
+#include <cstdint>
 #include <functional>
 #include <memory>
 #include <mutex>
@@ -53,6 +55,10 @@ class NodeExecutor final : public rclcpp::Executor {
   /// Makes this or the next spin() return, once and for all.
   void cancel() override;
 
+  /// Before spin(): from then on the time (nanoseconds of the steady clock) is noted in `beat`
+  /// whenever a thread looks for work, and at least once a second unless all are in callbacks.
+  void beat_into(std::atomic<std::int64_t>& beat) noexcept;
+
   /// Removes the node, and returns when no callback of it runs any more. Not for a callback.
   void take_out(const Node::SharedPtr& node);
 
@@ -71,10 +77,12 @@ class NodeExecutor final : public rclcpp::Executor {
   void execute(rclcpp::AnyExecutable& work);
   void finish(Worker& worker);
   bool may_run() const;
+  std::chrono::nanoseconds note_beat();
   bool runs_any_of(const std::vector<const rclcpp::CallbackGroup*>& groups) const;
 
   std::atomic<bool> cancelled_{false};
   bool abandoned_ = false;
+  std::atomic<std::int64_t>* beat_ = nullptr;
   std::vector<Worker> workers_;
 
   /// Held by the one worker that waits for work.
