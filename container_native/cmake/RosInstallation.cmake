@@ -15,7 +15,10 @@ else()
   # Only the wheels link librcl against one middleware directly and leave the switch out.
   set(ROS_FROM_WHEELS ON)
   # rosidl's type supports are looked up in the ament index at configure and at build time.
-  set(ENV{AMENT_PREFIX_PATH} "${ROS_PREFIX}")
+  # Overlays on the wheels, such as a workspace, stay before them.
+  set(ament_prefixes "$ENV{AMENT_PREFIX_PATH}:${ROS_PREFIX}")
+  string(REGEX REPLACE "^:" "" ament_prefixes "${ament_prefixes}")
+  set(ENV{AMENT_PREFIX_PATH} "${ament_prefixes}")
   list(PREPEND CMAKE_MODULE_PATH "${CMAKE_CURRENT_LIST_DIR}/wheels")
 endif()
 message(STATUS "ROS 2 in ${ROS_PREFIX} (from wheels: ${ROS_FROM_WHEELS})")

@@ -12,9 +12,9 @@
 #include <utility>
 #include <vector>
 
+#include "container/backends.hpp"
 #include "container/failpoints.hpp"
 #include "container/host_choice.hpp"
-#include "container/native_backend.hpp"
 #include "container/report.hpp"
 
 namespace play_launch::container {
@@ -68,8 +68,8 @@ ContainerProcess::ContainerProcess(const Options& options, int argc, const char*
 ContainerProcess::~ContainerProcess() = default;
 
 void ContainerProcess::start(int argc, const char* const* argv) {
-  auto backend = std::make_unique<NativeBackend>(Context::create(argc, argv));
-  context_ = backend->context();
+  std::vector<std::unique_ptr<ComponentBackend>> backends = make_backends(argc, argv);
+  context_ = backends.front()->context();
   // The first node of the context, and the last to go: the participant and its threads come with
   // it, and must not depend on what becomes of a component.
   if (!options_.hosted) {
@@ -78,9 +78,7 @@ void ContainerProcess::start(int argc, const char* const* argv) {
     node_ = std::make_shared<Node>(kDefaultName, node_options);
   }
   const std::size_t threads = choose_threads();
-  auto greeting = hello(threads, {std::string(backend->name())});
-  std::vector<std::unique_ptr<ComponentBackend>> backends;
-  backends.push_back(std::move(backend));
+  auto greeting = hello(threads, backend_names());
   HostChoice choice = choose_host(options_, threads, std::move(backends));
   greeting.mechanism = std::move(choice.mechanism);
   greeting.notes = std::move(choice.notes);

@@ -1,7 +1,9 @@
 #include <cstdio>
 #include <cstdlib>
 #include <exception>
+#include <string>
 
+#include "container/backends.hpp"
 #include "container/container_process.hpp"
 #include "container/control_interface.hpp"
 #include "container/failpoints.hpp"
@@ -12,6 +14,14 @@
 namespace {
 
 using namespace play_launch::container;
+
+void print_version() {
+  std::string line = "component_container " PLAY_LAUNCH_VERSION ", components:";
+  for (const std::string& name : backend_names()) {
+    line += " " + name;
+  }
+  std::puts(line.c_str());
+}
 
 int usage_error(const std::exception& error) {
   report(error.what());
@@ -25,6 +35,10 @@ int main(int argc, char** argv) {
     const Options options = parse_options(argc, argv);
     if (options.help) {
       std::fputs(usage(), stdout);
+      return kExitOk;
+    }
+    if (options.version) {
+      print_version();
       return kExitOk;
     }
     arm_failpoints(std::getenv("PLAY_LAUNCH_FAILPOINTS"));

@@ -91,6 +91,8 @@ Options parse_options(int argc, const char* const* argv) {
       options.stop_timeout = seconds(value_of("--stop_timeout", i, argc, argv));
     } else if (argument == "--help" || argument == "-h") {
       options.help = true;
+    } else if (argument == "--version") {
+      options.version = true;
     } else {
       throw UsageError("unknown argument '" + std::string(argument) +
                        "' (ROS arguments belong behind --ros-args)");
@@ -102,7 +104,8 @@ Options parse_options(int argc, const char* const* argv) {
 const char* usage() {
   return "usage: component_container [--use_multi_threaded_executor] [--thread_num N]\n"
          "                           [--isolated] [--isolation auto|shared_memory|process]\n"
-         "                           [--stop_timeout SECONDS] [--ros-args ...]\n";
+         "                           [--stop_timeout SECONDS] [--ros-args ...]\n"
+         "       component_container --version\n";
 }
 
 std::size_t executor_threads(std::size_t asked) {

@@ -24,6 +24,7 @@ struct Options {
   std::optional<std::size_t> thread_num;  // nothing: parameter thread_num, or one per CPU
   std::chrono::duration<double> stop_timeout{2.0};
   bool help = false;
+  bool version = false;
   std::vector<std::string> ros_arguments;  // all that stand behind --ros-args
 
   /// standard, mt, isolated or isolated_mt.

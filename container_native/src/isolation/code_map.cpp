@@ -31,13 +31,19 @@ struct Range {
 
 /// Libraries whose name begins so have locks that all nodes share.
 constexpr std::array kShared{
-    "libfast"sv,         "librmw"sv,        "librcl"sv,          "librosidl"sv,
-    "librcutils"sv,      "librcpputils"sv,  "libplay_launch_"sv, "libcomponent_"sv,
-    "libclass_loader"sv, "libament_"sv,     "libtracetools"sv,   "liblttng"sv,
-    "libspdlog"sv,       "libyaml"sv,       "libmimalloc"sv,     "libjemalloc"sv,
-    "libtcmalloc"sv,     "libddsc"sv,       "libcyclonedds"sv,   "libiceoryx"sv,
-    "libzenoh"sv,        "libfoonathan_"sv, "ld-linux"sv,        "ld.so"sv,
-    "libstatistics_"sv,
+    "libfast"sv,         "librmw"sv,
+    "librcl"sv,          "librosidl"sv,
+    "librcutils"sv,      "librcpputils"sv,
+    "libplay_launch_"sv, "libcomponent_"sv,
+    "libclass_loader"sv, "libament_"sv,
+    "libtracetools"sv,   "liblttng"sv,
+    "libspdlog"sv,       "libyaml"sv,
+    "libmimalloc"sv,     "libjemalloc"sv,
+    "libtcmalloc"sv,     "libddsc"sv,
+    "libcyclonedds"sv,   "libiceoryx"sv,
+    "libzenoh"sv,        "libfoonathan_"sv,
+    "ld-linux"sv,        "ld.so"sv,
+    "libstatistics_"sv,  "libconsole_bridge"sv,
 };
 /// The demonstration's components are a user's, not the SDK.
 constexpr std::array kNotShared{"libplay_launch_demo"sv};

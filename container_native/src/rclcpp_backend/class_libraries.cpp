@@ -1,0 +1,79 @@
+#include "rclcpp_backend/class_libraries.hpp"
+
+#include <algorithm>
+#include <exception>
+#include <utility>
+#include <vector>
+
+#include "container/load_request.hpp"
+#include "rclcpp_backend/missing_symbols.hpp"
+
+namespace play_launch::rclcpp_backend {
+namespace {
+
+using container::LoadError;
+
+constexpr const char* kFactoryTemplate = "rclcpp_components::NodeFactoryTemplate<";
+
+std::string listed(const std::vector<std::string>& classes) {
+  const std::string prefix = kFactoryTemplate;
+  std::string text;
+  for (const std::string& name : classes) {
+    const bool wrapped = name.starts_with(prefix) && name.ends_with('>');
+    text += (text.empty() ? "" : ", ") +
+            (wrapped ? name.substr(prefix.size(), name.size() - prefix.size() - 1) : name);
+  }
+  return text.empty() ? "none" : "only " + text;
+}
+
+}  // namespace
+
+class_loader::ClassLoader& ClassLibraries::loader(const std::string& library) {
+  {
+    const std::lock_guard lock(mutex_);
+    const auto found = loaders_.find(library);
+    if (found != loaders_.end()) {
+      return *found->second;
+    }
+  }
+  // Not under the lock: static initialisers of one library must not hold up the others longer than
+  // the loader itself does.
+  std::unique_ptr<class_loader::ClassLoader> made;
+  try {
+    made = std::make_unique<class_loader::ClassLoader>(library);
+  } catch (const std::exception& error) {
+    throw LoadError("cannot load library " + library + ": " + error.what());
+  }
+  if (const std::vector<std::string> missing = missing_functions(library); !missing.empty()) {
+    throw LoadError("cannot load library " + library + ": nobody has " + missing.front() +
+                    (missing.size() > 1
+                         ? " and " + std::to_string(missing.size() - 1) + " more functions"
+                         : "") +
+                    " that it calls");
+  }
+  const std::lock_guard lock(mutex_);
+  // Somebody else may have been faster; then the loader that was made lets go of the library.
+  return *loaders_.emplace(library, std::move(made)).first->second;
+}
+
+std::shared_ptr<rclcpp_components::NodeFactory> ClassLibraries::factory(const std::string& library,
+                                                                        const std::string& plugin) {
+  using rclcpp_components::NodeFactory;
+  class_loader::ClassLoader& loader = this->loader(library);
+  const std::vector<std::string> classes = loader.getAvailableClasses<NodeFactory>();
+  const std::string registered_as = kFactoryTemplate + plugin + ">";
+  const auto found = std::ranges::find_if(
+      classes, [&](const std::string& name) { return name == plugin || name == registered_as; });
+  if (found == classes.end()) {
+    throw LoadError("the index says that " + library + " has component '" + plugin +
+                    "', but it registers " + listed(classes) +
+                    "; is RCLCPP_COMPONENTS_REGISTER_NODE missing?");
+  }
+  try {
+    return loader.createInstance<NodeFactory>(*found);
+  } catch (const std::exception& error) {
+    throw LoadError("cannot make the factory of " + plugin + ": " + error.what());
+  }
+}
+
+}  // namespace play_launch::rclcpp_backend

@@ -1,0 +1,99 @@
+#pragma once
+
+#include <semaphore.h>
+
+#include <atomic>
+#include <chrono>
+#include <condition_variable>
+#include <cstddef>
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <rclcpp/executor.hpp>
+#include <thread>
+#include <vector>
+
+namespace play_launch::rclcpp_backend {
+
+/// Calls a function in a thread of its own whenever it is rung for. Ringing is safe in a signal
+/// handler; the function need not be.
+class Bell {
+ public:
+  explicit Bell(std::function<void()> answer);
+  ~Bell();
+  Bell(const Bell&) = delete;
+  Bell& operator=(const Bell&) = delete;
+
+  void ring() noexcept { ::sem_post(&semaphore_); }
+  /// For when the thread's process has died.
+  void abandon();
+
+ private:
+  sem_t semaphore_{};
+  std::atomic<bool> done_{false};
+  std::thread thread_;
+};
+
+/// rclcpp's executor, with what its own ones lack for nodes that are unloaded while it spins, or
+/// die in a callback: take_out() waits for running callbacks, cancel() may be called in a signal
+/// handler and before spin(), and what a callback holds is kept here instead of on the stack of
+/// its thread, so that it can be let go of when that thread is no more.
+///
+/// With one thread callbacks run in the one that calls spin(), else in that one and others, by the
+/// rules of callback groups.
+class NodeExecutor final : public rclcpp::Executor {
+ public:
+  using Node = rclcpp::node_interfaces::NodeBaseInterface;
+
+  explicit NodeExecutor(std::size_t threads);
+  ~NodeExecutor() override;
+
+  /// What a callback throws ends the process.
+  void spin() override;
+  /// Makes this or the next spin() return, once and for all.
+  void cancel() override;
+
+  /// Before spin(): from then on the time (nanoseconds of the steady clock) is noted in `beat`
+  /// whenever a thread looks for work, and at least once a second unless all are in callbacks.
+  void beat_into(std::atomic<std::int64_t>& beat) noexcept;
+
+  /// Removes the node, and returns when no callback of it runs any more. Not for a callback.
+  void take_out(const Node::SharedPtr& node);
+
+  /// Lets go of what callbacks held whose process has died in spin().
+  void abandon();
+
+ private:
+  struct Worker {
+    std::optional<rclcpp::AnyExecutable> work;
+    const rclcpp::CallbackGroup* group = nullptr;  // whose callback runs; guarded by runs_mutex_
+    std::thread thread;                            // none for the one that calls spin()
+  };
+
+  void run(Worker& worker) noexcept;
+  bool take(Worker& worker);
+  void execute(rclcpp::AnyExecutable& work);
+  void finish(Worker& worker);
+  bool may_run() const;
+  std::chrono::nanoseconds note_beat();
+  bool runs_any_of(const std::vector<const rclcpp::CallbackGroup*>& groups) const;
+
+  std::atomic<bool> cancelled_{false};
+  bool abandoned_ = false;
+  std::atomic<std::int64_t>* beat_ = nullptr;
+  std::vector<Worker> workers_;
+
+  /// Held by the one worker that waits for work.
+  std::mutex take_mutex_;
+  std::atomic<std::size_t> removals_{0};  // that want the mutex
+  std::condition_variable removed_;
+
+  std::mutex runs_mutex_;
+  std::condition_variable run_finished_;
+
+  Bell interrupt_;
+};
+
+}  // namespace play_launch::rclcpp_backend

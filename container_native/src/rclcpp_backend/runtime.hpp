@@ -1,0 +1,16 @@
+#pragma once
+
+#include <memory>
+#include <play_launch/context.hpp>
+
+namespace play_launch::rclcpp_backend {
+
+/// Initialises rclcpp for this process, with the default context that components expect to find,
+/// and returns that context for the SDK: both kinds of nodes share one participant. Signals stay
+/// the container's. The last one to let go of the result shuts rclcpp down.
+///
+/// `argv` is the command line; what follows `--ros-args` are the global arguments. Throws
+/// std::exception. Once per process.
+std::shared_ptr<Context> initialise(int argc, const char* const* argv);
+
+}  // namespace play_launch::rclcpp_backend

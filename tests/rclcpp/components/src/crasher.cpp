@@ -1,0 +1,63 @@
+#include <signal.h>
+#include <unistd.h>
+
+#include <chrono>
+#include <cstdlib>
+#include <rclcpp/rclcpp.hpp>
+#include <rclcpp_components/register_node_macro.hpp>
+#include <std_msgs/msg/string.hpp>
+#include <stdexcept>
+#include <string>
+
+namespace play_launch_rclcpp_test {
+
+/// Ends its process in the way it is told.
+[[gnu::noinline]] void die(const std::string& how) {
+  if (how == "segv") {
+    *reinterpret_cast<volatile int*>(8) = 1;
+  } else if (how == "abrt") {
+    std::abort();
+  } else if (how == "fpe") {
+    ::raise(SIGFPE);
+  } else if (how == "bus") {
+    ::raise(SIGBUS);
+  } else if (how == "ill") {
+    ::raise(SIGILL);
+  } else if (how == "kill") {
+    ::kill(::getpid(), SIGKILL);
+  } else if (how == "term") {
+    ::kill(::getpid(), SIGTERM);
+  } else if (how == "exception") {
+    throw std::runtime_error("as asked for");
+  } else if (how == "exit") {
+    std::exit(3);
+  } else if (how == "shutdown") {
+    rclcpp::shutdown();
+  }
+}
+
+/// Dies `after` seconds (not at all if negative), or in its constructor, or of a message on `crash`
+/// that says how.
+class Crasher : public rclcpp::Node {
+ public:
+  explicit Crasher(const rclcpp::NodeOptions& options) : Node("crasher", options) {
+    const auto how = declare_parameter("how", std::string("segv"));
+    subscription_ = create_subscription<std_msgs::msg::String>(
+        "crash", 1, [](const std_msgs::msg::String& message) { die(message.data); });
+    if (declare_parameter("in_constructor", false)) {
+      die(how);
+    }
+    const double after = declare_parameter("after", -1.0);
+    if (after >= 0.0) {
+      timer_ = create_wall_timer(std::chrono::duration<double>(after), [how] { die(how); });
+    }
+  }
+
+ private:
+  rclcpp::Subscription<std_msgs::msg::String>::SharedPtr subscription_;
+  rclcpp::TimerBase::SharedPtr timer_;
+};
+
+}  // namespace play_launch_rclcpp_test
+
+RCLCPP_COMPONENTS_REGISTER_NODE(play_launch_rclcpp_test::Crasher)
