@@ -28,7 +28,7 @@ _COUNTS = (
     "given_up",
     "stopped_hard",
 )
-MODE, KIND = 12, 22
+MODE, KIND = 12, 23
 
 EVENT_P50, EVENT_P99, LOADED_P50, GAP_MAX, DETECTED = 1.0, 5.0, 20.0, 11.0, 5.0
 """The goals: milliseconds, the last one seconds."""
@@ -58,10 +58,10 @@ def result(
 def heading() -> str:
     return (
         f"{'':<{MODE + KIND}}{'':>8}{'container':>11}{'poisoned,':>11}{'found':>7}"
-        f"{'crash to event':>17}{'to loaded':>17}{'longest gap':>17}\n"
+        f"{'crash to event':>16}{'to loaded':>16}{'longest gap':>16}{'memory':>8}\n"
         f"{'mode':<{MODE}}{'dies of / where':<{KIND}}{'crashes':>8}{'untouched':>11}"
         f"{'recovered':>11}{'max s':>7}"
-        f"{'p50 / p99 ms':>17}{'p50 / p99 ms':>17}{'p50 / max ms':>17}"
+        f"{'p50 / p99 ms':>16}{'p50 / p99 ms':>16}{'p50 / max ms':>16}{'MB/1000':>8}"
     )
 
 
@@ -81,9 +81,11 @@ def line(row: Row) -> str:
         found = "-" if row["detection_s"] is None else f"{row['detection_s']['max']:.1f}"
         counts = f"{row['crashes']:>8}{row['survived']:>11}{poisoned:>11}{found:>7}"
     text = f"{row['mode']:<{MODE}}{label(row):<{KIND}}{counts}" + "".join(
-        f"{_pair(row[name], second):>17}"
+        f"{_pair(row[name], second):>16}"
         for name, second in (("event_ms", "p99"), ("loaded_ms", "p99"), ("gap_ms", "max"))
     )
+    grown = row["growth_per_1000"]
+    text += f"{'-' if grown is None else format(grown['memory'], '.1f'):>8}"
     return "\n".join([text, *(f"{'':<{MODE}}! {remark}" for remark in remarks(row))])
 
 

@@ -100,6 +100,7 @@ class ContainerActor:
             ),
             clock=self._loop.time,
             jitter=jitter,
+            silence=limits.silence,
         )
         self._watch = ContainerWatch(self._name, clock=self._loop.time, limits=limits.watch)
         self._deadlines_changed = asyncio.Event()
@@ -144,6 +145,9 @@ class ContainerActor:
             self._apply(ContainerInput.FROZEN, f"a dead node may have left a lock: {reason}")
 
     def _look_for_dead_locks(self) -> None:
+        if waiting := self._watch.waits_for_the_dead:
+            self._apply(ContainerInput.FROZEN, f"a node died with a lock: {waiting}")
+            return
         limit = self._limits.reload_after_leak
         if self._watch.probably_holds_dead_locks and (name := self._nodes.slow_reload(limit)):
             reason = f"{name} is not loaded again, and cleaning up after a dead node failed"
@@ -242,6 +246,7 @@ class ContainerActor:
                     _log.warning("%s said hello again", self._name)
                 elif isinstance(message, Status) and self._watch.hear(message):
                     self._look_for_dead_locks()
+                    self._nodes.hear_silence(message.nodes)
                     self._deadlines_changed.set()
                 else:
                     self._nodes.hear(message)

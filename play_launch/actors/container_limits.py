@@ -22,6 +22,8 @@ class Limits:
     """Between two reports of a slow constructor."""
     reload_after_leak: float = 3.0
     """For a reload beyond its usual time, when a dead node probably left a lock locked."""
+    silence: float = 10.0
+    """For a callback, before it is told that its node does nothing else meanwhile."""
     watch: WatchLimits = WATCH_LIMITS
     """From when on a silent container counts as frozen."""
 

@@ -34,11 +34,12 @@ from play_launch.native.messages import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
 
     from play_launch.actors.publisher import Publisher
     from play_launch.config.model import ContainerConfig
     from play_launch.core.lifecycle import Patience
+    from play_launch.native.messages import NodeStatus
 
 _log = logging.getLogger(__name__)
 _told = logging.getLogger(TOLD_LOGGER)
@@ -94,6 +95,7 @@ class ContainerNodes:
         patience: Patience,
         clock: Callable[[], float],
         jitter: Callable[[], float] = random.random,
+        silence: float,
     ) -> None:
         """Know the declared nodes; ``attempts`` is shared by all containers."""
         self._container = config.full_name
@@ -102,6 +104,7 @@ class ContainerNodes:
         self._attempts = attempts
         self._patience = patience
         self._clock = clock
+        self._silence = silence
         self._send: Callable[[Outgoing], None] | None = None
         self._stopping = False
         self._query_id = 0
@@ -159,6 +162,22 @@ class ContainerNodes:
             case _:
                 assert_never(message)
         self._ask()
+
+    def hear_silence(self, listed: Iterable[NodeStatus]) -> None:
+        """Tell once of each node that is loaded and stays in its callbacks for long."""
+        silent = {each.attempt: each.silence_ns / 1e9 for each in listed}
+        for node in self._nodes:
+            is_loaded = node.record.state is NodeState.LOADED
+            seconds = silent.get(node.record.attempt, 0.0) if is_loaded else 0.0
+            if seconds < self._silence:
+                if node.told_silent and is_loaded:
+                    self._reports.state(node, NOTHING)
+                node.told_silent = False
+            elif not node.told_silent:
+                node.told_silent = True
+                reason = f"it has been in its callbacks for {seconds:.0f} s and does nothing else"
+                _log.warning("%s: %s", node.name, reason)
+                self._reports.state(node, Facts(reason=reason))
 
     def slow_reload(self, limit: float) -> str:
         """Name a node whose reload takes ``limit`` seconds and thrice its usual time; or empty."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from typing import TYPE_CHECKING, Final
 
+from play_launch.core.episode import Episode
 from play_launch.core.watchdog import Verdict, Watch, WatchLimits, answered, begin, look
 from play_launch.native.control import ControlError
 from play_launch.native.messages import Query
@@ -33,24 +34,32 @@ class ContainerWatch:
         self._query_id = _FIRST_QUERY
         self._send: Callable[[Outgoing], None] | None = None
         self._watch: Watch | None = None
-        self._leaked = 0
-        self._unquiesced = 0
+        self._leaked = Episode()
+        self._unquiesced = Episode()
+        self._dead_locks: tuple[str, ...] = ()
 
     @property
     def may_hold_dead_locks(self) -> bool:
         """Whether a node died so suddenly that a lock may stay locked for ever."""
-        return self._unquiesced > 0
+        return self._unquiesced.count > 0
 
     @property
     def probably_holds_dead_locks(self) -> bool:
         """Whether, besides, cleaning up after a node failed: what waits for such a lock does."""
-        return self.may_hold_dead_locks and self._leaked > 0
+        return self.may_hold_dead_locks and self._leaked.count > 0
+
+    @property
+    def waits_for_the_dead(self) -> str:
+        """What is known to wait for ever for a lock that a dead node holds; empty: nothing."""
+        more = len(self._dead_locks) - 1
+        return (self._dead_locks[0] + (f" (and {more} more)" if more else "")) if more >= 0 else ""
 
     def begin(self, send: Callable[[Outgoing], None]) -> None:
         """Watch a process that has just said hello."""
         self._send = send
         self._watch = begin(self._clock(), self._limits)
-        self._leaked = self._unquiesced = 0
+        self._leaked, self._unquiesced = Episode(), Episode()
+        self._dead_locks = ()
 
     def end(self) -> None:
         """The process ends, or is being stopped: silence means nothing any more."""
@@ -59,6 +68,7 @@ class ContainerWatch:
     def hear(self, status: Status) -> bool:
         """Take an answer; False when it is none to us."""
         self._read_counts(status)
+        self._dead_locks = status.dead_locks
         if status.query_id < _FIRST_QUERY:
             return False
         if self._watch is not None and status.query_id == self._query_id:
@@ -94,16 +104,15 @@ class ContainerWatch:
             _log.debug("%s: a question was not sent: %s", self._container, error)
 
     def _read_counts(self, status: Status) -> None:
-        if status.leaked > self._leaked:
-            self._leaked = status.leaked
+        now = self._clock()
+        if self._leaked.see(status.leaked, now):
             _log.warning(
                 "%s: what %d of %d crashed nodes held stays until its end: cleaning up failed",
                 self._container,
                 status.leaked,
                 status.crashes,
             )
-        if status.unquiesced > self._unquiesced:
-            self._unquiesced = status.unquiesced
+        if self._unquiesced.see(status.unquiesced, now):
             _log.warning(
                 "%s: %d of %d nodes died too suddenly to be sure that no lock stays locked",
                 self._container,

@@ -42,6 +42,8 @@ class MirroredNode:
     reload_at: float | None = None
     crashes: int = 0
     reloads: int = 0
+    told_silent: bool = False
+    """Whether its present stay in callbacks was told."""
 
     @property
     def name(self) -> str:

@@ -201,6 +201,7 @@ _NODE_FIELDS = (
     "start_time",
     "elapsed_ns",
     "cpu_time_ns",
+    "silence_ns",
 )
 
 
@@ -219,7 +220,7 @@ def _encode_event(ros: _Ros, event: Any) -> Any:
 
 
 def _encode_status(ros: _Ros, status: Any) -> Any:
-    made = ros.make(FrameKind.STATUS, status, *_STATUS_FIELDS)
+    made = ros.make(FrameKind.STATUS, status, *_STATUS_FIELDS, "dead_locks")
     for node in status.nodes:
         item = ros.msgs.NodeStatus(check_fields=True)
         for name in _NODE_FIELDS:
@@ -276,6 +277,7 @@ def _decode_status(message: Any) -> Status:
             NodeStatus(state=NodeStatusState(node.state), **_fields(node, _NODE_FIELDS))
             for node in message.nodes
         ),
+        dead_locks=tuple(message.dead_locks),
         **_fields(message, _STATUS_FIELDS),
     )
 

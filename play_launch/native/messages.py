@@ -96,6 +96,8 @@ class NodeStatus:
     `elapsed_ns` is the time in this state and `cpu_time_ns` what its constructor used up (0 once
     loaded), in nanoseconds; `start_time` is in clock ticks after boot. `note` says in words what
     there is to say besides; it is not on the wire.
+    loaded), in nanoseconds; `start_time` is in clock ticks after boot. `silence_ns` is the time
+    since the node's executor last came round between two callbacks, or -1 where that is not known.
     """
 
     unique_id: int
@@ -107,15 +109,18 @@ class NodeStatus:
     elapsed_ns: int = 0
     cpu_time_ns: int = 0
     note: str = ""
+    silence_ns: int = -1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Status:
     """The answer to the query of the same `query_id` (ControlStatus).
 
-    A node that was asked about and is not listed does not exist. The numbers are counted since
-    the container's start: frames that its full queue dropped, nodes that crashed, of these cleaned
-    up after and not cleaned up after, and deaths in the middle of something that others use, too.
+    A node that was asked about and is not listed does not exist; those that have been silent for
+    5 s are always listed. The numbers are counted since the container's start: frames that its full
+    queue dropped, nodes that crashed, of these cleaned up after and not cleaned up after, and
+    deaths in the middle of something that others use, too. `dead_locks` says, a line each, which
+    threads will wait for ever, because the holder of the lock has died.
     """
 
     query_id: int
@@ -125,6 +130,7 @@ class Status:
     undertaken: int = 0
     leaked: int = 0
     unquiesced: int = 0
+    dead_locks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -159,6 +159,86 @@ def test_a_reload_that_hangs_after_a_sudden_death_is_a_lock_that_stays_locked(
     run(main())
 
 
+def test_a_lock_that_died_with_its_holder_is_cured_by_a_restart() -> None:
+    class Stuck(FakeContainer):
+        def on_watch(self, query: Query) -> None:
+            locks = ("thread 12 waits", "thread 13 waits")
+            self.link.say(Status(query_id=query.query_id, dead_locks=locks))
+
+    async def main() -> Running:
+        fakes = launcher(Stuck, FakeContainer)
+        async with running(system(container("c", "a", "b")), fakes) as sys:
+            await sys.until_loaded(2)
+            await sys.until_state("/c", ContainerState.BACKOFF)
+            await sys.until_loaded(2)
+            # The answers of the new process count anew.
+            await asyncio.sleep(60)
+            assert len(sys.launcher.containers["/c"]) == 2
+        return sys
+
+    sys = run(main())
+    assert sys.launcher.containers["/c"][0].process.stopped_with == ["kill"]
+    (killed,) = sys.container_events("/c", ContainerState.BACKOFF)
+    assert "a node died with a lock: thread 12 waits (and 1 more)" in killed.reason
+
+
+def test_a_node_that_stays_in_its_callbacks_is_told_once_and_left_alone(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    class Busy(FakeContainer):
+        busy_since: float | None = None
+
+        def on_watch(self, query: Query) -> None:
+            nodes = []
+            if self.busy_since is not None:
+                silence = asyncio.get_running_loop().time() - self.busy_since
+                held = next(iter(self.held.values()))
+                nodes = [replace(self.status(held), silence_ns=round(silence * 1e9))]
+            self.link.say(Status(query_id=query.query_id, nodes=tuple(nodes)))
+
+    async def main() -> Running:
+        async with running(system(container("c", "a", "b")), launcher(Busy)) as sys:
+            await sys.until_loaded(2)
+            fake = sys.launcher.containers["/c"][0]
+            assert isinstance(fake, Busy)
+            for _ in range(2):
+                fake.busy_since = asyncio.get_running_loop().time()
+                await asyncio.sleep(60)
+                assert "in its callbacks" in sys.view.containers["/c"].nodes[0].reason
+                fake.busy_since = None
+                await asyncio.sleep(10)
+                assert sys.view.containers["/c"].nodes[0].reason == ""
+            assert len(sys.launcher.containers["/c"]) == 1
+        return sys
+
+    sys = run(main())
+    warnings = [r.getMessage() for r in caplog.records if "in its callbacks" in r.getMessage()]
+    assert len(warnings) == 2
+    assert all("/a: it has been in its callbacks for 1" in each for each in warnings)
+    assert all(not event.reason for event in sys.node_events("/b", NodeState.LOADED))
+
+
+def test_a_storm_of_deaths_is_told_when_it_begins_and_when_it_is_over(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    class Storm(FakeContainer):
+        deaths = 0
+
+        def on_watch(self, query: Query) -> None:
+            self.deaths = min(self.deaths + 7, 70)
+            answer = Status(query_id=query.query_id, crashes=self.deaths, unquiesced=self.deaths)
+            self.link.say(answer)
+
+    async def main() -> None:
+        async with running(system(container("c", "a")), launcher(Storm)) as sys:
+            await sys.until_loaded(1)
+            await asyncio.sleep(120)
+
+    run(main())
+    told = [r.getMessage() for r in caplog.records if "died too suddenly" in r.getMessage()]
+    assert [each.split()[1] for each in told] == ["7", "70"]
+
+
 def test_how_nodes_are_isolated_is_told(caplog: pytest.LogCaptureFixture) -> None:
     class FallsBack(FakeContainer):
         def hello(self, protocol_version: int = 1) -> Hello:

@@ -53,19 +53,23 @@ def test_crashes_of_every_place_are_measured(tmp_path: Path, mode: str) -> None:
     assert {row["kind"] for row in rows} == set(kinds.split(","))
     for row in rows:
         assert row["complete"], row
-        assert (row["crashes"], row["missed"]) == (3, 0), row
-        assert row["event_ms"]["count"] == 3
-        assert row["loaded_ms"]["count"] + row["restarts"] == 3
+        assert row["missed"] == 0, row
+        # A death that leaves a lock is rare, but possible; there are some more then.
+        assert row["crashes"] >= 3
+        assert row["crashes"] == 3 or row["restarts"] > 0
+        assert row["event_ms"]["count"] == row["crashes"]
+        assert row["loaded_ms"]["count"] + row["restarts"] >= row["crashes"]
         assert row["event_ms"]["min"] > 0
         assert row["loaded_ms"]["min"] > row["event_ms"]["min"]
 
 
 def test_dying_without_quiescing_is_measured(tmp_path: Path) -> None:
-    arguments = ("--modes", "isolated", "--kinds", "segv/callback", "--unquiesced", "segv/callback")
+    arguments = ("--modes", "isolated", "--kinds", "segv/thread", "--unquiesced", "segv/thread")
     quiesced, unquiesced = crash(tmp_path, *arguments)
     assert quiesced["quiesced"]
     assert not unquiesced["quiesced"]
-    assert (unquiesced["crashes"], unquiesced["wanted"]) == (1, 1)
+    assert unquiesced["crashes"] >= unquiesced["wanted"] == 1
+    assert unquiesced["doubtful"] > 0
 
 
 def test_images_are_measured(tmp_path: Path) -> None:

@@ -80,6 +80,7 @@ NODE_STATUS = st.builds(
     start_time=U64,
     elapsed_ns=I64,
     cpu_time_ns=I64,
+    silence_ns=I64,
 )
 MESSAGES: st.SearchStrategy[Message] = st.one_of(
     st.builds(
@@ -121,6 +122,7 @@ MESSAGES: st.SearchStrategy[Message] = st.one_of(
         undertaken=U32,
         leaked=U32,
         unquiesced=U32,
+        dead_locks=TEXTS,
     ),
     st.builds(Cancel, unique_id=U64),
     st.builds(Unload, unique_id=U64),

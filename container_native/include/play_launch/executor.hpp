@@ -1,5 +1,6 @@
 #pragma once
 
+#include <atomic>
 #include <cstddef>
 #include <cstdint>
 #include <memory>
@@ -40,6 +41,11 @@ class Executor {
   /// here is ignored. Throws std::logic_error when called from a callback of that very node.
   void remove_node(const std::shared_ptr<Node>& node);
 
+  /// Before spin(): notes the time (nanoseconds of the steady clock) in `beat` whenever a thread of
+  /// the executor looks for work, which one of them does once a second when there is none. Only
+  /// with all threads in callbacks, `beat` stands still. It must outlive spin().
+  void beat_into(std::atomic<std::int64_t>& beat) noexcept;
+
   /// For an executor that spun in a process which shares this memory and has died: forgets the
   /// callbacks that were running, and destroys what they held. Afterwards nodes can be removed and
   /// the executor destroyed. The threads that were in spin() must be gone for good.
@@ -64,6 +70,7 @@ class Executor {
 
  private:
   void run(RunningTurn& turn, std::unique_lock<std::mutex>& lock);
+  [[nodiscard]] std::int64_t next_look(std::int64_t due) const;
   void wait_for_work(std::uint32_t seen, std::unique_lock<std::mutex>& lock);
 
   std::unique_ptr<ExecutorState> state_;

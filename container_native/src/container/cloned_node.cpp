@@ -39,9 +39,11 @@ std::string innermost(const std::vector<std::string>& backtrace) {
 }  // namespace
 
 ClonedNode::ClonedNode(std::uint64_t unique_id, const BackendList& backends,
-                       const ExecutorChoice& choice, LoadRequest request, int doorbell)
+                       const ExecutorChoice& choice, LoadRequest request, int doorbell,
+                       LockWatch& lock_watch)
     : IsolatedNode(unique_id, doorbell),
       process_name_(process_name(request)),
+      lock_watch_(lock_watch),
       program_(backends, choice, std::move(request), doorbell),
       donor_(process_name_, [this] { donate(); }) {}
 
@@ -51,12 +53,16 @@ void ClonedNode::donate() noexcept {
   options.name = process_name_;
   options.dies_abruptly = hit(Failpoint::abrupt_deaths);
   end_ = isolation::run_in_child(program_, slot_, options);
+  if (!end_.clean()) {
+    lock_watch_.begin();
+  }
   dead_ = true;
   ring(doorbell());
   if (program_.left_remains()) {
     options.name = "undertaker";
     options.dies_abruptly = false;
     options.time_limit = kBurialLimit;
+    options.expendable = true;
     burial_end_ = isolation::run_in_child(burial_, burial_slot_, options);
   }
   buried_ = true;
@@ -78,6 +84,10 @@ void ClonedNode::tell(NodeHostObserver& observer, IsolationTotals& totals) {
       count_burial(totals);
     }
   }
+}
+
+std::optional<std::chrono::nanoseconds> ClonedNode::silence() const {
+  return dead_ ? std::nullopt : program_.silence();
 }
 
 void ClonedNode::tell_progress(NodeHostObserver& observer, NodeStage stage) {

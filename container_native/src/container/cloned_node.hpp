@@ -1,10 +1,13 @@
 #pragma once
 
 #include <atomic>
+#include <chrono>
 #include <cstdint>
+#include <optional>
 #include <string>
 
 #include "container/isolated_node.hpp"
+#include "container/lock_watch.hpp"
 #include "container/node_program.hpp"
 #include "isolation/child.hpp"
 #include "isolation/crash_slot.hpp"
@@ -18,10 +21,11 @@ class ClonedNode final : public IsolatedNode {
  public:
   /// Starts the donor thread and with it the child. Throws std::system_error.
   ClonedNode(std::uint64_t unique_id, const BackendList& backends, const ExecutorChoice& choice,
-             LoadRequest request, int doorbell);
+             LoadRequest request, int doorbell, LockWatch& lock_watch);
 
   void tell(NodeHostObserver& observer, IsolationTotals& totals) override;
   bool is_over() const override { return told_end_ && told_burial_; }
+  std::optional<std::chrono::nanoseconds> silence() const override;
 
  private:
   bool is_dead() const override { return dead_; }
@@ -37,6 +41,7 @@ class ClonedNode final : public IsolatedNode {
   void count_burial(IsolationTotals& totals) const;
 
   const std::string process_name_;
+  LockWatch& lock_watch_;
   NodeProgram program_;
   NodeBurial burial_{program_};
 

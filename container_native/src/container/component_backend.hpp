@@ -1,6 +1,8 @@
 #pragma once
 
+#include <atomic>
 #include <cstddef>
+#include <cstdint>
 #include <memory>
 #include <optional>
 #include <play_launch/construction.hpp>
@@ -26,6 +28,9 @@ class Component {
   virtual std::string full_name() const = 0;
 };
 
+/// When an executor last came round, in nanoseconds of the steady clock; 0: never.
+using Beat = std::atomic<std::int64_t>;
+
 /// Runs the callbacks of components of one backend.
 class ComponentExecutor {
  public:
@@ -44,6 +49,10 @@ class ComponentExecutor {
   /// For an executor whose spin() ran in a process that shares this memory and has died: lets go
   /// of the callbacks that were running, so that remove() and the destructor can do their work.
   virtual void abandon() = 0;
+  /// Before spin(): from then on, the time is noted in `beat` whenever the executor comes round,
+  /// and at least once a second unless every thread of it is in a callback. `beat` must outlive
+  /// spin(). An executor that cannot do that leaves it as it is.
+  virtual void beat_into(Beat& beat) = 0;
 };
 
 struct ExecutorChoice {

@@ -1,5 +1,6 @@
 #include "container/component_manager.hpp"
 
+#include <algorithm>
 #include <chrono>
 #include <exception>
 #include <utility>
@@ -160,27 +161,44 @@ bool ObservableComponentManager::start_unloading(std::uint64_t unique_id, std::s
 }
 
 std::vector<NodeSnapshot> ObservableComponentManager::nodes(
-    std::span<const std::uint64_t> unique_ids) const {
+    std::span<const std::uint64_t> unique_ids, std::chrono::nanoseconds silent_too) const {
   std::vector<NodeSnapshot> snapshots;
   const std::lock_guard lock(mutex_);
   const SteadyTime now = Clock::now();
-  const auto add = [&snapshots, now](const NodeEntry& entry) {
-    const auto elapsed =
-        std::chrono::duration_cast<std::chrono::nanoseconds>(now - entry.since).count();
-    snapshots.push_back(
-        {entry, elapsed, entry.cpu_clock ? cpu_time_ns(*entry.cpu_clock) : std::int64_t{0}});
-  };
-  if (unique_ids.empty()) {
-    for (const auto& [unique_id, entry] : table_.entries()) {
-      add(entry);
-    }
-  }
   for (const std::uint64_t unique_id : unique_ids) {
     if (const NodeEntry* const entry = table_.find(unique_id)) {
-      add(*entry);
+      snapshots.push_back(snapshot(*entry, now));
+    }
+  }
+  for (const auto& [unique_id, entry] : table_.entries()) {
+    const bool listed =
+        std::find(unique_ids.begin(), unique_ids.end(), unique_id) != unique_ids.end();
+    if (unique_ids.empty() || (!listed && is_silent(entry, silent_too))) {
+      snapshots.push_back(snapshot(entry, now));
     }
   }
   return snapshots;
+}
+
+NodeSnapshot ObservableComponentManager::snapshot(const NodeEntry& entry, SteadyTime now) const {
+  NodeSnapshot snapshot;
+  snapshot.entry = entry;
+  snapshot.elapsed_ns =
+      std::chrono::duration_cast<std::chrono::nanoseconds>(now - entry.since).count();
+  snapshot.cpu_time_ns = entry.cpu_clock ? cpu_time_ns(*entry.cpu_clock) : 0;
+  if (const auto silence = host_.silence(entry.unique_id)) {
+    snapshot.silence_ns = silence->count();
+  }
+  return snapshot;
+}
+
+bool ObservableComponentManager::is_silent(const NodeEntry& entry,
+                                           std::chrono::nanoseconds limit) const {
+  if (entry.state != NodeState::loaded || limit == std::chrono::nanoseconds::max()) {
+    return false;
+  }
+  const auto silence = host_.silence(entry.unique_id);
+  return silence && *silence >= limit;
 }
 
 void ObservableComponentManager::refuse_loads() {

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <chrono>
 #include <cstdint>
 #include <functional>
 #include <mutex>
@@ -25,11 +26,14 @@ class EventSink {
   virtual void on_event(const ComponentEvent& event) = 0;
 };
 
+inline constexpr std::int64_t kSilenceUnknown = -1;
+
 /// A node as the manager sees it at one moment.
 struct NodeSnapshot {
   NodeEntry entry;
-  std::int64_t elapsed_ns = 0;   // in its state
-  std::int64_t cpu_time_ns = 0;  // of who constructs it; 0 when nobody does
+  std::int64_t elapsed_ns = 0;                // in its state
+  std::int64_t cpu_time_ns = 0;               // of who constructs it; 0 when nobody does
+  std::int64_t silence_ns = kSilenceUnknown;  // since its executor last came round
 };
 
 /// Owns the table of nodes: takes up requests, lets a NodeHost carry them out, and tells the
@@ -57,8 +61,11 @@ class ObservableComponentManager final : public NodeHostObserver {
   /// that was loaded in the meantime is unloaded. Returns as unload().
   std::optional<std::string> cancel(std::uint64_t unique_id);
 
-  /// The nodes with these ids that exist, or all for no ids; by unique_id.
-  std::vector<NodeSnapshot> nodes(std::span<const std::uint64_t> unique_ids = {}) const;
+  /// The nodes with these ids that exist, or all for no ids; by unique_id. Behind them, loaded ones
+  /// that were silent for `silent_too` or longer.
+  std::vector<NodeSnapshot> nodes(
+      std::span<const std::uint64_t> unique_ids = {},
+      std::chrono::nanoseconds silent_too = std::chrono::nanoseconds::max()) const;
 
   /// Takes up no load any more: a stop was asked for.
   void refuse_loads();
@@ -70,6 +77,8 @@ class ObservableComponentManager final : public NodeHostObserver {
 
   /// See NodeHost::totals().
   HostTotals totals() const { return host_.totals(); }
+  /// See NodeHost::dead_locks().
+  std::vector<std::string> dead_locks() const { return host_.dead_locks(); }
 
   void on_constructing(std::uint64_t unique_id, const ProcessIdentity& process,
                        clockid_t cpu_clock) override;
@@ -87,6 +96,8 @@ class ObservableComponentManager final : public NodeHostObserver {
   void load_failed(std::uint64_t unique_id, const std::string& reason, const NodeDeath* death);
   void emit(const NodeEntry& entry, std::uint8_t type, const std::string& error = {});
   void send(const ComponentEvent& event);
+  NodeSnapshot snapshot(const NodeEntry& entry, SteadyTime now) const;
+  bool is_silent(const NodeEntry& entry, std::chrono::nanoseconds limit) const;
   void after_removal();
 
   NodeHost& host_;

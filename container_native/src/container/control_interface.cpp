@@ -6,6 +6,7 @@
 
 #include <cerrno>
 #include <charconv>
+#include <chrono>
 #include <cstdlib>
 #include <cstring>
 #include <play_launch_msgs/msg/control_accepted.hpp>
@@ -30,6 +31,8 @@ using control::Frame;
 using control::FrameKind;
 namespace msg = play_launch_msgs::msg;
 
+/// See ControlStatus.nodes.
+constexpr std::chrono::seconds kSilent{5};
 constexpr const char* kSocketVariable = "PLAY_LAUNCH_CONTROL_FD";
 
 static_assert(static_cast<std::uint8_t>(NodeState::constructing) == msg::NodeStatus::CONSTRUCTING);
@@ -46,6 +49,7 @@ msg::NodeStatus status_of(const NodeSnapshot& snapshot) {
   status.start_time = snapshot.entry.process.start_time;
   status.elapsed_ns = snapshot.elapsed_ns;
   status.cpu_time_ns = snapshot.cpu_time_ns;
+  status.silence_ns = snapshot.silence_ns;
   return status;
 }
 
@@ -240,7 +244,8 @@ void ControlInterface::handle_query(const Frame& frame) {
   status.undertaken = totals.undertaken;
   status.leaked = totals.leaked;
   status.unquiesced = totals.unquiesced;
-  for (const NodeSnapshot& snapshot : manager_->nodes(query.unique_ids)) {
+  status.dead_locks = manager_->dead_locks();
+  for (const NodeSnapshot& snapshot : manager_->nodes(query.unique_ids, kSilent)) {
     status.nodes.push_back(status_of(snapshot));
   }
   send(FrameKind::status, status);

@@ -65,6 +65,12 @@ HostTotals IsolatedHost::totals() const {
   return {totals_.crashes, totals_.undertaken, totals_.leaked, totals_.unquiesced};
 }
 
+std::optional<std::chrono::nanoseconds> IsolatedHost::silence(std::uint64_t unique_id) const {
+  const std::lock_guard lock(mutex_);
+  const auto found = nodes_.find(unique_id);
+  return found != nodes_.end() ? found->second->silence() : std::nullopt;
+}
+
 void IsolatedHost::monitor() {
   while (true) {
     Nodes nodes;
@@ -127,7 +133,8 @@ CloneIsolatedHost::CloneIsolatedHost(std::vector<std::unique_ptr<ComponentBacken
 
 std::shared_ptr<IsolatedNode> CloneIsolatedHost::start(std::uint64_t unique_id, LoadRequest request,
                                                        int doorbell) {
-  return std::make_shared<ClonedNode>(unique_id, backends(), choice_, std::move(request), doorbell);
+  return std::make_shared<ClonedNode>(unique_id, backends(), choice_, std::move(request), doorbell,
+                                      lock_watch_);
 }
 
 }  // namespace play_launch::container

@@ -5,12 +5,15 @@
 #include <map>
 #include <memory>
 #include <mutex>
+#include <optional>
+#include <string>
 #include <thread>
 #include <utility>
 #include <vector>
 
 #include "container/backend_list.hpp"
 #include "container/isolated_node.hpp"
+#include "container/lock_watch.hpp"
 #include "container/node_host.hpp"
 #include "control/unique_fd.hpp"
 
@@ -30,6 +33,7 @@ class IsolatedHost : public NodeHost {
   void stop_spinning() override;
   void hurry(std::chrono::steady_clock::time_point deadline) override;
   HostTotals totals() const override;
+  std::optional<std::chrono::nanoseconds> silence(std::uint64_t unique_id) const override;
 
  protected:
   explicit IsolatedHost(std::vector<std::unique_ptr<ComponentBackend>> backends);
@@ -54,7 +58,7 @@ class IsolatedHost : public NodeHost {
   NodeHostObserver* observer_ = nullptr;
   IsolationTotals totals_;
 
-  std::mutex mutex_;  // guards what follows; no process but the container takes it
+  mutable std::mutex mutex_;  // guards what follows; no process but the container takes it
   std::map<std::uint64_t, std::shared_ptr<IsolatedNode>> nodes_;
   Time end_ = Time::max();
   bool done_ = false;
@@ -74,11 +78,14 @@ class CloneIsolatedHost final : public IsolatedHost {
   CloneIsolatedHost(std::vector<std::unique_ptr<ComponentBackend>> backends,
                     const ExecutorChoice& choice);
 
+  std::vector<std::string> dead_locks() const override { return lock_watch_.dead_locks(); }
+
  private:
   std::shared_ptr<IsolatedNode> start(std::uint64_t unique_id, LoadRequest request,
                                       int doorbell) override;
 
   const ExecutorChoice choice_;
+  LockWatch lock_watch_;
 };
 
 }  // namespace play_launch::container

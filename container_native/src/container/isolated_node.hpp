@@ -3,6 +3,7 @@
 #include <atomic>
 #include <chrono>
 #include <cstdint>
+#include <optional>
 #include <string>
 
 #include "container/leave_pressure.hpp"
@@ -44,6 +45,9 @@ class IsolatedNode {
 
   /// Whether the node's processes are gone for good, and everything is told.
   virtual bool is_over() const = 0;
+
+  /// How long its executor has not come round; nothing: that is not known. Any thread.
+  virtual std::optional<std::chrono::nanoseconds> silence() const { return std::nullopt; }
 
   /// Becomes readable when tell() should be called, besides the doorbell; -1: there is none.
   virtual int watched_fd() const { return -1; }

@@ -31,6 +31,7 @@ class NativeExecutor final : public ComponentExecutor {
   void add(Component& component) override { executor_->add_node(node_of(component)); }
   void remove(Component& component) override { executor_->remove_node(node_of(component)); }
   void abandon() override { executor_->abandon(); }
+  void beat_into(Beat& beat) override { executor_->beat_into(beat); }
 
  private:
   static const std::shared_ptr<Node>& node_of(Component& component) {

@@ -84,6 +84,14 @@ class NodeHost {
   virtual void hurry(std::chrono::steady_clock::time_point) {}
 
   virtual HostTotals totals() const { return {}; }
+
+  /// What waits for the dead: see ControlStatus.dead_locks.
+  virtual std::vector<std::string> dead_locks() const { return {}; }
+
+  /// How long the executor of a node has not come round; nothing: that is not known.
+  virtual std::optional<std::chrono::nanoseconds> silence(std::uint64_t) const {
+    return std::nullopt;
+  }
 };
 
 }  // namespace play_launch::container

@@ -1,5 +1,6 @@
 #include "container/node_program.hpp"
 
+#include <algorithm>
 #include <ctime>
 #include <exception>
 #include <utility>
@@ -97,6 +98,7 @@ void NodeProgram::live() {
     failure_ = describe_current_exception();
     return;
   }
+  executor_->beat_into(beat_);
   reach(NodeStage::spinning);
   executor_->spin();
   isolation::park_if_dying();
@@ -112,6 +114,15 @@ bool NodeProgram::may_live() {
 void NodeProgram::answer(bool keep) noexcept {
   verdict_ = keep ? Verdict::keep : Verdict::discard;
   verdict_.notify_all();
+}
+
+std::optional<std::chrono::nanoseconds> NodeProgram::silence() const {
+  const std::int64_t last = beat_;
+  if (last == 0 || outcome_ != NodeOutcome::none) {
+    return std::nullopt;
+  }
+  const std::chrono::nanoseconds now = std::chrono::steady_clock::now().time_since_epoch();
+  return std::max(now - std::chrono::nanoseconds(last), std::chrono::nanoseconds(0));
 }
 
 void NodeProgram::take_apart() {

@@ -1,8 +1,10 @@
 #pragma once
 
 #include <atomic>
+#include <chrono>
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
 
 #include "container/backend_list.hpp"
@@ -51,6 +53,8 @@ class NodeProgram final : public isolation::ChildProgram {
 
   NodeStage stage() const { return stage_.load(); }
   NodeOutcome outcome() const { return outcome_.load(); }
+  /// How long its executor has not come round; nothing: before it spins, or when it cannot tell.
+  std::optional<std::chrono::nanoseconds> silence() const;
   /// Name of the node; from NodeStage::constructed on.
   const std::string& full_name() const { return full_name_; }
   /// Why loading failed; with NodeOutcome::failed.
@@ -88,6 +92,7 @@ class NodeProgram final : public isolation::ChildProgram {
   std::atomic<NodeStage> stage_{NodeStage::preparing};
   std::atomic<NodeOutcome> outcome_{NodeOutcome::none};
   std::atomic<Verdict> verdict_{Verdict::none};
+  Beat beat_;
 };
 
 /// Destroys what a dead child left of its node. That runs destructors on a state that may be

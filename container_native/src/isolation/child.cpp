@@ -3,7 +3,6 @@
 #include <fcntl.h>
 #include <sched.h>
 #include <signal.h>
-#include <sys/mman.h>
 #include <sys/prctl.h>
 #include <sys/syscall.h>
 #include <unistd.h>
@@ -13,46 +12,15 @@
 #include <cerrno>
 #include <cstring>
 
+#include "isolation/alternate_stack.hpp"
 #include "isolation/crash_handler.hpp"
 #include "isolation/donor_state.hpp"
+#include "isolation/graveyard.hpp"
 #include "isolation/quiesce.hpp"
 #include "isolation/registry.hpp"
 
 namespace play_launch::isolation {
 namespace {
-
-/// Where crash handlers run, also when the stack has overflowed. The last page below it faults.
-class AlternateStack {
- public:
-  AlternateStack() noexcept
-      : mapping_(::mmap(nullptr, kGuard + kSize, PROT_NONE,
-                        MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0)) {
-    if (mapping_ != MAP_FAILED && ::mprotect(bottom(), kSize, PROT_READ | PROT_WRITE) != 0) {
-      unmap();
-    }
-  }
-  ~AlternateStack() { unmap(); }
-  AlternateStack(const AlternateStack&) = delete;
-  AlternateStack& operator=(const AlternateStack&) = delete;
-
-  explicit operator bool() const { return mapping_ != MAP_FAILED; }
-  void* bottom() const { return static_cast<char*>(mapping_) + kGuard; }
-  static constexpr std::size_t size() { return kSize; }
-
- private:
-  // The kernel alone stores up to 11 KiB of vector registers; the unwinder needs a few more.
-  static constexpr std::size_t kSize = 128 * 1024;
-  static constexpr std::size_t kGuard = 64 * 1024;  // the largest page
-
-  void unmap() noexcept {
-    if (mapping_ != MAP_FAILED) {
-      ::munmap(mapping_, kGuard + kSize);
-      mapping_ = MAP_FAILED;
-    }
-  }
-
-  void* mapping_;
-};
 
 struct Launch {
   ChildRecord& record;
@@ -108,6 +76,7 @@ void enter(const Launch& launch) noexcept {
   const pid_t pid = ::getpid();
   ChildRecord& record = launch.record;
   CrashSlot& slot = *record.slot;
+  rise(pid);
   *record.registered_pid = pid;
   slot.pid = pid;
   slot.start_time = read_start_time();
@@ -118,7 +87,8 @@ void enter(const Launch& launch) noexcept {
   }
   ::prctl(PR_SET_NAME, launch.name.data());
   forget_signal_actions();
-  install_crash_handlers(launch.alternate_stack.bottom(), AlternateStack::size());
+  launch.alternate_stack.use();
+  install_crash_handlers();
   if (record.options.time_limit.count() > 0) {
     signal_self_after(record.options.time_limit, SIGKILL);
   }
@@ -143,6 +113,11 @@ int run_program(void* argument) {
 void before_reaping(void* argument) noexcept {
   const auto& launch = *static_cast<const Launch*>(argument);
   CrashSlot& slot = *launch.record.slot;
+  const pid_t pid = slot.pid;
+  if (slot.phase != ChildPhase::returned) {
+    bury(pid, pid, launch.name.data());
+  }
+  launch.record.threads.bury([&](pid_t thread) { bury(thread, pid, launch.name.data()); });
   slot.alive = false;
   while (slot.senders != 0) {
     ::sched_yield();

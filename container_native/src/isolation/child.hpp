@@ -7,6 +7,7 @@
 #include <cstdint>
 #include <string_view>
 
+#include "isolation/child_threads.hpp"
 #include "isolation/crash_slot.hpp"
 #include "isolation/vm_clone.hpp"
 
@@ -43,6 +44,8 @@ struct ChildOptions {
   /// Every signal that it handles ends it at once, with its other threads wherever they are. For
   /// measuring what the care above is worth.
   bool dies_abruptly = false;
+  /// Nobody minds should it hang until its time limit: living_children() leaves it out.
+  bool expendable = false;
 };
 
 /// At most so many children live at a time; more of them fail with EAGAIN.
@@ -90,6 +93,7 @@ struct ChildRecord {
   /// Threads that were parked, in order of arrival.
   std::array<std::atomic<pid_t>, kMaxParked> parked{};
   std::atomic<std::uint32_t> parked_count{0};
+  ChildThreads threads;
 };
 
 /// The child that calls this, in any of its threads; null in the container itself and in processes

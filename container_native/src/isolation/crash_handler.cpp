@@ -195,11 +195,7 @@ void prepare_crash_handling() {
   }
 }
 
-void install_crash_handlers(void* alternate_stack, std::size_t alternate_stack_size) noexcept {
-  stack_t stack{};
-  stack.ss_sp = alternate_stack;
-  stack.ss_size = alternate_stack_size;
-  ::sigaltstack(&stack, nullptr);
+void install_crash_handlers() noexcept {
   struct sigaction action{};
   action.sa_sigaction = on_crash_signal;
   action.sa_flags = SA_SIGINFO | SA_RESTART | SA_ONSTACK;

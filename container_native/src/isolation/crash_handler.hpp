@@ -18,7 +18,7 @@ void prepare_crash_handling();
 /// or ChildOptions::leave_limit is over.
 ///
 /// A node may install handlers of its own for all of them; they are its own process's.
-void install_crash_handlers(void* alternate_stack, std::size_t alternate_stack_size) noexcept;
+void install_crash_handlers() noexcept;
 
 /// In a child: makes the calling thread the one that ends it. If another one is at it already, this
 /// one is parked for good.

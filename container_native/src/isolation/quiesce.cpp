@@ -1,7 +1,5 @@
 #include "isolation/quiesce.hpp"
 
-#include <dirent.h>
-#include <fcntl.h>
 #include <linux/futex.h>
 #include <signal.h>
 #include <sys/syscall.h>
@@ -17,6 +15,7 @@
 
 #include "isolation/code_map.hpp"
 #include "isolation/donor_state.hpp"
+#include "isolation/thread_list.hpp"
 
 namespace play_launch::isolation {
 namespace {
@@ -42,53 +41,7 @@ bool is_parked(const ChildRecord& child, pid_t thread) noexcept {
          child.parked.begin() + count;
 }
 
-/// The threads of the calling process, without the allocator that opendir() needs.
-class ThreadList {
- public:
-  ThreadList() noexcept : fd_(::open("/proc/self/task", O_RDONLY | O_DIRECTORY | O_CLOEXEC)) {}
-  ~ThreadList() {
-    if (fd_ >= 0) {
-      ::close(fd_);
-    }
-  }
-  ThreadList(const ThreadList&) = delete;
-  ThreadList& operator=(const ThreadList&) = delete;
-
-  /// Calls visit(tid) for each. False when there is no list to be had.
-  template <class Visit>
-  bool for_each(Visit visit) noexcept {
-    if (fd_ < 0 || ::lseek(fd_, 0, SEEK_SET) != 0) {
-      return false;
-    }
-    alignas(Entry) std::array<char, 4096> buffer;
-    while (true) {
-      const long size = ::syscall(SYS_getdents64, fd_, buffer.data(), buffer.size());
-      if (size <= 0) {
-        return size == 0;
-      }
-      for (long offset = 0; offset < size;) {
-        const auto* const entry = reinterpret_cast<const Entry*>(buffer.data() + offset);
-        if (const pid_t thread = number(entry->d_name)) {
-          visit(thread);
-        }
-        offset += entry->d_reclen;
-      }
-    }
-  }
-
- private:
-  using Entry = dirent64;
-
-  static pid_t number(const char* text) noexcept {
-    pid_t value = 0;
-    for (; *text >= '0' && *text <= '9'; ++text) {
-      value = value * 10 + (*text - '0');
-    }
-    return value;
-  }
-
-  int fd_;
-};
+constexpr const char* kOwnThreads = "/proc/self/task";
 
 std::uint32_t count_others(ThreadList& threads) noexcept {
   const pid_t self = ::gettid();
@@ -166,7 +119,7 @@ void park(ChildRecord& child) noexcept {
 }
 
 void quiesce(ChildRecord& child) noexcept {
-  ThreadList threads;
+  ThreadList threads(kOwnThreads);
   if (child.options.dies_abruptly) {
     child.slot->threads_not_parked = count_others(threads);
     return;

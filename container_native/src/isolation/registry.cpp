@@ -15,6 +15,7 @@ struct Entry {
   std::atomic<bool> taken{false};
   std::atomic<pid_t> pid{0};
   std::atomic<ChildRecord*> record{nullptr};
+  std::atomic<bool> expendable{false};
 };
 
 std::array<Entry, kMaxChildren> entries;
@@ -34,6 +35,7 @@ Registration::Registration(ChildRecord& record) noexcept {
     if (!entries[index_].taken.exchange(true)) {
       use(index_);
       entries[index_].record = &record;
+      entries[index_].expendable = record.options.expendable;
       record.registered_pid = &entries[index_].pid;
       return;
     }
@@ -46,6 +48,18 @@ Registration::~Registration() {
     entries[index_].record = nullptr;
     entries[index_].taken = false;
   }
+}
+
+std::size_t living_children(std::array<pid_t, kMaxChildren>& pids) noexcept {
+  std::size_t count = 0;
+  const std::size_t end = used;
+  for (std::size_t i = 0; i < end; ++i) {
+    const pid_t pid = entries[i].pid;
+    if (pid != 0 && !entries[i].expendable) {
+      pids[count++] = pid;
+    }
+  }
+  return count;
 }
 
 ChildRecord* current_child() noexcept {

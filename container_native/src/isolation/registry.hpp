@@ -1,5 +1,9 @@
 #pragma once
 
+#include <sys/types.h>
+
+#include <array>
+
 #include "isolation/child.hpp"
 
 namespace play_launch::isolation {
@@ -19,5 +23,9 @@ class Registration {
  private:
   std::size_t index_ = 0;
 };
+
+/// Writes the ids of the children that live now, but for expendable ones, into `pids`; their
+/// number. Any thread.
+std::size_t living_children(std::array<pid_t, kMaxChildren>& pids) noexcept;
 
 }  // namespace play_launch::isolation

@@ -35,6 +35,8 @@ struct ExecutorState {
   std::size_t idle = 0;
   // Until when the one idle worker sleeps that looks after the timers; kNever when none does.
   Nanoseconds timekeeper = kNever;
+  // Where to note when a thread looked for work; null: nowhere. Set before spin().
+  std::atomic<Nanoseconds>* beat = nullptr;
   // Rings when the last callback of a removed node has returned.
   Doorbell quiet;
 };
@@ -83,6 +85,11 @@ Executor::~Executor() {
 
 void Executor::cancel() noexcept { state_->queue->close(); }
 
+void Executor::beat_into(std::atomic<std::int64_t>& beat) noexcept {
+  state_->beat = &beat;
+  beat = steady_now();
+}
+
 void Executor::add_node(std::shared_ptr<Node> node) {
   if (!node) throw std::invalid_argument("add_node: no node");
   auto slot = std::make_shared<NodeSlot>(state_->queue);
@@ -128,6 +135,7 @@ void Executor::work() {
     const auto seen = state_->queue->doorbell().rings();
     if (state_->queue->closed()) return;
     state_->scheduler.collect();
+    if (state_->beat != nullptr) state_->beat->store(steady_now(), std::memory_order_relaxed);
     RunningTurn* const turn = state_->scheduler.next();
     if (turn == nullptr) {
       wait_for_work(seen, lock);
@@ -136,15 +144,20 @@ void Executor::work() {
     const bool hand_over =
         state_->idle > 0 &&
         (state_->scheduler.has_runnable() ||
-         (state_->timekeeper == kNever && state_->scheduler.next_deadline() != kNever));
+         (state_->timekeeper == kNever && next_look(state_->scheduler.next_deadline()) != kNever));
     if (hand_over) state_->queue->doorbell().ring();
     run(*turn, lock);
   }
 }
 
+Nanoseconds Executor::next_look(Nanoseconds due) const {
+  constexpr Nanoseconds kBeat = 1'000'000'000;
+  return state_->beat == nullptr ? due : std::min(due, steady_now() + kBeat);
+}
+
 void Executor::wait_for_work(std::uint32_t seen, std::unique_lock<std::mutex>& lock) {
   // One idle worker wakes for the timers, the others for notifications only.
-  const Nanoseconds deadline = state_->scheduler.next_deadline();
+  const Nanoseconds deadline = next_look(state_->scheduler.next_deadline());
   const bool keeps_time = deadline < state_->timekeeper;
   if (keeps_time) state_->timekeeper = deadline;
   ++state_->idle;

@@ -192,9 +192,6 @@ void test_crashes(const Kind& kind, std::vector<std::unique_ptr<Neighbour>>& nei
 /// The same in a thread that the child started.
 void test_crashes_in_second_thread() {
   for (const Kind& kind : kKinds) {
-    if (std::strcmp(kind.name, "stack overflow") == 0) {
-      continue;  // only the first thread has an alternate stack
-    }
     Outcome outcome;
     run(outcome, [&kind](Program&) {
       std::thread(kind.crash).join();

@@ -1,0 +1,58 @@
+#pragma once
+
+#include <sys/types.h>
+
+#include <array>
+#include <atomic>
+#include <cstddef>
+
+namespace play_launch::isolation {
+
+/// The threads that a child has besides its first one, as far as they were started with
+/// pthread_create(), which thread_guard.cpp defines for the whole program: it gives each of them a
+/// stack for crash handlers and an entry here. Async-signal-safe.
+class ChildThreads {
+ public:
+  /// More of them are not listed, and cannot report that their stack overflowed.
+  static constexpr std::size_t kMost = 512;
+
+  /// The calling thread's entry, with its stack for handlers, while it exists.
+  class Entry {
+   public:
+    explicit Entry(ChildThreads& threads) noexcept;
+    ~Entry();
+    Entry(const Entry&) = delete;
+    Entry& operator=(const Entry&) = delete;
+
+   private:
+    ChildThreads& threads_;
+    std::size_t index_;
+  };
+
+  /// When no thread of the child is left: gives back their stacks, and calls visit(thread) for
+  /// each that was killed instead of ending by itself.
+  template <class Visit>
+  void bury(Visit visit) noexcept {
+    const std::size_t end = used_;
+    for (std::size_t i = 0; i < end; ++i) {
+      if (const pid_t thread = places_[i].thread.exchange(0)) {
+        visit(thread);
+      }
+      give_back(places_[i].handler_stack.exchange(nullptr));
+    }
+  }
+
+ private:
+  struct Place {
+    std::atomic<pid_t> thread{0};
+    std::atomic<void*> handler_stack{nullptr};
+  };
+
+  static void give_back(void* handler_stack) noexcept;
+
+  std::array<Place, kMost> places_{};
+  /// Places from here on were never taken.
+  std::atomic<std::size_t> used_{0};
+};
+
+}  // namespace play_launch::isolation

@@ -1,0 +1,35 @@
+"""Telling about a number that grows in bursts: at once when it begins, and once when it is over."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+QUIET = 10.0
+"""Seconds without growth after which a burst counts as over."""
+
+
+@dataclass(slots=True)
+class Episode:
+    """One number that only grows. Times are seconds of any monotonic clock and are passed in."""
+
+    quiet: float = QUIET
+    count: int = 0
+    _told: int = 0
+    _grew_at: float | None = None
+    """Of the burst that goes on; None without one."""
+
+    def see(self, count: int, now: float) -> bool:
+        """Take the number as it is now; tell whether its reader should hear of it."""
+        if count > self.count:
+            self.count = count
+            began = self._grew_at is None
+            self._grew_at = now
+            return began and self._tell()
+        if self._grew_at is not None and now - self._grew_at >= self.quiet:
+            self._grew_at = None
+            return self.count > self._told and self._tell()
+        return False
+
+    def _tell(self) -> bool:
+        self._told = self.count
+        return True

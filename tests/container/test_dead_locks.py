@@ -1,0 +1,105 @@
+"""A lock that died with its holder is found, and nothing else is taken for one."""
+
+from __future__ import annotations
+
+import os
+import signal
+from typing import TYPE_CHECKING
+
+import pytest
+from play_launch_msgs.msg import ComponentEvent, ControlStatus
+
+from tests.support.isolated import MODES, start_isolated, survives
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from tests.support.control_peer import Container, StartContainer
+
+CRASHED = ComponentEvent.CRASHED
+LOOK = 0.5
+"""Seconds between two looks of a container for such locks."""
+
+both_modes = pytest.mark.parametrize("mode", MODES)
+
+
+def until(container: Container, done: Callable[[ControlStatus], bool]) -> ControlStatus:
+    """Ask until the answer is as it should be; the test's own limit ends what never is."""
+    while True:
+        status = container.status()
+        if done(status):
+            return status
+
+
+def locker(container: Container, name: str, lock: str, **parameters: float) -> ComponentEvent:
+    return container.loaded(
+        "Locker", node_name=name, parameters={"lock": lock, "rate": 1000.0, **parameters}
+    )
+
+
+def silence(status: ControlStatus, event: ComponentEvent) -> float:
+    """Seconds since that node came round."""
+    nanoseconds: int = next(
+        node.silence_ns for node in status.nodes if node.unique_id == event.unique_id
+    )
+    return nanoseconds / 1e9
+
+
+def holder(container: Container, lock: str) -> ComponentEvent:
+    """A locker that has taken the lock and keeps it: in its first callback, after 1 ms."""
+    event = locker(container, "holder", lock, hold_from=1)
+    until(container, lambda status: silence(status, event) > 0.5)
+    return event
+
+
+@both_modes
+@pytest.mark.parametrize(
+    ("held", "wanted"),
+    [
+        ("mutex", "mutex"),
+        ("recursive_mutex", "recursive_mutex"),
+        ("write", "write"),
+        ("write", "read"),
+    ],
+)
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGABRT])
+def test_a_neighbour_waits_for_a_dead_node(
+    spawn: StartContainer, mode: str, held: str, wanted: str, number: signal.Signals
+) -> None:
+    container = start_isolated(spawn, mode)
+    dying = holder(container, held)
+    waiting = locker(container, "waiting", wanted)
+    assert not container.status().dead_locks
+    os.kill(dying.pid, number)
+    container.event(CRASHED, unique_id=dying.unique_id)
+    found = until(container, lambda status: bool(status.dead_locks)).dead_locks
+    assert len(found) == 1
+    assert f"of process {waiting.pid} waits for a lock" in found[0]
+    assert f"held by process {dying.pid} ('holder')" in found[0]
+
+
+def test_a_lock_that_a_living_node_keeps_is_none_of_the_dead(spawn: StartContainer) -> None:
+    container = start_isolated(spawn)
+    held = [
+        holder(container, "mutex"),
+        locker(container, "waiting", "mutex"),
+        locker(container, "busy", "none", hold_from=1),
+    ]
+    crasher = container.loaded("Crasher", parameters={"after": 0.0})
+    container.event(CRASHED, unique_id=crasher.unique_id)
+    # All three are stuck for as long as the container takes several looks.
+    status = until(container, lambda s: min(silence(s, each) for each in held) > 6 * LOOK)
+    assert not status.dead_locks
+
+
+@both_modes
+def test_a_node_tells_whether_it_comes_round(spawn: StartContainer, mode: str) -> None:
+    container = start_isolated(spawn, mode)
+    with survives(container):
+        idle = container.loaded("Crasher")
+        slow = container.load("SlowConstructor", parameters={"seconds": 3600.0})
+        container.event(ComponentEvent.LOADING, attempt=slow)
+        by_id = {node.unique_id: node for node in container.status().nodes}
+        assert by_id[idle.unique_id].silence_ns >= 0
+        others = [node for node in by_id.values() if node.unique_id != idle.unique_id]
+        assert [node.silence_ns for node in others] == [-1]
