@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 START_LIMIT: Final = 30.0
 """Seconds until a daemon must serve; on a machine under full load loading ROS takes some."""
+_LAST_WORDS: Final = 3.0
 _LINES_OF_LOG: Final = 5
 
 
@@ -86,6 +87,9 @@ def spawn(
     finally:
         os.close(read)
     if not reported:
+        # It may be writing why.
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(_LAST_WORDS)
         process.kill()
         process.wait()
         raise StartError(f"the daemon ended or got stuck while it started{_end_of(path)}")
