@@ -31,3 +31,11 @@ format:
 # Measure: just bench bring_up
 bench name *arguments:
     {{python}} -m benchmarks.{{name}} {{arguments}}
+
+# Make ros2cli's own daemon bear a start-up storm: just patch-daemon --dry-run
+patch-daemon *arguments:
+    .venv/bin/play-launch daemon patch {{arguments}}
+
+# Take that away again.
+unpatch-daemon *arguments:
+    .venv/bin/play-launch daemon unpatch {{arguments}}
