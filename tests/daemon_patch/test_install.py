@@ -232,7 +232,7 @@ def test_want_of_permissions_stops_unpatching_before_it_begins(
     patch(ros)
     before = ros.tree()
     monkeypatch.setattr(os, "access", lambda *_arguments: False)
-    with pytest.raises(PatchError, match=r"sudo.*--user"):
+    with pytest.raises(PatchError, match=r"with sudo.*ROS\)$"):
         unpatch(ros)
     assert ros.tree() == before
 

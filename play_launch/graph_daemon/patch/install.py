@@ -76,7 +76,7 @@ class PatchPlan:
         """
         if self.action is Action.NOTHING:
             return
-        with _permissions(self.place):
+        with _permissions(self.place, ", or use --user to change ros2 for yourself alone"):
             made = _make_folders(self.place)
             try:
                 with _locked(self.place):
@@ -269,7 +269,7 @@ def _locked(place: Path) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _permissions(place: Path) -> Iterator[None]:
+def _permissions(place: Path, otherwise: str = "") -> Iterator[None]:
     """Turn what the system refuses into advice."""
     try:
         yield
@@ -277,7 +277,6 @@ def _permissions(place: Path) -> Iterator[None]:
         if isinstance(error, PermissionError) or error.errno == errno.EROFS:
             raise PatchError(
                 f"{place} cannot be written to by this user; run the same command as a user who "
-                "may (for example with sudo, and the environment of your ROS), or use --user to "
-                "change ros2 for yourself alone"
+                f"may (for example with sudo, and the environment of your ROS){otherwise}"
             ) from None
         raise PatchError(f"{error.filename or place}: {error.strerror or error}") from None
