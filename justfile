@@ -38,3 +38,11 @@ bench-docs:
     {{python}} -m benchmarks.crash --json build/crash.json
     {{python}} -m benchmarks.intra_process --json build/intra_process.json
     {{python}} -m benchmarks.publish build/crash.json build/intra_process.json
+
+# Make ros2cli's own daemon bear a start-up storm: just patch-daemon --dry-run
+patch-daemon *arguments:
+    .venv/bin/play-launch daemon patch {{arguments}}
+
+# Take that away again.
+unpatch-daemon *arguments:
+    .venv/bin/play-launch daemon unpatch {{arguments}}

@@ -19,6 +19,7 @@ import typer
 
 from play_launch.cli.check import check
 from play_launch.cli.daemon import daemon_app
+from play_launch.cli.doctor import doctor
 from play_launch.cli.graph_commands import add_graph_commands
 from play_launch.cli.replay import replay
 from play_launch.cli.version import print_version, version
@@ -54,6 +55,7 @@ app = typer.Typer(
 )
 app.command()(replay)
 app.command()(check)
+app.command()(doctor)
 app.command()(version)
 app.add_typer(daemon_app)
 add_graph_commands(app)

@@ -76,7 +76,9 @@ def _run(options: argparse.Namespace) -> int:
     verb: Callable[[GraphClient, argparse.Namespace], int] = options.verb
     try:
         address = daemon_address()
-        client = GraphClient(address, options.call_timeout)
+        # No call is to outlast a wait.
+        limit = min(options.call_timeout, getattr(options, "timeout", options.call_timeout))
+        client = GraphClient(address, limit)
         try:
             return verb(client, options)
         except NoDaemonError as error:

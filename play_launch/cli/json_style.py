@@ -10,6 +10,7 @@ from typing import IO, TYPE_CHECKING, Final
 from play_launch.core.events import (
     ComponentEvent,
     ContainerStateChanged,
+    GraphChanged,
     LogRecord,
     NodeStateChanged,
     OutputLine,
@@ -29,6 +30,7 @@ _TYPES: Final[dict[type[RunEvent], str]] = {
     LogRecord: "log",
     NodeStateChanged: "node",
     ContainerStateChanged: "container",
+    GraphChanged: "graph",
 }
 _FIELDS: Final = {kind: tuple(field.name for field in fields(kind)) for kind in _TYPES}
 

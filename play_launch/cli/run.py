@@ -97,7 +97,18 @@ async def _until_the_end(config: ReplayConfig, sink: RunSink, signals: RunSignal
 
     stop = StopRequests()
     with signals.delivered_to(stop.request):
-        return await run_system(config, sink, stop)
+        async with _graph_daemon(config, sink):
+            return await run_system(config, sink, stop)
+
+
+def _graph_daemon(
+    config: ReplayConfig, sink: RunSink
+) -> contextlib.AbstractAsyncContextManager[None]:
+    if not config.graph_daemon:
+        return contextlib.nullcontext()
+    from play_launch.graph_daemon.observer import observed_graph  # noqa: PLC0415
+
+    return observed_graph({**os.environ, **config.environment}, sink)
 
 
 @contextlib.contextmanager

@@ -32,6 +32,7 @@ def describe(config: ReplayConfig) -> dict[str, object]:
         "source": str(config.source),
         "duration": config.duration,
         "log_dir": None if config.log_dir is None else str(config.log_dir),
+        "graph_daemon": config.graph_daemon,
         "environment": dict(config.environment),
         "stop": {
             "ask": config.stop.ask,

@@ -206,7 +206,8 @@ class ReplayConfig:
     """A whole system.
 
     `source` is the file it was read from and `text` its bytes, for the recording. `duration`
-    is the seconds after which the system is stopped, None for never.
+    is the seconds after which the system is stopped, None for never. `graph_daemon` says whether
+    the graph daemon of the ROS domain runs before the nodes, and is asked what it sees.
     """
 
     name: str
@@ -214,6 +215,7 @@ class ReplayConfig:
     text: bytes
     duration: float | None = None
     log_dir: Path | None = None
+    graph_daemon: bool = False
     environment: Mapping[str, str] = field(default_factory=_no_environment)
     stop: StopLimits = StopLimits()
     containers: tuple[ContainerConfig, ...] = ()

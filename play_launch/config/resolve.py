@@ -74,6 +74,7 @@ def resolve_document(
         text=content,
         duration=document.duration,
         log_dir=log_dir,
+        graph_daemon=bool(document.graph_daemon),
         environment=MappingProxyType(environment),
         stop=stop,
         containers=containers,

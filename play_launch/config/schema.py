@@ -176,6 +176,7 @@ class DocumentSection(Section):
     name: Annotated[str, AfterValidator(_check_run_name)] | None = None
     duration: PositiveDuration | None = None
     log_dir: FilledText | None = None
+    graph_daemon: bool | None = None
     environment: Raw = None
     stop: StopSection | None = None
     composable_node_loading: LoadingSection | None = None

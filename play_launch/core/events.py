@@ -187,6 +187,23 @@ class ContainerStateChanged:
     """How its nodes are isolated, while it runs: ``shared_memory``, ``process``; else empty."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GraphChanged:
+    """Nodes came into the ROS graph, or left it, as the graph daemon sees it.
+
+    They may be anybody's: the graph is that of the whole ROS domain. A name stands there as often
+    as there are nodes that bear it.
+    """
+
+    stamp_ns: int
+    """When it was noticed, up to half a second after it happened."""
+    appeared: tuple[str, ...]
+    """Full names."""
+    vanished: tuple[str, ...]
+    nodes: int
+    """How many there are now."""
+
+
 RunEvent = (
     ComponentEvent
     | ProcessEvent
@@ -194,6 +211,7 @@ RunEvent = (
     | LogRecord
     | NodeStateChanged
     | ContainerStateChanged
+    | GraphChanged
 )
 
 

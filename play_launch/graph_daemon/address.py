@@ -17,6 +17,8 @@ DOMAIN_VARIABLE: Final = "ROS_DOMAIN_ID"
 HOST: Final = "127.0.0.1"
 BASE_PORT: Final = 11511
 PATH: Final = "/ros2cli/"
+NODE_PREFIX: Final = "_ros2cli_daemon_"
+"""How the nodes of daemons begin, ros2cli's and ours; the underscore hides them from lists."""
 LARGEST_DOMAIN: Final = 232
 """With more, the port numbers of DDS do not fit into 16 bits."""
 

@@ -15,12 +15,13 @@ from play_launch.graph_daemon.settings import PROFILE_FILES
 
 if TYPE_CHECKING:
     import socket
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
     from play_launch.graph_daemon.address import DaemonAddress
 
 START_LIMIT: Final = 30.0
 """Seconds until a daemon must serve; on a machine under full load loading ROS takes some."""
+_LAST_WORDS: Final = 3.0
 _LINES_OF_LOG: Final = 5
 
 
@@ -28,9 +29,9 @@ class StartError(Exception):
     """The daemon could not be started; the text says why, for a person."""
 
 
-def log_path(address: DaemonAddress) -> Path:
+def log_path(address: DaemonAddress, environment: Mapping[str, str] = os.environ) -> Path:
     """Return where a daemon in the background logs; that of its last run is overwritten."""
-    folder = os.environ.get("ROS_LOG_DIR") or Path.home() / ".ros" / "log"
+    folder = environment.get("ROS_LOG_DIR") or Path.home() / ".ros" / "log"
     return Path(folder) / f"play_launch_daemon_{address.domain}.log"
 
 
@@ -41,6 +42,7 @@ def spawn(
     idle_timeout: float,
     wait_for: str,
     limit: float = START_LIMIT,
+    environment: Mapping[str, str] = os.environ,
 ) -> subprocess.Popen[bytes]:
     """Start a daemon on ``listener`` and return its process, which the caller is to wait for.
 
@@ -50,11 +52,12 @@ def spawn(
         idle_timeout: Seconds without a request after which it ends; 0 for never.
         wait_for: What it must report before this returns: `LISTENING` or `WARM`.
         limit: Seconds that this may take.
+        environment: For the daemon's process.
 
     Raises ``StartError`` when it does not come so far; it does not run then.
     """
     read, write = os.pipe()
-    path = log_path(address)
+    path = log_path(address, environment)
     try:
         with _log_file(path) as log, open(os.devnull, "rb") as nothing:  # noqa: PTH123
             process = subprocess.Popen(
@@ -73,6 +76,7 @@ def spawn(
                 stdout=log,
                 stderr=log,
                 pass_fds=(listener.fileno(), write),
+                env=dict(environment),
                 cwd=_working_directory(),
                 start_new_session=True,
             )
@@ -86,6 +90,9 @@ def spawn(
     finally:
         os.close(read)
     if not reported:
+        # It may be writing why.
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(_LAST_WORDS)
         process.kill()
         process.wait()
         raise StartError(f"the daemon ended or got stuck while it started{_end_of(path)}")

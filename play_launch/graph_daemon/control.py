@@ -24,6 +24,7 @@ from play_launch.graph_daemon.takeover import (
 if TYPE_CHECKING:
     import socket
     import subprocess
+    from collections.abc import Mapping
 
     from play_launch.graph_daemon.address import DaemonAddress
 
@@ -60,8 +61,15 @@ class Port:
     messages: tuple[str, ...]
 
 
-def acquire(address: DaemonAddress, *, restart: bool = False) -> Port:
+def acquire(
+    address: DaemonAddress, *, restart: bool = False, environment: Mapping[str, str] = os.environ
+) -> Port:
     """Take the port, from another daemon if need be.
+
+    Args:
+        address: Where.
+        restart: Whether a daemon of ours that runs is replaced.
+        environment: The caller's, to compare with the settings of one that is kept.
 
     Raises ``PortHeldError`` where it belongs to something else, other ``OSError`` where the port
     cannot be had at all.
@@ -69,7 +77,7 @@ def acquire(address: DaemonAddress, *, restart: bool = False) -> Port:
     messages: tuple[str, ...] = ()
     for _ in range(_ATTEMPTS):
         occupant = look(address)
-        decision = decide(occupant, compared_settings(os.environ), restart=restart)
+        decision = decide(occupant, compared_settings(environment), restart=restart)
         match decision.action:
             case Action.KEEP:
                 pid = int(occupant.status.get("pid", 0))
@@ -101,6 +109,7 @@ def start_daemon(
     idle_timeout: float = IDLE_TIMEOUT,
     wait_for: str = WARM,
     restart: bool = False,
+    environment: Mapping[str, str] = os.environ,
 ) -> Started:
     """Start a daemon in the background, unless one of ours runs.
 
@@ -109,14 +118,21 @@ def start_daemon(
         idle_timeout: Seconds without a request after which it ends; 0 for never.
         wait_for: What to wait for: `LISTENING` or `WARM`.
         restart: Whether a running one is replaced.
+        environment: For the daemon's process.
 
     Raises ``PortHeldError``, ``StartError`` and ``OSError``, with texts for a person.
     """
-    port = acquire(address, restart=restart)
+    port = acquire(address, restart=restart, environment=environment)
     if port.listener is None:
         return Started(started=False, pid=port.pid, messages=port.messages)
     with port.listener as listener:
-        process = spawn(address, listener, idle_timeout=idle_timeout, wait_for=wait_for)
+        process = spawn(
+            address,
+            listener,
+            idle_timeout=idle_timeout,
+            wait_for=wait_for,
+            environment=environment,
+        )
     return Started(started=True, pid=process.pid, messages=port.messages, process=process)
 
 

@@ -100,8 +100,8 @@ class Daemon:
         self._replacer = Replacer(self._service, build)
         self._service.use(await asyncio.to_thread(build))
         await self._server.start()
-        report(LISTENING)
         with self._ended_by_signals(), self._watching_interfaces():
+            report(LISTENING)
             tasks = [
                 asyncio.create_task(self._replacer.run()),
                 asyncio.create_task(self._end_when_idle()),

@@ -23,6 +23,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from play_launch.graph_daemon.address import NODE_PREFIX
 from play_launch.graph_daemon.methods import GRAPH_METHODS
 from play_launch.graph_daemon.ros_values import to_wire
 
@@ -31,8 +32,6 @@ if TYPE_CHECKING:
 
     from play_launch.graph_daemon.service import Graph
 
-NODE_PREFIX: Final = "_ros2cli_daemon_"
-"""How the nodes of ros2cli's daemon begin; the underscore hides them from `ros2 node list`."""
 COALESCING: Final = 0.05
 """Seconds after a change in which others are not reported; afterwards they are, as one."""
 _DISCOVERY_TOPIC: Final = "ros_discovery_info"

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 TRANSPORTS: Final = "FASTDDS_BUILTIN_TRANSPORTS"
 _OURS: Final = "UDPv4"
+_RANGE: Final = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+_LOCALHOST: Final = "LOCALHOST"
 _PROFILE_VARIABLES: Final = (
     "FASTDDS_DEFAULT_PROFILES_FILE",
     "FASTRTPS_DEFAULT_PROFILES_FILE",
@@ -26,7 +28,7 @@ _SKIP_PROFILE_FILES: Final = "SKIP_DEFAULT_XML_FILE"
 COMPARED: Final = (
     DOMAIN_VARIABLE,
     "RMW_IMPLEMENTATION",
-    "ROS_AUTOMATIC_DISCOVERY_RANGE",
+    _RANGE,
     "ROS_STATIC_PEERS",
     "ROS_LOCALHOST_ONLY",
     "ROS_DISCOVERY_SERVER",
@@ -42,7 +44,7 @@ COMPARED: Final = (
 """The environment variables that two processes must share in order to meet the same nodes."""
 _DEFAULTS: Final = {
     DOMAIN_VARIABLE: "0",
-    "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
+    _RANGE: "SUBNET",
     "ROS_LOCALHOST_ONLY": "0",
     "ROS_SECURITY_ENABLE": "false",
 }
@@ -67,6 +69,9 @@ def choose_transports(environment: Mapping[str, str], files: Iterable[str]) -> T
         environment: That of the daemon.
         files: Names of the files in its working directory.
     """
+    if environment.get(_RANGE) == _LOCALHOST or environment.get("ROS_LOCALHOST_ONLY") == "1":
+        # It is not built in: rmw_fastrtps adds a shared-memory and a UDP transport of its own then.
+        return Transports({}, f"rmw_fastrtps chooses its own for {_LOCALHOST}")
     if TRANSPORTS in environment:
         return Transports({}, f"{TRANSPORTS} is set")
     for variable in _PROFILE_VARIABLES:

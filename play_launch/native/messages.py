@@ -94,10 +94,9 @@ class NodeStatus:
     """One node as its container sees it.
 
     `elapsed_ns` is the time in this state and `cpu_time_ns` what its constructor used up (0 once
-    loaded), in nanoseconds; `start_time` is in clock ticks after boot. `note` says in words what
-    there is to say besides; it is not on the wire.
     loaded), in nanoseconds; `start_time` is in clock ticks after boot. `silence_ns` is the time
     since the node's executor last came round between two callbacks, or -1 where that is not known.
+    `note` says in words what there is to say besides; it is not on the wire.
     """
 
     unique_id: int

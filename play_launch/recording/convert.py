@@ -9,6 +9,7 @@ from play_launch.core.events import (
     ComponentEventKind,
     ContainerState,
     ContainerStateChanged,
+    GraphChanged,
     LogRecord,
     NodeState,
     NodeStateChanged,
@@ -105,6 +106,8 @@ class Converter:
                 return (Recorded(topics.COMPONENT_EVENTS, self._loaded().component(event)),)
             case ProcessEvent():
                 return (Recorded(topics.PROCESS_EVENTS, self._loaded().process(event)),)
+            case GraphChanged():
+                return (Recorded(topics.GRAPH, _graph(event)),)
         assert_never(event)
 
     def output(self, line: OutputLine) -> tuple[Recorded, int]:
@@ -158,6 +161,16 @@ def _node_state(event: NodeStateChanged) -> bytes:
         function=event.state.value,
         line=event.index,
     )
+
+
+def _graph(event: GraphChanged) -> bytes:
+    parts = [
+        f"{word} {', '.join(names)}"
+        for word, names in (("appeared", event.appeared), ("vanished", event.vanished))
+        if names
+    ]
+    text = f"{'; '.join(parts)}; {event.nodes} nodes"
+    return log_message(event.stamp_ns, INFO, "graph", text)
 
 
 def _container_state(event: ContainerStateChanged) -> bytes:

@@ -39,6 +39,7 @@ def test_top_level(full: ReplayConfig) -> None:
     assert full.text == FULL.read_bytes()
     assert full.duration == 120.0
     assert full.log_dir == GOOD / "logs"
+    assert full.graph_daemon
     assert full.environment == {"RCUTILS_COLORIZED_OUTPUT": "1", "GREETING": "on"}
     assert full.stop == StopLimits(ask=0.0, sigint=0.5, sigterm=1.5)
 
@@ -119,6 +120,7 @@ def test_defaults() -> None:
     config = parse_config(text, Path("somewhere/demo.yaml"))
     assert config.name == "demo"
     assert (config.duration, config.log_dir, config.environment) == (None, None, {})
+    assert not config.graph_daemon
     assert config.stop == StopLimits(ask=3.0, sigint=2.0, sigterm=2.0)
     (main,) = config.containers
     assert (main.namespace, main.full_name) == ("/", "/main")

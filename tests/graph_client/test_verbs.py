@@ -237,8 +237,11 @@ def test_a_daemon_that_cannot_be_started_is_told(
     assert capsys.readouterr().err.endswith("error: no rclpy here\n")
 
 
-def test_a_silent_daemon_is_told_after_the_call_timeout(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    "verb", ["node list --call-timeout 0.2", "graph wait --nodes 1 --timeout 0.2"]
+)
+def test_a_silent_daemon_is_told_after_the_timeout(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], verb: str
 ) -> None:
     release = threading.Event()
 
@@ -247,7 +250,7 @@ def test_a_silent_daemon_is_told_after_the_call_timeout(
 
     with scripted(behave) as daemon:
         monkeypatch.setattr(graph, "daemon_address", lambda: daemon.address)
-        assert graph.main(["node", "list", "--call-timeout", "0.2"]) == 1
+        assert graph.main(verb.split()) == 1
         release.set()
     assert "has not answered within 0.2 s" in capsys.readouterr().err
 

@@ -50,6 +50,17 @@ def test_a_default_that_is_written_out_does_not_differ() -> None:
     assert differences({}, {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET", "ROS_DOMAIN_ID": "0"}) == []
 
 
+@pytest.mark.parametrize(
+    "environment", [{"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}, {"ROS_LOCALHOST_ONLY": "1"}]
+)
+def test_where_the_middleware_ignores_the_variable_it_is_not_set(
+    environment: dict[str, str],
+) -> None:
+    chosen = choose_transports(environment, [])
+    assert chosen.variables == {}
+    assert "LOCALHOST" in chosen.reason
+
+
 @pytest.mark.parametrize("name", COMPARED)
 def test_every_setting_is_compared_and_named(name: str) -> None:
     (line,) = differences({name: "theirs"}, {name: "ours"})

@@ -14,7 +14,7 @@ LAYERS = (
     {"core", "config"},
     {"native", "process", "recording", "ros"},
     {"actors", "graph_daemon"},
-    {"reporting"},
+    {"reporting", "doctor"},
     {"cli"},
 )
 LEVEL = {name: level for level, names in enumerate(LAYERS) for name in names}

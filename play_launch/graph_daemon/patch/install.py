@@ -76,7 +76,7 @@ class PatchPlan:
         """
         if self.action is Action.NOTHING:
             return
-        with _permissions(self.place):
+        with _permissions(self.place, ", or use --user to change ros2 for yourself alone"):
             made = _make_folders(self.place)
             try:
                 with _locked(self.place):
@@ -104,14 +104,9 @@ class PatchPlan:
         for rest in (new, old):
             # Of a run that was killed; the lock says that nobody is at it.
             shutil.rmtree(rest, ignore_errors=True)
-        new.mkdir(mode=0o755)
-        new.chmod(0o755)
-        for name, content in self.contents.items():
-            if name != STARTER:
-                _write_file(new / Path(name).name, content)
-        _write_file(new / FILE, manifest.to_json())
         starter_before = starter.read_bytes() if starter.exists() else None
         try:
+            self._write_package(new, manifest)
             if package.exists():
                 package.rename(old)
             new.rename(package)
@@ -121,13 +116,23 @@ class PatchPlan:
             # First what starts it, so that no Python comes up with half of it.
             if starter_before is None:
                 starter.unlink(missing_ok=True)
-            shutil.rmtree(package, ignore_errors=True)
+            shutil.rmtree(new, ignore_errors=True)
+            if old.exists() or before is None:
+                shutil.rmtree(package, ignore_errors=True)
             if old.exists():
                 old.rename(package)
-            if starter_before is not None:
+            if starter_before is not None and starter.read_bytes() != starter_before:
                 _write_file(starter, starter_before)
             raise
         shutil.rmtree(old, ignore_errors=True)
+
+    def _write_package(self, folder: Path, manifest: Manifest) -> None:
+        folder.mkdir()
+        folder.chmod(0o755)
+        for name, content in self.contents.items():
+            if name != STARTER:
+                _write_file(folder / Path(name).name, content)
+        _write_file(folder / FILE, manifest.to_json())
 
 
 def plan_patch(
@@ -264,7 +269,7 @@ def _locked(place: Path) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _permissions(place: Path) -> Iterator[None]:
+def _permissions(place: Path, otherwise: str = "") -> Iterator[None]:
     """Turn what the system refuses into advice."""
     try:
         yield
@@ -272,7 +277,6 @@ def _permissions(place: Path) -> Iterator[None]:
         if isinstance(error, PermissionError) or error.errno == errno.EROFS:
             raise PatchError(
                 f"{place} cannot be written to by this user; run the same command as a user who "
-                "may (for example with sudo, and the environment of your ROS), or use --user to "
-                "change ros2 for yourself alone"
+                f"may (for example with sudo, and the environment of your ROS){otherwise}"
             ) from None
         raise PatchError(f"{error.filename or place}: {error.strerror or error}") from None

@@ -236,7 +236,7 @@ class Loop:
         answer = exchange.answer()
         # From the end of the call: it may have taken long.
         self.last_answer = time.monotonic()
-        if _asks_for_the_graph(request) and answer.startswith(b"HTTP/1.0 200 "):
+        if _asks_for_the_graph(request) and _is_no_failure(answer):
             self._remember(request, answer, self.last_answer)
         return answer
 
@@ -301,3 +301,8 @@ def _request_length(received: bytearray) -> int | None:
 
 def _asks_for_the_graph(request: bytes) -> bool:
     return b"<methodName>get_" in request or b"<methodName>count_" in request
+
+
+def _is_no_failure(answer: bytes) -> bool:
+    # A fault is near the beginning, unless it is long and packed; then it is kept for a moment.
+    return answer.startswith(b"HTTP/1.0 200 ") and b"<fault>" not in answer[:1024]

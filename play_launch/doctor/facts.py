@@ -1,0 +1,138 @@
+"""What is known about a machine before it is judged.
+
+Sizes are bytes; None means that it could not be found out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PythonFacts:
+    """The interpreter and what is installed for it."""
+
+    version: tuple[int, int, int]
+    executable: str
+    packages: Mapping[str, str] = field(default_factory=dict)
+    """Versions by name of those that are installed."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RosFacts:
+    """Where ROS comes from, and whether Python can use it."""
+
+    source: str = ""
+    """``wheels`` or ``system``; empty where there is none, or two."""
+    prefix: str = ""
+    problem: str = ""
+    """Why it cannot be used."""
+    import_errors: Mapping[str, str] = field(default_factory=dict)
+    """By module, for those that do not load."""
+    rmw_in_use: str = ""
+    rmw_asked_for: str = ""
+    """``RMW_IMPLEMENTATION``."""
+    stock_container: str = ""
+    """The program of rclcpp_components."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ContainerFacts:
+    """Our own container, started once in an isolated mode and asked."""
+
+    program: str = ""
+    problem: str = ""
+    """Why there is none, or why it did not answer."""
+    version: str = ""
+    backends: tuple[str, ...] = ()
+    mechanism: str = ""
+    notes: tuple[str, ...] = ()
+    allocator: str = ""
+    """Library that isolated containers run with."""
+    allocator_problem: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class KernelFacts:
+    """The kernel and what it offers to supervisors."""
+
+    release: str
+    has_pidfd: bool
+    cgroup: str = ""
+    """Folder of our own control group, version 2; empty where there is none."""
+    cgroup_is_writable: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Limit:
+    """One of the limits of getrlimit(2); None is unlimited."""
+
+    soft: int | None
+    hard: int | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LimitFacts:
+    """Limits that matter to many processes and to real-time nodes."""
+
+    nofile: Limit
+    nproc: Limit
+    core: Limit
+    memlock: Limit
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SharedMemoryFacts:
+    """``/dev/shm``, over which DDS moves messages between processes."""
+
+    total: int | None
+    free: int | None
+    is_writable: bool
+    segments: int = 0
+    """Files of Fast DDS, of the living and of the dead."""
+    leftovers: int = 0
+    """Those whose owner is dead."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NetworkFacts:
+    """Loopback, and what the environment says about discovery."""
+
+    loopback_works: bool
+    loopback_has_multicast: bool | None
+    discovery_range: str = ""
+    """``ROS_AUTOMATIC_DISCOVERY_RANGE``."""
+    localhost_only: str = ""
+    """``ROS_LOCALHOST_ONLY``, which the other one has replaced."""
+    domain_id: str = ""
+    """``ROS_DOMAIN_ID``."""
+    ephemeral_ports: tuple[int, int] | None = None
+    """The first and the last port that the kernel gives to whoever asks for any."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordingFacts:
+    """Where recordings go."""
+
+    folder: str
+    problem: str = ""
+    """Why nothing can be written there."""
+    free: int | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MachineFacts:
+    """All of it."""
+
+    python: PythonFacts
+    ros: RosFacts
+    container: ContainerFacts
+    kernel: KernelFacts
+    limits: LimitFacts
+    shared_memory: SharedMemoryFacts
+    network: NetworkFacts
+    recording: RecordingFacts

@@ -1,0 +1,59 @@
+"""What is found out about one subject, in words."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+
+class Level(StrEnum):
+    """How bad it is."""
+
+    OK = "ok"
+    WARN = "warn"
+    """It works, but something is lost: the finding says what."""
+    FAIL = "fail"
+    """No system can be brought up like this."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One line of the report.
+
+    Attributes:
+        subject: What it is about, in a word or two.
+        level: How bad it is.
+        says: What was found.
+        costs: What does not work because of it; empty when nothing is lost.
+        way_out: What to do about it; empty when there is nothing to do.
+    """
+
+    subject: str
+    level: Level
+    says: str
+    costs: str = ""
+    way_out: str = ""
+
+
+def ok(subject: str, says: str) -> Finding:
+    """All is well."""
+    return Finding(subject, Level.OK, says)
+
+
+def warn(subject: str, says: str, costs: str, way_out: str) -> Finding:
+    """Something is lost."""
+    return Finding(subject, Level.WARN, says, costs, way_out)
+
+
+def fail(subject: str, says: str, costs: str, way_out: str) -> Finding:
+    """Nothing works like this."""
+    return Finding(subject, Level.FAIL, says, costs, way_out)
+
+
+def can_run(findings: Iterable[Finding]) -> bool:
+    """Whether a system can be brought up."""
+    return all(finding.level is not Level.FAIL for finding in findings)

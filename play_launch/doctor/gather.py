@@ -1,0 +1,293 @@
+"""Gathers the facts about this machine. Nothing is changed, and nothing is left behind."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import platform
+import re
+import resource
+import shutil
+import socket
+import subprocess
+import sys
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from play_launch.doctor.container_probe import probe_container
+from play_launch.doctor.facts import (
+    ContainerFacts,
+    KernelFacts,
+    Limit,
+    LimitFacts,
+    MachineFacts,
+    NetworkFacts,
+    PythonFacts,
+    RecordingFacts,
+    RosFacts,
+    SharedMemoryFacts,
+)
+from play_launch.native.argv import ExecutableNotFoundError, find_executable
+from play_launch.native.environment import child_environment
+from play_launch.native.locate import (
+    MixedInstallationError,
+    NotInstalledError,
+    RosInstallation,
+    ament_prefixes,
+    ros_installation,
+)
+from play_launch.process.shm import SHARED_MEMORY
+from play_launch.recording.facts import versions
+from play_launch.recording.session import default_log_folder
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+_MODULES: Final = ("rclpy", "play_launch_msgs.msg", "composition_interfaces.srv")
+_IMPORTS: Final = """
+import importlib, json, sys
+errors, rmw = {}, ""
+for module in sys.argv[1:]:
+    try:
+        importlib.import_module(module)
+    except Exception as error:
+        errors[module.partition(".")[0]] = str(error)
+if "rclpy" not in errors:
+    from rclpy.utilities import get_rmw_implementation_identifier
+    rmw = get_rmw_implementation_identifier()
+print(json.dumps({"errors": errors, "rmw": rmw}))
+"""
+_IMPORT_LIMIT: Final = 60.0
+"""Seconds."""
+_IFF_UP: Final = 0x1
+_IFF_MULTICAST: Final = 0x1000
+_DATAGRAM_LIMIT: Final = 2.0
+"""Seconds for a datagram to ourselves."""
+
+
+def gather() -> MachineFacts:
+    """Look at everything; takes a second, most of it for starting two processes."""
+    installation: RosInstallation | None = None
+    problem = ""
+    try:
+        installation = ros_installation()
+    except (NotInstalledError, MixedInstallationError) as error:
+        problem = str(error)
+    ros = _ros(installation, problem, os.environ)
+    if installation is None:
+        container = ContainerFacts(problem="it cannot be asked without ROS")
+    else:
+        with _middleware(ros.rmw_in_use):
+            container = probe_container(installation, os.environ)
+    return MachineFacts(
+        python=_python(),
+        ros=ros,
+        container=container,
+        kernel=_kernel(),
+        limits=_limits(),
+        shared_memory=_shared_memory(),
+        network=_network(os.environ),
+        recording=_recording(default_log_folder()),
+    )
+
+
+def _python() -> PythonFacts:
+    packages = versions()
+    packages.pop("python", None)
+    return PythonFacts(
+        version=(sys.version_info.major, sys.version_info.minor, sys.version_info.micro),
+        executable=sys.executable,
+        packages=packages,
+    )
+
+
+def _ros(
+    installation: RosInstallation | None, problem: str, environ: Mapping[str, str]
+) -> RosFacts:
+    asked_for = environ.get("RMW_IMPLEMENTATION", "")
+    if installation is None:
+        return RosFacts(problem=problem, rmw_asked_for=asked_for)
+    errors, in_use = _imports(environ)
+    if asked_for and not in_use:
+        errors, in_use = _imports(_with_middleware(environ, ""))
+    prefixes = ament_prefixes(child_environment(environ, installation))
+    stock = ""
+    with suppress(ExecutableNotFoundError):
+        stock = str(find_executable("rclcpp_components", "component_container", prefixes))
+    prefix = installation.prefix
+    if installation.source.value == "system":
+        prefix = next(
+            (each for each in prefixes if (each / "share/rcl/package.xml").is_file()), prefix
+        )
+    return RosFacts(
+        source=installation.source.value,
+        prefix=str(prefix),
+        import_errors=errors,
+        rmw_in_use=in_use,
+        rmw_asked_for=asked_for,
+        stock_container=stock,
+    )
+
+
+def _with_middleware(environ: Mapping[str, str], rmw: str) -> dict[str, str]:
+    """Give the environment without a request for another middleware than this."""
+    name = "RMW_IMPLEMENTATION"
+    return {key: value for key, value in environ.items() if key != name or value == rmw}
+
+
+@contextmanager
+def _middleware(rmw: str) -> Iterator[None]:
+    """Take a request for another middleware out of our own environment for a while.
+
+    With one that is not there, the container would end at its start, and so would we when our
+    messages are imported.
+    """
+    before = dict(os.environ)
+    wanted = _with_middleware(before, rmw)
+    for name in before.keys() - wanted.keys():
+        del os.environ[name]
+    try:
+        yield
+    finally:
+        os.environ.update(before)
+
+
+def _imports(environ: Mapping[str, str]) -> tuple[dict[str, str], str]:
+    """Import what is needed in a process of its own; the errors by module, and the middleware.
+
+    rcl ends the process in which it is not satisfied, so this one does not try it.
+    """
+    try:
+        result = subprocess.run(
+            [sys.executable, "-c", _IMPORTS, *_MODULES],
+            env=dict(environ),
+            capture_output=True,
+            text=True,
+            timeout=_IMPORT_LIMIT,
+            check=False,
+        )
+        told = json.loads(result.stdout)
+    except subprocess.TimeoutExpired:
+        return {"rclpy": f"takes longer than {_IMPORT_LIMIT:g} s"}, ""
+    except ValueError:
+        return {"rclpy": result.stderr.strip() or f"ended with {result.returncode}"}, ""
+    return told["errors"], told["rmw"]
+
+
+def _kernel() -> KernelFacts:
+    has_pidfd = False
+    with suppress(OSError, AttributeError):
+        os.close(os.pidfd_open(os.getpid()))
+        has_pidfd = True
+    cgroup, is_writable = "", False
+    with suppress(OSError):
+        # One line `0::/path` for version 2; the others are of version 1.
+        match = re.search(r"^0::(.*)$", Path("/proc/self/cgroup").read_text(), re.MULTILINE)
+        folder = Path("/sys/fs/cgroup") / match[1].lstrip("/") if match else None
+        if folder is not None and (folder / "cgroup.procs").is_file():
+            cgroup = str(folder)
+            is_writable = os.access(folder, os.W_OK) and os.access(folder / "cgroup.procs", os.W_OK)
+    return KernelFacts(
+        release=platform.release(),
+        has_pidfd=has_pidfd,
+        cgroup=cgroup,
+        cgroup_is_writable=is_writable,
+    )
+
+
+def _limits() -> LimitFacts:
+    return LimitFacts(
+        nofile=_limit(resource.RLIMIT_NOFILE),
+        nproc=_limit(resource.RLIMIT_NPROC),
+        core=_limit(resource.RLIMIT_CORE),
+        memlock=_limit(resource.RLIMIT_MEMLOCK),
+    )
+
+
+def _limit(which: int) -> Limit:
+    soft, hard = (
+        None if value == resource.RLIM_INFINITY else value for value in resource.getrlimit(which)
+    )
+    return Limit(soft=soft, hard=hard)
+
+
+def _shared_memory(folder: Path = SHARED_MEMORY) -> SharedMemoryFacts:
+    try:
+        usage = shutil.disk_usage(folder)
+        names = [path.name for path in folder.iterdir()]
+    except OSError:
+        return SharedMemoryFacts(total=None, free=None, is_writable=False)
+    segments = [name for name in names if "fastrtps" in name]
+    locks = [name for name in segments if name.endswith(("_el", "_sl"))]
+    return SharedMemoryFacts(
+        total=usage.total,
+        free=usage.free,
+        is_writable=os.access(folder, os.W_OK | os.X_OK),
+        segments=len(segments),
+        leftovers=sum(_is_left(folder / name) for name in locks),
+    )
+
+
+def _is_left(lock: Path) -> bool:
+    """Whether nobody holds the lock that the owner of a segment holds for all of its life."""
+    try:
+        descriptor = os.open(lock, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    finally:
+        os.close(descriptor)
+    # A receiver that shares its port holds the other lock with others, so that ours is no proof.
+    return lock.name.endswith("_el") and not lock.with_name(f"{lock.name[:-3]}_sl").exists()
+
+
+def _network(environ: Mapping[str, str]) -> NetworkFacts:
+    flags: int | None = None
+    with suppress(OSError, ValueError):
+        flags = int(Path("/sys/class/net/lo/flags").read_text(), 16)
+    ports: tuple[int, int] | None = None
+    with suppress(OSError, ValueError):
+        first, last = Path("/proc/sys/net/ipv4/ip_local_port_range").read_text().split()
+        ports = int(first), int(last)
+    return NetworkFacts(
+        loopback_works=_datagram_arrives() and (flags is None or bool(flags & _IFF_UP)),
+        loopback_has_multicast=None if flags is None else bool(flags & _IFF_MULTICAST),
+        discovery_range=environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", ""),
+        localhost_only=environ.get("ROS_LOCALHOST_ONLY", ""),
+        domain_id=environ.get("ROS_DOMAIN_ID", ""),
+        ephemeral_ports=ports,
+    )
+
+
+def _datagram_arrives() -> bool:
+    try:
+        with (
+            socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver,
+            socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender,
+        ):
+            receiver.bind(("127.0.0.1", 0))
+            receiver.settimeout(_DATAGRAM_LIMIT)
+            sender.sendto(b"?", receiver.getsockname())
+            return receiver.recv(1) == b"?"
+    except OSError:
+        return False
+
+
+def _recording(folder: Path) -> RecordingFacts:
+    """Look at the folder for recordings, or at the nearest one above that is there."""
+    nearest = folder
+    while not nearest.exists() and nearest != nearest.parent:
+        nearest = nearest.parent
+    if not nearest.is_dir():
+        return RecordingFacts(folder=str(folder), problem=f"{nearest} is no folder")
+    if not os.access(nearest, os.W_OK | os.X_OK):
+        return RecordingFacts(folder=str(folder), problem=f"{nearest} cannot be written to")
+    free: int | None = None
+    with suppress(OSError):
+        free = shutil.disk_usage(nearest).free
+    return RecordingFacts(folder=str(folder), free=free)

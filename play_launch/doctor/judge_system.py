@@ -1,0 +1,235 @@
+"""Judges the kernel, limits, memory, network and folders. Pure: facts in, findings out."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from play_launch.doctor.finding import Finding, fail, ok, warn
+
+if TYPE_CHECKING:
+    from play_launch.doctor.facts import (
+        KernelFacts,
+        Limit,
+        LimitFacts,
+        NetworkFacts,
+        RecordingFacts,
+        SharedMemoryFacts,
+    )
+
+ENOUGH_FILES: Final = 4096
+"""A system of 150 processes needs some ten for each in the supervisor, and hundreds in a node."""
+ENOUGH_PROCESSES: Final = 4096
+"""Threads count: a DDS participant has about ten."""
+ENOUGH_SHARED_MEMORY: Final = 256 * 1024**2
+"""Fast DDS takes half a megabyte for each participant, and large messages take their own size."""
+ENOUGH_DISK: Final = 1024**3
+SHARED_MEMORY: Final = "/dev/shm"  # noqa: S108 - where Linux keeps shared memory
+PARTICIPANTS: Final = 32
+"""Fast DDS looks for that many on one machine when discovery does not leave it."""
+HIGHEST_DOMAIN: Final = 232
+_DDS_PORT: Final = 7400
+_PORTS_PER_DOMAIN: Final = 250
+_PORTS_USED: Final = 118
+"""By 54 participants of one domain, which is what fits below the ports of Linux in domain 101."""
+_MEBIBYTE: Final = 1024**2
+
+
+def judge_kernel(facts: KernelFacts) -> list[Finding]:
+    """Judge the kernel and control groups."""
+    if not facts.has_pidfd:
+        return [
+            fail(
+                "kernel",
+                f"Linux {facts.release} without pidfd_open",
+                "nothing can be started: a process could not be told from another with its pid",
+                "use Linux 5.3 or newer, where nothing (seccomp) forbids pidfd_open",
+            )
+        ]
+    return [ok("kernel", f"Linux {facts.release}"), ok("control groups", _cgroup(facts))]
+
+
+def judge_limits(facts: LimitFacts) -> list[Finding]:
+    """Judge the limits of getrlimit(2)."""
+    findings = [
+        _at_least(
+            "open files",
+            facts.nofile,
+            ENOUGH_FILES,
+            "a large system runs out of descriptors in the middle of its start",
+            f"ulimit -n {ENOUGH_FILES}, or LimitNOFILE= in the systemd unit",
+        ),
+        _at_least(
+            "processes",
+            facts.nproc,
+            ENOUGH_PROCESSES,
+            "a large system runs out of threads in the middle of its start",
+            f"ulimit -u {ENOUGH_PROCESSES}, or TasksMax= in the systemd unit",
+        ),
+    ]
+    if facts.core.soft == 0:
+        says = "off; a crash is recorded with its backtrace all the same (ulimit -c unlimited)"
+        findings.append(ok("core dumps", says))
+    else:
+        findings.append(ok("core dumps", f"up to {_size(facts.core.soft)}"))
+    locked = _size(facts.memlock.soft)
+    if facts.memlock.soft is not None:
+        locked += "; nodes that call mlockall() need more (ulimit -l unlimited)"
+    findings.append(ok("locked memory", locked))
+    return findings
+
+
+def judge_shared_memory(facts: SharedMemoryFacts) -> list[Finding]:
+    """Judge ``/dev/shm``."""
+    if not facts.is_writable or facts.total is None or facts.free is None:
+        return [
+            warn(
+                "shared memory",
+                f"{SHARED_MEMORY} cannot be used",
+                "messages between processes take the way through the network stack",
+                "mount -t tmpfs tmpfs /dev/shm; in docker: --ipc=private --shm-size 1g",
+            )
+        ]
+    says = f"{SHARED_MEMORY} has {_size(facts.total)}, {_size(facts.free)} of it free"
+    if facts.free < ENOUGH_SHARED_MEMORY:
+        findings = [
+            warn(
+                "shared memory",
+                says,
+                "when it is full, participants cannot be created and large messages are lost",
+                "in docker: --shm-size 1g; else mount -o remount,size=1g /dev/shm",
+            )
+        ]
+    else:
+        findings = [ok("shared memory", says)]
+    if facts.leftovers:
+        findings.append(
+            warn(
+                "leftovers",
+                f"{facts.leftovers} of {facts.segments} files of Fast DDS belong to the dead",
+                "they use up memory, and whoever gets their port number next stumbles over them",
+                "they are removed at the end of the next run of play-launch",
+            )
+        )
+    else:
+        findings.append(ok("leftovers", f"none; {facts.segments} files of Fast DDS are in use"))
+    return findings
+
+
+def judge_network(facts: NetworkFacts) -> list[Finding]:
+    """Judge loopback, discovery and the domain."""
+    return [_loopback(facts), _discovery(facts), _domain(facts)]
+
+
+def judge_recording(facts: RecordingFacts) -> list[Finding]:
+    """Judge the place for recordings."""
+    if facts.problem:
+        return [
+            fail(
+                "recordings",
+                f"{facts.folder}: {facts.problem}",
+                "nothing is started that cannot be recorded",
+                "set PLAY_LAUNCH_LOG_DIR, log_dir in the configuration, or --log-dir",
+            )
+        ]
+    if facts.free is not None and facts.free < ENOUGH_DISK:
+        return [
+            warn(
+                "recordings",
+                f"{facts.folder}, {_size(facts.free)} free",
+                "a long run fills it; its recording ends then, the run goes on",
+                "make room, or set PLAY_LAUNCH_LOG_DIR",
+            )
+        ]
+    room = "" if facts.free is None else f", {_size(facts.free)} free"
+    return [ok("recordings", f"{facts.folder}{room}")]
+
+
+def _cgroup(facts: KernelFacts) -> str:
+    if not facts.cgroup:
+        says = "version 2 is not mounted"
+    else:
+        says = f"version 2, {facts.cgroup}, {'' if facts.cgroup_is_writable else 'not '}ours"
+    return f"{says}; not needed: processes are kept together by their sessions"
+
+
+def _loopback(facts: NetworkFacts) -> Finding:
+    if not facts.loopback_works:
+        return fail(
+            "loopback",
+            "a datagram to 127.0.0.1 does not arrive",
+            "no node finds another one",
+            "ip link set lo up",
+        )
+    if facts.loopback_has_multicast is False and facts.localhost_only == "1":
+        return warn(
+            "loopback",
+            "works, without multicast",
+            "middlewares that discover by multicast on lo (Cyclone DDS) find nobody",
+            "ip link set lo multicast on",
+        )
+    return ok("loopback", "works")
+
+
+def _discovery(facts: NetworkFacts) -> Finding:
+    reach = facts.discovery_range.upper()
+    if facts.localhost_only == "1" and not reach:
+        reach = "LOCALHOST"
+    if reach == "OFF":
+        return warn(
+            "discovery",
+            "ROS_AUTOMATIC_DISCOVERY_RANGE is OFF",
+            "no process finds another one; container_type stock cannot be used",
+            "unset it, or LOCALHOST",
+        )
+    if reach == "LOCALHOST":
+        return warn(
+            "discovery",
+            "on this machine only",
+            f"the first {PARTICIPANTS} processes with ROS find one another, further ones do not",
+            "SUBNET, or a network namespace of its own, for more",
+        )
+    if reach not in {"", "SUBNET", "SYSTEM_DEFAULT"}:
+        return warn(
+            "discovery",
+            f"ROS_AUTOMATIC_DISCOVERY_RANGE is {facts.discovery_range}",
+            "ROS does not know that value and takes its default",
+            "OFF, LOCALHOST, SUBNET or SYSTEM_DEFAULT",
+        )
+    return ok("discovery", f"{reach or 'SUBNET, the default'}: everybody in this network")
+
+
+def _domain(facts: NetworkFacts) -> Finding:
+    text = facts.domain_id or "0"
+    if not text.isascii() or not text.isdecimal() or int(text) > HIGHEST_DOMAIN:
+        return fail(
+            "domain",
+            f"ROS_DOMAIN_ID is {facts.domain_id}",
+            "no node can be created",
+            f"a number from 0 to {HIGHEST_DOMAIN}",
+        )
+    first = _DDS_PORT + _PORTS_PER_DOMAIN * int(text)
+    last = first + _PORTS_USED - 1
+    ports = facts.ephemeral_ports
+    if ports is not None and first <= ports[1] and last >= ports[0]:
+        return warn(
+            "domain",
+            f"{text}, ports {first} to {last}",
+            f"the kernel gives ports {ports[0]} to {ports[1]} to anybody, so one may be taken",
+            "a domain from 0 to 101",
+        )
+    return ok("domain", f"{text}, ports {first} to {last}")
+
+
+def _at_least(subject: str, limit: Limit, enough: int, costs: str, way_out: str) -> Finding:
+    if limit.soft is None or limit.soft >= enough:
+        return ok(subject, "unlimited" if limit.soft is None else f"{limit.soft:,}")
+    hard = "unlimited" if limit.hard is None else f"{limit.hard:,}"
+    return warn(subject, f"{limit.soft:,} (at most {hard})", costs, way_out)
+
+
+def _size(size: int | None) -> str:
+    if size is None:
+        return "unlimited"
+    if size >= 1024 * _MEBIBYTE:
+        return f"{size / 1024 / _MEBIBYTE:.1f} GiB"
+    return f"{size / _MEBIBYTE:.0f} MiB"

@@ -1,0 +1,1 @@
+"""Packages that a test installs; they cannot be imported from here."""

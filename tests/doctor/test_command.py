@@ -1,0 +1,115 @@
+"""The real command on this machine, and the table that it prints."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import re
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+
+from play_launch.cli.doctor import print_findings
+from play_launch.doctor.finding import fail, ok, warn
+from play_launch.doctor.gather import gather
+from play_launch.doctor.judge import judge
+from tests.support.replay import COMMAND
+
+DOCS = Path(__file__).parents[2] / "docs" / "doctor.md"
+
+
+def run(*arguments: str, **variables: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [COMMAND, "doctor", *arguments],
+        env={**os.environ, **variables},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+
+
+def findings(result: subprocess.CompletedProcess[str]) -> dict[str, dict[str, Any]]:
+    return {each["subject"]: each for each in json.loads(result.stdout)["findings"]}
+
+
+def test_this_machine_can_run_what_the_other_tests_run() -> None:
+    result = run("--json")
+    assert result.returncode == 0, result.stdout + result.stderr
+    assert json.loads(result.stdout)["can_run"] is True
+    found = findings(result)
+    assert found["container"]["level"] == "ok"
+    assert found["ROS"]["level"] == "ok"
+    assert found["isolation"]["says"].startswith("by ")
+    assert found["domain"]["says"].startswith(os.environ["ROS_DOMAIN_ID"])
+    children = psutil.Process().children(recursive=True)
+    assert not [child for child in children if "component_container" in " ".join(child.cmdline())]
+
+
+def test_what_keeps_a_system_from_running_is_said_by_exit_code_and_result() -> None:
+    result = run("--json", ROS_DOMAIN_ID="999")
+    assert result.returncode == 1
+    assert json.loads(result.stdout)["can_run"] is False
+    levels = {subject: each["level"] for subject, each in findings(result).items()}
+    assert [subject for subject, level in levels.items() if level == "fail"] == ["domain"]
+    assert "No system can be brought up here" in run(ROS_DOMAIN_ID="999").stdout
+
+
+def test_two_installations_of_ros_are_seen(tmp_path: Path) -> None:
+    marker = tmp_path / "share" / "rcl" / "package.xml"
+    marker.parent.mkdir(parents=True)
+    marker.touch()
+    result = run("--json", AMENT_PREFIX_PATH=str(tmp_path))
+    found = findings(result)
+    if found["ROS"]["level"] == "ok":
+        pytest.skip("ROS does not come from wheels here, so that there is one installation only")
+    assert result.returncode == 1
+    assert "installed twice" in found["ROS"]["says"]
+
+
+def test_a_middleware_that_is_not_there_is_named_and_the_rest_still_looked_at() -> None:
+    result = run("--json", RMW_IMPLEMENTATION="rmw_of_nobody")
+    found = findings(result)
+    assert result.returncode == 1
+    assert found["middleware"]["level"] == "fail"
+    assert "rmw_of_nobody" in found["middleware"]["says"]
+    assert found["container"]["level"] == "ok"
+
+
+def test_a_container_that_does_not_start_is_quoted(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("LD_PRELOAD", "/not/there.so")
+    monkeypatch.setattr(
+        "play_launch.doctor.container_probe.component_container", lambda: Path("/bin/false")
+    )
+    container = gather().container
+    assert container.program == "/bin/false"
+    assert "/not/there.so" in container.problem
+
+
+def test_the_table_has_a_line_for_each_and_its_way_out() -> None:
+    stream = io.StringIO()
+    report = [ok("a", "fine"), warn("b", "so so", "time", "wait"), fail("c", "bad", "all", "mend")]
+    print_findings(report, stream, colour=False)
+    lines = [line.strip() for line in stream.getvalue().splitlines()]
+    assert "ok     a   fine" in lines
+    assert "warn   b   so so" in lines
+    assert "costs: time" in lines
+    assert "way out: mend" in lines
+    assert lines[-1] == "No system can be brought up here: c."
+
+
+def test_the_result_counts_what_is_lost() -> None:
+    for count, words in ((0, "no warnings."), (1, "1 warning."), (2, "2 warnings.")):
+        stream = io.StringIO()
+        print_findings([warn("b", "so so", "time", "wait")] * count, stream, colour=False)
+        assert stream.getvalue().strip().endswith(words)
+
+
+def test_every_subject_is_documented() -> None:
+    documented = set(re.findall(r"^\| ([^|`]+?) \|", DOCS.read_text(), re.MULTILINE))
+    subjects = {finding.subject for finding in judge(gather())}
+    assert subjects <= documented

@@ -1,0 +1,169 @@
+"""One changed fact, one finding: its level, and a word of what it says, costs and advises."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from play_launch.doctor.facts import Limit, MachineFacts
+from play_launch.doctor.finding import Finding, Level, can_run
+from play_launch.doctor.judge import judge
+
+from .machines import (
+    CONTAINER,
+    KERNEL,
+    LIMITS,
+    MACHINE,
+    NETWORK,
+    PYTHON,
+    RECORDING,
+    ROS,
+    SHARED_MEMORY,
+)
+
+OK, WARN, FAIL = Level.OK, Level.WARN, Level.FAIL
+
+
+def of(facts: MachineFacts, subject: str) -> Finding:
+    (finding,) = (each for each in judge(facts) if each.subject == subject)
+    return finding
+
+
+def test_a_good_machine_has_nothing_to_complain_about() -> None:
+    findings = judge(MACHINE)
+    assert {each.level for each in findings} == {OK}
+    assert all(each.says and not each.costs and not each.way_out for each in findings)
+    assert can_run(findings)
+    assert len({each.subject for each in findings}) == len(findings)
+
+
+def python(**changes: Any) -> MachineFacts:
+    return replace(MACHINE, python=replace(PYTHON, **changes))
+
+
+def ros(**changes: Any) -> MachineFacts:
+    return replace(MACHINE, ros=replace(ROS, **changes))
+
+
+def container(**changes: Any) -> MachineFacts:
+    return replace(MACHINE, container=replace(CONTAINER, **changes))
+
+
+def kernel(**changes: Any) -> MachineFacts:
+    return replace(MACHINE, kernel=replace(KERNEL, **changes))
+
+
+def limits(**changes: Any) -> MachineFacts:
+    return replace(MACHINE, limits=replace(LIMITS, **changes))
+
+
+def memory(**changes: Any) -> MachineFacts:
+    return replace(MACHINE, shared_memory=replace(SHARED_MEMORY, **changes))
+
+
+def network(**changes: Any) -> MachineFacts:
+    return replace(MACHINE, network=replace(NETWORK, **changes))
+
+
+def recording(**changes: Any) -> MachineFacts:
+    return replace(MACHINE, recording=replace(RECORDING, **changes))
+
+
+SMALL = Limit(soft=1024, hard=4096)
+NONE = Limit(soft=0, hard=0)
+
+# What is changed, whom it concerns, how bad it is, and a part of the whole finding.
+CASES: list[tuple[MachineFacts, str, Level, str]] = [
+    (python(version=(3, 10, 4)), "Python", FAIL, "3.11 or newer"),
+    (python(version=(3, 11, 0)), "Python", OK, "3.11.0"),
+    (python(version=(3, 13, 9)), "Python", OK, "3.13.9"),
+    (python(version=(3, 14, 0)), "Python", WARN, "not been tried"),
+    (python(packages={}), "packages", WARN, "pip install ."),
+    (ros(problem="there is no ROS 2: source it"), "ROS", FAIL, "there is no ROS 2"),
+    (ros(import_errors={"rclpy": "no such file"}), "rclpy", FAIL, "no such file"),
+    (ros(import_errors={"play_launch_msgs": "x"}), "play_launch_msgs", FAIL, "pip install ."),
+    (
+        ros(import_errors={"composition_interfaces": "x"}),
+        "composition_interfaces",
+        WARN,
+        "container_type stock",
+    ),
+    (ros(rmw_asked_for="rmw_cyclonedds_cpp"), "middleware", FAIL, "status 102"),
+    (
+        ros(source="wheels", rmw_asked_for="rmw_cyclonedds_cpp"),
+        "middleware",
+        FAIL,
+        "ROS from wheels brings one only",
+    ),
+    (ros(source="wheels", rmw_asked_for="rmw_fastrtps_cpp"), "middleware", OK, "fastrtps"),
+    (ros(stock_container=""), "stock containers", WARN, "rclcpp-components"),
+    (container(problem="there is none", program=""), "container", FAIL, "there is none"),
+    (container(version="0.0.9"), "container", WARN, "the supervisor is 0.1.0"),
+    (container(backends=("native",)), "rclcpp components", WARN, "out; backends: native"),
+    (container(backends=()), "rclcpp components", WARN, "backends: none"),
+    (
+        container(mechanism="process", notes=("Linux is 5.10",)),
+        "isolation",
+        WARN,
+        "by process: Linux is 5.10",
+    ),
+    (container(allocator=""), "allocator", WARN, "libmimalloc2.0"),
+    (container(allocator="", allocator_problem="it is a text"), "allocator", WARN, "it is a text"),
+    (kernel(has_pidfd=False), "kernel", FAIL, "5.3 or newer"),
+    (kernel(cgroup=""), "control groups", OK, "not mounted"),
+    (kernel(cgroup_is_writable=False), "control groups", OK, "not ours"),
+    (limits(nofile=SMALL), "open files", WARN, "1,024 (at most 4,096)"),
+    (limits(nofile=Limit(soft=4096, hard=None)), "open files", OK, "4,096"),
+    (limits(nofile=Limit(soft=10, hard=None)), "open files", WARN, "at most unlimited"),
+    (limits(nproc=SMALL), "processes", WARN, "ulimit -u"),
+    (limits(core=NONE), "core dumps", OK, "backtrace"),
+    (limits(memlock=Limit(soft=8 << 20, hard=None)), "locked memory", OK, "8 MiB"),
+    (memory(is_writable=False), "shared memory", WARN, "cannot be used"),
+    (memory(total=None, free=None), "shared memory", WARN, "cannot be used"),
+    (memory(total=64 << 20, free=60 << 20), "shared memory", WARN, "--shm-size"),
+    (memory(segments=9, leftovers=3), "leftovers", WARN, "3 of 9"),
+    (memory(segments=9), "leftovers", OK, "9 files"),
+    (network(loopback_works=False), "loopback", FAIL, "ip link set lo up"),
+    (network(loopback_has_multicast=False), "loopback", OK, "works"),
+    (network(discovery_range="LOCALHOST"), "discovery", WARN, "first 32"),
+    (network(localhost_only="1"), "discovery", WARN, "first 32"),
+    (network(discovery_range="subnet", localhost_only="1"), "discovery", OK, "SUBNET"),
+    (network(discovery_range="OFF"), "discovery", WARN, "container_type stock"),
+    (network(discovery_range="NEAR"), "discovery", WARN, "does not know"),
+    (network(domain_id="233"), "domain", FAIL, "0 to 232"),
+    (network(domain_id="five"), "domain", FAIL, "five"),
+    (network(domain_id="-1"), "domain", FAIL, "-1"),
+    (network(domain_id="101"), "domain", OK, "32650 to 32767"),
+    (network(domain_id="102"), "domain", WARN, "ports 32768 to 60999"),
+    (network(domain_id="232", ephemeral_ports=None), "domain", OK, "232"),
+    (recording(problem="/ cannot be written to"), "recordings", FAIL, "PLAY_LAUNCH_LOG_DIR"),
+    (recording(free=5 << 20), "recordings", WARN, "5 MiB free"),
+    (recording(free=None), "recordings", OK, "play_launch"),
+]
+
+
+def test_multicast_on_loopback_matters_to_those_who_stay_there() -> None:
+    without = network(loopback_has_multicast=False, localhost_only="1")
+    assert of(without, "loopback").level is WARN
+    assert "multicast on" in of(without, "loopback").way_out
+    unknown = network(loopback_has_multicast=None, localhost_only="1")
+    assert of(unknown, "loopback").level is OK
+
+
+@pytest.mark.parametrize(
+    ("facts", "subject", "level", "word"),
+    CASES,
+    ids=[f"{subject}-{level}-{word}" for _, subject, level, word in CASES],
+)
+def test_one_fact_makes_one_finding(
+    facts: MachineFacts, subject: str, level: Level, word: str
+) -> None:
+    finding = of(facts, subject)
+    assert finding.level is level
+    assert word in f"{finding.says} | {finding.costs} | {finding.way_out}"
+    assert bool(finding.costs) is bool(finding.way_out) is (level is not OK)
+    others = [each for each in judge(facts) if each.subject != subject and each.level is not OK]
+    assert not others
+    assert can_run(judge(facts)) is (level is not FAIL)
