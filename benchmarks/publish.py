@@ -1,9 +1,10 @@
 """Put measured figures into docs/benchmarks.md, and their pictures beside it.
 
-    python -m benchmarks.publish crash.json intra_process.json
+    python -m benchmarks.publish [--note TEXT] crash.json intra_process.json
 
 Each file is what a benchmark's --json has written. On the page, what stands between
-`<!-- crash -->` and `<!-- /crash -->` is replaced.
+`<!-- crash -->` and `<!-- /crash -->` is replaced. The note stands above the figures, and says what
+else there is to know about the run.
 """
 
 from __future__ import annotations
@@ -68,7 +69,7 @@ _KNOWN: Mapping[str, Callable[[Document], tuple[str, str]]] = {
 }
 
 
-def publish(files: Sequence[Path], page: Path) -> None:
+def publish(files: Sequence[Path], page: Path, note: str = "") -> None:
     """Change the page, and write the pictures into its folder."""
     text = page.read_text(encoding="utf-8")
     pictures: dict[str, str] = {}
@@ -76,7 +77,7 @@ def publish(files: Sequence[Path], page: Path) -> None:
         document = json.loads(file.read_text(encoding="utf-8"))
         name = document["benchmark"]
         content, pictures[name] = _KNOWN[name](document)
-        text = put(text, name, content)
+        text = put(text, name, f"{note}\n\n{content}" if note else content)
     page.write_text(text, encoding="utf-8")
     for name, picture in pictures.items():
         (page.parent / f"{name}.svg").write_text(picture, encoding="utf-8")
@@ -98,8 +99,9 @@ def main() -> None:
     )
     parser.add_argument("files", type=Path, nargs="+")
     parser.add_argument("--page", type=Path, default=PAGE)
+    parser.add_argument("--note", default="")
     arguments = parser.parse_args()
-    publish(arguments.files, arguments.page)
+    publish(arguments.files, arguments.page, arguments.note)
 
 
 if __name__ == "__main__":

@@ -97,7 +97,11 @@ def remarks(row: Row) -> list[str]:
         (row["undetected"], f"{row['undetected']} times the supervisor did not notice"),
         (row["collateral"], f"{row['collateral']} neighbours died"),
         (row["missed"], f"{row['missed']} deaths were not told"),
-        (row["doubtful"], f"{row['doubtful']} nodes died with a thread in a doubtful place"),
+        # Without quiescing that is what is tried.
+        (
+            row["doubtful"] and row["quiesced"],
+            f"{row['doubtful']} nodes died with a thread in a doubtful place",
+        ),
         (row["leaked"], _leak(row)),
         (row["given_up"], f"{row['given_up']} times something was given up"),
         (row["stopped_hard"], "the container did not end in order"),

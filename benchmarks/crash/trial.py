@@ -214,10 +214,9 @@ class Trial:
         self.tally.victim_died(now, died_at, counts=failed or kind.where != "constructor")
         if failed and kind.where != "constructor":
             self.tally.reasons[f"not loaded: {event.error_message[:80]}"] += 1
-        for text in _DOUBTS:
-            if text in event.error_message:
-                self.tally.doubtful += 1
-                self.tally.reasons[text] += 1
+        doubts = [text for text in _DOUBTS if text in event.error_message]
+        self.tally.doubtful += bool(doubts)
+        self.tally.reasons.update(doubts)
         self._look_at_neighbours(now)
         self._take_footprint()
 

@@ -103,6 +103,8 @@ def test_the_page_keeps_all_but_the_figures(tmp_path: Path) -> None:
     once = page.read_text(encoding="utf-8")
     assert "10 of 10" in once or "0 of 10" in once
     assert {path.name for path in tmp_path.glob("*.svg")} == {"crash.svg", "intra_process.svg"}
+    publish(files, page, "a note")
+    assert "\na note\n" in page.read_text(encoding="utf-8")
     publish(files, page)
     assert page.read_text(encoding="utf-8") == once
 
