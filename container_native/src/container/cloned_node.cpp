@@ -73,6 +73,9 @@ void ClonedNode::tell(NodeHostObserver& observer, IsolationTotals& totals) {
   // Read before the stage: what is dead by now goes no further.
   const bool buried = buried_;
   const bool dead = dead_;
+  if (!backtrace_ && slot_.thread != 0) {
+    backtrace_ = isolation::symbolise(slot_);  // while the process still dies
+  }
   tell_progress(observer, program_.stage());
   if (dead && !told_end_) {
     told_end_ = true;
@@ -143,12 +146,12 @@ void ClonedNode::tell_end(NodeHostObserver& observer, IsolationTotals& totals) {
   }
 }
 
-NodeDeath ClonedNode::death() const {
+NodeDeath ClonedNode::death() {
   NodeDeath death;
   death.exit_code = end_.exit_code;
   death.signal = end_.signal;
   death.reason = isolation::describe_end(end_, slot_);
-  death.backtrace = isolation::symbolise(slot_);
+  death.backtrace = std::move(backtrace_).value_or(std::vector<std::string>());
   if (slot_.thread != 0) {
     death.when =
         std::chrono::steady_clock::time_point(std::chrono::nanoseconds(slot_.crash_time_ns));

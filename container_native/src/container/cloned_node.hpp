@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "container/isolated_node.hpp"
 #include "container/lock_watch.hpp"
@@ -37,7 +38,7 @@ class ClonedNode final : public IsolatedNode {
   void donate() noexcept;
   void tell_progress(NodeHostObserver& observer, NodeStage stage);
   void tell_end(NodeHostObserver& observer, IsolationTotals& totals);
-  NodeDeath death() const;
+  NodeDeath death();
   void count_burial(IsolationTotals& totals) const;
 
   const std::string process_name_;
@@ -56,6 +57,7 @@ class ClonedNode final : public IsolatedNode {
   // The monitor's.
   NodeStage told_ = NodeStage::preparing;
   bool told_end_ = false;
+  std::optional<std::vector<std::string>> backtrace_;
   bool told_burial_ = false;
 
   isolation::DonorThread donor_;  // last: it uses all of the above

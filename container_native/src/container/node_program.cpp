@@ -133,6 +133,8 @@ void NodeProgram::take_apart() {
   partial_ = false;
 }
 
+void NodeProgram::crashed() noexcept { ring(doorbell_); }
+
 void NodeProgram::reach(NodeStage stage) noexcept {
   stage_ = stage;
   ring(doorbell_);

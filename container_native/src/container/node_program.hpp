@@ -50,6 +50,7 @@ class NodeProgram final : public isolation::ChildProgram {
 
   int run() override;
   void cancel() noexcept override { executor_handle_.cancel(); }
+  void crashed() noexcept override;
 
   NodeStage stage() const { return stage_.load(); }
   NodeOutcome outcome() const { return outcome_.load(); }

@@ -31,9 +31,10 @@ class ChannelHandler {
 
 /// One end of the control channel: frames over a stream socket.
 ///
-/// A thread reads and another one writes, so that nobody who sends or handles a frame ever waits
-/// for the peer. Outgoing frames wait in a queue of bounded length; a frame that finds it full is
-/// dropped and counted, which leaves the order of the others as it was.
+/// A thread reads, and another one writes what the socket does not take at once, so that nobody who
+/// sends or handles a frame ever waits for the peer. These frames wait in a queue of bounded
+/// length; one that finds it full is dropped and counted, which leaves the order of the others as
+/// it was.
 class Channel {
  public:
   static constexpr std::size_t kQueueCapacity = 4096;  // frames
@@ -48,8 +49,8 @@ class Channel {
   void start(ChannelHandler& handler);
   void open_gate();
 
-  /// Queues a frame; never blocks. False: it was dropped, because the queue was full or the peer
-  /// is gone.
+  /// Sends or queues a frame; never blocks. False: it was dropped, because the queue was full or
+  /// the peer is gone.
   bool send(FrameKind kind, std::span<const std::uint8_t> payload);
 
   /// Waits until everything queued so far went out. False: not by the deadline, or the peer is
@@ -66,6 +67,7 @@ class Channel {
   void read_loop();
   void write_loop();
   bool wait_readable();
+  std::size_t write_now(std::span<const std::uint8_t> bytes) noexcept;
   bool write_all(std::span<const std::uint8_t> bytes);
 
   const UniqueFd socket_;

@@ -29,6 +29,10 @@ class ChildProgram {
   /// After a fault it is called as well, so that threads which run callbacks end; then run() must
   /// call park_if_dying() wherever such a thread comes out.
   virtual void cancel() noexcept = 0;
+
+  /// Called in a signal handler of the child when the slot tells of its crash (CrashSlot::thread is
+  /// set), some time before the death: whoever wants to look the backtrace up can begin.
+  virtual void crashed() noexcept {}
 };
 
 struct ChildOptions {

@@ -106,6 +106,7 @@ void crash(ChildRecord& child, int signal, const siginfo_t& info, void* context)
   slot.phase = ChildPhase::crashed;
   fill(slot, signal, info, context);
   slot.thread = ::gettid();
+  child.program->crashed();
   quiesce(child);
   slot.phase = ChildPhase::dying;
 }

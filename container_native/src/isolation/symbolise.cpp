@@ -11,7 +11,9 @@
 #include <cstdlib>
 #include <map>
 #include <memory>
+#include <mutex>
 #include <optional>
+#include <utility>
 
 #include "isolation/elf_symbols.hpp"
 
@@ -33,10 +35,37 @@ std::string demangled(const char* name) {
 
 std::string base_name(const std::string& path) { return path.substr(path.rfind('/') + 1); }
 
-/// Symbol tables that were opened for one backtrace.
-using OpenFiles = std::map<std::string, ElfSymbols>;
+/// What was looked up before: a node that crashes again mostly does so where it did. Libraries stay
+/// loaded, so that an address keeps its meaning.
+class Memory {
+ public:
+  std::string describe(std::uintptr_t address, bool is_return_address);
 
-std::string describe_frame(std::uintptr_t address, bool is_return_address, OpenFiles& files) {
+ private:
+  static constexpr std::size_t kMostFrames = 4096;
+
+  std::mutex mutex_;  // guards what follows
+  std::map<std::string, ElfSymbols> files_;
+  std::map<std::pair<std::uintptr_t, bool>, std::string> frames_;
+
+  std::string look_up(std::uintptr_t address, bool is_return_address);
+};
+
+std::string Memory::describe(std::uintptr_t address, bool is_return_address) {
+  const std::lock_guard lock(mutex_);
+  const auto known = frames_.find({address, is_return_address});
+  if (known != frames_.end()) {
+    return known->second;
+  }
+  std::string text = look_up(address, is_return_address);
+  // Without a library it may belong to one that is loaded later.
+  if (text != hex(address) && frames_.size() < kMostFrames) {
+    frames_.emplace(std::pair(address, is_return_address), text);
+  }
+  return text;
+}
+
+std::string Memory::look_up(std::uintptr_t address, bool is_return_address) {
   // A return address may belong to what follows the call's function.
   const std::uintptr_t inside = is_return_address ? address - 1 : address;
   Dl_info place{};
@@ -54,7 +83,7 @@ std::string describe_frame(std::uintptr_t address, bool is_return_address, OpenF
     function = demangled(place.dli_sname);
     offset = address - reinterpret_cast<std::uintptr_t>(place.dli_saddr);
   } else {
-    const ElfSymbols& symbols = files.try_emplace(path, path).first->second;
+    const ElfSymbols& symbols = files_.try_emplace(path, path).first->second;
     if (const auto found = symbols.function_at(inside - library->l_addr)) {
       function = demangled(found->name.c_str());
       offset = found->offset + (address - inside);
@@ -125,14 +154,13 @@ std::vector<std::string> symbolise(const CrashSlot& slot) {
   if (slot.thread == 0) {
     return lines;
   }
-  OpenFiles files;
+  static Memory memory;
   const bool thrown = slot.throw_frame_count > 0;
   const auto& frames = thrown ? slot.throw_frames : slot.frames;
   const std::uint32_t count = thrown ? slot.throw_frame_count : slot.frame_count;
   for (std::uint32_t i = 0; i < count; ++i) {
     const bool is_return_address = thrown || i > 0;
-    lines.push_back("#" + std::to_string(i) + " " +
-                    describe_frame(frames[i], is_return_address, files));
+    lines.push_back("#" + std::to_string(i) + " " + memory.describe(frames[i], is_return_address));
   }
   return lines;
 }
