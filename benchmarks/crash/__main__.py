@@ -38,14 +38,12 @@ def main(words: Sequence[str] | None = None) -> None:
     )
     keep_to_this_machine()
     try:
-        cases = list(
-            plan(
-                arguments.modes,
-                choose(arguments.kinds),
-                choose(arguments.unquiesced) if arguments.unquiesced else (),
-                count=arguments.count,
-            )
-        )
+        kinds = choose(arguments.kinds)
+        if arguments.unquiesced is None:
+            unquiesced = [kind for kind in kinds if kind.how == "segv"]
+        else:
+            unquiesced = choose(arguments.unquiesced)
+        cases = list(plan(arguments.modes, kinds, unquiesced, count=arguments.count))
     except ValueError as error:
         raise SystemExit(f"benchmarks.crash: {error}") from None
     print(heading(), flush=True)
@@ -105,8 +103,9 @@ def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--unquiesced",
         type=_list,
-        default=["segv/*"],
-        help="kinds to try without quiescing as well, a fifth as often (segv/*); '' for none",
+        default=None,
+        help="kinds to try without quiescing as well, a fifth as often; '' for none\n"
+        "(those with segv among --kinds)",
     )
     parser.add_argument("--limit", type=float, default=None, help="seconds per trial (600)")
     parser.add_argument("--json", type=Path, default=None)
