@@ -26,7 +26,10 @@ using std::chrono::nanoseconds;
 /// Between two looks at threads that were in a bad place. Short: in a loop that allocates, most
 /// looks come at a bad moment.
 constexpr nanoseconds kRetry = 100us;
-/// How long to look carefully.
+/// How often to look carefully at one thread. If it was never in a place that is known to be
+/// harmless, it hardly ever is: its code has no exported names, and more looks tell no more.
+constexpr int kCarefulLooks = 5;
+/// How long to look carefully at threads that had no processor to be looked at on.
 constexpr nanoseconds kCareful = 10ms;
 
 nanoseconds now() noexcept {
@@ -75,13 +78,16 @@ void wait_for_change(std::atomic<std::uint32_t>& count, std::uint32_t seen) noex
 
 bool is_ending(const ChildRecord& child) noexcept { return child.ender != 0; }
 
+/// At the calling thread, since install_park_handler() or its own beginning.
+thread_local constinit int looks = 0;
+
 extern "C" void on_park_signal(int, siginfo_t* info, void* context) {
   const int error = errno;
   ChildRecord* const child = current_child();
   if (child != nullptr && info->si_pid == ::getpid() && is_ending(*child)) {
     const CallStack stack = interrupted_call_stack(context);
-    const Judgement judgement =
-        judge(stack, child->impatient ? Caution::lenient : Caution::careful);
+    const bool lenient = child->impatient || ++looks > kCarefulLooks;
+    const Judgement judgement = judge(stack, lenient ? Caution::lenient : Caution::careful);
     if (judgement.harmless) {
       park(*child);
     }
@@ -99,6 +105,7 @@ extern "C" void on_park_signal(int, siginfo_t* info, void* context) {
 int park_signal() noexcept { return SIGSTKFLT; }
 
 void install_park_handler() noexcept {
+  looks = 0;
   struct sigaction action{};
   action.sa_sigaction = on_park_signal;
   action.sa_flags = SA_SIGINFO | SA_RESTART | SA_ONSTACK;
@@ -106,8 +113,11 @@ void install_park_handler() noexcept {
   ::sigaction(park_signal(), &action, nullptr);
 }
 
-void park(ChildRecord& child) noexcept {
+void park(ChildRecord& child, bool at_rest) noexcept {
   block_all_signals();
+  if (at_rest) {
+    child.threads.rest();
+  }
   const std::uint32_t place = child.parked_count.fetch_add(1);
   if (place < ChildRecord::kMaxParked) {
     child.parked[place] = ::gettid();
