@@ -126,7 +126,7 @@ def table(subjects: dict[str, Figures]) -> list[str]:
 def written(name: str, value: float | None) -> str:
     if value is None:
         return "-"
-    if "failed" in name or ("nodes" in name and "after" not in name):
+    if name.endswith(("failed", "fewest nodes", "seen late", "at first")):
         return "none seen" if math.isinf(value) else f"{value:.0f}"
     if "per second" in name:
         return f"{value:.0f}"

@@ -75,9 +75,13 @@ def late_join(daemon: Daemon, address: DaemonAddress, names: set[str], size: Siz
     """From the start of the daemon to an answer with all nodes, while the crowd stands."""
     began = time.monotonic()
     daemon.start()
+    # An answer that is not complete is worse than a late one.
+    missing = len(names - nodes(address))
     seen = warm(address, names, size.patience)
-    # What the first answer was: an empty list is worse than a late one.
-    return {"late join, all nodes after": time.monotonic() - began if seen < 1e9 else seen}
+    return {
+        "late join, all nodes after": time.monotonic() - began if seen < size.patience else seen,
+        "late join, nodes missing at first": missing,
+    }
 
 
 def address_change(address: DaemonAddress, names: set[str], size: Size) -> Figures:
