@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+from collections import Counter
 from typing import TYPE_CHECKING, Any, Final
 
 from play_launch.actors.attached_container import AttachedContainer
@@ -33,6 +34,9 @@ class StockContainers:
     ) -> None:
         """Take what `of` made."""
         self._threads = threads
+        self._own: list[RosThread] = []
+        """Those of single containers."""
+        self._made: Counter[str] = Counter()
         self._ask = ask
         self._limits = limits
         self._places: asyncio.Semaphore | None = None
@@ -95,9 +99,25 @@ class StockContainers:
 
     def close(self) -> None:
         """End the threads; waits for them."""
-        for thread in self._threads.values():
+        for thread in (*self._threads.values(), *self._own):
             thread.close()
         self._threads = {}
+
+    def _services(self, config: ContainerConfig, thread: RosThread) -> CompositionClient:
+        """Make the client, for a second process of the same container in a thread of its own.
+
+        To a participant that still knows the dead one, which had the same address, DDS takes some
+        four seconds longer to introduce the new one.
+        """
+        name = config.full_name
+        self._made[name] += 1
+        if self._made[name] == 1:
+            return CompositionClient(thread, name)
+        self._own = [each for each in self._own if each.is_alive]
+        own = RosThread(f"{thread.name}_{sum(self._made.values())}", domain_id=thread.domain_id)
+        self._own.append(own)
+        own.begin()
+        return CompositionClient(own, name, owns_thread=True)
 
     def _link(
         self, config: ContainerConfig, container: ContainerIdentity
@@ -106,7 +126,7 @@ class StockContainers:
             # A load is discovery and a constructor: as many at a time as start up at a time.
             self._places = asyncio.Semaphore(max(4, 2 * (os.cpu_count() or 1)))
         thread = self._threads[_domain(config)]
-        services = CompositionClient(thread, config.full_name)
+        services = self._services(config, thread)
         link = StockLink(
             container,
             services,

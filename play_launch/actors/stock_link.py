@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+from collections import Counter
 from typing import TYPE_CHECKING, Any, assert_never
 
 from play_launch.actors.stock_ports import STOCK_LIMITS, StockLimits
@@ -54,8 +55,12 @@ _WATCH = (0,)
 """What the actor asks for when it only wants to know whether the other side lives."""
 
 
-_FIRST_LISTS = 4
+_FIRST_LISTS = 8
 """Answers to so many first questions are waited for."""
+_BREATH = 0.05
+"""Seconds from one of them to the next at least: while the graph changes, it changes a lot."""
+_UNLOADS = 2
+"""How often a node is asked to go when a container is let go."""
 
 
 class CannotBeAskedError(ControlError):
@@ -183,10 +188,12 @@ class StockLink:
     async def unload_all(self) -> None:
         """Load nothing more and unload what was loaded by us; what had been there stays."""
         self._composition.stop()
+        asked: Counter[int] = Counter()
         while True:
             changed = self._changed
             for record in self._composition.loaded():
-                if not record.adopted:
+                asked[record.unique_id] += not record.adopted
+                if not record.adopted and asked[record.unique_id] <= _UNLOADS:
                     self._do(self._composition.unload(record.unique_id))
             if not self._composition.unfinished():
                 return
@@ -207,16 +214,23 @@ class StockLink:
     async def _first_list(self) -> tuple[ListedNode, ...]:
         # The services of a container that has just been killed are still in the graph, so the first
         # questions may have gone to nobody. ListNodes may be asked any number of times.
-        asked: list[asyncio.Future[tuple[ListedNode, ...]]] = []
+        asked: list[asyncio.Future[Any]] = []
         pause = self._limits.first_list
         try:
             while True:
                 asked.append(self._services.list_nodes())
-                done, _ = await asyncio.wait(
-                    asked, timeout=pause, return_when=asyncio.FIRST_COMPLETED
-                )
-                for future in done:
-                    return future.result()
+                changed = self._loop.create_task(self._services.graph_change())
+                try:
+                    await asyncio.sleep(_BREATH)
+                    await asyncio.wait(
+                        [*asked, changed], timeout=pause, return_when=asyncio.FIRST_COMPLETED
+                    )
+                finally:
+                    changed.cancel()
+                for future in asked:
+                    if future.done():
+                        nodes: tuple[ListedNode, ...] = future.result()
+                        return nodes
                 pause = min(2 * pause, self._limits.list_nodes)
                 while len(asked) > _FIRST_LISTS:
                     asked.pop(0).cancel()

@@ -24,6 +24,9 @@ class CompositionServices(Protocol):
     async def is_ready(self) -> bool:
         """Whether they are there now."""
 
+    async def graph_change(self) -> None:
+        """Wait for the next change of the graph."""
+
     async def servers(self) -> frozenset[bytes]:
         """Identify those who answer; empty where nobody tells."""
 

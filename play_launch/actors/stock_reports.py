@@ -117,6 +117,8 @@ class StockReports:
     def _still_loading(
         self, record: LoadRecord, request: Request, elapsed: float, used: int
     ) -> str:
+        if record.is_presumed:
+            return "it seems to be there; the container's list is to confirm it"
         asked = f"LoadNode was sent {elapsed:.1f} s ago"
         if record.stage is not Stage.SENT:
             return f"{asked} and answered; the container's list is to confirm it"

@@ -97,7 +97,7 @@ def unpatch(dry_run: _DryRun = False, python: _Python = None, force: _Force = Fa
     from play_launch.graph_daemon.patch.target import find_target  # noqa: PLC0415
 
     try:
-        found = overlays(find_target(python))
+        found = overlays(find_target(python, needs_ros2cli=False))
         if not found:
             say("not patched; nothing to do")
             return

@@ -98,7 +98,10 @@ class ComponentEvent:
     signal: int = 0
     backtrace: tuple[str, ...] = ()
     confirmed_by: str = ""
-    """``"status"`` when no event had told it and the container was asked; else empty."""
+    """How it is known when nothing had told it and the container was asked, else empty.
+
+    ``"status"`` by the control channel, ``"list_nodes"`` by the service of that name.
+    """
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -47,8 +47,12 @@ class CompositionClient:
     be late by minutes and is still worth knowing.
     """
 
-    def __init__(self, ros: RosThread, container: str) -> None:
-        """Talk to the container with this full name; nothing is sent yet."""
+    def __init__(self, ros: RosThread, container: str, *, owns_thread: bool = False) -> None:
+        """Talk to the container with this full name; nothing is sent yet.
+
+        ``owns_thread`` is whether the thread ends with it.
+        """
+        self._owns_thread = owns_thread
         self._ros = ros
         self._name = container
         self._loop = asyncio.get_running_loop()
@@ -124,6 +128,8 @@ class CompositionClient:
         for future in tuple(self._open):
             future.cancel()
         self._ros.post(self._destroy)
+        if self._owns_thread:
+            self._ros.finish()
 
     def _request(
         self, name: str, request: Callable[[Any], Any], read: Callable[[Any], Any]

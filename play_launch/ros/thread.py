@@ -29,6 +29,8 @@ GRAPH_POLL: Final = 0.25
 """Seconds between two looks at the graph where its event cannot be had."""
 _JOIN_LIMIT: Final = 5.0
 """Seconds for the thread's end."""
+_MOST_FAILURES: Final = 1000
+"""After that many the thread ends, and says so."""
 
 
 class RosThread:
@@ -40,32 +42,46 @@ class RosThread:
 
     def __init__(self, name: str, *, domain_id: int | None = None) -> None:
         """Name the node; without a ``domain_id`` the environment's holds."""
-        self._name = name
+        self.name = name
         self._domain_id = domain_id
         self._work: deque[Callable[[Node], None]] = deque()
         self._listeners: list[Callable[[], None]] = []
         self._started = threading.Event()
         self._failure: BaseException | None = None
         self._closing = False
+        self._failures = 0
         self._wake: Callable[[], None] = lambda: None
         self._thread = threading.Thread(target=self._run, name=f"ros {name}", daemon=True)
         self.domain_id = 0
         """The domain that the node is in, once started."""
         self.rmw_implementation = ""
 
+    def begin(self) -> None:
+        """Start without waiting; what is asked of it meanwhile is done when the node is there."""
+        self._thread.start()
+
     def start(self) -> None:
         """Start and wait until the node is there; raises what kept it from that."""
-        self._thread.start()
+        self.begin()
         self._started.wait()
         if self._failure is not None:
             raise self._failure
 
-    def close(self) -> None:
-        """End the thread and everything in it; harmless when it has not started."""
-        if not self._thread.is_alive():
-            return
+    @property
+    def is_alive(self) -> bool:
+        """Whether it has begun and not ended."""
+        return self._thread.is_alive()
+
+    def finish(self) -> None:
+        """End the thread and everything in it, without waiting for that."""
         self._closing = True
         self._wake()
+
+    def close(self) -> None:
+        """End it and wait for its end; harmless when it has not started, or has ended."""
+        self.finish()
+        if not self._thread.is_alive():
+            return
         self._thread.join(_JOIN_LIMIT)
         if self._thread.is_alive():
             _log.error("the ROS thread does not end")
@@ -115,13 +131,14 @@ class RosThread:
         except BaseException as error:  # noqa: BLE001 - raised again where it was started
             self._failure = error
             self._started.set()
+            _log.error("the ROS thread does not start: %s", error)
             return
         try:
             self._started.set()
             poll = self._watch_graph(node)
             while not self._closing:
-                executor.spin_once(timeout_sec=poll)
                 self._do_work(node)
+                self._spin_once(executor, poll)
                 if poll is not None:
                     self._graph_changed()
         except Exception:  # noqa: BLE001 - a thread has nobody else to tell it
@@ -149,7 +166,7 @@ class RosThread:
             signal_handler_options=SignalHandlerOptions.NO,
         )
         node = Node(
-            self._name,
+            self.name,
             context=context,
             use_global_arguments=False,
             enable_rosout=False,
@@ -172,6 +189,16 @@ class RosThread:
             return GRAPH_POLL
         node.add_waitable(events)
         return None
+
+    def _spin_once(self, executor: Executor, timeout: float | None) -> None:
+        try:
+            executor.spin_once(timeout_sec=timeout)
+        except Exception:
+            # For example an answer that cannot be read. One bad client must not end them all.
+            self._failures += 1
+            if self._failures >= _MOST_FAILURES:
+                raise
+            _log.exception("something in the ROS thread failed")
 
     def _do_work(self, node: Node) -> None:
         while self._work:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable, Sequence
 
 import pytest
@@ -85,6 +86,17 @@ def test_what_does_not_work_ends_with_1(run: Run, ros: Ros) -> None:
     assert failed.exit_code == 1
     assert "broken" in failed.output
     assert ros.tree() == before
+
+
+def test_what_is_left_of_a_removed_ros2cli_can_be_taken_away(run: Run, ros: Ros) -> None:
+    before = ros.tree()
+    run("patch")
+    shutil.rmtree(ros.ros2cli)
+    for path in ros.site.glob("ros2cli-*"):
+        shutil.rmtree(path)
+    assert run("patch").exit_code == 2
+    assert run("unpatch").exit_code == 0
+    assert ros.tree() == {n: c for n, c in before.items() if not n.startswith("ros2cli")}
 
 
 def test_without_ros2_there_is_advice(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -217,11 +217,12 @@ def read_all_or_reset(client: socket.socket) -> bytes:
 def test_a_crowd_is_queued_while_the_daemon_is_busy(daemon: Daemon) -> None:
     os.kill(daemon.process.pid, signal.SIGSTOP)
     with ExitStack() as stack:
-        crowd = [stack.enter_context(daemon.connect()) for _ in range(200)]
+        # As many as any kernel's own limit allows.
+        crowd = [stack.enter_context(daemon.connect()) for _ in range(120)]
         for client in crowd:
             client.sendall(request("get_large", (5,)))
         os.kill(daemon.process.pid, signal.SIGCONT)
-        assert [read_answer(client) for client in crowd] == ["xxxxx"] * 200
+        assert [read_answer(client) for client in crowd] == ["xxxxx"] * 120
 
 
 def test_more_connections_than_are_kept_do_no_harm(daemon: Daemon) -> None:

@@ -13,6 +13,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from xmlrpc.server import SimpleXMLRPCRequestHandler, SimpleXMLRPCServer
 
+from play_launch.graph_daemon.address import BASE_PORT, DaemonAddress
+from play_launch.graph_daemon.port import listen_within
+
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -74,6 +77,8 @@ def main() -> None:
 @contextmanager
 def occupied(kind: str, port: int, *words: str) -> Iterator[subprocess.Popen[bytes]]:
     """Run one of them; ``words`` are added to its command line."""
+    # The one before may have left connections in TIME_WAIT.
+    listen_within(DaemonAddress(port - BASE_PORT), 60.0).close()
     process = subprocess.Popen(
         [sys.executable, "-m", "tests.graph_daemon.occupants", kind, str(port), *words],
         cwd=ROOT,

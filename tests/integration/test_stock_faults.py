@@ -40,11 +40,11 @@ CONTAINERS = [
     box("failures", node("failing", "fail"), node("not_failing")),
     box("liars", node("denied", "deny"), node("pretended", "pretend"), node("honest")),
     box("numbers", node("first"), node("second", "same_id"), arguments=["--twice-listed"]),
-    box("slow", node("slow", "slow:6"), node("queued")),
+    box("slow", node("slow", "slow:7"), node("queued")),
     box("hanging", node("hanging", "hang"), node("behind_it")),
     box("mortal", node("survivor"), node("killer", "die")),
     box("doomed", node("destroyer", "die", "die", "die"), restart={"max_restarts": 2}),
-    box("background", node("late", "late:8"), arguments=["--background"]),
+    box("background", node("late", "late:10"), arguments=["--background"]),
     box("deaf", node("heard"), arguments=["--mute-lists", "2"]),
 ]
 SETTLED = {
@@ -111,7 +111,7 @@ def _run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     config = folder / "faults.yaml"
     document = {
         "version": 1,
-        "composable_node_loading": {"loading_timeout": "1 s"},
+        "composable_node_loading": {"loading_timeout": "2 s"},
         "stop": {"sigint": "500 ms", "sigterm": "500 ms"},
         "containers": CONTAINERS,
     }

@@ -51,7 +51,7 @@ class Target:
     Attributes:
         python: The interpreter.
         environment: Of processes that run it.
-        folder: Where ros2cli's modules are.
+        folder: Where ros2cli's modules are; meaningless, as ``version``, where it may be gone.
         version: ros2cli's release.
         sites: The folders whose ``.pth`` files this Python reads; the first is the one for what
             the administrator adds.
@@ -90,10 +90,17 @@ class Target:
         return _run(self.python, arguments, self.environment)
 
 
-def find_target(python: Path | None, environment: Mapping[str, str] = os.environ) -> Target:
+def find_target(
+    python: Path | None,
+    environment: Mapping[str, str] = os.environ,
+    *,
+    needs_ros2cli: bool = True,
+) -> Target:
     """Ask ``python``, or without it the Python that the command ``ros2`` starts.
 
-    Raises ``PatchError`` when there is none, when it does not work, or has no ros2cli.
+    Without ``needs_ros2cli``, ros2cli may be gone meanwhile: what was put in place for it can be
+    taken away all the same. Raises ``PatchError`` when there is no such Python, when it does not
+    work, or has no ros2cli.
     """
     interpreter = (python or _python_of_ros2(environment)).absolute()
     clean = _environment_for(interpreter, environment)
@@ -109,12 +116,12 @@ def find_target(python: Path | None, environment: Mapping[str, str] = os.environ
         ) from None
     if version < _OLDEST:
         raise PatchError(f"{interpreter} is Python {version[0]}.{version[1]}; 3.10 is needed")
-    if not folder:
+    if not folder and needs_ros2cli:
         raise PatchError(
             f"{interpreter} has no ros2cli; source your ROS 2 first, or name its Python: "
             "--python PATH"
         )
-    if not release or not sites:
+    if not release and needs_ros2cli:
         raise PatchError(f"the release of ros2cli in {folder} is not recorded there")
     return Target(
         interpreter, clean, Path(folder), release, sites, Path(user_site) if user_site else None

@@ -1,0 +1,1 @@
+"""The graph daemon beside ros2cli's own: see `benchmarks.graph_daemon.__main__`."""

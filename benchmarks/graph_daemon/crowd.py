@@ -1,0 +1,115 @@
+"""A crowd of ROS processes; also the program of each of them.
+
+python -m benchmarks.graph_daemon.crowd INDEX NODES TOPICS
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from types import TracebackType
+from typing import Self
+
+_START_LIMIT = 180.0
+
+
+def node_name(process: int, node: int) -> str:
+    return f"p{process}_n{node}"
+
+
+def main() -> None:
+    """Make nodes, tell for each when it was ready, and stay until the standard input ends."""
+    import rclpy  # noqa: PLC0415 - the crowd's keeper needs none
+    from std_msgs.msg import String  # noqa: PLC0415
+
+    index, nodes, topics = map(int, sys.argv[1:4])
+    rclpy.init()
+    made = []
+    for number in range(nodes):
+        name = node_name(index, number)
+        # A robot's nodes have parameters; their six services each are most of its topics.
+        node = rclpy.create_node(name)
+        for topic in range(topics):
+            node.create_publisher(String, f"/{name}/t{topic}", 1)
+        made.append(node)
+        print(f"{time.time():.6f} {name}", flush=True)
+    sys.stdin.read()
+    rclpy.shutdown()
+
+
+def shares(nodes: int, processes: int) -> list[int]:
+    return [nodes // processes + (i < nodes % processes) for i in range(processes)]
+
+
+class Crowd:
+    """Starts all processes at once; afterwards they are gone."""
+
+    def __init__(self, processes: int, nodes: int, topics: int) -> None:
+        self._shares = shares(nodes, processes)
+        self._topics = topics
+        self._processes: list[subprocess.Popen[str]] = []
+        self.made: dict[str, float] = {}
+        """When each node was ready, as wall-clock time."""
+
+    @property
+    def names(self) -> set[str]:
+        return {node_name(p, n) for p, share in enumerate(self._shares) for n in range(share)}
+
+    def start(self) -> None:
+        for index, share in enumerate(self._shares):
+            self._processes.append(
+                subprocess.Popen(
+                    [
+                        sys.executable,
+                        "-m",
+                        "benchmarks.graph_daemon.crowd",
+                        *map(str, (index, share, self._topics)),
+                    ],
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.PIPE,
+                    stderr=subprocess.DEVNULL,
+                    text=True,
+                )
+            )
+
+    def wait(self) -> None:
+        """Wait until every node is ready."""
+        for process, share in zip(self._processes, self._shares, strict=True):
+            assert process.stdout is not None
+            for _ in range(share):
+                line = process.stdout.readline().split()
+                if len(line) != 2:
+                    raise SystemExit("a process of the crowd did not come up")
+                self.made[line[1]] = float(line[0])
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        end_all(self._processes)
+
+
+def end_all(processes: Sequence[subprocess.Popen[str]]) -> None:
+    for process in processes:
+        assert process.stdin is not None
+        process.stdin.close()
+    deadline = time.monotonic() + 30
+    for process in processes:
+        try:
+            process.wait(max(0.1, deadline - time.monotonic()))
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        assert process.stdout is not None
+        process.stdout.close()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,57 @@
+"""The two daemons, started and stopped by the commands that people use."""
+
+from __future__ import annotations
+
+import importlib.util
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from play_launch.graph_daemon.address import daemon_address
+from play_launch.graph_daemon.port import listen_within
+
+_LIMIT = 60.0
+_ROS2 = "import sys; sys.argv[0] = 'ros2'; from ros2cli.cli import main; sys.exit(main())"
+
+
+def ros2cli_is_here() -> bool:
+    """Whether ros2cli can be imported, by PYTHONPATH or installed."""
+    return all(importlib.util.find_spec(name) for name in ("ros2cli", "ros2node"))
+
+
+@dataclass(frozen=True)
+class Daemon:
+    """A daemon by its commands."""
+
+    name: str
+    command: tuple[str, ...]
+
+    def run(self, *arguments: str, limit: float = _LIMIT) -> tuple[float, str]:
+        """Run a command; returns the seconds that it took and what it printed."""
+        began = time.monotonic()
+        done = subprocess.run(
+            [*self.command, *arguments],
+            check=False,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            timeout=limit,
+        )
+        return time.monotonic() - began, done.stdout
+
+    def start(self) -> float:
+        # What a measurement before left at the port is not this one's matter.
+        listen_within(daemon_address(), _LIMIT).close()
+        seconds, text = self.run("daemon", "start")
+        if "started" not in text:
+            raise SystemExit(f"{self.name} was not started: {text}")
+        return seconds
+
+    def stop(self) -> float:
+        return self.run("daemon", "stop")[0]
+
+
+OURS = Daemon("play-launch", (str(Path(sys.executable).parent / "play-launch"),))
+STOCK = Daemon("ros2cli", (sys.executable, "-W", "ignore", "-c", _ROS2))
