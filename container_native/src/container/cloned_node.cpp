@@ -10,6 +10,7 @@
 #include "container/doorbell.hpp"
 #include "container/failpoints.hpp"
 #include "container/report.hpp"
+#include "isolation/inheritance.hpp"
 #include "isolation/symbolise.hpp"
 
 namespace play_launch::container {
@@ -58,6 +59,7 @@ void ClonedNode::donate() noexcept {
   }
   dead_ = true;
   ring(doorbell());
+  gave_back_ = isolation::give_back_heaps(slot_);
   if (program_.left_remains()) {
     options.name = "undertaker";
     options.dies_abruptly = false;
@@ -160,13 +162,16 @@ NodeDeath ClonedNode::death() {
 }
 
 void ClonedNode::count_burial(IsolationTotals& totals) const {
-  if (!program_.left_remains() || burial_end_.clean()) {
+  const bool is_buried = !program_.left_remains() || burial_end_.clean();
+  if (is_buried && gave_back_) {
     ++totals.undertaken;
     return;
   }
   ++totals.leaked;
   std::string why = "it died while it was being made or destroyed";
-  if (burial_end_.error != 0) {
+  if (is_buried) {
+    why = "what the allocator keeps for its threads could not be given back";
+  } else if (burial_end_.error != 0) {
     why = std::string("cannot start a process for that: ") + std::strerror(burial_end_.error);
   } else if (burial_end_.signal != 0) {
     why = isolation::describe_end(burial_end_, burial_slot_);

@@ -51,6 +51,7 @@ class ClonedNode final : public IsolatedNode {
   isolation::CrashSlot burial_slot_;
   isolation::ChildEnd end_;
   isolation::ChildEnd burial_end_;
+  bool gave_back_ = false;           // the memory of its threads
   std::atomic<bool> dead_{false};    // end_ is valid
   std::atomic<bool> buried_{false};  // burial_end_ is valid, and no process is left
 

@@ -117,7 +117,12 @@ void before_reaping(void* argument) noexcept {
   if (slot.phase != ChildPhase::returned) {
     bury(pid, pid, launch.name.data());
   }
-  launch.record.threads.bury([&](pid_t thread) { bury(thread, pid, launch.name.data()); });
+  launch.record.threads.bury([&](pid_t thread, std::uintptr_t pointer) {
+    bury(thread, pid, launch.name.data());
+    if (pointer != 0 && slot.resting_thread_count < slot.resting_threads.size()) {
+      slot.resting_threads[slot.resting_thread_count++] = pointer;
+    }
+  });
   slot.alive = false;
   while (slot.senders != 0) {
     ::sched_yield();
@@ -150,6 +155,7 @@ void CrashSlot::reset() {
   inside = false;
   threads_parked = 0;
   threads_not_parked = 0;
+  resting_thread_count = 0;
   exit_called = false;
   exit_status = 0;
 }

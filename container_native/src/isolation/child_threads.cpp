@@ -41,6 +41,16 @@ ChildThreads::Entry::~Entry() {
   place.thread = 0;
 }
 
+void ChildThreads::rest() noexcept {
+  const pid_t self = ::gettid();
+  const std::size_t end = used_;
+  for (std::size_t i = 0; i < end; ++i) {
+    if (places_[i].thread == self) {
+      places_[i].resting = reinterpret_cast<std::uintptr_t>(__builtin_thread_pointer());
+    }
+  }
+}
+
 void ChildThreads::give_back(void* handler_stack) noexcept {
   AlternateStack::give_back(handler_stack);
 }

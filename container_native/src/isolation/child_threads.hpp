@@ -5,6 +5,7 @@
 #include <array>
 #include <atomic>
 #include <cstddef>
+#include <cstdint>
 
 namespace play_launch::isolation {
 
@@ -29,14 +30,19 @@ class ChildThreads {
     std::size_t index_;
   };
 
-  /// When no thread of the child is left: gives back their stacks, and calls visit(thread) for
-  /// each that was killed instead of ending by itself.
+  /// The calling thread stops here for good, and not amidst anything that it shares with others:
+  /// what the allocator keeps for it can be given back when it is dead.
+  void rest() noexcept;
+
+  /// When no thread of the child is left: gives back their stacks, and calls visit(thread, pointer)
+  /// for each that was killed instead of ending by itself; `pointer` is its thread pointer if it
+  /// was at rest, else 0.
   template <class Visit>
   void bury(Visit visit) noexcept {
     const std::size_t end = used_;
     for (std::size_t i = 0; i < end; ++i) {
       if (const pid_t thread = places_[i].thread.exchange(0)) {
-        visit(thread);
+        visit(thread, places_[i].resting.exchange(0));
       }
       give_back(places_[i].handler_stack.exchange(nullptr));
     }
@@ -46,6 +52,7 @@ class ChildThreads {
   struct Place {
     std::atomic<pid_t> thread{0};
     std::atomic<void*> handler_stack{nullptr};
+    std::atomic<std::uintptr_t> resting{0};
   };
 
   static void give_back(void* handler_stack) noexcept;

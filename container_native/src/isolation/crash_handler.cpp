@@ -108,6 +108,9 @@ void crash(ChildRecord& child, int signal, const siginfo_t& info, void* context)
   slot.thread = ::gettid();
   child.program->crashed();
   quiesce(child);
+  if (!slot.inside) {
+    child.threads.rest();
+  }
   slot.phase = ChildPhase::dying;
 }
 
@@ -215,7 +218,7 @@ void claim_end(ChildRecord& child) noexcept {
   pid_t nobody = 0;
   const pid_t self = ::gettid();
   if (!child.ender.compare_exchange_strong(nobody, self) && nobody != self) {
-    park(child);
+    park(child, false);
   }
 }
 

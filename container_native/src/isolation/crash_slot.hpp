@@ -69,6 +69,10 @@ struct CrashSlot {
   std::uint32_t threads_parked = 0;      // brought to a harmless place, or ended by themselves
   std::uint32_t threads_not_parked = 0;  // killed wherever they were
 
+  /// After the death: the thread pointers of threads, but for the first, that were at rest by then.
+  std::array<std::uintptr_t, kMaxFrames> resting_threads{};
+  std::uint32_t resting_thread_count = 0;
+
   // exit() or quick_exit() was called in the child.
   bool exit_called = false;
   int exit_status = 0;

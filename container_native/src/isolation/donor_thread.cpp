@@ -1,6 +1,5 @@
 #include "isolation/donor_thread.hpp"
 
-#include <dlfcn.h>
 #include <sched.h>
 #include <signal.h>
 #include <sys/mman.h>
@@ -12,6 +11,7 @@
 #include <system_error>
 #include <utility>
 
+#include "isolation/allocator.hpp"
 #include "isolation/vm_clone.hpp"
 
 namespace play_launch::isolation {
@@ -35,15 +35,6 @@ std::size_t default_stack_size() {
   ::pthread_attr_getstacksize(&attributes, &size);
   ::pthread_attr_destroy(&attributes);
   return size;
-}
-
-using ThreadDone = void (*)();
-
-/// mimalloc's: gives the calling thread's memory to those who live on. Null: another allocator.
-ThreadDone allocator_thread_done() {
-  static const auto function =
-      reinterpret_cast<ThreadDone>(::dlsym(RTLD_DEFAULT, "mi_thread_done"));
-  return function;
 }
 
 /// Runs in a child: the allocator's lists for this thread may be broken, or end in themselves.

@@ -21,6 +21,7 @@ namespace {
   slot.exit_status = status;
   slot.phase = ChildPhase::exiting;
   quiesce(child);
+  child.threads.rest();
   slot.phase = ChildPhase::dying;
   while (true) {
     ::syscall(SYS_exit_group, status);

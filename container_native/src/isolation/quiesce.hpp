@@ -20,7 +20,8 @@ void quiesce(ChildRecord& child) noexcept;
 void install_park_handler() noexcept;
 int park_signal() noexcept;
 
-/// Stops the calling thread of the child for good and counts it as parked. Async-signal-safe.
-[[noreturn]] void park(ChildRecord& child) noexcept;
+/// Stops the calling thread of the child for good and counts it as parked. `at_rest`: it is not
+/// amidst anything that it shares with others. Async-signal-safe.
+[[noreturn]] void park(ChildRecord& child, bool at_rest = true) noexcept;
 
 }  // namespace play_launch::isolation

@@ -1,0 +1,110 @@
+"""A thousand crashes leave nothing behind that is not reported."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import median
+from typing import TYPE_CHECKING
+
+import psutil
+import pytest
+from play_launch_msgs.msg import ComponentEvent
+
+from tests.support.isolated import MODES, only_these_remain, start_isolated, survives
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from tests.support.control_peer import Container, StartContainer
+
+CYCLES = 1000
+WARM_UP = 250
+"""Cycles after which the container has what it needs."""
+SAMPLE_EVERY = 25
+WAYS = ("segv", "abrt", "exception")
+
+# A donor or two may wait to be joined at any moment; growth would be hundreds.
+MOMENTARY = 3
+MEMORY_BOUND = 20 * 1024 * 1024
+"""Bytes: a fortieth of what as many heaps of threads would take, many times what is to be seen."""
+PER_LEAK = 256 * 1024
+"""Bytes that a node which could not be cleaned up after may leave."""
+
+
+@dataclass(frozen=True)
+class Usage:
+    descriptors: int
+    threads: int
+    zombies: int
+    segments: int
+    memory: int
+
+
+def anonymous_memory(pid: int) -> int:
+    """Bytes that are in memory and belong to no file."""
+    found = re.search(
+        r"^Anonymous:\s+(\d+) kB", Path(f"/proc/{pid}/smaps_rollup").read_text(), re.MULTILINE
+    )
+    assert found
+    return int(found[1]) * 1024
+
+
+def segments() -> int:
+    return len(list(Path("/dev/shm").iterdir()))
+
+
+def usage(container: Container) -> Usage:
+    family = psutil.Process(container.process.pid).children(recursive=True)
+    return Usage(
+        descriptors=container.descriptors(),
+        threads=container.threads(),
+        zombies=sum(is_zombie(child) for child in family),
+        segments=segments(),
+        memory=anonymous_memory(container.process.pid),
+    )
+
+
+def is_zombie(process: psutil.Process) -> bool:
+    try:
+        return bool(process.status() == psutil.STATUS_ZOMBIE)
+    except psutil.NoSuchProcess:
+        return False
+
+
+def growth(samples: Sequence[Usage], field: str) -> float:
+    """From the first third to the last."""
+    values = [getattr(sample, field) for sample in samples]
+    third = len(values) // 3
+    return float(median(values[-third:]) - median(values[:third]))
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_a_thousand_crashes_and_reloads_leave_nothing_behind(
+    spawn: StartContainer, mode: str
+) -> None:
+    container = start_isolated(spawn, mode)
+    samples: list[Usage] = []
+    with survives(container):
+        talker = container.loaded("Talker")
+        for cycle in range(CYCLES):
+            how = WAYS[cycle % len(WAYS)]
+            crasher = container.loaded("Crasher", parameters={"how": how, "after": 0.0})
+            container.event(ComponentEvent.CRASHED, unique_id=crasher.unique_id)
+            if cycle >= WARM_UP and cycle % SAMPLE_EVERY == 0:
+                samples.append(usage(container))
+        assert only_these_remain(container, talker.pid)
+        while True:
+            status = container.status()
+            if status.undertaken + status.leaked == CYCLES:
+                break
+        assert status.crashes == CYCLES
+        for field in ("descriptors", "threads", "zombies"):
+            assert growth(samples, field) <= MOMENTARY, samples
+        # Other tests may run beside this one, with segments of their own.
+        assert growth(samples, "segments") < CYCLES / 10, samples
+        reported = status.leaked + status.unquiesced
+        assert growth(samples, "memory") < MEMORY_BOUND + reported * PER_LEAK, (status, samples)
+        # What is reported is the exception.
+        assert reported < CYCLES / 20, status
