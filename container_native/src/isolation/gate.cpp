@@ -71,12 +71,17 @@ std::string_view mechanism_name(Mechanism mechanism) {
   return mechanism == Mechanism::shared_memory ? "shared_memory" : "process";
 }
 
+void set_kernel(Facts& facts, const std::string& release) {
+  facts.kernel_release = release;
+  facts.kernel_major = facts.kernel_minor = 0;
+  std::sscanf(release.c_str(), "%d.%d", &facts.kernel_major, &facts.kernel_minor);
+}
+
 Facts look_at_machine() {
   Facts facts;
   utsname system{};
   if (::uname(&system) == 0) {
-    facts.kernel_release = system.release;
-    std::sscanf(system.release, "%d.%d", &facts.kernel_major, &facts.kernel_minor);
+    set_kernel(facts, system.release);
   }
   prepare_clone();
   facts.clone_error = try_clone();

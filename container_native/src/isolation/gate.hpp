@@ -45,6 +45,10 @@ struct Facts {
   std::string allocator;
 };
 
+/// What look_at_machine() takes from the name of a kernel's release, such as "5.15.0-91-generic";
+/// 0.0 for one that it does not understand.
+void set_kernel(Facts& facts, const std::string& release);
+
 Facts look_at_machine();
 
 /// Throws MechanismUnavailable when shared_memory was demanded and cannot be.

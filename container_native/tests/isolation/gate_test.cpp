@@ -43,6 +43,28 @@ void test_old_kernel() {
   CHECK(choose_mechanism(MechanismChoice::automatic, facts).mechanism == Mechanism::shared_memory);
 }
 
+void test_release_strings() {
+  struct Case {
+    const char* release;
+    Mechanism mechanism;
+  };
+  for (const Case& known :
+       {Case{"5.15.0-91-generic", Mechanism::process}, Case{"4.19.0", Mechanism::process},
+        Case{"5.15.146.1-microsoft-standard-WSL2", Mechanism::process},
+        Case{"5.16.0", Mechanism::shared_memory}, Case{"5.16-rc1", Mechanism::shared_memory},
+        Case{"6.1.0-18-amd64", Mechanism::shared_memory}, Case{"10.0", Mechanism::shared_memory},
+        Case{"who knows", Mechanism::process}}) {
+    Facts facts = good_machine();
+    set_kernel(facts, known.release);
+    const Gate gate = choose_mechanism(MechanismChoice::automatic, facts);
+    CHECK(gate.mechanism == known.mechanism);
+    CHECK(gate.notes.size() == (known.mechanism == Mechanism::process ? 1u : 0u));
+    CHECK(gate.notes.empty() || (contains(gate.notes[0], known.release) &&
+                                 contains(gate.notes[0], "must be 5.16 or newer") &&
+                                 contains(gate.notes[0], "a program of its own instead")));
+  }
+}
+
 void test_no_clone() {
   Facts facts = good_machine();
   facts.clone_error = EPERM;
@@ -73,6 +95,7 @@ int main() {
   test_choices();
   test_good_machine();
   test_old_kernel();
+  test_release_strings();
   test_no_clone();
   test_other_allocator();
   test_this_machine();
