@@ -169,6 +169,7 @@ class StockLink:
                 self._do(self._composition.unload(message.unique_id))
             case Shutdown():
                 self._is_stopping = True
+                self._composition.stop()
                 raise CannotBeAskedError("a stock container is asked to end by a signal")
             case Cancel() | Hello():
                 # A constructor cannot be cancelled; what it makes is unloaded when it is there.

@@ -256,6 +256,23 @@ def test_a_load_that_cannot_be_sent_is_refused_at_once() -> None:
     run(main())
 
 
+def test_a_container_that_is_being_stopped_gets_no_further_load() -> None:
+    async def main() -> None:
+        services = Services()
+        link = await greeted(services)
+        link.send(load(1, "a"))
+        link.send(load(2, "b"))
+        await settle()
+        with pytest.raises(ControlError):
+            link.send(Shutdown(reason="x"))
+        services.construct()
+        await asyncio.sleep(5)
+        assert len(services.loads) == 1
+        link.close()
+
+    run(main())
+
+
 def test_there_is_no_word_for_stopping_and_none_for_cancelling() -> None:
     async def main() -> None:
         link = await greeted(Services())
