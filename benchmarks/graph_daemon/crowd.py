@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from types import TracebackType
 from typing import Self
 
-_START_LIMIT = 180.0
+_MADE = "made"
 
 
 def node_name(process: int, node: int) -> str:
@@ -34,7 +34,7 @@ def main() -> None:
         for topic in range(topics):
             node.create_publisher(String, f"/{name}/t{topic}", 1)
         made.append(node)
-        print(f"{time.time():.6f} {name}", flush=True)
+        print(f"{_MADE} {time.time():.6f} {name}", flush=True)
     sys.stdin.read()
     rclpy.shutdown()
 
@@ -78,11 +78,16 @@ class Crowd:
         """Wait until every node is ready."""
         for process, share in zip(self._processes, self._shares, strict=True):
             assert process.stdout is not None
-            for _ in range(share):
-                line = process.stdout.readline().split()
-                if len(line) != 2:
+            left = share
+            while left:
+                line = process.stdout.readline()
+                if not line:
                     raise SystemExit("a process of the crowd did not come up")
-                self.made[line[1]] = float(line[0])
+                # Fast DDS writes its complaints here, too.
+                if line.startswith(_MADE):
+                    _, when, name = line.split()
+                    self.made[name] = float(when)
+                    left -= 1
 
     def __enter__(self) -> Self:
         return self

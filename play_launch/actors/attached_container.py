@@ -62,6 +62,7 @@ class AttachedContainer:
         services.on_graph_change(self._graph_changed.set)
         link.on_list = self._on_list
         self._watching = asyncio.get_running_loop().create_task(self._watch())
+        self._watching.add_done_callback(self._watching_ended)
 
     @property
     def pid(self) -> int:
@@ -113,6 +114,11 @@ class AttachedContainer:
         self._link.end(reason, in_order=False)
         self._ended.set()
 
+    def _watching_ended(self, task: asyncio.Task[None]) -> None:
+        if not task.cancelled() and (error := task.exception()) is not None:
+            _log.error("%s cannot be watched: %s", self._name, error, exc_info=error)
+            self._end(f"it cannot be watched: {error}")
+
     async def _watch(self) -> None:
         try:
             async with asyncio.timeout(self._limits.waiting):
@@ -127,7 +133,7 @@ class AttachedContainer:
 
     async def _look_at_servers(self) -> None:
         servers = await self._services.servers()
-        if not self._link.is_greeted:
+        if not self._link.is_greeted or (servers and not self._servers):
             self._servers = servers
         elif not await self._services.is_ready():
             self._end("it is gone: its services are not in the graph any more")

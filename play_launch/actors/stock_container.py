@@ -13,6 +13,7 @@ from play_launch.actors.stock_ports import STOCK_LIMITS, StockLimits
 from play_launch.actors.stock_reports import ContainerIdentity
 from play_launch.config.model import ContainerType
 from play_launch.native.codec import EncodeError
+from play_launch.native.locate import NotInstalledError
 from play_launch.native.messages import Hello
 from play_launch.native.parameters import to_parameter_message
 from play_launch.ros.composition import CompositionClient
@@ -50,7 +51,7 @@ class StockContainers:
         loop's.
 
         Raises:
-            ImportError: When rclpy or composition_interfaces is not there or does not load.
+            NotInstalledError: When that is not possible here.
         """
         domains = {
             _domain(each)
@@ -63,15 +64,16 @@ class StockContainers:
             for domain in sorted(domains, key=str)
         }
         made = cls(threads, ask=config.stop.ask, limits=limits)
-        if threads:
-            import composition_interfaces.srv  # noqa: F401, PLC0415 - takes long
-            import rcl_interfaces.msg  # noqa: F401, PLC0415
         try:
+            if threads:
+                import composition_interfaces.srv  # noqa: F401, PLC0415 - takes long
+                import rcl_interfaces.msg  # noqa: F401, PLC0415
             for thread in threads.values():
                 thread.start()
-        except BaseException:
+        except Exception as error:
             made.close()
-            raise
+            reason = f"container_type stock cannot be used here: {error}"
+            raise NotInstalledError(f"{reason} (see play-launch doctor)") from error
         return made
 
     def attach(self, config: ContainerConfig) -> tuple[ManagedProcess, ControlLink]:

@@ -169,6 +169,7 @@ class StockLink:
                 self._do(self._composition.unload(message.unique_id))
             case Shutdown():
                 self._is_stopping = True
+                self._composition.stop()
                 raise CannotBeAskedError("a stock container is asked to end by a signal")
             case Cancel() | Hello():
                 # A constructor cannot be cancelled; what it makes is unloaded when it is there.
@@ -240,12 +241,10 @@ class StockLink:
 
     def _overdue(self) -> list[int]:
         """The attempts that have been silent for as long as silence is just silence."""
-        now = self._loop.time()
-        return [
-            attempt
-            for attempt, request in self._requests.items()
-            if request.sent_at is not None and now - request.sent_at >= self._timeout
-        ]
+        return [attempt for attempt, request in self._requests.items() if self._is_overdue(request)]
+
+    def _is_overdue(self, request: Request) -> bool:
+        return request.sent_at is not None and self._loop.time() - request.sent_at >= self._timeout
 
     def _do(self, actions: list[Action]) -> None:
         changed, self._changed = self._changed, asyncio.Event()
@@ -303,8 +302,7 @@ class StockLink:
 
     def _answer_questions(self) -> None:
         """Answer, unless the container itself is being asked."""
-        current = self._composition.current
-        if not self._questions or (current is not None and current.is_asked_about):
+        if not self._questions or self._composition.is_asking:
             return
         known = [
             (record, request)
@@ -378,9 +376,9 @@ class StockLink:
             return
         self._heard()
         nodes = reply.result()
-        current = self._composition.current
-        if current is not None and current.stage is Stage.SENT and current.is_asked_about:
-            self._requests[current.attempt].container_answers = True
+        for attempt, request in self._requests.items():
+            if self._composition.stage(attempt) is Stage.SENT and self._is_overdue(request):
+                request.container_answers = True
         self.on_list(nodes)
         self._do(self._composition.listed(serial, nodes))
 

@@ -13,7 +13,7 @@ from play_launch.native.messages import NodeStatus, NodeStatusState
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from play_launch.core.composition import Load as LoadRecord
+    from play_launch.core.composition_words import Load as LoadRecord
     from play_launch.native.messages import Load
 
 

@@ -9,7 +9,7 @@ answers nothing meanwhile; answers get lost, and what they say need not be so. T
 * A load is never sent twice for one attempt. Whether a missing one may be sent under a new attempt
   depends on what kind of container it is: one that constructs in the callback of the service has
   nothing under construction while it answers ListNodes. One that constructs in the background may,
-  so there silence stays silence.
+  so there silence stays silence, and the load's turn goes to the next.
 * An answer that comes after its attempt was given up still counts: the node it tells of is taken
   for the attempt that followed, or unloaded.
 
@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, Final
 from play_launch.core.composition_words import (
     Action,
     AskList,
+    Load,
     Remark,
     SendLoad,
     SendUnload,
@@ -46,31 +47,6 @@ _ENOUGH: Final = 2
 """That many lists without the node are believed."""
 _GIVEN_UP_LIMIT: Final = 1000
 """Attempts whose late answers are still understood."""
-
-
-@dataclass(slots=True)
-class Load:
-    """One attempt, as far as it has come."""
-
-    attempt: int
-    wanted: Wanted
-    stage: Stage = Stage.QUEUED
-    unique_id: int = 0
-    full_name: str = ""
-    adopted: bool = False
-    """Whether it is, or may be, one that was there before."""
-    is_presumed: bool = False
-    """Whether nothing was sent for it, because there seems to be one."""
-    reason: str = ""
-    """What the container said against it."""
-    before: frozenset[int] = frozenset()
-    """Nodes that were there before it was sent."""
-    is_asked_about: bool = False
-    """Whether it is sent and silent, and the list is to tell."""
-    list_from: int = 0
-    """The first list that may count for it."""
-    absent: int = 0
-    """Such lists without it."""
 
 
 @dataclass(slots=True)
@@ -106,6 +82,13 @@ class Composition:
     def current(self) -> Load | None:
         """The load that the container is busy with."""
         return self._current
+
+    @property
+    def is_asking(self) -> bool:
+        """Whether the list is to tell about a silent load."""
+        return any(
+            load.is_asked_about and load.stage is Stage.SENT for load in self._loads.values()
+        )
 
     def stage(self, attempt: int) -> Stage | None:
         """Where an attempt is; None when it is not, or no longer, known."""
@@ -159,7 +142,7 @@ class Composition:
         load = self._loads.get(attempt)
         if load is None:
             return self._answered_late(attempt, success=success, unique_id=unique_id)
-        if load is not self._current or load.stage is not Stage.SENT:
+        if load.stage is not Stage.SENT:
             return []
         if load.absent and success:
             # It answered a list while it constructed this.
@@ -170,14 +153,16 @@ class Composition:
 
     def ask_about(self, attempts: Iterable[int]) -> list[Action]:
         """Nothing was heard of these for too long."""
-        load = self._current
-        if load is None or load.attempt not in set(attempts) or load.stage is not Stage.SENT:
-            return []
-        if load.is_asked_about:
-            return []
-        load.is_asked_about = True
-        load.list_from = self._serial + 1
-        return self._list()
+        about = set(attempts)
+        silent = [
+            load
+            for load in self._loads.values()
+            if load.attempt in about and load.stage is Stage.SENT and not load.is_asked_about
+        ]
+        for load in silent:
+            load.is_asked_about = True
+            load.list_from = self._serial + 1
+        return self._list() if silent else []
 
     def look(self) -> list[Action]:
         """Compare what is known with the list, unasked."""
@@ -203,10 +188,11 @@ class Composition:
         if serial != self._serial:
             return []
         self._is_listing, self._list_again = False, None
-        if self._current is not None:
-            # A silent load is asked about again when its next question is due.
-            self._current.is_asked_about = False
-            self._current.absent = 0
+        for load in self._loads.values():
+            if load.stage is Stage.SENT:
+                # It is asked about again when its next question is due.
+                load.is_asked_about = False
+                load.absent = 0
         is_awaited = any(
             load.stage in _CLAIMED or load.unique_id in self._rejecting
             for load in self._loads.values()
@@ -301,6 +287,7 @@ class Composition:
             return self._list(LOOK_AGAIN)
         load.is_asked_about = False
         if not self.serially:
+            self._leave(load)
             return []
         self._forget(load)
         self._given_up[load.attempt] = load.wanted
@@ -348,7 +335,10 @@ class Composition:
             and not self._belongs(id_, load)
             and (listed_as == name if name else load.wanted.is_called(listed_as))
         ]
+        others = any(each is not load and each.stage is Stage.SENT for each in self._loads.values())
         certain = bool(name or load.wanted.full_name)
+        if not certain and others:
+            return []
         return sorted(found) if certain or len(found) == 1 else []
 
     def _adoptable(self, wanted: Wanted) -> list[int]:

@@ -1,4 +1,4 @@
-"""What is said between the loads of a composition container and whoever carries them out."""
+"""The loads of a composition container, and what is said about them to whoever carries them out."""
 
 from __future__ import annotations
 
@@ -37,6 +37,31 @@ class Wanted:
         if self.full_name:
             return full_name == self.full_name
         return full_name.startswith(f"{self.namespace.rstrip('/')}/")
+
+
+@dataclass(slots=True)
+class Load:
+    """One attempt, as far as it has come."""
+
+    attempt: int
+    wanted: Wanted
+    stage: Stage = Stage.QUEUED
+    unique_id: int = 0
+    full_name: str = ""
+    adopted: bool = False
+    """Whether it is, or may be, one that was there before."""
+    is_presumed: bool = False
+    """Whether nothing was sent for it, because there seems to be one."""
+    reason: str = ""
+    """What the container said against it."""
+    before: frozenset[int] = frozenset()
+    """Nodes that were there before it was sent."""
+    is_asked_about: bool = False
+    """Whether it is sent and silent, and the list is to tell."""
+    list_from: int = 0
+    """The first list that may count for it."""
+    absent: int = 0
+    """Such lists without it."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ LONGEST_BODY: Final = 32 * 1024
 
 _END_OF_HEAD: Final = re.compile(rb"\r?\n\r?\n")
 _REQUEST_LINE: Final = re.compile(rb"([!-~]+) ([!-~]+) HTTP/(1\.[01])")
-_LENGTH: Final = re.compile(rb"[0-9]{1,9}")
+_LENGTH: Final = re.compile(rb"[0-9]{1,18}")
 
 
 @dataclass(frozen=True, slots=True)

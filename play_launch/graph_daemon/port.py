@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import socket
+import struct
 import time
 from typing import TYPE_CHECKING, Final
 
@@ -18,6 +19,8 @@ from play_launch.graph_daemon.sockets import read_tcp, time_wait_ports
 if TYPE_CHECKING:
     from play_launch.graph_daemon.address import DaemonAddress
 
+_IP_LOCAL_PORT_RANGE: Final = 51
+"""See ip(7); Python has no name for it."""
 _PAUSE: Final = 0.02
 """Seconds between two attempts."""
 _ASSASSINATION: Final = 0.005
@@ -89,8 +92,18 @@ def end_time_wait(address: DaemonAddress) -> int:
             contextlib.suppress(OSError),
             socket.socket(socket.AF_INET, socket.SOCK_STREAM) as peer,
         ):
-            peer.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            peer.bind((address.host, port))
+            _use_port(peer, address.host, port)
             peer.settimeout(_ASSASSINATION)
             peer.connect((address.host, address.port))
     return len(ports)
+
+
+def _use_port(peer: socket.socket, host: str, port: int) -> None:
+    """Let a socket connect from a port, also where other connections use that port, too."""
+    try:
+        # The port is chosen when the other end is known, out of a range of one (Linux 6.3).
+        range_of_one = struct.pack("=HH", port, port)
+        peer.setsockopt(socket.IPPROTO_IP, _IP_LOCAL_PORT_RANGE, range_of_one)
+    except OSError:
+        peer.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        peer.bind((host, port))

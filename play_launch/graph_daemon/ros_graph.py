@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import ctypes
 import functools
+import logging
 import threading
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from uuid import uuid4
@@ -37,9 +38,12 @@ COALESCING: Final = 0.05
 _DISCOVERY_TOPIC: Final = "ros_discovery_info"
 """Every participant of ROS publishes here which nodes it has."""
 _UNKNOWN_NODE: Final = "_NODE_NAME_UNKNOWN_"
+_LOOK: Final = 0.5
 _RCL_OK: Final = 0
 _LONGEST_WAIT: Final = 1_000_000_000
 """Nanoseconds; a lost wake-up delays the end by this."""
+
+_log = logging.getLogger(__name__)
 
 
 def rmw_implementation() -> str:
@@ -91,6 +95,7 @@ class RosGraph:
                 ],
                 automatically_declare_parameters_from_overrides=True,
             )
+            self._name = str(self._node.get_name())
             self._wake = GuardCondition(callback=None, callback_group=None, context=self._context)
             self._watch = _Watch(self._node, self._wake, self._context)
         except BaseException:
@@ -102,7 +107,7 @@ class RosGraph:
     @property
     def name(self) -> str:
         """The name of the node, without its namespace, which is the root."""
-        return str(self._node.get_name())
+        return self._name
 
     def call(self, method: str, *arguments: object) -> Any:
         """Call one of `GRAPH_METHODS`; raises what rclpy raises."""
@@ -130,10 +135,15 @@ class RosGraph:
         self._context.try_shutdown()
 
     def _run(self) -> None:
-        while not self._stopping.is_set():
-            if self._watch.wait():
+        try:
+            while not self._stopping.is_set():
+                if self._watch.wait():
+                    self._on_change()
+                    self._stopping.wait(COALESCING)
+        except Exception:  # noqa: BLE001 - in a thread it would go unnoticed
+            _log.exception("changes of the graph are not reported; looking twice a second instead")
+            while not self._stopping.wait(_LOOK):
                 self._on_change()
-                self._stopping.wait(COALESCING)
 
 
 class _Watch:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import threading
 import time
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
@@ -128,7 +129,9 @@ class GraphService:
         it.
         """
         self._count()
-        self._loop.call_soon_threadsafe(self._pulse.change, time.monotonic())
+        # The loop may have ended before the thread that reports.
+        with contextlib.suppress(RuntimeError):
+            self._loop.call_soon_threadsafe(self._pulse.change, time.monotonic())
 
     async def wait_warm(self) -> None:
         """Wait until requests are answered."""

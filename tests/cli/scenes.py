@@ -60,12 +60,13 @@ def process(
     signal: int = 0,
     restarts: int = 0,
     message: str = "",
+    pid: int = 77,
 ) -> ProcessEvent:
     return ProcessEvent(
         stamp_ns=START,
         kind=kind,
         name=name,
-        pid=77,
+        pid=pid,
         exit_code=exit_code,
         signal=signal,
         restarts=restarts,

@@ -124,3 +124,10 @@ def test_lines_are_laid_out_with_their_source_and_cleaned() -> None:
     assert "\x1b[2J" not in coloured
     timed = format_lines([Line(START + 7_000_000, "/a", "x")], times=True, colour=False)
     assert timed.endswith(".007 [/a] x\n")
+
+
+def test_a_container_of_somebody_else_has_no_pid() -> None:
+    assert text(process("/c", ProcessEventKind.STARTED, pid=0), container("/c")) == (
+        "20 /c attaching"
+    )
+    assert text(process("/c", ProcessEventKind.STARTED, pid=7)) == "20 /c started, pid 7"

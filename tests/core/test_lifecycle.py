@@ -51,6 +51,14 @@ def test_the_ordinary_way() -> None:
     assert result.actions == (NodeAction.REPORT_LOADED,)
 
 
+def test_who_waits_in_a_queue_of_ours_is_asked_about_later_and_that_is_no_news() -> None:
+    result = run(requested(), NodeInput.STATUS_QUEUED, now=12.0, attempt=1)
+    assert result.record.state is NodeState.REQUESTED
+    assert result.actions == ()
+    assert not is_silent(result.record, 21.9)
+    assert is_silent(result.record, 22.0)
+
+
 def test_silence_is_a_question_and_only_the_owner_answers_it() -> None:
     record = loading()
     assert not is_silent(record, 9.9)

@@ -39,7 +39,7 @@ SHARED_MEMORY = SharedMemoryFacts(total=8 * GIBIBYTE, free=8 * GIBIBYTE, is_writ
 NETWORK = NetworkFacts(
     loopback_works=True, loopback_has_multicast=True, ephemeral_ports=(32768, 60999)
 )
-RECORDING = RecordingFacts(folder="/home/robot/.ros/play_launch", free=100 * GIBIBYTE)
+RECORDING = RecordingFacts(folder="/var/log/play_launch", free=100 * GIBIBYTE)
 MACHINE = MachineFacts(
     python=PYTHON,
     ros=ROS,

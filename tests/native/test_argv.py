@@ -12,6 +12,7 @@ from play_launch.native.argv import (
     container_argv,
     find_executable,
     process_argv,
+    stock_container_argv,
 )
 
 BINARY = Path("/opt/lib/component_container")
@@ -67,6 +68,31 @@ def test_an_isolated_container(
 ) -> None:
     argv = container_argv(container(container_type=kind, isolation=isolation), BINARY)
     assert argv[1 : argv.index("--ros-args")] == flags
+
+
+def test_a_stock_container_gets_its_arguments_before_those_for_ros() -> None:
+    config = ContainerConfig(
+        name="box",
+        namespace="/a",
+        full_name="/a/box",
+        container_type=ContainerType.STOCK,
+        arguments=("--use_multi_threaded_executor",),
+        log_level="warn",
+        ros_arguments=("-p", "thread_num:=4"),
+    )
+    assert stock_container_argv(config, Path("/x/component_container_isolated")) == (
+        "/x/component_container_isolated",
+        "--use_multi_threaded_executor",
+        "--ros-args",
+        "-r",
+        "__node:=box",
+        "-r",
+        "__ns:=/a",
+        "--log-level",
+        "warn",
+        "-p",
+        "thread_num:=4",
+    )
 
 
 def test_a_command_with_nothing_for_ros_stays_as_it_is() -> None:
