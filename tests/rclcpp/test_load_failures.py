@@ -37,8 +37,8 @@ def test_reasons(spawn: StartContainer, components: str, mode: str, probe: Probe
     assert "play_launch_components, rclcpp_components" in reason
 
     reason = failure(container, "NoSuchClass", components)
-    assert "has no component 'play_launch_rclcpp_test::NoSuchClass'" in reason
-    assert "play_launch_rclcpp_test::Talker" in reason
+    assert "has no component 'test_components::NoSuchClass'" in reason
+    assert "test_components::Talker" in reason
 
     reason = failure(container, "NeverRegistered", components)
     assert "registers only" in reason

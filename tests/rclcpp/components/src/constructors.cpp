@@ -4,7 +4,7 @@
 #include <std_msgs/msg/string.hpp>
 #include <stdexcept>
 
-namespace play_launch_rclcpp_test {
+namespace test_components {
 
 using std_msgs::msg::String;
 
@@ -58,8 +58,8 @@ class Releaser : public rclcpp::Node {
   rclcpp::Subscription<String>::SharedPtr subscription_;
 };
 
-}  // namespace play_launch_rclcpp_test
+}  // namespace test_components
 
-RCLCPP_COMPONENTS_REGISTER_NODE(play_launch_rclcpp_test::ThrowingConstructor)
-RCLCPP_COMPONENTS_REGISTER_NODE(play_launch_rclcpp_test::Patient)
-RCLCPP_COMPONENTS_REGISTER_NODE(play_launch_rclcpp_test::Releaser)
+RCLCPP_COMPONENTS_REGISTER_NODE(test_components::ThrowingConstructor)
+RCLCPP_COMPONENTS_REGISTER_NODE(test_components::Patient)
+RCLCPP_COMPONENTS_REGISTER_NODE(test_components::Releaser)
