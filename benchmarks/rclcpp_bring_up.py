@@ -20,6 +20,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -110,11 +111,16 @@ def bring_up(command: list[str], is_told: Callable[[str], bool], nodes: int) -> 
         command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=ENVIRONMENT
     ) as process:
         assert process.stdout is not None
+        too_late = threading.Timer(TIMEOUT, process.terminate)
+        too_late.start()
         loaded = 0
         for line in process.stdout:
             loaded += is_told(line)
-            if loaded == nodes or time.monotonic() - start > TIMEOUT:
+            if loaded == nodes:
                 break
+        too_late.cancel()
+        if loaded != nodes:
+            raise SystemExit(f"only {loaded} of {nodes} nodes were loaded by: {' '.join(command)}")
         wall = time.monotonic() - start
         processes = tree(process.pid)
         cpu = cpu_of(processes)
@@ -122,8 +128,6 @@ def bring_up(command: list[str], is_told: Callable[[str], bool], nodes: int) -> 
         rss, pss = memory_of(processes)
         process.send_signal(signal.SIGINT)
         process.communicate(timeout=TIMEOUT)
-    if loaded != nodes:
-        raise SystemExit(f"only {loaded} of {nodes} nodes were loaded by: {' '.join(command)}")
     return {"wall": wall, "cpu": cpu, "rss": rss, "pss": pss}
 
 
