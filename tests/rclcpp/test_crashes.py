@@ -224,3 +224,18 @@ def test_images_go_on_by_pointer_after_crashes(
             os.kill(sink.pid, number)
             container.event(CRASHED, unique_id=sink.unique_id)
         assert_cleaned_up(container, crashes=3)
+
+
+def test_nodes_with_memory_of_their_own(
+    spawn: StartContainer, components: str, probe: Probe
+) -> None:
+    container = start(spawn, "isolated", "--isolation", "process")
+    with survives(container):
+        talker = container.loaded("Talker", package=components)
+        crasher = container.loaded(
+            "Crasher", package=components, parameters={"how": "segv", "after": 0.001}
+        )
+        assert len({talker.pid, crasher.pid, container.process.pid}) == 3
+        crashed = container.event(CRASHED, unique_id=crasher.unique_id)
+        assert crashed.signal == SIGSEGV
+        probe.collect(String, "/chatter", 5, timeout=30.0)

@@ -17,6 +17,14 @@ class ThrowingConstructor : public rclcpp::Node {
   }
 };
 
+/// Wants to be told of the end of rclcpp.
+class Watcher : public rclcpp::Node {
+ public:
+  explicit Watcher(const rclcpp::NodeOptions& options) : Node("watcher", options) {
+    rclcpp::on_shutdown([this] { RCLCPP_INFO(get_logger(), "%s saw the end", get_name()); });
+  }
+};
+
 namespace {
 
 std::promise<void> released;
@@ -63,3 +71,4 @@ class Releaser : public rclcpp::Node {
 RCLCPP_COMPONENTS_REGISTER_NODE(test_components::ThrowingConstructor)
 RCLCPP_COMPONENTS_REGISTER_NODE(test_components::Patient)
 RCLCPP_COMPONENTS_REGISTER_NODE(test_components::Releaser)
+RCLCPP_COMPONENTS_REGISTER_NODE(test_components::Watcher)
