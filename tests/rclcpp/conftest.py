@@ -122,7 +122,7 @@ def components(built_components: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     """Package with our test components, for containers that are started from now on."""
     prefixes = [built_components, *ament_prefixes(os.environ)]
     monkeypatch.setenv("AMENT_PREFIX_PATH", os.pathsep.join(map(str, prefixes)))
-    return "play_launch_rclcpp_test"
+    return "test_components"
 
 
 @pytest.fixture

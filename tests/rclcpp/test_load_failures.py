@@ -9,7 +9,7 @@ import pytest
 from play_launch_msgs.msg import ComponentEvent
 from std_msgs.msg import String
 
-from tests.rclcpp.modes import start
+from tests.rclcpp.modes import MODES, start
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -37,8 +37,8 @@ def test_reasons(spawn: StartContainer, components: str, mode: str, probe: Probe
     assert "play_launch_components, rclcpp_components" in reason
 
     reason = failure(container, "NoSuchClass", components)
-    assert "has no component 'play_launch_rclcpp_test::NoSuchClass'" in reason
-    assert "play_launch_rclcpp_test::Talker" in reason
+    assert "has no component 'test_components::NoSuchClass'" in reason
+    assert "test_components::Talker" in reason
 
     reason = failure(container, "NeverRegistered", components)
     assert "registers only" in reason
@@ -110,4 +110,13 @@ def test_a_half_made_node_leaves_the_graph(
         30.0,
         "the graph without the half",
     )
+    assert container.shut_down() == 0, container.log.read_text()
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_many_of_one_library_at_once(spawn: StartContainer, components: str, mode: str) -> None:
+    container = start(spawn, mode)
+    attempts = {container.load("Talker", package=components, node_name=f"t{i}") for i in range(20)}
+    while attempts:
+        attempts.remove(container.event(ComponentEvent.LOADED).attempt)
     assert container.shut_down() == 0, container.log.read_text()

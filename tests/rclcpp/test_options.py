@@ -34,7 +34,7 @@ both = pytest.mark.parametrize("mode", ["standard", "isolated"])
 
 def request(components: str, plugin: str, **fields: Any) -> LoadNode.Request:
     return LoadNode.Request(
-        package_name=components, plugin_name=f"play_launch_rclcpp_test::{plugin}", **fields
+        package_name=components, plugin_name=f"test_components::{plugin}", **fields
     )
 
 

@@ -60,3 +60,15 @@ def test_again_and_again_beside_a_busy_node(
         container.event(UNLOADED, unique_id=node.unique_id)
     probe.collect(String, "/chatter", 5, timeout=30.0)
     assert container.shut_down() == 0, container.log.read_text()
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_nobody_calls_a_node_that_is_destroyed(
+    spawn: StartContainer, components: str, mode: str
+) -> None:
+    container = start(spawn, mode)
+    container.loaded("Watcher", package=components)
+    gone = container.loaded("Watcher", package=components, node_name="gone")
+    container.send(ControlUnload(unique_id=gone.unique_id))
+    container.event(UNLOADED, unique_id=gone.unique_id)
+    assert container.shut_down() == 0, container.log.read_text()

@@ -29,37 +29,42 @@ std::string listed(const std::vector<std::string>& classes) {
 }  // namespace
 
 class_loader::ClassLoader& ClassLibraries::loader(const std::string& library) {
-  {
-    const std::lock_guard lock(mutex_);
-    const auto found = loaders_.find(library);
-    if (found != loaders_.end()) {
-      return *found->second;
-    }
+  // One at a time, as in class_loader itself; and one loader for each library: when a second one
+  // goes, it takes the classes of the first one with it.
+  const std::lock_guard lock(mutex_);
+  const auto found = loaders_.find(library);
+  if (found != loaders_.end()) {
+    return *found->second;
   }
-  // Not under the lock: static initialisers of one library must not hold up the others longer than
-  // the loader itself does.
   std::unique_ptr<class_loader::ClassLoader> made;
   try {
     made = std::make_unique<class_loader::ClassLoader>(library);
   } catch (const std::exception& error) {
     throw LoadError("cannot load library " + library + ": " + error.what());
   }
-  if (const std::vector<std::string> missing = missing_functions(library); !missing.empty()) {
+  // Kept in any case: what was loaded once is not unloaded.
+  class_loader::ClassLoader& loader = *loaders_.emplace(library, std::move(made)).first->second;
+  missing_.emplace(library, missing_functions(library));
+  return loader;
+}
+
+void ClassLibraries::check_complete(const std::string& library) {
+  const std::lock_guard lock(mutex_);
+  const std::vector<std::string>& missing = missing_[library];
+  if (!missing.empty()) {
     throw LoadError("cannot load library " + library + ": nobody has " + missing.front() +
                     (missing.size() > 1
                          ? " and " + std::to_string(missing.size() - 1) + " more functions"
                          : "") +
                     " that it calls");
   }
-  const std::lock_guard lock(mutex_);
-  // Somebody else may have been faster; then the loader that was made lets go of the library.
-  return *loaders_.emplace(library, std::move(made)).first->second;
 }
 
 std::shared_ptr<rclcpp_components::NodeFactory> ClassLibraries::factory(const std::string& library,
                                                                         const std::string& plugin) {
   using rclcpp_components::NodeFactory;
   class_loader::ClassLoader& loader = this->loader(library);
+  check_complete(library);
   const std::vector<std::string> classes = loader.getAvailableClasses<NodeFactory>();
   const std::string registered_as = kFactoryTemplate + plugin + ">";
   const auto found = std::ranges::find_if(

@@ -6,6 +6,7 @@
 #include <mutex>
 #include <rclcpp_components/node_factory.hpp>
 #include <string>
+#include <vector>
 
 namespace play_launch::rclcpp_backend {
 
@@ -20,11 +21,13 @@ class ClassLibraries {
 
  private:
   class_loader::ClassLoader& loader(const std::string& library);
+  void check_complete(const std::string& library);
 
   std::mutex mutex_;
   /// Never unloaded: code of a library may be needed until the process ends, for example by a
   /// message's deleter, a thread_local or a handler it registered.
   std::map<std::string, std::unique_ptr<class_loader::ClassLoader>> loaders_;
+  std::map<std::string, std::vector<std::string>> missing_;  // see missing_functions()
 };
 
 }  // namespace play_launch::rclcpp_backend

@@ -207,6 +207,7 @@ void NodeExecutor::abandon() {
     worker.group = nullptr;
     worker.work.reset();
   }
+  renew(mutex_);  // rclcpp's own
   renew(take_mutex_);
   renew(runs_mutex_);
   renew(removed_);

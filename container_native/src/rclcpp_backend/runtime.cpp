@@ -1,9 +1,11 @@
 #include "rclcpp_backend/runtime.hpp"
 
+#include <rcl/error_handling.h>
+#include <rcl/init.h>
 #include <signal.h>
 #include <unistd.h>
 
-#include <atomic>
+#include <new>
 #include <rclcpp/contexts/default_context.hpp>
 #include <rclcpp/graph_listener.hpp>
 #include <rclcpp/init_options.hpp>
@@ -24,17 +26,16 @@ class Runtime {
     context_->add_pre_shutdown_callback([this] { on_shutdown_by_a_component(); });
     // The first node that looks at the graph would start this thread. It must not belong to the
     // process of a node: it serves all nodes, and would die with that one.
-    context_->get_sub_context<rclcpp::graph_listener::GraphListener>(context_)
-        ->start_if_not_started();
+    graph_listener_ = context_->get_sub_context<rclcpp::graph_listener::GraphListener>(context_);
+    graph_listener_->start_if_not_started();
     borrowed_ = Context::borrow(context_->get_rcl_context().get());
   }
   ~Runtime() {
     borrowed_.reset();
-    ending_ = true;
-    try {
-      rclcpp::shutdown(context_, "the container ends");
-    } catch (const std::exception&) {
-      // Nothing of it is used any more.
+    graph_listener_->shutdown(std::nothrow);
+    // Not rclcpp's shutdown(): it would call back into components that are destroyed by now.
+    if (rcl_shutdown(context_->get_rcl_context().get()) != RCL_RET_OK) {
+      rcl_reset_error();  // a component was faster
     }
   }
   Runtime(const Runtime&) = delete;
@@ -44,9 +45,6 @@ class Runtime {
 
  private:
   void on_shutdown_by_a_component() const {
-    if (ending_) {
-      return;
-    }
     if (::getpid() != container_) {
       // The context is everybody's. What is thrown here comes out of the component's call.
       throw std::runtime_error(
@@ -58,8 +56,8 @@ class Runtime {
 
   const pid_t container_;
   const rclcpp::Context::SharedPtr context_;
+  std::shared_ptr<rclcpp::graph_listener::GraphListener> graph_listener_;
   std::shared_ptr<Context> borrowed_;
-  std::atomic<bool> ending_{false};
 };
 
 }  // namespace

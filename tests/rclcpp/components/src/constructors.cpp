@@ -4,7 +4,7 @@
 #include <std_msgs/msg/string.hpp>
 #include <stdexcept>
 
-namespace play_launch_rclcpp_test {
+namespace test_components {
 
 using std_msgs::msg::String;
 
@@ -14,6 +14,14 @@ class ThrowingConstructor : public rclcpp::Node {
   explicit ThrowingConstructor(const rclcpp::NodeOptions& options)
       : Node("throwing_constructor", options) {
     throw std::runtime_error("no camera is connected");
+  }
+};
+
+/// Wants to be told of the end of rclcpp.
+class Watcher : public rclcpp::Node {
+ public:
+  explicit Watcher(const rclcpp::NodeOptions& options) : Node("watcher", options) {
+    rclcpp::on_shutdown([this] { RCLCPP_INFO(get_logger(), "%s saw the end", get_name()); });
   }
 };
 
@@ -58,8 +66,9 @@ class Releaser : public rclcpp::Node {
   rclcpp::Subscription<String>::SharedPtr subscription_;
 };
 
-}  // namespace play_launch_rclcpp_test
+}  // namespace test_components
 
-RCLCPP_COMPONENTS_REGISTER_NODE(play_launch_rclcpp_test::ThrowingConstructor)
-RCLCPP_COMPONENTS_REGISTER_NODE(play_launch_rclcpp_test::Patient)
-RCLCPP_COMPONENTS_REGISTER_NODE(play_launch_rclcpp_test::Releaser)
+RCLCPP_COMPONENTS_REGISTER_NODE(test_components::ThrowingConstructor)
+RCLCPP_COMPONENTS_REGISTER_NODE(test_components::Patient)
+RCLCPP_COMPONENTS_REGISTER_NODE(test_components::Releaser)
+RCLCPP_COMPONENTS_REGISTER_NODE(test_components::Watcher)

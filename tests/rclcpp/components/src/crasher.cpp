@@ -9,7 +9,7 @@
 #include <stdexcept>
 #include <string>
 
-namespace play_launch_rclcpp_test {
+namespace test_components {
 
 /// Ends its process in the way it is told.
 [[gnu::noinline]] void die(const std::string& how) {
@@ -58,6 +58,6 @@ class Crasher : public rclcpp::Node {
   rclcpp::TimerBase::SharedPtr timer_;
 };
 
-}  // namespace play_launch_rclcpp_test
+}  // namespace test_components
 
-RCLCPP_COMPONENTS_REGISTER_NODE(play_launch_rclcpp_test::Crasher)
+RCLCPP_COMPONENTS_REGISTER_NODE(test_components::Crasher)

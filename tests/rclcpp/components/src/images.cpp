@@ -9,7 +9,7 @@
 #include <std_msgs/msg/string.hpp>
 #include <utility>
 
-namespace play_launch_rclcpp_test {
+namespace test_components {
 
 using sensor_msgs::msg::Image;
 
@@ -63,7 +63,7 @@ class ImageSink : public rclcpp::Node {
   rclcpp::Subscription<Image>::SharedPtr subscription_;
 };
 
-}  // namespace play_launch_rclcpp_test
+}  // namespace test_components
 
-RCLCPP_COMPONENTS_REGISTER_NODE(play_launch_rclcpp_test::ImageSource)
-RCLCPP_COMPONENTS_REGISTER_NODE(play_launch_rclcpp_test::ImageSink)
+RCLCPP_COMPONENTS_REGISTER_NODE(test_components::ImageSource)
+RCLCPP_COMPONENTS_REGISTER_NODE(test_components::ImageSink)

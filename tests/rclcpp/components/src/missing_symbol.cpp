@@ -1,7 +1,7 @@
 #include <rclcpp/rclcpp.hpp>
 #include <rclcpp_components/register_node_macro.hpp>
 
-namespace play_launch_rclcpp_test {
+namespace test_components {
 
 int defined_nowhere();
 
@@ -12,6 +12,6 @@ class Unresolved : public rclcpp::Node {
   }
 };
 
-}  // namespace play_launch_rclcpp_test
+}  // namespace test_components
 
-RCLCPP_COMPONENTS_REGISTER_NODE(play_launch_rclcpp_test::Unresolved)
+RCLCPP_COMPONENTS_REGISTER_NODE(test_components::Unresolved)

@@ -5,7 +5,7 @@
 #include <sstream>
 #include <std_msgs/msg/string.hpp>
 
-namespace play_launch_rclcpp_test {
+namespace test_components {
 
 /// Has every parameter that it is given, and says on `options` (for those who come later, too) what
 /// options it was made with.
@@ -33,6 +33,6 @@ class Options : public rclcpp::Node {
   rclcpp::Publisher<std_msgs::msg::String>::SharedPtr publisher_;
 };
 
-}  // namespace play_launch_rclcpp_test
+}  // namespace test_components
 
-RCLCPP_COMPONENTS_REGISTER_NODE(play_launch_rclcpp_test::Options)
+RCLCPP_COMPONENTS_REGISTER_NODE(test_components::Options)

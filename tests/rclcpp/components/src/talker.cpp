@@ -4,7 +4,7 @@
 #include <std_msgs/msg/string.hpp>
 #include <string>
 
-namespace play_launch_rclcpp_test {
+namespace test_components {
 
 /// Publishes a number on `chatter`, `rate` times a second.
 class Talker : public rclcpp::Node {
@@ -28,6 +28,6 @@ class Talker : public rclcpp::Node {
   std::size_t count_ = 0;
 };
 
-}  // namespace play_launch_rclcpp_test
+}  // namespace test_components
 
-RCLCPP_COMPONENTS_REGISTER_NODE(play_launch_rclcpp_test::Talker)
+RCLCPP_COMPONENTS_REGISTER_NODE(test_components::Talker)
