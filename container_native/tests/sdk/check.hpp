@@ -13,27 +13,7 @@
 #include <utility>
 #include <vector>
 
-/// Ends the test program with the place and the expression when a condition does not hold.
-#define CHECK(condition)                                                                 \
-  do {                                                                                   \
-    if (!(condition)) {                                                                  \
-      std::fprintf(stderr, "%s:%d: CHECK(%s) failed\n", __FILE__, __LINE__, #condition); \
-      std::fflush(stderr);                                                               \
-      std::_Exit(1);                                                                     \
-    }                                                                                    \
-  } while (false)
-
-/// Checks that an expression throws that type, and gives its text.
-#define CHECK_THROWS(expression, Type)                  \
-  [&]() -> std::string {                                \
-    try {                                               \
-      static_cast<void>(expression);                    \
-    } catch (const Type& error) {                       \
-      return error.what();                              \
-    }                                                   \
-    CHECK(!"expected " #expression " to throw " #Type); \
-    return {};                                          \
-  }()
+#include "../container/check.hpp"
 
 namespace play_launch::testing {
 
