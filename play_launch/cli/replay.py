@@ -89,6 +89,7 @@ def _require_ros() -> None:
         MixedInstallationError,
         NotInstalledError,
         component_container,
+        middleware_problem,
         ros_installation,
         spawn_guard,
     )
@@ -97,11 +98,13 @@ def _require_ros() -> None:
     if problem is not None:
         fail(f"{problem} by the environment; set another one")
     try:
-        ros_installation()
+        problem = middleware_problem(ros_installation())
         component_container()
         spawn_guard()
     except (NotInstalledError, MixedInstallationError) as error:
         fail(str(error))
+    if problem is not None:
+        fail(problem)
     try:
         from play_launch.native.codec import preload  # noqa: PLC0415
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -10,7 +11,9 @@ from typing import TYPE_CHECKING
 
 import psutil
 
+from play_launch.native.locate import RosSource, ros_installation
 from tests.recording.reading import messages
+from tests.support.replay import COMMAND
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -61,3 +64,22 @@ def test_nodes_load_talk_stop_and_are_recorded(tmp_path: Path) -> None:
     ended = [read.message for read in found if read.topic == "/play_launch/process_events"][-1]
     assert (ended.event_type, ended.exit_code, ended.signal) == (2, 0, 0)
     assert any("I heard" in read.message.msg for read in found if "output" in read.topic)
+
+
+def test_a_middleware_that_is_not_there_is_told_before_anything_starts(tmp_path: Path) -> None:
+    config = tmp_path / "real.yaml"
+    config.write_text(CONFIG, encoding="utf-8")
+    ros = ros_installation()
+    result = subprocess.run(
+        [COMMAND, "replay", str(config), "--log-dir", str(tmp_path / "logs")],
+        check=False,
+        capture_output=True,
+        text=True,
+        env={**os.environ, "RMW_IMPLEMENTATION": "rmw_nowhere_cpp"},
+    )
+    assert result.returncode != 0
+    assert "rmw_nowhere_cpp" in result.stdout + result.stderr
+    if ros.source is RosSource.WHEELS:
+        assert result.returncode == 2
+        assert "rmw_fastrtps_cpp only: unset it" in result.stderr
+        assert not (tmp_path / "logs").exists()
