@@ -7,12 +7,16 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Sequence
 from types import TracebackType
 from typing import Self
 
+from play_launch.process.shm import sweep
+
 _MADE = "made"
+_START_LIMIT = 180.0
 
 
 def node_name(process: int, node: int) -> str:
@@ -75,7 +79,22 @@ class Crowd:
             )
 
     def wait(self) -> None:
-        """Wait until every node is ready."""
+        """Wait until every node is ready; who hangs is killed after a while.
+
+        Fast DDS can hang on what a killed process left in shared memory.
+        """
+        limit = threading.Timer(_START_LIMIT, self._kill)
+        limit.start()
+        try:
+            self._wait()
+        finally:
+            limit.cancel()
+
+    def _kill(self) -> None:
+        for process in self._processes:
+            process.kill()
+
+    def _wait(self) -> None:
         for process, share in zip(self._processes, self._shares, strict=True):
             assert process.stdout is not None
             left = share
@@ -99,6 +118,7 @@ class Crowd:
         trace: TracebackType | None,
     ) -> None:
         end_all(self._processes)
+        sweep()
 
 
 def end_all(processes: Sequence[subprocess.Popen[str]]) -> None:

@@ -137,6 +137,8 @@ def storm(address: DaemonAddress, size: Size) -> Figures:
             time.sleep(0.05)
         over.set()
         watching.join()
+        if crowd.made.keys() != crowd.names:
+            raise SystemExit("the crowd did not come up in a storm")
         delays = [seen.get(name, float("inf")) - made for name, made in crowd.made.items()]
     latencies.sort()
     return {

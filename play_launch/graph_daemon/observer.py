@@ -31,6 +31,9 @@ if TYPE_CHECKING:
 
 LOOK: Final = 0.5
 """Seconds between two questions whether the graph has changed; one takes half a millisecond."""
+FORSAKEN: Final = 60.0
+"""Seconds without a question after which the daemon ends by itself: we ask all the time, so then
+we were killed."""
 _WAIT: Final = 10.0
 _log = logging.getLogger(__name__)
 
@@ -62,7 +65,11 @@ async def observed_graph(environment: Mapping[str, str], sink: EventSink) -> Asy
     try:
         # The daemon must know its settings, the nodes need not wait until it knows them.
         started = await asyncio.to_thread(
-            start_daemon, address, wait_for=LISTENING, idle_timeout=0, environment=environment
+            start_daemon,
+            address,
+            wait_for=LISTENING,
+            idle_timeout=FORSAKEN,
+            environment=environment,
         )
     except (PortHeldError, StartError, OSError) as error:
         _log.warning("no graph daemon: %s", error)

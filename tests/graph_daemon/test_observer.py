@@ -16,7 +16,7 @@ from play_launch.core.events import GraphChanged, RunEvent
 from play_launch.graph_daemon.address import DaemonAddress
 from play_launch.graph_daemon.control import start_daemon, stop_daemon
 from play_launch.graph_daemon.daemon import LISTENING
-from play_launch.graph_daemon.observer import changes, observed_graph
+from play_launch.graph_daemon.observer import FORSAKEN, changes, observed_graph
 from play_launch.graph_daemon.takeover import Kind, look
 from play_launch.recording.convert import Converter
 from tests.graph_daemon.occupants import occupied
@@ -69,7 +69,10 @@ def test_a_change_is_recorded_in_words() -> None:
 def test_nodes_that_come_and_go_are_told(address: DaemonAddress, logs: Path) -> None:
     async def scenario(heard: Heard) -> None:
         async with observed_graph(os.environ, heard):
-            assert (await asyncio.to_thread(look, address)).kind is Kind.OURS
+            occupant = await asyncio.to_thread(look, address)
+            assert occupant.kind is Kind.OURS
+            # Should this process be killed, the daemon does not stay for ever.
+            assert occupant.status["idle_timeout"] == FORSAKEN
             probe = await asyncio.to_thread(Probe, "visitor")
             await heard.until(appeared="/visitor")
             await asyncio.to_thread(probe.__exit__, None, None, None)

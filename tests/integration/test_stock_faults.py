@@ -40,7 +40,7 @@ CONTAINERS = [
     box("failures", node("failing", "fail"), node("not_failing")),
     box("liars", node("denied", "deny"), node("pretended", "pretend"), node("honest")),
     box("numbers", node("first"), node("second", "same_id"), arguments=["--twice-listed"]),
-    box("slow", node("slow", "slow:7"), node("queued")),
+    box("slow", node("slow", "slow:14"), node("queued")),
     box("hanging", node("hanging", "hang"), node("behind_it")),
     box("mortal", node("survivor"), node("killer", "die")),
     box("doomed", node("destroyer", "die", "die", "die"), restart={"max_restarts": 2}),
@@ -112,7 +112,7 @@ def _run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     document = {
         "version": 1,
         "composable_node_loading": {"loading_timeout": "2 s"},
-        "stop": {"sigint": "500 ms", "sigterm": "500 ms"},
+        "stop": {"sigint": "20 s", "sigterm": "1 s"},
         "containers": CONTAINERS,
     }
     config.write_text(yaml.safe_dump(document, sort_keys=False))
