@@ -108,7 +108,8 @@ def test_a_crash_in_a_constructor_is_a_failed_load(
         assert only_these_remain(container)
         probe.spin_until(
             lambda: (
-                "crasher" not in probe.node.get_node_names()
+                "container" in probe.node.get_node_names()
+                and "crasher" not in probe.node.get_node_names()
                 and probe.node.count_subscribers("/crash") == 0
             ),
             30.0,

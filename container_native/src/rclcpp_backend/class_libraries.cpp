@@ -42,8 +42,7 @@ class_loader::ClassLoader& ClassLibraries::loader(const std::string& library) {
   } catch (const std::exception& error) {
     throw LoadError("cannot load library " + library + ": " + error.what());
   }
-  // Kept in any case: what was loaded once is not unloaded.
-  class_loader::ClassLoader& loader = *loaders_.emplace(library, std::move(made)).first->second;
+  class_loader::ClassLoader& loader = *loaders_.emplace(library, made.release()).first->second;
   missing_.emplace(library, missing_functions(library));
   return loader;
 }

@@ -24,9 +24,9 @@ class ClassLibraries {
   void check_complete(const std::string& library);
 
   std::mutex mutex_;
-  /// Never unloaded: code of a library may be needed until the process ends, for example by a
-  /// message's deleter, a thread_local or a handler it registered.
-  std::map<std::string, std::unique_ptr<class_loader::ClassLoader>> loaders_;
+  /// Never destroyed, so that libraries stay loaded: code of a library may be needed until the
+  /// process ends, for example by a message's deleter, a thread_local or a handler it registered.
+  std::map<std::string, class_loader::ClassLoader*> loaders_;
   std::map<std::string, std::vector<std::string>> missing_;  // see missing_functions()
 };
 

@@ -3,15 +3,14 @@
 #include <rcl/client.h>
 #include <rcl/error_handling.h>
 #include <rcl/logging_rosout.h>
-#include <rcl/node_options.h>
 #include <rcl/publisher.h>
 #include <rcl/service.h>
 #include <rcl/subscription.h>
 
 #include <algorithm>
 #include <mutex>
-#include <rclcpp/contexts/default_context.hpp>
 #include <rclcpp/node_interfaces/node_base.hpp>
+#include <rclcpp/node_options.hpp>
 #include <utility>
 
 namespace play_launch::rclcpp_backend {
@@ -32,16 +31,14 @@ void forget_error(rcl_ret_t result) noexcept {
 /// Has finalise_discarded_nodes() called by somebody who holds the lock for logging: only rclcpp
 /// itself can take it, and does so for the logger of a new node.
 void borrow_logging_lock() noexcept {
-  rcl_node_options_t options = rcl_node_get_default_options();
-  options.use_global_arguments = false;
   try {
-    const rclcpp::node_interfaces::NodeBase node("_undertaker", "",
-                                                 rclcpp::contexts::get_global_default_context(),
-                                                 options, false, false, nullptr);
+    const rclcpp::NodeOptions options = rclcpp::NodeOptions().use_global_arguments(false);
+    const rclcpp::node_interfaces::NodeBase node("_undertaker", "", options.context(),
+                                                 *options.get_rcl_node_options(), false, false,
+                                                 nullptr);
   } catch (const std::exception&) {
-    // The next node that is made or destroyed does it.
+    // The next node that is made does it.
   }
-  forget_error(rcl_node_options_fini(&options));
 }
 
 }  // namespace
