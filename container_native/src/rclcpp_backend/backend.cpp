@@ -47,7 +47,7 @@ class RclcppExecutor final : public ComponentExecutor {
   void add(Component& component) override { executor_.add_node(node_of(component)); }
   void remove(Component& component) override { executor_.take_out(node_of(component)); }
   void abandon() override { executor_.abandon(); }
-  void beat_into(Beat& beat) override { executor_.beat_into(beat); }
+  void beat_into(std::atomic<std::int64_t>& beat) override { executor_.beat_into(beat); }
 
  private:
   static const NodeBaseInterface::SharedPtr& node_of(Component& component) {
