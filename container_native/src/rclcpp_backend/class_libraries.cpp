@@ -29,8 +29,8 @@ std::string listed(const std::vector<std::string>& classes) {
 }  // namespace
 
 class_loader::ClassLoader& ClassLibraries::loader(const std::string& library) {
-  // One at a time, as in class_loader itself; and one loader for each library: when a second one
-  // goes, it takes the classes of the first one with it.
+  // One at a time, as in class_loader itself; and one loader for each library: with one for each
+  // load, the classes of a library were lost when many were loaded from it at once.
   const std::lock_guard lock(mutex_);
   const auto found = loaders_.find(library);
   if (found != loaders_.end()) {
