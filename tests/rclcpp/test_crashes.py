@@ -158,7 +158,9 @@ def test_a_signal_from_outside(
         assert crashed.signal == number
         assert is_gone(victim.pid)
         probe.collect(String, "/chatter", 5, timeout=30.0)
-        assert_cleaned_up(container, crashes=1)
+        # SIGKILL leaves no time to bring the other threads out of rclcpp's and the DDS's locks.
+        may_leak = number is SIGKILL and mode == "isolated_mt"
+        assert_cleaned_up(container, crashes=1, may_leak=may_leak)
         # What is asked for by a signal is done in order; only SIGKILL cannot be.
         assert container.status().unquiesced == (1 if number == SIGKILL else 0)
 
