@@ -1,15 +1,30 @@
-"""Replies that were already written, for as long as the graph did not change."""
+"""Replies that were already written, for as long as the graph did not change.
+
+And a little longer where writing them takes long: while sixty processes start, the graph changes
+all the time, and a daemon that wrote each answer anew for each client would fall behind. A reply
+that took time ``t`` is used for another `HOLD` times ``t`` whatever happens, within `LONGEST_HOLD`,
+so that the same question costs one processor a fifth of its time at most.
+"""
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, NamedTuple
 
+HOLD: Final = 4.0
+LONGEST_HOLD: Final = 0.25
 _OVERHEAD: Final = 256
 """Bytes that an entry costs besides its request and reply, roughly."""
 
 
+class _Entry(NamedTuple):
+    reply: bytes
+    generation: int
+    asked: float
+    held_until: float
+
+
 class ReplyCache:
-    """Replies by request body, all of one generation of the graph.
+    """Replies by request body.
 
     A reply is also dropped by age: should the middleware ever change its graph without saying so,
     an answer is wrong for ``longest`` seconds and not for ever.
@@ -17,13 +32,23 @@ class ReplyCache:
     Args:
         capacity: Bytes that it holds at most; when they do not suffice it starts anew.
         longest: Seconds that a reply is used for at most.
+        hold: For how many times the time that it took a reply is used after a change.
+        longest_hold: Seconds after which it is not, however long it took.
     """
 
-    def __init__(self, *, capacity: int = 32 * 1024 * 1024, longest: float = 1.0) -> None:
+    def __init__(
+        self,
+        *,
+        capacity: int = 32 * 1024 * 1024,
+        longest: float = 1.0,
+        hold: float = HOLD,
+        longest_hold: float = LONGEST_HOLD,
+    ) -> None:
         self._capacity = capacity
         self._longest = longest
-        self._generation = -1
-        self._replies: dict[bytes, tuple[float, bytes]] = {}
+        self._hold = hold
+        self._longest_hold = longest_hold
+        self._entries: dict[bytes, _Entry] = {}
         self._size = 0
 
     @property
@@ -32,43 +57,37 @@ class ReplyCache:
         return self._size
 
     def get(self, request: bytes, generation: int, now: float) -> bytes | None:
-        """Return the reply to ``request`` if it was given in ``generation``, and lately.
+        """Return the reply to ``request`` if it is of ``generation``, or still held.
 
         ``now`` is in seconds of any clock that never jumps.
         """
-        if generation != self._generation:
-            self._restart(generation)
+        entry = self._entries.get(request)
+        if entry is None or now - entry.asked > self._longest:
             return None
-        entry = self._replies.get(request)
-        if entry is None or now - entry[0] > self._longest:
+        if entry.generation != generation and now >= entry.held_until:
             return None
-        return entry[1]
+        return entry.reply
 
-    def put(self, request: bytes, reply: bytes, generation: int, now: float) -> None:
+    def put(
+        self, request: bytes, reply: bytes, generation: int, asked: float, answered: float
+    ) -> None:
         """Keep a reply.
 
-        ``generation`` and ``now`` are those of before the graph was looked at: what changed
-        meanwhile may not be in the reply.
+        ``generation`` is that of before the graph was looked at: what changed meanwhile may not be
+        in the reply. ``asked`` and ``answered`` are the times before and after.
         """
-        if generation < self._generation:
-            return
-        if generation > self._generation:
-            self._restart(generation)
-        known = self._replies.pop(request, None)
+        known = self._entries.pop(request, None)
         if known is not None:
-            self._size -= _cost(request, known[1])
+            self._size -= _cost(request, known.reply)
         cost = _cost(request, reply)
         if cost > self._capacity:
             return
         if self._size + cost > self._capacity:
-            self._restart(generation)
-        self._replies[request] = (now, reply)
+            self._entries.clear()
+            self._size = 0
+        hold = min(self._hold * (answered - asked), self._longest_hold)
+        self._entries[request] = _Entry(reply, generation, asked, answered + hold)
         self._size += cost
-
-    def _restart(self, generation: int) -> None:
-        self._replies.clear()
-        self._size = 0
-        self._generation = generation
 
 
 def _cost(request: bytes, reply: bytes) -> int:

@@ -66,6 +66,7 @@ class GraphService:
         participants_here: Counts the participants of this machine.
         status: Gives the answer of our own method.
         shutdown: Called when a client asks the daemon to end.
+        cache: Keeps the answers.
     """
 
     def __init__(
@@ -75,11 +76,12 @@ class GraphService:
         participants_here: Callable[[], int],
         status: Callable[[], str],
         shutdown: Callable[[], None],
+        cache: ReplyCache | None = None,
     ) -> None:
         self._loop = asyncio.get_running_loop()
         self._methods = Methods(functions, status=status, shutdown=shutdown)
         self._participants_here = participants_here
-        self._cache = ReplyCache()
+        self._cache = cache or ReplyCache()
         self._generation = 0
         self._counting = threading.Lock()
         self._graph: Graph | None = None
@@ -126,7 +128,7 @@ class GraphService:
         """Take note that the graph changed; for any thread.
 
         What was answered before counts no more from this very moment, not when the loop hears of
-        it.
+        it; but for the short time that answers are held which took long, see `reply_cache`.
         """
         self._count()
         # The loop may have ended before the thread that reports.
@@ -162,7 +164,7 @@ class GraphService:
             self._waiting.append((body, reply))
         else:
             answered = self._methods.answer(call)
-            self._cache.put(body, answered, generation, now)
+            self._cache.put(body, answered, generation, now, time.monotonic())
             reply(answered)
 
     def close(self) -> None:

@@ -6,6 +6,7 @@ import asyncio
 import threading
 from collections.abc import Awaitable, Callable
 
+from play_launch.graph_daemon.reply_cache import ReplyCache
 from play_launch.graph_daemon.service import Completeness, GraphService
 from tests.graph_daemon.graphs import FakeGraph
 from tests.graph_daemon.wire import read, request_body
@@ -16,9 +17,11 @@ METHODS = ("get_node_names_and_namespaces", "get_topic_names_and_types", "get_na
 
 
 class Service(GraphService):
-    """A service on made-up graphs."""
+    """A service on made-up graphs; answers do not outlive a change unless the cache says so."""
 
-    def __init__(self, here: Callable[[], int] = lambda: 1) -> None:
+    def __init__(
+        self, here: Callable[[], int] = lambda: 1, cache: ReplyCache | None = None
+    ) -> None:
         self.ended = 0
 
         def functions() -> dict[str, Callable[..., object]]:
@@ -31,7 +34,11 @@ class Service(GraphService):
             self.ended += 1
 
         super().__init__(
-            functions(), participants_here=here, status=lambda: "the status", shutdown=end
+            functions(),
+            participants_here=here,
+            status=lambda: "the status",
+            shutdown=end,
+            cache=cache or ReplyCache(hold=0.0),
         )
 
     def ask(self, body: bytes) -> list[object]:
@@ -109,6 +116,21 @@ def test_the_graph_is_asked_once_for_each_change() -> None:
         graph.known.add("newcomer")
         assert ["newcomer", "/"] in service.ask(NODES)[0]  # type: ignore[operator]
         assert len(graph.calls) == 2
+
+    run(scenario)
+
+
+def test_in_a_storm_an_answer_serves_more_than_one_client() -> None:
+    async def scenario() -> None:
+        cache = ReplyCache(longest=WAIT, hold=1e9, longest_hold=WAIT)
+        service, graph = Service(cache=cache), FakeGraph()
+        service.use(graph)
+        await service.wait_warm()
+        graph.during_call = service.changed
+        for _ in range(16):
+            service.ask(NODES)
+            service.changed()
+        assert len(graph.calls) == 1
 
     run(scenario)
 
