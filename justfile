@@ -32,12 +32,13 @@ format:
 bench name *arguments:
     {{python}} -m benchmarks.{{name}} {{arguments}}
 
-# Measure crashes and large messages in full, and renew the figures of docs/benchmarks.md.
+# Measure crashes, large messages and the graph daemon in full, and renew docs/benchmarks.md.
 bench-docs:
     mkdir -p build
     {{python}} -m benchmarks.crash --json build/crash.json
     {{python}} -m benchmarks.intra_process --json build/intra_process.json
-    {{python}} -m benchmarks.publish build/crash.json build/intra_process.json
+    {{python}} -m benchmarks.graph_daemon --json build/graph_daemon.json
+    {{python}} -m benchmarks.publish build/crash.json build/intra_process.json build/graph_daemon.json
 
 # Make ros2cli's own daemon bear a start-up storm: just patch-daemon --dry-run
 patch-daemon *arguments:

@@ -1,6 +1,6 @@
 """Put measured figures into docs/benchmarks.md, and their pictures beside it.
 
-    python -m benchmarks.publish [--note TEXT] crash.json intra_process.json
+    python -m benchmarks.publish [--note TEXT] crash.json intra_process.json graph_daemon.json
 
 Each file is what a benchmark's --json has written. On the page, what stands between
 `<!-- crash -->` and `<!-- /crash -->` is replaced. The note stands above the figures, and says what
@@ -19,6 +19,7 @@ from benchmarks import intra_process
 from benchmarks.crash import report
 from benchmarks.crash.goals import goals
 from benchmarks.goal import markdown
+from benchmarks.graph_daemon import report as graph_daemon
 from benchmarks.statistics import Summary
 
 PAGE = Path(__file__).parents[1] / "docs" / "benchmarks.md"
@@ -63,9 +64,22 @@ def two_nodes(document: Document) -> tuple[str, str]:
     return text, intra_process.picture(rows)
 
 
+def two_daemons(document: Document) -> tuple[str, str]:
+    told, title = document["machine"], document["title"]
+    subjects = graph_daemon.from_json(document["subjects"])
+    text = (
+        f"{title}, {told['architecture']}, Linux {told['kernel']}; {document['storms']} storms.\n\n"
+        f"{markdown(graph_daemon.goals(subjects))}\n\n"
+        f"```\n{graph_daemon.table(subjects)}\n```\n\n"
+        "![Times of both daemons](graph_daemon.svg)"
+    )
+    return text, graph_daemon.picture(title, subjects)
+
+
 _KNOWN: Mapping[str, Callable[[Document], tuple[str, str]]] = {
     "crash": crash,
     "intra_process": two_nodes,
+    "graph_daemon": two_daemons,
 }
 
 

@@ -1,10 +1,10 @@
 """The graph daemon under a crowd of nodes, beside ros2cli's own where that can be imported.
 
-    python -m benchmarks.graph_daemon [--small] [--json FILE] [--plot FILE]
+    python -m benchmarks.graph_daemon [--small] [--storms N] [--json FILE] [--plot FILE]
 
 Everything happens in a network namespace of its own, so root is needed (or user namespaces), and
 iproute2. ros2cli is found by PYTHONPATH or where it is installed; without it only our daemon is
-measured. In full: 61 processes with 115 nodes, about 10 minutes; small: 8 with 16, about 2.
+measured. In full: 61 processes with 115 nodes, about 20 minutes; small: 8 with 16, about 2.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
-import math
 import os
 import shutil
 import subprocess
@@ -22,11 +21,11 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from benchmarks.graph_daemon import measures
-from benchmarks.graph_daemon.chart import chart
+from benchmarks.graph_daemon import measures, report
 from benchmarks.graph_daemon.crowd import ATTEMPTS, Crowd
 from benchmarks.graph_daemon.daemons import OURS, STOCK, Daemon, ros2cli_is_here
 from benchmarks.graph_daemon.measures import Figures, Size
+from benchmarks.machine import machine
 from play_launch.graph_daemon.address import daemon_address
 
 FULL = Size(
@@ -47,16 +46,6 @@ SMALL = Size(
     burst_rounds=3,
     patience=20.0,
 )
-TARGETS: tuple[tuple[str, float, bool], ...] = (
-    ("burst of 32, p99", 20.0, False),
-    ("storm, p99 of bursts of 16", 5.0, False),
-    ("one client, median", 5.0, False),
-    ("8 clients, calls per second", 4.0, True),
-    ("late join, all nodes after", 1 / 0.7, False),
-    ("storm, nodes seen late", 3.0, False),
-    ("node list", 4.0, False),
-)
-"""Row, by how much ours is to be better than ros2cli's, and whether more is better."""
 _INSIDE = "PLAY_LAUNCH_BENCHMARK_INSIDE"
 _PREPARE = (
     "mount -t tmpfs none /dev/shm && ip link set lo up multicast on && "
@@ -133,61 +122,13 @@ def measure_storms(daemon: Daemon, size: Size, storms: int) -> Figures:
         else:
             raise SystemExit(f"the crowd did not come up in {1 + repeated} storms")
     figures = {
-        name: (sum if is_count(name) else max)(one[name] for one in seen) for name in seen[0]
+        name: (sum if report.is_count(name) else max)(one[name] for one in seen) for name in seen[0]
     }
     return figures | {"storm, repeated": repeated}
 
 
-def is_count(name: str) -> bool:
-    return name.endswith(("failed", "fewest nodes", "seen late", "at first", "repeated"))
-
-
 def tell(what: str) -> None:
     print(what, file=sys.stderr, flush=True)
-
-
-def table(subjects: dict[str, Figures]) -> list[str]:
-    names = list(dict.fromkeys(name for figures in subjects.values() for name in figures))
-    lines = [f"{'':<36}" + "".join(f"{subject:>16}" for subject in subjects)]
-    for name in names:
-        cells = [written(name, figures.get(name)) for figures in subjects.values()]
-        lines.append(f"{name:<36}" + "".join(f"{cell:>16}" for cell in cells))
-    return lines
-
-
-def written(name: str, value: float | None) -> str:
-    if value is None:
-        return "-"
-    if is_count(name):
-        return "none seen" if math.isinf(value) else f"{value:.0f}"
-    if "per second" in name:
-        return f"{value:.0f}"
-    return "never" if math.isinf(value) else f"{value * 1e3:.2f} ms"
-
-
-def verdicts(ours: Figures, stock: Figures) -> list[str]:
-    """Compare with the targets."""
-    lines = []
-    for name, factor, more_is_better in TARGETS:
-        if name not in ours or name not in stock:
-            continue
-        better, worse = (ours[name], stock[name]) if more_is_better else (stock[name], ours[name])
-        found = better / worse if worse else math.inf
-        lines.append(f"{name}: {found:.1f} x, wanted {factor:.1f} x{_verdict(found >= factor)}")
-    for name in ("32 clients, failed", "burst of 32, failed", "storm, failed"):
-        failed = ours[name]
-        lines += [f"{name}: {failed:.0f}, wanted 0{_verdict(not failed)}"]
-    silent = ours["beside a silent client, longest"]
-    lines.append(f"beside a silent client: {silent * 1e3:.1f} ms of 100{_verdict(silent < 0.1)}")
-    again = ours["after stop, stock start"]
-    lines.append(f"after stop, stock start: {again:.2f} s of 2{_verdict(again < 2.0)}")
-    short = ours["address change, too few for"]
-    lines.append(f"address change: too few nodes for {short:.2f} s{_verdict(not short)}")
-    return lines
-
-
-def _verdict(reached: bool) -> str:
-    return "" if reached else "  <- missed"
 
 
 def main() -> None:
@@ -216,36 +157,25 @@ def main() -> None:
         finally:
             # It ends either of them.
             OURS.stop()
-    cpus = os.cpu_count()
-    title = f"{size.nodes} nodes in {size.processes} processes, {cpus} CPUs"
-    print("\n".join([title, *table(subjects)]))
-    if stock is not None:
-        print("\n".join(["", *verdicts(subjects[OURS.name], subjects[stock.name])]))
+    title = f"{size.nodes} nodes in {size.processes} processes, {os.cpu_count()} CPUs"
+    print("\n".join([title, report.table(subjects), ""]))
+    for goal in report.goals(subjects):
+        missed = "" if goal.met else "  <- missed"
+        print(f"{goal.what}: {goal.measured} (goal: {goal.goal}){missed}")
     if arguments.json is not None:
         arguments.json.write_text(json.dumps(plain(title, storms, subjects), indent=2) + "\n")
     if arguments.plot is not None:
-        rows = [
-            "one client, median",
-            "32 clients, p99",
-            "burst of 32, p99",
-            "beside a silent client, longest",
-            "storm, p99 of bursts of 16",
-            "late join, all nodes after",
-            "after stop, stock start",
-            "node list",
-        ]
-        arguments.plot.write_text(chart(f"Graph daemon: {title}", rows, subjects))
+        arguments.plot.write_text(report.picture(title, subjects))
 
 
-def plain(title: str, storms: int, subjects: dict[str, Figures]) -> dict[str, Any]:
-    """JSON knows no infinity: what never came is null."""
+def plain(title: str, storms: int, subjects: report.Subjects) -> dict[str, Any]:
+    """What --json writes."""
     return {
+        "benchmark": "graph_daemon",
+        "machine": machine(),
         "title": title,
         "storms": storms,
-        "subjects": {
-            subject: {name: None if math.isinf(value) else value for name, value in figures.items()}
-            for subject, figures in subjects.items()
-        },
+        "subjects": report.to_json(subjects),
     }
 
 

@@ -15,10 +15,39 @@ from benchmarks.crash.cases import QUIET, Case, Kind
 from benchmarks.crash.goals import goals
 from benchmarks.crash.report import result, table
 from benchmarks.crash.tally import Tally
+from benchmarks.graph_daemon import report as graph_daemon
+from benchmarks.graph_daemon.daemons import OURS, STOCK
 from benchmarks.publish import PAGE, PageError, publish, put
 from benchmarks.range_chart import Bar, Lane, range_chart
 
 positive = st.floats(1e-5, 1e7)
+WELL: dict[str, float | None] = {
+    "burst of 32, p99": 0.01,
+    "burst of 32, failed": 0.0,
+    "32 clients, p99": 0.01,
+    "32 clients, failed": 0.0,
+    "storm, p99 of bursts of 16": 0.1,
+    "storm, failed": 0.0,
+    "storm, nodes seen late": 0.0,
+    "one client, median": 0.0001,
+    "8 clients, calls per second": 8000.0,
+    "late join, all nodes after": 1.0,
+    "beside a silent client, longest": 0.001,
+    "address change, too few for": 0.0,
+    "after stop, stock start": 0.5,
+    "node list": 0.05,
+}
+"""Ours, on a good day."""
+BADLY: dict[str, float | None] = {
+    "burst of 32, p99": 1.0,
+    "storm, p99 of bursts of 16": 1.0,
+    "storm, nodes seen late": 5.0,
+    "one client, median": 0.001,
+    "8 clients, calls per second": 1000.0,
+    "late join, all nodes after": 2.0,
+    "beside a silent client, longest": None,
+    "node list": 0.3,
+}
 MACHINE = {"cpus": 2, "kernel": "6.1", "architecture": "x86_64", "allocator": "lib.so"}
 
 
@@ -75,6 +104,34 @@ def test_what_is_short_is_said(kind: Kind, tally: Tally, what: str) -> None:
     assert what in short.what
 
 
+def test_a_daemon_that_is_well_reaches_every_goal() -> None:
+    subjects = graph_daemon.from_json({OURS.name: WELL, STOCK.name: BADLY})
+    assert graph_daemon.to_json(subjects) == {OURS.name: WELL, STOCK.name: BADLY}
+    found = graph_daemon.goals(subjects)
+    assert len(found) == 13
+    assert all(goal.met for goal in found)
+    assert len(graph_daemon.goals({OURS.name: subjects[OURS.name]})) == 6
+
+
+@pytest.mark.parametrize(
+    ("row", "value"),
+    [
+        ("burst of 32, p99", 0.06),
+        ("8 clients, calls per second", 3900.0),
+        ("late join, all nodes after", None),
+        ("storm, nodes seen late", 2.0),
+        ("storm, failed", 1.0),
+        ("beside a silent client, longest", 0.1),
+        ("address change, too few for", 0.1),
+        ("after stop, stock start", None),
+    ],
+)
+def test_what_a_daemon_misses_is_said(row: str, value: float | None) -> None:
+    subjects = graph_daemon.from_json({OURS.name: {**WELL, row: value}, STOCK.name: BADLY})
+    (short,) = (goal for goal in graph_daemon.goals(subjects) if not goal.met)
+    assert short.what == row
+
+
 def test_what_went_wrong_stands_below_its_row() -> None:
     tally = Tally(crashes=10, undetected=2, collateral=1)
     text = table([row(Kind("segv", "callback"), tally)])
@@ -95,14 +152,25 @@ def test_the_page_keeps_all_but_the_figures(tmp_path: Path) -> None:
         "images": 3,
         "rows": {"standard, by pointer": figures},
     }
+    daemons = {
+        "benchmark": "graph_daemon",
+        "machine": MACHINE,
+        "title": "16 nodes",
+        "storms": 1,
+        "subjects": {OURS.name: WELL, STOCK.name: BADLY},
+    }
     files = []
-    for document in (crash, images):
+    for document in (crash, images, daemons):
         files.append(tmp_path / f"{document['benchmark']}.json")
         files[-1].write_text(json.dumps(document), encoding="utf-8")
     publish(files, page)
     once = page.read_text(encoding="utf-8")
     assert "10 of 10" in once or "0 of 10" in once
-    assert {path.name for path in tmp_path.glob("*.svg")} == {"crash.svg", "intra_process.svg"}
+    assert {path.stem for path in tmp_path.glob("*.svg")} == {
+        "crash",
+        "intra_process",
+        "graph_daemon",
+    }
     publish(files, page, "a note")
     assert "\na note\n" in page.read_text(encoding="utf-8")
     publish(files, page)
