@@ -6,7 +6,7 @@ import asyncio
 import logging
 import os
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from play_launch.actors.container import ContainerActor
 from play_launch.actors.container_limits import LIMITS, Limits
@@ -15,6 +15,7 @@ from play_launch.actors.deadline import happens_before
 from play_launch.actors.process_node import ProcessActor
 from play_launch.actors.publisher import Publisher
 from play_launch.actors.wiring import NativeLauncher
+from play_launch.config.model import ContainerType
 from play_launch.core.exit_code import exit_code
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
     from play_launch.actors.ports import Launcher
     from play_launch.actors.stop_requests import StopRequests
-    from play_launch.config.model import ReplayConfig
+    from play_launch.config.model import ContainerConfig, ReplayConfig
     from play_launch.core.events import EventSink
     from play_launch.core.view import SystemView
 
@@ -46,6 +47,20 @@ class Outcome:
 def default_starts() -> int:
     """How many containers start up at the same time: creating a participant is CPU time."""
     return max(4, 2 * (os.cpu_count() or 1))
+
+
+STOCK_STARTS: Final = 4
+"""How many times as many stock containers start up at the same time: they spend most of it waiting
+until they are found in the graph."""
+
+
+def _starts_of(
+    container: ContainerConfig, places: asyncio.Semaphore, stock_places: asyncio.Semaphore
+) -> asyncio.Semaphore:
+    if container.attach:
+        # Waiting for somebody else's container takes no place from those that start.
+        return asyncio.Semaphore(1)
+    return stock_places if container.container_type is ContainerType.STOCK else places
 
 
 async def run_system(
@@ -95,7 +110,9 @@ async def _run(
     loop = asyncio.get_running_loop()
     until = None if config.duration is None else loop.time() + config.duration
     attempts = AttemptNumbers()
-    slots = asyncio.Semaphore(starts or default_starts())
+    starts = starts or default_starts()
+    places = asyncio.Semaphore(starts)
+    stock_places = asyncio.Semaphore(STOCK_STARTS * starts)
     containers = [
         ContainerActor(
             container,
@@ -103,8 +120,7 @@ async def _run(
             publisher=publisher,
             stop=stop,
             attempts=attempts,
-            # Waiting for somebody else's container takes no place from those that start.
-            starts=asyncio.Semaphore(1) if container.attach else slots,
+            starts=_starts_of(container, places, stock_places),
             limits=limits,
         )
         for container in config.containers

@@ -12,6 +12,7 @@ from __future__ import annotations
 import ctypes
 import functools
 import logging
+import os
 import threading
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from uuid import uuid4
@@ -27,6 +28,7 @@ from rclpy.parameter import Parameter
 from play_launch.graph_daemon.address import NODE_PREFIX
 from play_launch.graph_daemon.methods import GRAPH_METHODS
 from play_launch.graph_daemon.ros_values import to_wire
+from play_launch.ros.announcement import quick_announcement
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -85,16 +87,17 @@ class RosGraph:
         self._context = Context()
         rclpy.init(args=[], context=self._context)
         try:
-            self._node = Node(
-                f"{NODE_PREFIX}{domain}_{uuid4().hex}",
-                context=self._context,
-                start_parameter_services=False,
-                parameter_overrides=[
-                    Parameter("use_sim_time", value=False),
-                    Parameter("start_type_description_service", value=False),
-                ],
-                automatically_declare_parameters_from_overrides=True,
-            )
+            with quick_announcement(os.environ):
+                self._node = Node(
+                    f"{NODE_PREFIX}{domain}_{uuid4().hex}",
+                    context=self._context,
+                    start_parameter_services=False,
+                    parameter_overrides=[
+                        Parameter("use_sim_time", value=False),
+                        Parameter("start_type_description_service", value=False),
+                    ],
+                    automatically_declare_parameters_from_overrides=True,
+                )
             self._name = str(self._node.get_name())
             self._wake = GuardCondition(callback=None, callback_group=None, context=self._context)
             self._watch = _Watch(self._node, self._wake, self._context)

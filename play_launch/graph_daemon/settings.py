@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from play_launch.graph_daemon.address import DOMAIN_VARIABLE
+from play_launch.ros.fastdds_profiles import PROFILE_VARIABLES, profile_in_use
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -18,13 +19,6 @@ TRANSPORTS: Final = "FASTDDS_BUILTIN_TRANSPORTS"
 _OURS: Final = "UDPv4"
 _RANGE: Final = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 _LOCALHOST: Final = "LOCALHOST"
-_PROFILE_VARIABLES: Final = (
-    "FASTDDS_DEFAULT_PROFILES_FILE",
-    "FASTRTPS_DEFAULT_PROFILES_FILE",
-)
-PROFILE_FILES: Final = ("DEFAULT_FASTDDS_PROFILES.xml", "DEFAULT_FASTRTPS_PROFILES.xml")
-"""Fast DDS reads these from the working directory, unless it is told to skip them."""
-_SKIP_PROFILE_FILES: Final = "SKIP_DEFAULT_XML_FILE"
 COMPARED: Final = (
     DOMAIN_VARIABLE,
     "RMW_IMPLEMENTATION",
@@ -35,7 +29,7 @@ COMPARED: Final = (
     "ROS_SUPER_CLIENT",
     "ROS_SECURITY_ENABLE",
     "ROS_SECURITY_ENCLAVE_OVERRIDE",
-    *_PROFILE_VARIABLES,
+    *PROFILE_VARIABLES,
     "CYCLONEDDS_URI",
     "ZENOH_ROUTER_CONFIG_URI",
     "ZENOH_SESSION_CONFIG_URI",
@@ -74,12 +68,9 @@ def choose_transports(environment: Mapping[str, str], files: Iterable[str]) -> T
         return Transports({}, f"rmw_fastrtps chooses its own for {_LOCALHOST}")
     if TRANSPORTS in environment:
         return Transports({}, f"{TRANSPORTS} is set")
-    for variable in _PROFILE_VARIABLES:
-        if environment.get(variable):
-            return Transports({}, f"{variable} is set")
-    if environment.get(_SKIP_PROFILE_FILES) != "1":
-        for name in sorted(set(files) & set(PROFILE_FILES)):
-            return Transports({}, f"{name} is in the working directory")
+    profile = profile_in_use(environment, files)
+    if profile is not None:
+        return Transports({}, profile)
     return Transports({TRANSPORTS: _OURS}, "no profile is set")
 
 

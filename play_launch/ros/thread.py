@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import os
 import threading
 from collections import deque
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
+from play_launch.ros.announcement import quick_announcement
 from play_launch.ros.graph import GraphEvents, GraphEventsUnavailableError
 
 if TYPE_CHECKING:
@@ -165,13 +167,14 @@ class RosThread:
             domain_id=self._domain_id,
             signal_handler_options=SignalHandlerOptions.NO,
         )
-        node = Node(
-            self.name,
-            context=context,
-            use_global_arguments=False,
-            enable_rosout=False,
-            start_parameter_services=False,
-        )
+        with quick_announcement(os.environ):
+            node = Node(
+                self.name,
+                context=context,
+                use_global_arguments=False,
+                enable_rosout=False,
+                start_parameter_services=False,
+            )
         executor = SingleThreadedExecutor(context=context)
         executor.add_node(node)
         guard = node.create_guard_condition(lambda: None)
