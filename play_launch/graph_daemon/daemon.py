@@ -8,7 +8,6 @@ import logging
 import os
 import signal
 import time
-from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from play_launch.graph_daemon.interfaces import InterfaceWatch
@@ -23,6 +22,7 @@ from play_launch.graph_daemon.settings import (
     compared_settings,
 )
 from play_launch.graph_daemon.status import DaemonStatus
+from play_launch.ros.fastdds_profiles import files_here
 
 if TYPE_CHECKING:
     import socket
@@ -41,7 +41,7 @@ _log = logging.getLogger(__name__)
 
 def prepare_environment() -> Transports:
     """Decide about the transports of this process; before rclpy makes its first node."""
-    transports = choose_transports(os.environ, _files_here())
+    transports = choose_transports(os.environ, files_here())
     os.environ.update(transports.variables)
     return transports
 
@@ -195,10 +195,3 @@ class Daemon:
             yield
         finally:
             watch.close()
-
-
-def _files_here() -> list[str]:
-    try:
-        return [path.name for path in Path().iterdir()]
-    except OSError:
-        return []

@@ -6,6 +6,7 @@ applying profiles").
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
@@ -19,6 +20,14 @@ PROFILE_VARIABLES: Final = (
 PROFILE_FILES: Final = ("DEFAULT_FASTDDS_PROFILES.xml", "DEFAULT_FASTRTPS_PROFILES.xml")
 """Fast DDS reads these from the working directory, unless it is told to skip them."""
 _SKIP_PROFILE_FILES: Final = "SKIP_DEFAULT_XML_FILE"
+
+
+def files_here() -> list[str]:
+    """Names of the files in the working directory; none where it cannot be read."""
+    try:
+        return [path.name for path in Path().iterdir()]
+    except OSError:
+        return []
 
 
 def profile_in_use(environment: Mapping[str, str], files: Iterable[str]) -> str | None:
