@@ -14,6 +14,24 @@ foreach(package IN ITEMS rcl rcl_yaml_param_parser rcutils rmw rcl_interfaces am
 endforeach()
 find_package(Threads REQUIRED)
 
+# The sources of the container, but for those that need rclcpp, below these folders of src/.
+function(container_sources result)
+  set(rooms ${ARGN})
+  if(NOT rooms)
+    set(rooms base control isolation components hosts manager main)
+  endif()
+  set(all "")
+  foreach(room IN LISTS rooms)
+    file(GLOB_RECURSE sources CONFIGURE_DEPENDS
+         "${CMAKE_CURRENT_FUNCTION_LIST_DIR}/../src/${room}/*.cpp")
+    list(APPEND all ${sources})
+  endforeach()
+  list(FILTER all EXCLUDE REGEX "/components/rclcpp/")
+  set(${result}
+      "${all}"
+      PARENT_SCOPE)
+endfunction()
+
 function(strict_warnings target)
   # GCC 12 takes ("text" + std::string) for overlapping copies (its bug 105651).
   target_compile_options(${target} PRIVATE -Wall -Wextra $<$<CXX_COMPILER_ID:GNU>:-Wno-restrict>)
@@ -28,7 +46,7 @@ endfunction()
 function(ros_program target)
   if(ROS_FROM_WHEELS)
     target_sources(
-      ${target} PRIVATE "${CMAKE_CURRENT_FUNCTION_LIST_DIR}/../src/container/python_symbols.c")
+      ${target} PRIVATE "${CMAKE_CURRENT_FUNCTION_LIST_DIR}/../src/main/python_symbols.c")
     target_link_options(${target} PRIVATE "-Wl,--allow-shlib-undefined")
   endif()
   set_target_properties(${target} PROPERTIES ENABLE_EXPORTS ON)

@@ -12,8 +12,8 @@
 #include <thread>
 #include <vector>
 
+#include "base/unique_fd.hpp"
 #include "control/frame_codec.hpp"
-#include "control/unique_fd.hpp"
 
 namespace play_launch::control {
 

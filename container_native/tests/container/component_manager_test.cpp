@@ -1,6 +1,6 @@
 // The manager with a host that does what the test says: which events come, in which order.
 
-#include "container/component_manager.hpp"
+#include "manager/component_manager.hpp"
 
 #include <map>
 #include <system_error>

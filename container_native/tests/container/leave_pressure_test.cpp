@@ -1,6 +1,6 @@
 // How a node that does not leave is made to, and when.
 
-#include "container/leave_pressure.hpp"
+#include "hosts/isolated/leave_pressure.hpp"
 
 #include "check.hpp"
 

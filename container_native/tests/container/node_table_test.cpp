@@ -1,6 +1,6 @@
 // The decisions about nodes: names, attempts, and what becomes of a node that nobody wants.
 
-#include "container/node_table.hpp"
+#include "manager/node_table.hpp"
 
 #include "check.hpp"
 

@@ -1,13 +1,13 @@
 // What people write: the command line, load requests, the component index, failpoints.
 
-#include "container/options.hpp"
+#include "main/options.hpp"
 
 #include <rcl_interfaces/msg/parameter_type.hpp>
 
+#include "base/failpoints.hpp"
 #include "check.hpp"
-#include "container/component_index.hpp"
-#include "container/component_options.hpp"
-#include "container/failpoints.hpp"
+#include "components/component_index.hpp"
+#include "components/component_options.hpp"
 
 using namespace play_launch::container;
 using rcl_interfaces::msg::Parameter;

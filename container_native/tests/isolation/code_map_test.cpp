@@ -1,6 +1,6 @@
 // Judging a call stack that was made up: what a thread in these functions may hold.
 
-#include "isolation/code_map.hpp"
+#include "isolation/quiesce/code_map.hpp"
 
 #include <dlfcn.h>
 

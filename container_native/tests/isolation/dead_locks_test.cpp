@@ -12,7 +12,7 @@
 #include <vector>
 
 #include "harness.hpp"
-#include "isolation/dead_locks.hpp"
+#include "isolation/after/dead_locks.hpp"
 
 namespace {
 

@@ -16,8 +16,8 @@
 #include <thread>
 
 #include "harness.hpp"
-#include "isolation/gate.hpp"
-#include "isolation/vm_clone.hpp"
+#include "isolation/clone/gate.hpp"
+#include "isolation/clone/vm_clone.hpp"
 
 namespace {
 

@@ -1,6 +1,6 @@
 // Which mechanism is chosen for which machine, and what is said about it.
 
-#include "isolation/gate.hpp"
+#include "isolation/clone/gate.hpp"
 
 #include <cerrno>
 

@@ -13,10 +13,10 @@
 #include <utility>
 
 #include "../container/check.hpp"
-#include "isolation/child.hpp"
-#include "isolation/crash_handler.hpp"
-#include "isolation/donor_thread.hpp"
-#include "isolation/symbolise.hpp"
+#include "isolation/clone/child.hpp"
+#include "isolation/clone/donor_thread.hpp"
+#include "isolation/crash/crash_handler.hpp"
+#include "isolation/crash/symbolise.hpp"
 
 namespace isolation_test {
 

@@ -14,6 +14,7 @@
 
 #include "busy.hpp"
 #include "harness.hpp"
+#include "isolation/quiesce/quiesce.hpp"
 #include "node_stand_in.hpp"
 #include "rcl_stand_in.hpp"
 

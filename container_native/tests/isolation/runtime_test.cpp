@@ -21,7 +21,7 @@
 #include <vector>
 
 #include "harness.hpp"
-#include "isolation/exit_guard.hpp"
+#include "isolation/overrides/exit_guard.hpp"
 
 namespace {
 

@@ -1,0 +1,16 @@
+#pragma once
+
+#include "base/unique_fd.hpp"
+
+namespace play_launch::container {
+
+/// An eventfd to wake a thread with. Throws std::system_error.
+control::UniqueFd make_doorbell();
+
+/// Wakes whoever polls it. Any thread of any process that has it, also a signal handler.
+void ring(int doorbell) noexcept;
+
+/// Forgets what was rung.
+void hush(int doorbell) noexcept;
+
+}  // namespace play_launch::container

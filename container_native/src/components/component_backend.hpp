@@ -1,0 +1,92 @@
+#pragma once
+
+#include <atomic>
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <play_launch/construction.hpp>
+#include <play_launch/context.hpp>
+#include <string>
+#include <string_view>
+
+#include "components/component_index.hpp"
+#include "components/load_request.hpp"
+
+namespace play_launch::container {
+
+/// One component that was constructed. Destroying it destroys its node; it must not be in an
+/// executor then. Belongs to the backend that made it.
+class Component {
+ public:
+  Component() = default;
+  Component(const Component&) = delete;
+  Component& operator=(const Component&) = delete;
+  virtual ~Component() = default;
+
+  /// Fully qualified name of its node.
+  virtual std::string full_name() const = 0;
+};
+
+/// When an executor last came round, in nanoseconds of the steady clock; 0: never.
+using Beat = std::atomic<std::int64_t>;
+
+/// Runs the callbacks of components of one backend.
+class ComponentExecutor {
+ public:
+  ComponentExecutor() = default;
+  ComponentExecutor(const ComponentExecutor&) = delete;
+  ComponentExecutor& operator=(const ComponentExecutor&) = delete;
+  virtual ~ComponentExecutor() = default;
+
+  /// Runs until cancel(). What a callback throws leaves it, and so ends the process.
+  virtual void spin() = 0;
+  /// Makes spin() return after the callbacks that run now. Safe in a signal handler.
+  virtual void cancel() = 0;
+  virtual void add(Component& component) = 0;
+  /// Returns when no callback of the component runs any more; none will run afterwards.
+  virtual void remove(Component& component) = 0;
+  /// For an executor whose spin() ran in a process that shares this memory and has died: lets go
+  /// of the callbacks that were running, so that remove() and the destructor can do their work.
+  virtual void abandon() = 0;
+  /// Before spin(): from then on, the time is noted in `beat` whenever the executor comes round,
+  /// and at least once a second unless every thread of it is in a callback. `beat` must outlive
+  /// spin(). An executor that cannot do that leaves it as it is.
+  virtual void beat_into(Beat& beat) = 0;
+};
+
+struct ExecutorChoice {
+  bool multi_threaded = false;
+  std::size_t threads = 1;
+};
+
+/// One kind of component: how its classes are found, made and run. All members may be called from
+/// several threads at once.
+class ComponentBackend {
+ public:
+  ComponentBackend() = default;
+  ComponentBackend(const ComponentBackend&) = delete;
+  ComponentBackend& operator=(const ComponentBackend&) = delete;
+  virtual ~ComponentBackend() = default;
+
+  /// "native" or "rclcpp".
+  virtual std::string_view name() const = 0;
+
+  /// The context that its nodes are made in. The container makes its own node in this one too, so
+  /// that all share one participant.
+  virtual std::shared_ptr<Context> context() = 0;
+
+  virtual const ComponentIndex& index() const = 0;
+
+  /// See container::expected_full_name().
+  virtual std::optional<std::string> expected_full_name(const LoadRequest& request) const = 0;
+
+  /// Finds, loads and constructs the component, in the calling thread. `construction`, unless null,
+  /// keeps track of what its nodes take meanwhile, if the backend can. Throws LoadError.
+  virtual std::unique_ptr<Component> create(const LoadRequest& request,
+                                            Construction* construction) = 0;
+
+  virtual std::unique_ptr<ComponentExecutor> create_executor(const ExecutorChoice& choice) = 0;
+};
+
+}  // namespace play_launch::container

@@ -1,0 +1,138 @@
+#include "components/component_index.hpp"
+
+#include <algorithm>
+#include <ament_index_cpp/get_resource.hpp>
+#include <ament_index_cpp/get_resources.hpp>
+#include <ament_index_cpp/get_search_paths.hpp>
+#include <ament_index_cpp/has_resource.hpp>
+#include <exception>
+#include <sstream>
+
+#include "components/load_request.hpp"
+
+namespace play_launch::container {
+namespace {
+
+constexpr std::size_t kMostListed = 20;
+
+std::string listed(const std::vector<std::string>& names) {
+  if (names.empty()) {
+    return "none";
+  }
+  std::string text;
+  for (std::size_t i = 0; i < std::min(names.size(), kMostListed); ++i) {
+    text += (i == 0 ? "" : ", ") + names[i];
+  }
+  if (names.size() > kMostListed) {
+    text += " and " + std::to_string(names.size() - kMostListed) + " more";
+  }
+  return text;
+}
+
+[[noreturn]] void no_index(const std::exception& error) {
+  throw LoadError(std::string("cannot search the ament index: ") + error.what() +
+                  "; set AMENT_PREFIX_PATH to the prefixes where components are installed");
+}
+
+}  // namespace
+
+bool ComponentIndex::has_package(const std::string& package) const {
+  if (package.empty()) {
+    throw LoadError("the request names no package");
+  }
+  try {
+    return ament_index_cpp::has_resource(resource_type_, package);
+  } catch (const std::exception& error) {
+    no_index(error);
+  }
+}
+
+std::vector<std::string> ComponentIndex::packages() const {
+  std::vector<std::string> names;
+  try {
+    for (const auto& [name, prefix] : ament_index_cpp::get_resources(resource_type_)) {
+      names.push_back(name);
+    }
+  } catch (const std::exception&) {
+    return {};  // only used to help in a message
+  }
+  std::ranges::sort(names);
+  return names;
+}
+
+std::vector<IndexEntry> parse_component_resource(const std::string& content) {
+  std::vector<IndexEntry> entries;
+  std::istringstream lines(content);
+  for (std::string line; std::getline(lines, line);) {
+    while (!line.empty() && (line.back() == '\r' || line.back() == ' ')) {
+      line.pop_back();
+    }
+    if (line.empty()) {
+      continue;
+    }
+    const std::size_t separator = line.find(';');
+    if (separator == std::string::npos || separator == 0 || separator + 1 == line.size() ||
+        line.find(';', separator + 1) != std::string::npos) {
+      throw LoadError("its line '" + line + "' is not of the form class;library");
+    }
+    entries.emplace_back(line.substr(0, separator), line.substr(separator + 1));
+  }
+  return entries;
+}
+
+std::filesystem::path ComponentIndex::library_of(const std::string& package,
+                                                 const std::string& plugin) const {
+  std::string content;
+  std::string prefix;
+  try {
+    if (!ament_index_cpp::get_resource(resource_type_, package, content, &prefix)) {
+      throw LoadError("package '" + package + "' is not in the ament index");
+    }
+  } catch (const LoadError&) {
+    throw;
+  } catch (const std::exception& error) {
+    no_index(error);
+  }
+  std::vector<IndexEntry> entries;
+  try {
+    entries = parse_component_resource(content);
+  } catch (const LoadError& error) {
+    throw LoadError("resource '" + resource_type_ + "' of package '" + package + "' in " + prefix +
+                    " is damaged: " + error.what());
+  }
+  std::vector<std::string> names;
+  for (const auto& [name, library] : entries) {
+    if (name == plugin) {
+      return std::filesystem::path(prefix) / library;  // an absolute path stays what it is
+    }
+    names.push_back(name);
+  }
+  throw LoadError("package '" + package + "' in " + prefix + " has no component '" + plugin +
+                  "'; it has: " + listed(names));
+}
+
+std::string no_such_package(const std::string& package,
+                            const std::vector<ComponentIndex>& indexes) {
+  std::string kinds;
+  std::vector<std::string> known;
+  for (const ComponentIndex& index : indexes) {
+    kinds += (kinds.empty() ? "" : ", ") + index.resource_type();
+    const std::vector<std::string> names = index.packages();
+    known.insert(known.end(), names.begin(), names.end());
+  }
+  std::string text = "package '" + package + "' has no components in the ament index (" + kinds +
+                     "); packages with components: " + listed(known);
+  // A package of the other kind is the likeliest reason, and the text above would be a riddle.
+  const std::string other = "rclcpp_components";
+  if (kinds.find(other) == std::string::npos && ComponentIndex(other).has_package(package)) {
+    return text + "; its components are made for rclcpp, which this container is built without";
+  }
+  std::vector<std::string> paths;
+  for (const std::string& path : ament_index_cpp::get_search_paths()) {
+    paths.push_back(path);
+  }
+  return text + "; searched: " + listed(paths) +
+         "; install the package, or add its prefix to AMENT_PREFIX_PATH";
+}
+
+}  // namespace play_launch::container

@@ -1,0 +1,35 @@
+#pragma once
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "components/load_request.hpp"
+
+namespace play_launch::container {
+
+/// What a load request means for a node, the same for every kind of component.
+struct ComponentOptions {
+  std::string node_name;       // empty: the component's own
+  std::string node_namespace;  // empty: the component's own; else it begins with "/"
+  /// Remap rules as ROS arguments: "-r", "from:=to", ...
+  std::vector<std::string> arguments;
+  bool use_intra_process_comms = false;
+  /// Off by default: the container's own arguments, its name above all, are not meant for the nodes
+  /// in it.
+  bool forward_global_arguments = false;
+  int log_level = 0;
+  std::vector<rcl_interfaces::msg::Parameter> parameters;
+  /// Those that the container does not handle itself.
+  std::vector<rcl_interfaces::msg::Parameter> extra_arguments;
+};
+
+/// Throws LoadError when something in the request is wrong by itself: names, remap rules, types of
+/// extra arguments, an unknown parameter type.
+ComponentOptions component_options(const LoadRequest& request);
+
+/// Full name that a node will have whose default namespace is the root, as far as it can be told
+/// before construction. Nothing: it is not certain, or not valid.
+std::optional<std::string> expected_full_name(const LoadRequest& request);
+
+}  // namespace play_launch::container

@@ -1,0 +1,125 @@
+#include "components/native_backend.hpp"
+
+#include <dlfcn.h>
+
+#include <filesystem>
+#include <play_launch/component_registry.hpp>
+#include <play_launch/executor.hpp>
+#include <play_launch/node.hpp>
+#include <utility>
+
+#include "components/component_options.hpp"
+
+namespace play_launch::container {
+namespace {
+
+class NativeComponent final : public Component {
+ public:
+  explicit NativeComponent(std::shared_ptr<Node> node) : node_(std::move(node)) {}
+  std::string full_name() const override { return node_->full_name(); }
+  const std::shared_ptr<Node>& node() const { return node_; }
+
+ private:
+  const std::shared_ptr<Node> node_;
+};
+
+class NativeExecutor final : public ComponentExecutor {
+ public:
+  explicit NativeExecutor(std::unique_ptr<Executor> executor) : executor_(std::move(executor)) {}
+  void spin() override { executor_->spin(); }
+  void cancel() override { executor_->cancel(); }
+  void add(Component& component) override { executor_->add_node(node_of(component)); }
+  void remove(Component& component) override { executor_->remove_node(node_of(component)); }
+  void abandon() override { executor_->abandon(); }
+  void beat_into(Beat& beat) override { executor_->beat_into(beat); }
+
+ private:
+  static const std::shared_ptr<Node>& node_of(Component& component) {
+    return static_cast<NativeComponent&>(component).node();
+  }
+
+  const std::unique_ptr<Executor> executor_;
+};
+
+NodeOptions node_options(const LoadRequest& request, std::shared_ptr<Context> context) {
+  const ComponentOptions component = component_options(request);
+  NodeOptions options;
+  options.context = std::move(context);
+  options.arguments = component.arguments;
+  options.use_global_arguments = component.forward_global_arguments;
+  options.use_intra_process_comms = component.use_intra_process_comms;
+  options.log_level = component.log_level;
+  options.parameter_overrides = from_messages(component.parameters);
+  options.extra_arguments = from_messages(component.extra_arguments);
+  options.name = component.node_name;
+  options.name_space = component.node_namespace;
+  return options;
+}
+
+}  // namespace
+
+NativeBackend::NativeBackend(std::shared_ptr<Context> context) : context_(std::move(context)) {}
+
+std::optional<std::string> NativeBackend::expected_full_name(const LoadRequest& request) const {
+  return container::expected_full_name(request);
+}
+
+void NativeBackend::open_library(const std::string& path) {
+  {
+    const std::lock_guard lock(mutex_);
+    if (libraries_.contains(path)) {
+      return;
+    }
+  }
+  // Not under the lock: static initialisers of one library must not hold up the others longer
+  // than the loader itself does. What they throw ends the process; it cannot pass the loader.
+  void* const handle = ::dlopen(path.c_str(), RTLD_NOW | RTLD_LOCAL);
+  if (handle == nullptr) {
+    const char* const why = ::dlerror();
+    throw LoadError("cannot load library " + path + ": " + (why != nullptr ? why : "no reason"));
+  }
+  const std::lock_guard lock(mutex_);
+  libraries_.emplace(path, handle);
+}
+
+std::unique_ptr<Component> NativeBackend::create(const LoadRequest& request,
+                                                 Construction* construction) {
+  const NodeOptions options = node_options(request, context_);
+  const std::filesystem::path library =
+      index_.library_of(request.package_name, request.plugin_name);
+  open_library(library);
+  const ComponentRegistry& registry = ComponentRegistry::instance();
+  const ComponentFactory* const factory = registry.find(request.plugin_name, library);
+  if (factory == nullptr) {
+    std::string known;
+    for (const std::string& name : registry.names(library)) {
+      known += (known.empty() ? "" : ", ") + name;
+    }
+    throw LoadError("the index says that " + library.string() + " has component '" +
+                    request.plugin_name + "', but it registers " +
+                    (known.empty() ? "none" : "only " + known) +
+                    "; is PLAY_LAUNCH_REGISTER_COMPONENT missing?");
+  }
+  std::shared_ptr<Node> node;
+  std::optional<Construction::Watch> watch;
+  if (construction != nullptr) {
+    watch.emplace(*construction);
+  }
+  try {
+    node = factory->create(options);
+  } catch (...) {
+    throw LoadError("the constructor of " + request.plugin_name + " threw " +
+                    describe_current_exception());
+  }
+  return std::make_unique<NativeComponent>(std::move(node));
+}
+
+std::unique_ptr<ComponentExecutor> NativeBackend::create_executor(const ExecutorChoice& choice) {
+  if (choice.multi_threaded) {
+    return std::make_unique<NativeExecutor>(
+        std::make_unique<MultiThreadedExecutor>(choice.threads));
+  }
+  return std::make_unique<NativeExecutor>(std::make_unique<SingleThreadedExecutor>());
+}
+
+}  // namespace play_launch::container

@@ -1,0 +1,115 @@
+#include "components/rclcpp/backend.hpp"
+
+#include <algorithm>
+#include <atomic>
+#include <cstdint>
+#include <rclcpp/logger.hpp>
+#include <rclcpp_components/node_instance_wrapper.hpp>
+#include <string>
+#include <utility>
+
+#include "components/component_options.hpp"
+#include "components/rclcpp/executor.hpp"
+#include "components/rclcpp/handle_ledger.hpp"
+#include "components/rclcpp/node_options.hpp"
+
+namespace play_launch::rclcpp_backend {
+namespace {
+
+using container::Component;
+using container::ComponentExecutor;
+using container::LoadError;
+using container::LoadRequest;
+using rclcpp::node_interfaces::NodeBaseInterface;
+
+class RclcppComponent final : public Component {
+ public:
+  RclcppComponent(std::shared_ptr<rclcpp_components::NodeFactory> factory,
+                  rclcpp_components::NodeInstanceWrapper instance)
+      : factory_(std::move(factory)),
+        instance_(std::move(instance)),
+        node_(instance_.get_node_base_interface()) {}
+
+  std::string full_name() const override { return node_->get_fully_qualified_name(); }
+  const NodeBaseInterface::SharedPtr& node() const { return node_; }
+
+ private:
+  const std::shared_ptr<rclcpp_components::NodeFactory> factory_;
+  rclcpp_components::NodeInstanceWrapper instance_;
+  const NodeBaseInterface::SharedPtr node_;
+};
+
+class RclcppExecutor final : public ComponentExecutor {
+ public:
+  explicit RclcppExecutor(std::size_t threads) : executor_(threads) {}
+  void spin() override { executor_.spin(); }
+  void cancel() override { executor_.cancel(); }
+  void add(Component& component) override { executor_.add_node(node_of(component)); }
+  void remove(Component& component) override { executor_.take_out(node_of(component)); }
+  void abandon() override { executor_.abandon(); }
+  void beat_into(std::atomic<std::int64_t>& beat) override { executor_.beat_into(beat); }
+
+ private:
+  static const NodeBaseInterface::SharedPtr& node_of(Component& component) {
+    return static_cast<RclcppComponent&>(component).node();
+  }
+
+  NodeExecutor executor_;
+};
+
+/// rcl's name for the logger of a node.
+std::string logger_name(const std::string& full_name) {
+  std::string name = full_name.substr(1);
+  std::ranges::replace(name, '/', '.');
+  return name;
+}
+
+void set_log_level(const std::string& full_name, int level) {
+  rclcpp::get_logger(logger_name(full_name)).set_level(static_cast<rclcpp::Logger::Level>(level));
+}
+
+}  // namespace
+
+RclcppBackend::RclcppBackend(std::shared_ptr<Context> context) : context_(std::move(context)) {}
+
+std::optional<std::string> RclcppBackend::expected_full_name(const LoadRequest& request) const {
+  return container::expected_full_name(request);
+}
+
+std::unique_ptr<Component> RclcppBackend::create(const LoadRequest& request,
+                                                 Construction* construction) {
+  const container::ComponentOptions component = container::component_options(request);
+  const rclcpp::NodeOptions options = node_options(component);
+  const std::string library = index_.library_of(request.package_name, request.plugin_name);
+  auto factory = libraries_.factory(library, request.plugin_name);
+  // Before the constructor logs anything, if the name is known.
+  const std::optional<std::string> expected = expected_full_name(request);
+  if (component.log_level != 0 && expected) {
+    set_log_level(*expected, component.log_level);
+  }
+  std::optional<Construction::Watch> watch;
+  std::optional<HandleLedger> ledger;
+  if (construction != nullptr) {
+    watch.emplace(*construction);
+    ledger.emplace();
+  }
+  rclcpp_components::NodeInstanceWrapper instance;
+  try {
+    instance = factory->create_node_instance(options);
+  } catch (...) {
+    throw LoadError("the constructor of " + request.plugin_name + " threw " +
+                    container::describe_current_exception());
+  }
+  auto made = std::make_unique<RclcppComponent>(std::move(factory), std::move(instance));
+  if (component.log_level != 0 && made->full_name() != expected) {
+    set_log_level(made->full_name(), component.log_level);
+  }
+  return made;
+}
+
+std::unique_ptr<ComponentExecutor> RclcppBackend::create_executor(
+    const container::ExecutorChoice& choice) {
+  return std::make_unique<RclcppExecutor>(choice.multi_threaded ? choice.threads : 1);
+}
+
+}  // namespace play_launch::rclcpp_backend

@@ -1,0 +1,34 @@
+#pragma once
+
+#include <memory>
+#include <optional>
+#include <string_view>
+
+#include "components/component_backend.hpp"
+#include "components/rclcpp/class_libraries.hpp"
+
+namespace play_launch::rclcpp_backend {
+
+/// Components written with rclcpp, registered with rclcpp_components.
+class RclcppBackend final : public container::ComponentBackend {
+ public:
+  /// `context` is from initialise().
+  explicit RclcppBackend(std::shared_ptr<Context> context);
+
+  std::string_view name() const override { return "rclcpp"; }
+  std::shared_ptr<Context> context() override { return context_; }
+  const container::ComponentIndex& index() const override { return index_; }
+  std::optional<std::string> expected_full_name(
+      const container::LoadRequest& request) const override;
+  std::unique_ptr<container::Component> create(const container::LoadRequest& request,
+                                               Construction* construction) override;
+  std::unique_ptr<container::ComponentExecutor> create_executor(
+      const container::ExecutorChoice& choice) override;
+
+ private:
+  const std::shared_ptr<Context> context_;
+  const container::ComponentIndex index_{"rclcpp_components"};
+  ClassLibraries libraries_;
+};
+
+}  // namespace play_launch::rclcpp_backend

@@ -1,0 +1,220 @@
+#include "components/rclcpp/executor.hpp"
+
+#include <pthread.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <chrono>
+#include <memory>
+#include <rclcpp/executor_options.hpp>
+#include <rclcpp/utilities.hpp>
+#include <system_error>
+#include <utility>
+
+namespace play_launch::rclcpp_backend {
+namespace {
+
+/// Frees the stack of a thread whose process died, without waiting for one that lives.
+void let_go(std::thread& thread) {
+  if (thread.joinable()) {
+    const pthread_t handle = thread.native_handle();
+    if (::pthread_tryjoin_np(handle, nullptr) != 0) {
+      ::pthread_detach(handle);
+    }
+    std::construct_at(&thread);  // in the place of the old one, which must not be destroyed
+  }
+}
+
+/// Puts a new one in the place of a mutex or condition variable that a dead thread may hold.
+template <class T>
+void renew(T& object) {
+  std::construct_at(&object);
+}
+
+/// For a function that takes a share in what its caller holds anyway. A thread that dies in there
+/// would never give it back.
+template <class T>
+std::shared_ptr<T> unshared(const std::shared_ptr<T>& owner) {
+  return {std::shared_ptr<void>(), owner.get()};
+}
+
+}  // namespace
+
+Bell::Bell(std::function<void()> answer) {
+  if (::sem_init(&semaphore_, 0, 0) != 0) {
+    throw std::system_error(errno, std::generic_category(), "sem_init");
+  }
+  thread_ = std::thread([this, answer = std::move(answer)] {
+    ::pthread_setname_np(::pthread_self(), "interrupt");
+    while (true) {
+      if (::sem_wait(&semaphore_) != 0) {
+        continue;  // a signal
+      }
+      if (done_) {
+        return;
+      }
+      answer();
+    }
+  });
+}
+
+Bell::~Bell() {
+  if (thread_.joinable()) {
+    done_ = true;
+    ring();
+    thread_.join();
+  }
+  ::sem_destroy(&semaphore_);
+}
+
+void Bell::abandon() { let_go(thread_); }
+
+NodeExecutor::NodeExecutor(std::size_t threads)
+    : rclcpp::Executor(rclcpp::ExecutorOptions()),
+      workers_(std::max<std::size_t>(threads, 1)),
+      interrupt_([this] { interrupt_guard_condition_->trigger(); }) {
+  // What is added before spin() is then collected by spin(), and not meanwhile by who adds it.
+  spinning = true;
+}
+
+NodeExecutor::~NodeExecutor() = default;
+
+void NodeExecutor::spin() {
+  for (std::size_t i = 1; i < workers_.size(); ++i) {
+    Worker& worker = workers_[i];
+    worker.thread = std::thread([this, &worker] { run(worker); });
+  }
+  run(workers_.front());
+  for (std::size_t i = 1; i < workers_.size(); ++i) {
+    workers_[i].thread.join();
+  }
+  spinning = false;
+  wait_result_.reset();
+}
+
+void NodeExecutor::cancel() {
+  cancelled_ = true;
+  interrupt_.ring();
+}
+
+void NodeExecutor::beat_into(std::atomic<std::int64_t>& beat) noexcept {
+  beat_ = &beat;
+  note_beat();
+}
+
+/// Notes that a thread looks for work; how long it may then wait for it.
+std::chrono::nanoseconds NodeExecutor::note_beat() {
+  if (beat_ == nullptr) {
+    return std::chrono::nanoseconds(-1);  // for ever
+  }
+  const std::chrono::nanoseconds now = std::chrono::steady_clock::now().time_since_epoch();
+  beat_->store(now.count(), std::memory_order_relaxed);
+  return std::chrono::seconds(1);
+}
+
+bool NodeExecutor::may_run() const { return !cancelled_ && rclcpp::ok(context_); }
+
+void NodeExecutor::run(Worker& worker) noexcept {
+  while (may_run()) {
+    if (take(worker)) {
+      execute(*worker.work);
+    }
+    finish(worker);
+  }
+}
+
+bool NodeExecutor::take(Worker& worker) {
+  std::unique_lock lock(take_mutex_);
+  removed_.wait(lock, [this] { return removals_ == 0; });
+  worker.work.emplace();
+  if (!may_run()) {
+    interrupt_guard_condition_->trigger();  // the others that sit here are to leave, too
+    return false;
+  }
+  if (!get_next_executable(*worker.work, note_beat())) {
+    return false;
+  }
+  const std::lock_guard runs(runs_mutex_);
+  worker.group = worker.work->callback_group.get();
+  return true;
+}
+
+void NodeExecutor::execute(rclcpp::AnyExecutable& work) {
+  if (work.timer) {
+    execute_timer(unshared(work.timer), work.data);
+  }
+  if (work.subscription) {
+    execute_subscription(unshared(work.subscription));
+  }
+  if (work.service) {
+    execute_service(unshared(work.service));
+  }
+  if (work.client) {
+    execute_client(unshared(work.client));
+  }
+  if (work.waitable) {
+    work.waitable->execute(std::as_const(work.data));
+  }
+}
+
+void NodeExecutor::finish(Worker& worker) {
+  const rclcpp::CallbackGroup::SharedPtr group = worker.work->callback_group;
+  worker.work.reset();  // which frees the group for the next callback
+  {
+    const std::lock_guard runs(runs_mutex_);
+    worker.group = nullptr;
+  }
+  run_finished_.notify_all();
+  if (workers_.size() > 1 && group != nullptr &&
+      group->type() == rclcpp::CallbackGroupType::MutuallyExclusive) {
+    // What is ready in this group was passed over by the others.
+    interrupt_guard_condition_->trigger();
+  }
+}
+
+void NodeExecutor::take_out(const Node::SharedPtr& node) {
+  std::vector<const rclcpp::CallbackGroup*> groups;
+  {
+    ++removals_;
+    if (!abandoned_) {
+      interrupt_guard_condition_->trigger();
+    }
+    const std::lock_guard lock(take_mutex_);
+    // Who died waiting cannot be woken: the C library would wait for it to wake up.
+    remove_node(node, !abandoned_);
+    // What was found ready may be this node's; the rest is found ready again.
+    wait_result_.reset();
+    --removals_;
+  }
+  removed_.notify_all();
+  node->for_each_callback_group(
+      [&groups](const rclcpp::CallbackGroup::SharedPtr& group) { groups.push_back(group.get()); });
+  std::unique_lock runs(runs_mutex_);
+  run_finished_.wait(runs, [&] { return !runs_any_of(groups); });
+}
+
+bool NodeExecutor::runs_any_of(const std::vector<const rclcpp::CallbackGroup*>& groups) const {
+  return std::ranges::any_of(workers_, [&groups](const Worker& worker) {
+    return worker.group != nullptr && std::ranges::find(groups, worker.group) != groups.end();
+  });
+}
+
+void NodeExecutor::abandon() {
+  abandoned_ = true;
+  interrupt_.abandon();
+  for (Worker& worker : workers_) {
+    let_go(worker.thread);
+    worker.group = nullptr;
+    worker.work.reset();
+  }
+  renew(mutex_);  // rclcpp's own
+  renew(take_mutex_);
+  renew(runs_mutex_);
+  renew(removed_);
+  renew(run_finished_);
+  removals_ = 0;
+  spinning = false;
+  wait_result_.reset();
+}
+
+}  // namespace play_launch::rclcpp_backend

@@ -1,0 +1,128 @@
+// Defines the functions of rcl that put something on the network, or take it off, for the whole
+// program: like exit() in exit_guard.cpp, they come before those of the library. They do the same,
+// and tell the HandleLedger of the calling thread, if there is one.
+
+#include <dlfcn.h>
+#include <rcl/client.h>
+#include <rcl/logging_rosout.h>
+#include <rcl/node.h>
+#include <rcl/node_type_cache.h>
+#include <rcl/publisher.h>
+#include <rcl/service.h>
+#include <rcl/subscription.h>
+
+#include "components/rclcpp/handle_ledger.hpp"
+
+namespace {
+
+using play_launch::rclcpp_backend::finalise_discarded_nodes;
+using play_launch::rclcpp_backend::HandleKind;
+using play_launch::rclcpp_backend::HandleLedger;
+
+/// The library's function of that name.
+template <class Function>
+Function* next(Function*, const char* name) {
+  return reinterpret_cast<Function*>(::dlsym(RTLD_NEXT, name));
+}
+
+rcl_ret_t opened(rcl_ret_t result, HandleKind kind, void* handle, const rcl_node_t* node) {
+  HandleLedger* const ledger = HandleLedger::current();
+  if (result == RCL_RET_OK && ledger != nullptr) {
+    ledger->opened(kind, handle, node);
+  }
+  return result;
+}
+
+void closing(const void* handle) {
+  if (HandleLedger* const ledger = HandleLedger::current()) {
+    ledger->closed(handle);
+  }
+}
+
+}  // namespace
+
+extern "C" {
+
+rcl_ret_t rcl_node_init(rcl_node_t* node, const char* name, const char* name_space,
+                        rcl_context_t* context, const rcl_node_options_t* options) {
+  static const auto init = next(&rcl_node_init, "rcl_node_init");
+  return opened(init(node, name, name_space, context, options), HandleKind::node, node, node);
+}
+
+rcl_ret_t rcl_node_fini(rcl_node_t* node) {
+  static const auto fini = next(&rcl_node_fini, "rcl_node_fini");
+  closing(node);
+  return fini(node);
+}
+
+rcl_ret_t rcl_publisher_init(rcl_publisher_t* publisher, const rcl_node_t* node,
+                             const rosidl_message_type_support_t* type, const char* topic,
+                             const rcl_publisher_options_t* options) {
+  static const auto init = next(&rcl_publisher_init, "rcl_publisher_init");
+  return opened(init(publisher, node, type, topic, options), HandleKind::publisher, publisher,
+                node);
+}
+
+rcl_ret_t rcl_publisher_fini(rcl_publisher_t* publisher, rcl_node_t* node) {
+  static const auto fini = next(&rcl_publisher_fini, "rcl_publisher_fini");
+  closing(publisher);
+  return fini(publisher, node);
+}
+
+rcl_ret_t rcl_subscription_init(rcl_subscription_t* subscription, const rcl_node_t* node,
+                                const rosidl_message_type_support_t* type, const char* topic,
+                                const rcl_subscription_options_t* options) {
+  static const auto init = next(&rcl_subscription_init, "rcl_subscription_init");
+  return opened(init(subscription, node, type, topic, options), HandleKind::subscription,
+                subscription, node);
+}
+
+rcl_ret_t rcl_subscription_fini(rcl_subscription_t* subscription, rcl_node_t* node) {
+  static const auto fini = next(&rcl_subscription_fini, "rcl_subscription_fini");
+  closing(subscription);
+  return fini(subscription, node);
+}
+
+rcl_ret_t rcl_service_init(rcl_service_t* service, const rcl_node_t* node,
+                           const rosidl_service_type_support_t* type, const char* name,
+                           const rcl_service_options_t* options) {
+  static const auto init = next(&rcl_service_init, "rcl_service_init");
+  return opened(init(service, node, type, name, options), HandleKind::service, service, node);
+}
+
+rcl_ret_t rcl_node_type_description_service_init(rcl_service_t* service, const rcl_node_t* node) {
+  static const auto init =
+      next(&rcl_node_type_description_service_init, "rcl_node_type_description_service_init");
+  return opened(init(service, node), HandleKind::service, service, node);
+}
+
+rcl_ret_t rcl_service_fini(rcl_service_t* service, rcl_node_t* node) {
+  static const auto fini = next(&rcl_service_fini, "rcl_service_fini");
+  closing(service);
+  return fini(service, node);
+}
+
+rcl_ret_t rcl_client_init(rcl_client_t* client, const rcl_node_t* node,
+                          const rosidl_service_type_support_t* type, const char* name,
+                          const rcl_client_options_t* options) {
+  static const auto init = next(&rcl_client_init, "rcl_client_init");
+  return opened(init(client, node, type, name, options), HandleKind::client, client, node);
+}
+
+rcl_ret_t rcl_client_fini(rcl_client_t* client, rcl_node_t* node) {
+  static const auto fini = next(&rcl_client_fini, "rcl_client_fini");
+  closing(client);
+  return fini(client, node);
+}
+
+// Called with rclcpp's lock for logging.
+
+rcl_ret_t rcl_logging_rosout_init_publisher_for_node(rcl_node_t* node) {
+  static const auto init = next(&rcl_logging_rosout_init_publisher_for_node,
+                                "rcl_logging_rosout_init_publisher_for_node");
+  const HandleLedger::Pause pause;  // the publisher is the table's
+  finalise_discarded_nodes();
+  return init(node);
+}
+
+}  // extern "C"

@@ -1,0 +1,70 @@
+#include "components/rclcpp/runtime.hpp"
+
+#include <rcl/error_handling.h>
+#include <rcl/init.h>
+#include <signal.h>
+#include <unistd.h>
+
+#include <new>
+#include <rclcpp/contexts/default_context.hpp>
+#include <rclcpp/graph_listener.hpp>
+#include <rclcpp/init_options.hpp>
+#include <rclcpp/utilities.hpp>
+#include <stdexcept>
+
+namespace play_launch::rclcpp_backend {
+namespace {
+
+/// rclcpp between its initialisation and its shutdown.
+class Runtime {
+ public:
+  Runtime(int argc, const char* const* argv)
+      : container_(::getpid()), context_(rclcpp::contexts::get_global_default_context()) {
+    rclcpp::InitOptions options;
+    options.shutdown_on_signal = false;
+    rclcpp::init(argc, argv, options, rclcpp::SignalHandlerOptions::None);
+    context_->add_pre_shutdown_callback([this] { on_shutdown_by_a_component(); });
+    // The first node that looks at the graph would start this thread. It must not belong to the
+    // process of a node: it serves all nodes, and would die with that one.
+    graph_listener_ = context_->get_sub_context<rclcpp::graph_listener::GraphListener>(context_);
+    graph_listener_->start_if_not_started();
+    borrowed_ = Context::borrow(context_->get_rcl_context().get());
+  }
+  ~Runtime() {
+    borrowed_.reset();
+    graph_listener_->shutdown(std::nothrow);
+    // Not rclcpp's shutdown(): it would call back into components that are destroyed by now.
+    if (rcl_shutdown(context_->get_rcl_context().get()) != RCL_RET_OK) {
+      rcl_reset_error();  // a component was faster
+    }
+  }
+  Runtime(const Runtime&) = delete;
+  Runtime& operator=(const Runtime&) = delete;
+
+  Context* borrowed() const { return borrowed_.get(); }
+
+ private:
+  void on_shutdown_by_a_component() const {
+    if (::getpid() != container_) {
+      // The context is everybody's. What is thrown here comes out of the component's call.
+      throw std::runtime_error(
+          "rclcpp::shutdown() was called in an isolated node, and would shut down all nodes of the "
+          "container; end the node instead, for example with exit(0)");
+    }
+    ::kill(container_, SIGTERM);  // as the end of spin() ends any other program
+  }
+
+  const pid_t container_;
+  const rclcpp::Context::SharedPtr context_;
+  std::shared_ptr<rclcpp::graph_listener::GraphListener> graph_listener_;
+  std::shared_ptr<Context> borrowed_;
+};
+
+}  // namespace
+
+std::shared_ptr<Context> initialise(int argc, const char* const* argv) {
+  const auto runtime = std::make_shared<Runtime>(argc, argv);
+  return {runtime, runtime->borrowed()};
+}
+
+}  // namespace play_launch::rclcpp_backend

@@ -1,0 +1,22 @@
+#include "hosts/cloned/cloned_host.hpp"
+
+#include <utility>
+
+#include "hosts/cloned/cloned_node.hpp"
+#include "isolation/crash/crash_handler.hpp"
+
+namespace play_launch::container {
+
+CloneIsolatedHost::CloneIsolatedHost(std::vector<std::unique_ptr<ComponentBackend>> backends,
+                                     const ExecutorChoice& choice)
+    : IsolatedHost(std::move(backends)), choice_(choice) {
+  isolation::prepare_crash_handling();
+}
+
+std::shared_ptr<IsolatedNode> CloneIsolatedHost::start(std::uint64_t unique_id, LoadRequest request,
+                                                       int doorbell) {
+  return std::make_shared<ClonedNode>(unique_id, backends(), choice_, std::move(request), doorbell,
+                                      lock_watch_);
+}
+
+}  // namespace play_launch::container

@@ -1,0 +1,187 @@
+#include "hosts/cloned/cloned_node.hpp"
+
+#include <algorithm>
+#include <chrono>
+#include <cstring>
+#include <ctime>
+#include <utility>
+#include <vector>
+
+#include "base/doorbell.hpp"
+#include "base/failpoints.hpp"
+#include "base/report.hpp"
+#include "isolation/clone/inheritance.hpp"
+#include "isolation/crash/symbolise.hpp"
+
+namespace play_launch::container {
+namespace {
+
+/// For cleaning up after a dead node.
+constexpr std::chrono::milliseconds kBurialLimit{1000};
+constexpr std::size_t kThreadNameLength = 15;
+
+/// What `ps` shows: the node's name, or its class's as long as that is all there is.
+std::string process_name(const LoadRequest& request) {
+  const std::string& name = request.node_name.empty() ? request.plugin_name : request.node_name;
+  const std::size_t colon = name.rfind("::");
+  return name.substr(colon == std::string::npos ? 0 : colon + 2).substr(0, kThreadNameLength);
+}
+
+/// The innermost frames, for those who get no more than a text.
+std::string innermost(const std::vector<std::string>& backtrace) {
+  constexpr std::size_t kMost = 6;
+  std::string text;
+  for (std::size_t i = 0; i < std::min(backtrace.size(), kMost); ++i) {
+    text += (i == 0 ? "; at " : ", ") + backtrace[i];
+  }
+  return text;
+}
+
+}  // namespace
+
+ClonedNode::ClonedNode(std::uint64_t unique_id, const BackendList& backends,
+                       const ExecutorChoice& choice, LoadRequest request, int doorbell,
+                       LockWatch& lock_watch)
+    : IsolatedNode(unique_id, doorbell),
+      process_name_(process_name(request)),
+      lock_watch_(lock_watch),
+      program_(backends, choice, std::move(request), doorbell),
+      donor_(process_name_, [this] { donate(); }) {}
+
+// Nothing here may use the allocator: the child may have left it in any state.
+void ClonedNode::donate() noexcept {
+  isolation::ChildOptions options;
+  options.name = process_name_;
+  options.dies_abruptly = hit(Failpoint::abrupt_deaths);
+  end_ = isolation::run_in_child(program_, slot_, options);
+  if (!end_.clean()) {
+    lock_watch_.begin();
+  }
+  dead_ = true;
+  ring(doorbell());
+  gave_back_ = isolation::give_back_heaps(slot_);
+  if (program_.left_remains()) {
+    options.name = "undertaker";
+    options.dies_abruptly = false;
+    options.time_limit = kBurialLimit;
+    options.expendable = true;
+    burial_end_ = isolation::run_in_child(burial_, burial_slot_, options);
+  }
+  buried_ = true;
+  ring(doorbell());
+}
+
+void ClonedNode::tell(NodeHostObserver& observer, IsolationTotals& totals) {
+  // Read before the stage: what is dead by now goes no further.
+  const bool buried = buried_;
+  const bool dead = dead_;
+  if (!backtrace_ && slot_.thread != 0) {
+    backtrace_ = isolation::symbolise(slot_);  // while the process still dies
+  }
+  tell_progress(observer, program_.stage());
+  if (dead && !told_end_) {
+    told_end_ = true;
+    tell_end(observer, totals);
+  }
+  if (buried && !told_burial_) {
+    told_burial_ = true;
+    if (program_.outcome() == NodeOutcome::none && end_.error == 0) {
+      count_burial(totals);
+    }
+  }
+}
+
+std::optional<std::chrono::nanoseconds> ClonedNode::silence() const {
+  return dead_ ? std::nullopt : program_.silence();
+}
+
+void ClonedNode::tell_progress(NodeHostObserver& observer, NodeStage stage) {
+  if (told_ < NodeStage::constructing && stage >= NodeStage::constructing) {
+    told_ = NodeStage::constructing;
+    clockid_t cpu_clock = CLOCK_THREAD_CPUTIME_ID;
+    ::clock_getcpuclockid(slot_.pid, &cpu_clock);
+    observer.on_constructing(unique_id(), {slot_.pid, slot_.start_time}, cpu_clock);
+  }
+  if (told_ < NodeStage::constructed && stage >= NodeStage::constructed) {
+    told_ = NodeStage::constructed;
+    const bool keep = observer.on_constructed(unique_id(), program_.full_name());
+    if (!keep) {
+      leave();  // its destructor gets no more time than in an unloading
+    }
+    program_.answer(keep);
+  }
+  if (told_ < NodeStage::spinning && stage >= NodeStage::spinning) {
+    told_ = NodeStage::spinning;
+    observer.on_loaded(unique_id());
+  }
+}
+
+void ClonedNode::tell_end(NodeHostObserver& observer, IsolationTotals& totals) {
+  if (end_.error != 0) {
+    observer.on_load_failed(unique_id(), std::string("cannot start a process for the node: ") +
+                                             std::strerror(end_.error));
+    return;
+  }
+  const NodeOutcome outcome = program_.outcome();
+  if (end_.clean() && outcome == NodeOutcome::failed) {
+    observer.on_load_failed(unique_id(), program_.failure());
+    return;
+  }
+  if (end_.clean() && outcome == NodeOutcome::left) {
+    observer.on_gone(unique_id());
+    return;
+  }
+  ++totals.crashes;
+  const bool quiesced = slot_.thread != 0 || slot_.exit_called || outcome != NodeOutcome::none;
+  if (!quiesced || slot_.inside || slot_.threads_not_parked > 0) {
+    ++totals.unquiesced;
+  }
+  if (outcome != NodeOutcome::none) {
+    ++totals.undertaken;  // by the node itself: a signal had asked it to leave
+  }
+  NodeDeath death = this->death();
+  if (told_ < NodeStage::spinning) {
+    death.reason = "died while it was constructed: " + death.reason + innermost(death.backtrace);
+    observer.on_load_crashed(unique_id(), death);
+  } else {
+    observer.on_crashed(unique_id(), death);
+  }
+}
+
+NodeDeath ClonedNode::death() {
+  NodeDeath death;
+  death.exit_code = end_.exit_code;
+  death.signal = end_.signal;
+  death.reason = isolation::describe_end(end_, slot_);
+  death.backtrace = std::move(backtrace_).value_or(std::vector<std::string>());
+  if (slot_.thread != 0) {
+    death.when =
+        std::chrono::steady_clock::time_point(std::chrono::nanoseconds(slot_.crash_time_ns));
+  }
+  return death;
+}
+
+void ClonedNode::count_burial(IsolationTotals& totals) const {
+  const bool is_buried = !program_.left_remains() || burial_end_.clean();
+  if (is_buried && gave_back_) {
+    ++totals.undertaken;
+    return;
+  }
+  ++totals.leaked;
+  std::string why = "it died while it was being made or destroyed";
+  if (is_buried) {
+    why = "what the allocator keeps for its threads could not be given back";
+  } else if (burial_end_.error != 0) {
+    why = std::string("cannot start a process for that: ") + std::strerror(burial_end_.error);
+  } else if (burial_end_.signal != 0) {
+    why = isolation::describe_end(burial_end_, burial_slot_);
+  }
+  report("could not clean up after " + label() + ": " + why +
+         "; what it held stays until the container ends");
+}
+
+std::string ClonedNode::full_name() const {
+  return program_.stage() >= NodeStage::constructed ? program_.full_name() : "";
+}
+
+}  // namespace play_launch::container

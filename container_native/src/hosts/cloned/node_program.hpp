@@ -1,0 +1,114 @@
+#pragma once
+
+#include <atomic>
+#include <chrono>
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <string>
+
+#include "components/backend_list.hpp"
+#include "components/load_request.hpp"
+#include "isolation/clone/child.hpp"
+
+namespace play_launch::container {
+
+/// Lets the container cancel an executor that a child may be about to destroy, without a lock that
+/// the child could take with it into death.
+class ExecutorHandle {
+ public:
+  /// From now on cancel() reaches it; what was cancelled before is cancelled at once.
+  void open(ComponentExecutor& executor) noexcept;
+  /// Returns when no cancel() is under way, unless who called it has died; later ones do nothing.
+  void close() noexcept;
+  /// Any thread of the container or the child, and signal handlers.
+  void cancel() noexcept;
+
+ private:
+  static constexpr std::uint32_t kClosed = 1U << 31U;
+
+  std::atomic<std::uint32_t> users_{0};  // and kClosed
+  std::atomic<bool> cancelled_{false};
+  std::atomic<ComponentExecutor*> executor_{nullptr};
+};
+
+/// How far a node came. A child only moves it on.
+enum class NodeStage : std::uint32_t { preparing, constructing, constructed, spinning };
+
+/// How a child's program came to its end; `none` when the child died on the way.
+enum class NodeOutcome : std::uint32_t { none, failed, left };
+
+/// The life of one isolated node, from its constructor to its destructor, as run in a child. The
+/// child tells how far it is in atomics and rings an eventfd; it takes no lock of the container.
+class NodeProgram final : public isolation::ChildProgram {
+ public:
+  /// What is referred to must outlive the child; `doorbell` is an eventfd.
+  NodeProgram(const BackendList& backends, const ExecutorChoice& choice, LoadRequest request,
+              int doorbell);
+  /// What a dead child left is not destroyed here, see NodeBurial.
+  ~NodeProgram() override;
+
+  int run() override;
+  void cancel() noexcept override { executor_handle_.cancel(); }
+  void crashed() noexcept override;
+
+  NodeStage stage() const { return stage_.load(); }
+  NodeOutcome outcome() const { return outcome_.load(); }
+  /// How long its executor has not come round; nothing: before it spins, or when it cannot tell.
+  std::optional<std::chrono::nanoseconds> silence() const;
+  /// Name of the node; from NodeStage::constructed on.
+  const std::string& full_name() const { return full_name_; }
+  /// Why loading failed; with NodeOutcome::failed.
+  const std::string& failure() const { return failure_; }
+  const LoadRequest& request() const { return request_; }
+
+  /// The answer to NodeStage::constructed, which the child waits for: whether the node may live.
+  void answer(bool keep) noexcept;
+
+  /// Whether there was anything of a node when the child died.
+  bool left_remains() const { return partial_ || executor_ != nullptr; }
+
+ private:
+  friend class NodeBurial;
+  enum class Verdict : std::uint32_t { none, keep, discard };
+
+  void live();
+  bool may_live();
+  void take_apart();
+  void reach(NodeStage stage) noexcept;
+
+  const BackendList& backends_;
+  const ExecutorChoice choice_;
+  const LoadRequest request_;
+  const int doorbell_;
+
+  ExecutorHandle executor_handle_;
+  std::unique_ptr<ComponentExecutor> executor_;
+  std::unique_ptr<Component> component_;
+  Construction construction_;
+  /// Something is being constructed or destroyed: dead now, it could not be destroyed.
+  bool partial_ = false;
+  std::string full_name_;
+  std::string failure_;
+  std::atomic<NodeStage> stage_{NodeStage::preparing};
+  std::atomic<NodeOutcome> outcome_{NodeOutcome::none};
+  std::atomic<Verdict> verdict_{Verdict::none};
+  Beat beat_;
+};
+
+/// Destroys what a dead child left of its node. That runs destructors on a state that may be
+/// broken: in a child of its own, with a time limit.
+class NodeBurial final : public isolation::ChildProgram {
+ public:
+  explicit NodeBurial(NodeProgram& dead) : dead_(dead) {}
+
+  int run() override;
+  void cancel() noexcept override {}
+
+ private:
+  void remove_from_executor();
+
+  NodeProgram& dead_;
+};
+
+}  // namespace play_launch::container

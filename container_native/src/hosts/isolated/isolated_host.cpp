@@ -1,0 +1,126 @@
+#include "hosts/isolated/isolated_host.hpp"
+
+#include <poll.h>
+#include <pthread.h>
+
+#include <algorithm>
+#include <utility>
+
+#include "base/doorbell.hpp"
+
+namespace play_launch::container {
+
+using Clock = std::chrono::steady_clock;
+
+IsolatedHost::IsolatedHost(std::vector<std::unique_ptr<ComponentBackend>> backends)
+    : backends_(std::move(backends)), doorbell_(make_doorbell()) {
+  monitor_ = std::thread([this] {
+    ::pthread_setname_np(::pthread_self(), "monitor");
+    monitor();
+  });
+}
+
+IsolatedHost::~IsolatedHost() {
+  {
+    const std::lock_guard lock(mutex_);
+    done_ = true;
+  }
+  ring(doorbell_.get());
+  monitor_.join();
+}
+
+void IsolatedHost::load(std::uint64_t unique_id, LoadRequest request) {
+  // The lock is held until the node is in the map: the monitor would miss its first ring.
+  const std::lock_guard lock(mutex_);
+  nodes_.emplace(unique_id, start(unique_id, std::move(request), doorbell_.get()));
+  ring(doorbell_.get());
+}
+
+void IsolatedHost::unload(std::uint64_t unique_id) {
+  const std::lock_guard lock(mutex_);
+  const auto found = nodes_.find(unique_id);
+  if (found != nodes_.end()) {  // else it has just died
+    found->second->leave();
+  }
+}
+
+void IsolatedHost::stop_spinning() {
+  const std::lock_guard lock(mutex_);
+  for (const auto& [unique_id, node] : nodes_) {
+    node->leave();
+  }
+}
+
+void IsolatedHost::hurry(std::chrono::steady_clock::time_point deadline) {
+  {
+    const std::lock_guard lock(mutex_);
+    end_ = std::min(end_, deadline);
+  }
+  ring(doorbell_.get());
+}
+
+HostTotals IsolatedHost::totals() const {
+  return {totals_.crashes, totals_.undertaken, totals_.leaked, totals_.unquiesced};
+}
+
+std::optional<std::chrono::nanoseconds> IsolatedHost::silence(std::uint64_t unique_id) const {
+  const std::lock_guard lock(mutex_);
+  const auto found = nodes_.find(unique_id);
+  return found != nodes_.end() ? found->second->silence() : std::nullopt;
+}
+
+void IsolatedHost::monitor() {
+  while (true) {
+    Nodes nodes;
+    Time end;
+    {
+      // Not held during the calls of the observer, which may call back.
+      const std::lock_guard lock(mutex_);
+      if (done_ && nodes_.empty()) {
+        return;
+      }
+      nodes.assign(nodes_.begin(), nodes_.end());
+      end = end_;
+    }
+    const Time next = look_after(nodes, end);
+    wait_until(next, nodes);
+  }
+}
+
+IsolatedHost::Time IsolatedHost::look_after(Nodes& nodes, Time end) {
+  Time next = Time::max();
+  for (auto& [unique_id, node] : nodes) {
+    node->tell(*observer_, totals_);
+    next = std::min(next, node->press(Clock::now(), end));
+    if (node->is_over()) {
+      std::unique_lock lock(mutex_);
+      nodes_.erase(unique_id);
+      if (done_) {
+        next = Time::min();
+      }
+      lock.unlock();
+      node.reset();  // joins its donor
+    }
+  }
+  return next;
+}
+
+void IsolatedHost::wait_until(Time deadline, const Nodes& nodes) const {
+  int timeout_ms = -1;
+  if (deadline != Time::max()) {
+    const auto left = std::chrono::ceil<std::chrono::milliseconds>(
+        std::max(deadline, Clock::now()) - Clock::now());
+    timeout_ms = static_cast<int>(std::clamp<std::int64_t>(left.count(), 0, 1'000'000));
+  }
+  std::vector<pollfd> fds{{doorbell_.get(), POLLIN, 0}};
+  for (const auto& [unique_id, node] : nodes) {
+    if (node != nullptr && node->watched_fd() >= 0) {
+      fds.push_back({node->watched_fd(), POLLIN, 0});
+    }
+  }
+  if (::poll(fds.data(), fds.size(), timeout_ms) > 0 && fds[0].revents != 0) {
+    hush(doorbell_.get());
+  }
+}
+
+}  // namespace play_launch::container

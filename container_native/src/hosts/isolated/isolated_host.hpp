@@ -1,0 +1,68 @@
+#pragma once
+
+#include <chrono>
+#include <cstdint>
+#include <map>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <thread>
+#include <utility>
+#include <vector>
+
+#include "base/unique_fd.hpp"
+#include "components/backend_list.hpp"
+#include "hosts/isolated/isolated_node.hpp"
+#include "hosts/node_host.hpp"
+
+namespace play_launch::container {
+
+/// Every node lives in a process of its own: the modes isolated and isolated_mt. A thread, the
+/// monitor, follows what the nodes' processes do, tells the observer, and ends those that should
+/// leave and do not. What kind of process it is, subclasses know.
+class IsolatedHost : public NodeHost {
+ public:
+  void set_observer(NodeHostObserver& observer) override { observer_ = &observer; }
+  std::optional<std::string> expected_full_name(const LoadRequest& request) const override {
+    return backends_.expected_full_name(request);
+  }
+  void load(std::uint64_t unique_id, LoadRequest request) override;
+  void unload(std::uint64_t unique_id) override;
+  void stop_spinning() override;
+  void hurry(std::chrono::steady_clock::time_point deadline) override;
+  HostTotals totals() const override;
+  std::optional<std::chrono::nanoseconds> silence(std::uint64_t unique_id) const override;
+
+ protected:
+  explicit IsolatedHost(std::vector<std::unique_ptr<ComponentBackend>> backends);
+  /// All nodes must have ended; waits for what is left of their processes.
+  ~IsolatedHost() override;
+
+  /// Starts the process. Throws std::exception when there is none to be had.
+  virtual std::shared_ptr<IsolatedNode> start(std::uint64_t unique_id, LoadRequest request,
+                                              int doorbell) = 0;
+  const BackendList& backends() const { return backends_; }
+
+ private:
+  using Time = IsolatedNode::Time;
+  using Nodes = std::vector<std::pair<std::uint64_t, std::shared_ptr<IsolatedNode>>>;
+
+  void monitor();
+  Time look_after(Nodes& nodes, Time end);
+  void wait_until(Time deadline, const Nodes& nodes) const;
+
+  const BackendList backends_;
+  const control::UniqueFd doorbell_;
+  NodeHostObserver* observer_ = nullptr;
+  IsolationTotals totals_;
+
+  mutable std::mutex mutex_;  // guards what follows; no process but the container takes it
+  std::map<std::uint64_t, std::shared_ptr<IsolatedNode>> nodes_;
+  Time end_ = Time::max();
+  bool done_ = false;
+
+  std::thread monitor_;  // last: it uses all of the above
+};
+
+}  // namespace play_launch::container

@@ -1,0 +1,97 @@
+#pragma once
+
+#include <chrono>
+#include <cstdint>
+#include <ctime>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "base/process_identity.hpp"
+#include "components/load_request.hpp"
+
+namespace play_launch::container {
+
+/// How a process that held one node ended without being asked to.
+struct NodeDeath {
+  int exit_code = 0;
+  int signal = 0;
+  std::string reason;
+  std::vector<std::string> backtrace;
+  /// When it happened; nothing: the moment at which it is told.
+  std::optional<std::chrono::steady_clock::time_point> when;
+};
+
+/// What has become of nodes that died without being asked to, since the start. See the fields of
+/// the same names in play_launch_msgs/ControlStatus.
+struct HostTotals {
+  std::uint32_t crashes = 0;
+  std::uint32_t undertaken = 0;
+  std::uint32_t leaked = 0;
+  std::uint32_t unquiesced = 0;
+};
+
+/// Is told what becomes of nodes. Every node ends with exactly one of on_load_failed,
+/// on_load_crashed, on_gone and on_crashed. Calls come from any thread, for one node never two at a
+/// time.
+class NodeHostObserver {
+ public:
+  virtual ~NodeHostObserver() = default;
+
+  /// The constructor is about to run in `process`. `cpu_clock` counts the CPU time of whoever runs
+  /// it, and is valid until the next call for this node has returned.
+  virtual void on_constructing(std::uint64_t unique_id, const ProcessIdentity& process,
+                               clockid_t cpu_clock) = 0;
+  /// The constructor returned. False: the node must not live; the host destroys it, then on_gone.
+  virtual bool on_constructed(std::uint64_t unique_id, const std::string& full_name) = 0;
+  /// The node's callbacks run.
+  virtual void on_loaded(std::uint64_t unique_id) = 0;
+  virtual void on_load_failed(std::uint64_t unique_id, const std::string& reason) = 0;
+  /// The process that was to hold the node died before on_loaded.
+  virtual void on_load_crashed(std::uint64_t unique_id, const NodeDeath& death) = 0;
+  /// The node is destroyed.
+  virtual void on_gone(std::uint64_t unique_id) = 0;
+  /// The process that held the node died after on_loaded, also while it was being unloaded.
+  virtual void on_crashed(std::uint64_t unique_id, const NodeDeath& death) = 0;
+};
+
+/// Where nodes live: makes them, lets their callbacks run, and destroys them. No member blocks for
+/// what user code does; outcomes are told to the observer, never from within a call of the caller.
+class NodeHost {
+ public:
+  NodeHost() = default;
+  NodeHost(const NodeHost&) = delete;
+  NodeHost& operator=(const NodeHost&) = delete;
+  virtual ~NodeHost() = default;
+
+  /// Before the first load; the observer must outlive the host's last node.
+  virtual void set_observer(NodeHostObserver& observer) = 0;
+
+  virtual std::optional<std::string> expected_full_name(const LoadRequest& request) const = 0;
+
+  /// Begins to load. Throws std::exception when not even that works; then no call follows.
+  virtual void load(std::uint64_t unique_id, LoadRequest request) = 0;
+
+  /// Begins to unload a node that on_loaded was told of. Throws std::exception when not even that
+  /// works; then the node is what it was.
+  virtual void unload(std::uint64_t unique_id) = 0;
+
+  /// No callback starts any more, in any node. For the end of the container.
+  virtual void stop_spinning() = 0;
+
+  /// All nodes are to be gone by then: a host that can end nodes which do not end by themselves
+  /// does so before. For the end of the container; an earlier deadline replaces a later one.
+  virtual void hurry(std::chrono::steady_clock::time_point) {}
+
+  virtual HostTotals totals() const { return {}; }
+
+  /// What waits for the dead: see ControlStatus.dead_locks.
+  virtual std::vector<std::string> dead_locks() const { return {}; }
+
+  /// How long the executor of a node has not come round; nothing: that is not known.
+  virtual std::optional<std::chrono::nanoseconds> silence(std::uint64_t) const {
+    return std::nullopt;
+  }
+};
+
+}  // namespace play_launch::container

@@ -1,0 +1,113 @@
+#include "hosts/shared/shared_executor_host.hpp"
+
+#include <pthread.h>
+#include <unistd.h>
+
+#include <string>
+#include <utility>
+
+#include "base/failpoints.hpp"
+
+namespace play_launch::container {
+
+SharedExecutorHost::SharedExecutorHost(std::vector<std::unique_ptr<ComponentBackend>> backends,
+                                       const ExecutorChoice& choice)
+    : process_(identity_of(::getpid())), backends_(std::move(backends)) {
+  spinners_.reserve(backends_.size());
+  for (std::size_t i = 0; i < backends_.size(); ++i) {
+    std::unique_ptr<ComponentExecutor> executor = backends_[i].create_executor(choice);
+    ComponentExecutor* const spinning = executor.get();
+    std::thread thread([spinning] {
+      ::pthread_setname_np(::pthread_self(), "executor");
+      spinning->spin();
+    });
+    spinners_.push_back({std::move(executor), std::move(thread)});
+  }
+}
+
+SharedExecutorHost::~SharedExecutorHost() {
+  stop_spinning();
+  for (Spinner& spinner : spinners_) {
+    spinner.thread.join();
+  }
+}
+
+std::optional<std::string> SharedExecutorHost::expected_full_name(
+    const LoadRequest& request) const {
+  return backends_.expected_full_name(request);
+}
+
+void SharedExecutorHost::load(std::uint64_t unique_id, LoadRequest request) {
+  tasks_.run("load-" + std::to_string(unique_id),
+             [this, unique_id, request = std::move(request)] { construct(unique_id, request); });
+}
+
+void SharedExecutorHost::unload(std::uint64_t unique_id) {
+  tasks_.run("unload-" + std::to_string(unique_id), [this, unique_id] { destroy(unique_id); });
+}
+
+void SharedExecutorHost::stop_spinning() {
+  for (Spinner& spinner : spinners_) {
+    spinner.executor->cancel();
+  }
+}
+
+void SharedExecutorHost::construct(std::uint64_t unique_id, const LoadRequest& request) {
+  clockid_t cpu_clock = CLOCK_THREAD_CPUTIME_ID;
+  // Another thread reads it, for which the generic id of "this thread" would be its own.
+  ::pthread_getcpuclockid(::pthread_self(), &cpu_clock);
+  observer_->on_constructing(unique_id, process_, cpu_clock);
+  hit(Failpoint::before_construct);
+  Node node;
+  try {
+    const std::size_t backend = backends_.of_package(request.package_name);
+    node.executor = spinners_[backend].executor.get();
+    node.component = backends_[backend].create(request, nullptr);
+  } catch (...) {
+    observer_->on_load_failed(unique_id, describe_current_exception());
+    return;
+  }
+  hit(Failpoint::after_construct);
+  if (!observer_->on_constructed(unique_id, node.component->full_name())) {
+    node.component.reset();
+    observer_->on_gone(unique_id);
+    return;
+  }
+  Component& component = *node.component;
+  ComponentExecutor& executor = *node.executor;
+  {
+    // In the map before anybody can ask to unload it.
+    const std::lock_guard lock(mutex_);
+    nodes_.emplace(unique_id, std::move(node));
+  }
+  try {
+    executor.add(component);
+  } catch (...) {  // the constructor gave its node to an executor of its own
+    const std::string reason = describe_current_exception();
+    std::unique_lock lock(mutex_);
+    auto handle = nodes_.extract(unique_id);
+    lock.unlock();
+    handle.mapped().component.reset();
+    observer_->on_load_failed(unique_id, reason);
+    return;
+  }
+  observer_->on_loaded(unique_id);
+}
+
+void SharedExecutorHost::destroy(std::uint64_t unique_id) {
+  hit(Failpoint::before_unload);
+  Node node;
+  {
+    const std::lock_guard lock(mutex_);
+    auto handle = nodes_.extract(unique_id);
+    if (handle.empty()) {
+      return;
+    }
+    node = std::move(handle.mapped());
+  }
+  node.executor->remove(*node.component);
+  node.component.reset();
+  observer_->on_gone(unique_id);
+}
+
+}  // namespace play_launch::container

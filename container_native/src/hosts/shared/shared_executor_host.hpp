@@ -1,0 +1,52 @@
+#pragma once
+
+#include <map>
+#include <memory>
+#include <mutex>
+#include <thread>
+#include <vector>
+
+#include "components/backend_list.hpp"
+#include "hosts/node_host.hpp"
+#include "hosts/shared/task_group.hpp"
+
+namespace play_launch::container {
+
+/// All nodes live in this process and share one executor (one for each backend that is in use):
+/// the modes standard and mt. Each constructor, and each unloading, runs in a thread of its own.
+class SharedExecutorHost final : public NodeHost {
+ public:
+  SharedExecutorHost(std::vector<std::unique_ptr<ComponentBackend>> backends,
+                     const ExecutorChoice& choice);
+  /// All nodes must be gone.
+  ~SharedExecutorHost() override;
+
+  void set_observer(NodeHostObserver& observer) override { observer_ = &observer; }
+  std::optional<std::string> expected_full_name(const LoadRequest& request) const override;
+  void load(std::uint64_t unique_id, LoadRequest request) override;
+  void unload(std::uint64_t unique_id) override;
+  void stop_spinning() override;
+
+ private:
+  struct Spinner {
+    std::unique_ptr<ComponentExecutor> executor;
+    std::thread thread;
+  };
+  struct Node {
+    std::unique_ptr<Component> component;
+    ComponentExecutor* executor = nullptr;
+  };
+
+  void construct(std::uint64_t unique_id, const LoadRequest& request);
+  void destroy(std::uint64_t unique_id);
+
+  const ProcessIdentity process_;
+  NodeHostObserver* observer_ = nullptr;
+  const BackendList backends_;
+  std::vector<Spinner> spinners_;  // of the backend with the same index
+  std::mutex mutex_;
+  std::map<std::uint64_t, Node> nodes_;
+  TaskGroup tasks_;  // last: its threads use all of the above
+};
+
+}  // namespace play_launch::container

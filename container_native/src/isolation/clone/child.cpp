@@ -1,0 +1,193 @@
+#include "isolation/clone/child.hpp"
+
+#include <fcntl.h>
+#include <sched.h>
+#include <signal.h>
+#include <sys/prctl.h>
+#include <sys/syscall.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <array>
+#include <cerrno>
+#include <cstring>
+
+#include "isolation/clone/vm_clone.hpp"
+#include "isolation/crash/crash_handler.hpp"
+#include "isolation/quiesce/quiesce.hpp"
+#include "isolation/record/alternate_stack.hpp"
+#include "isolation/record/graveyard.hpp"
+#include "isolation/record/own_signals.hpp"
+#include "isolation/record/registry.hpp"
+
+namespace play_launch::isolation {
+namespace {
+
+struct Launch {
+  ChildRecord& record;
+  Registration& registration;
+  AlternateStack& alternate_stack;
+  std::array<char, 16> name{};
+  pid_t container;
+};
+
+constexpr int kExitOrphaned = 125;
+constexpr int kExitStatusMask = 0xff;
+
+/// Field 22 of the process's stat, without the allocator.
+std::uint64_t read_start_time() noexcept {
+  const int fd = ::open("/proc/self/stat", O_RDONLY | O_CLOEXEC);
+  if (fd < 0) {
+    return 0;
+  }
+  std::array<char, 512> text{};
+  const ssize_t size = ::read(fd, text.data(), text.size() - 1);
+  ::close(fd);
+  // Field 2 is the command in parentheses, and may hold spaces and parentheses itself.
+  const char* field = size > 0 ? std::strrchr(text.data(), ')') : nullptr;
+  constexpr int kFieldsAfterCommand = 22 - 2;
+  for (int i = 0; field != nullptr && i < kFieldsAfterCommand; ++i) {
+    field = std::strchr(field + 1, ' ');
+  }
+  std::uint64_t value = 0;
+  if (field != nullptr) {
+    for (++field; *field >= '0' && *field <= '9'; ++field) {
+      value = value * 10 + static_cast<std::uint64_t>(*field - '0');
+    }
+  }
+  return value;
+}
+
+/// The child has a copy of the container's actions, which would act on the container's memory.
+void forget_signal_actions() noexcept {
+  for (int signal = 1; signal <= SIGRTMAX; ++signal) {
+    struct sigaction action{};
+    // SIGPIPE: that the container does not die of it holds for its nodes as well.
+    if (signal == SIGPIPE || ::sigaction(signal, nullptr, &action) != 0 ||
+        action.sa_handler == SIG_DFL || action.sa_handler == SIG_IGN) {
+      continue;
+    }
+    action = {};
+    action.sa_handler = SIG_DFL;
+    ::sigaction(signal, &action, nullptr);
+  }
+}
+
+void enter(const Launch& launch) noexcept {
+  const pid_t pid = ::getpid();
+  ChildRecord& record = launch.record;
+  CrashSlot& slot = *record.slot;
+  rise(pid);
+  *record.registered_pid = pid;
+  slot.pid = pid;
+  slot.start_time = read_start_time();
+  slot.alive = true;
+  ::prctl(PR_SET_PDEATHSIG, SIGKILL);
+  if (::getppid() != launch.container) {
+    ::_exit(kExitOrphaned);  // it died before it could be watched
+  }
+  ::prctl(PR_SET_NAME, launch.name.data());
+  forget_signal_actions();
+  launch.alternate_stack.use();
+  install_crash_handlers();
+  if (record.options.time_limit.count() > 0) {
+    signal_self_after(record.options.time_limit, SIGKILL);
+  }
+  slot.phase = ChildPhase::running;
+  unblock_all_signals();
+}
+
+int run_program(void* argument) {
+  const auto& launch = *static_cast<const Launch*>(argument);
+  enter(launch);
+  ChildRecord& record = launch.record;
+  const int status = record.program->run();
+  // Threads that the program left behind are about to be killed, too.
+  claim_end(record);
+  record.slot->phase = ChildPhase::returned;
+  quiesce(record);
+  block_all_signals();
+  const int stop_signal = record.slot->stop_signal;
+  return stop_signal != 0 ? -stop_signal : status & kExitStatusMask;
+}
+
+void before_reaping(void* argument) noexcept {
+  const auto& launch = *static_cast<const Launch*>(argument);
+  CrashSlot& slot = *launch.record.slot;
+  const pid_t pid = slot.pid;
+  if (slot.phase != ChildPhase::returned) {
+    bury(pid, pid, launch.name.data());
+  }
+  launch.record.threads.bury([&](pid_t thread, std::uintptr_t pointer) {
+    bury(thread, pid, launch.name.data());
+    if (pointer != 0 && slot.resting_thread_count < slot.resting_threads.size()) {
+      slot.resting_threads[slot.resting_thread_count++] = pointer;
+    }
+  });
+  slot.alive = false;
+  while (slot.senders != 0) {
+    ::sched_yield();
+  }
+  *launch.record.registered_pid = 0;
+}
+
+}  // namespace
+
+void CrashSlot::reset() {
+  pid = 0;
+  start_time = 0;
+  alive = false;
+  phase = ChildPhase::none;
+  stop_signal = 0;
+  stop_sender = 0;
+  thread = 0;
+  thread_name = {};
+  crash_time_ns = 0;
+  crash_wall_time_ns = 0;
+  signal = 0;
+  code = 0;
+  sender = 0;
+  fault_address = 0;
+  program_counter = 0;
+  frame_count = 0;
+  exception_type = {};
+  exception_text = {};
+  throw_frame_count = 0;
+  inside = false;
+  threads_parked = 0;
+  threads_not_parked = 0;
+  resting_thread_count = 0;
+  exit_called = false;
+  exit_status = 0;
+}
+
+ChildEnd run_in_child(ChildProgram& program, CrashSlot& slot,
+                      const ChildOptions& options) noexcept {
+  slot.reset();
+  ChildEnd end;
+  ChildRecord record;
+  record.program = &program;
+  record.slot = &slot;
+  record.options = options;
+  record.after_death = donor_is_tainted();
+  Registration registration(record);
+  AlternateStack alternate_stack;
+  if (!registration || !alternate_stack) {
+    end.error = registration ? ENOMEM : EAGAIN;
+    return end;
+  }
+  Launch launch{record, registration, alternate_stack, {}, ::getpid()};
+  std::copy_n(options.name.data(), std::min(options.name.size(), launch.name.size() - 1),
+              launch.name.data());
+  return clone_and_wait(run_program, &launch, before_reaping);
+}
+
+bool send_signal(CrashSlot& slot, int signal) noexcept {
+  // The donor does not reap the child while somebody is between these two.
+  ++slot.senders;
+  const bool sent = slot.alive && ::kill(slot.pid, signal) == 0;
+  --slot.senders;
+  return sent;
+}
+
+}  // namespace play_launch::isolation

@@ -1,0 +1,105 @@
+#include "isolation/clone/donor_thread.hpp"
+
+#include <sched.h>
+#include <signal.h>
+#include <sys/mman.h>
+#include <sys/syscall.h>
+#include <unistd.h>
+
+#include <cerrno>
+#include <chrono>
+#include <system_error>
+#include <utility>
+
+#include "isolation/clone/allocator.hpp"
+#include "isolation/clone/vm_clone.hpp"
+#include "isolation/record/own_signals.hpp"
+
+namespace play_launch::isolation {
+namespace {
+
+using namespace std::chrono_literals;
+
+constexpr std::size_t kGuardSize = 64 * 1024;  // the largest page
+constexpr auto kGiveBackLimit = 200ms;
+
+[[noreturn]] void fail(int error, const char* what) {
+  throw std::system_error(error, std::generic_category(), what);
+}
+
+std::size_t default_stack_size() {
+  pthread_attr_t attributes;
+  std::size_t size = 0;
+  if (const int error = ::pthread_getattr_default_np(&attributes)) {
+    fail(error, "pthread_getattr_default_np");
+  }
+  ::pthread_attr_getstacksize(&attributes, &size);
+  ::pthread_attr_destroy(&attributes);
+  return size;
+}
+
+/// Runs in a child: the allocator's lists for this thread may be broken, or end in themselves.
+int give_back_memory(void* function) {
+  signal_self_after(kGiveBackLimit, SIGKILL);
+  reinterpret_cast<ThreadDone>(function)();
+  return 0;
+}
+
+}  // namespace
+
+DonorThread::DonorThread(const std::string& name, std::function<void()> body,
+                         std::size_t stack_size)
+    : body_(std::move(body)), name_(name.substr(0, 15)) {
+  prepare_clone();
+  allocator_thread_done();
+  // A stack of our own, because it also holds the thread's record in the C library: that of a
+  // tainted thread must not be used for another one.
+  const std::size_t usable = stack_size != 0 ? stack_size : default_stack_size();
+  mapping_size_ = kGuardSize + (usable + kGuardSize - 1) / kGuardSize * kGuardSize;
+  mapping_ = ::mmap(nullptr, mapping_size_, PROT_NONE,
+                    MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE | MAP_STACK, -1, 0);
+  if (mapping_ == MAP_FAILED) {
+    fail(errno, "mmap of a thread's stack");
+  }
+  char* const bottom = static_cast<char*>(mapping_) + kGuardSize;
+  const std::size_t size = mapping_size_ - kGuardSize;
+  int error = ::mprotect(bottom, size, PROT_READ | PROT_WRITE) == 0 ? 0 : errno;
+  if (error == 0) {
+    pthread_attr_t attributes;
+    ::pthread_attr_init(&attributes);
+    ::pthread_attr_setstack(&attributes, bottom, size);
+    error = ::pthread_create(&thread_, &attributes, &DonorThread::start, this);
+    ::pthread_attr_destroy(&attributes);
+  }
+  if (error != 0) {
+    ::munmap(mapping_, mapping_size_);
+    fail(error, "starting a thread");
+  }
+  joinable_ = true;
+}
+
+DonorThread::~DonorThread() { join(); }
+
+void DonorThread::join() {
+  if (joinable_) {
+    joinable_ = false;
+    ::pthread_join(thread_, nullptr);
+    ::munmap(mapping_, mapping_size_);
+  }
+}
+
+void* DonorThread::start(void* self) {
+  auto& donor = *static_cast<DonorThread*>(self);
+  ::pthread_setname_np(::pthread_self(), donor.name_.c_str());
+  donor.body_();
+  if (donor_is_tainted()) {
+    if (const ThreadDone done = allocator_thread_done()) {
+      clone_and_wait(give_back_memory, reinterpret_cast<void*>(done));
+    }
+    // Past the C library's end of a thread, with its destructors. The kernel tells join().
+    ::syscall(SYS_exit, 0);
+  }
+  return nullptr;
+}
+
+}  // namespace play_launch::isolation

@@ -1,0 +1,118 @@
+#include "isolation/clone/gate.hpp"
+
+#include <dlfcn.h>
+#include <sys/utsname.h>
+
+#include <cerrno>
+#include <cstdio>
+#include <cstring>
+
+#include "isolation/clone/vm_clone.hpp"
+
+namespace play_launch::isolation {
+namespace {
+
+// Before it, a signal that dumps core kills every process that shares the memory.
+constexpr int kKernelMajor = 5;
+constexpr int kKernelMinor = 16;
+
+bool exists(const char* symbol) { return ::dlsym(RTLD_DEFAULT, symbol) != nullptr; }
+
+/// Whose malloc this program uses, as far as it has a name that matters here.
+std::string allocator_in_use() {
+  // Loaded is not enough: it must be the one that malloc() is.
+  void* const malloc = ::dlsym(RTLD_DEFAULT, "malloc");
+  Dl_info place{};
+  if (malloc == nullptr || ::dladdr(malloc, &place) == 0 || place.dli_fname == nullptr) {
+    return {};
+  }
+  const std::string library = place.dli_fname;
+  for (const char* const name : {"mimalloc", "jemalloc"}) {
+    if (library.find(name) != std::string::npos) {
+      return name;
+    }
+  }
+  if (exists("mi_malloc") && ::dlsym(RTLD_DEFAULT, "mi_malloc") == malloc) {
+    return "mimalloc";
+  }
+  return {};
+}
+
+std::string why_not(const Facts& facts) {
+  if (facts.kernel_major < kKernelMajor ||
+      (facts.kernel_major == kKernelMajor && facts.kernel_minor < kKernelMinor)) {
+    return "Linux is " + facts.kernel_release + " and must be " + std::to_string(kKernelMajor) +
+           "." + std::to_string(kKernelMinor) +
+           " or newer: before, a crash ends every process that shares the memory";
+  }
+  if (facts.clone_error != 0) {
+    return std::string("processes that share memory cannot be made here (clone: ") +
+           std::strerror(facts.clone_error) + ")";
+  }
+  return {};
+}
+
+}  // namespace
+
+std::optional<MechanismChoice> parse_mechanism_choice(std::string_view text) {
+  if (text == "auto") {
+    return MechanismChoice::automatic;
+  }
+  if (text == "shared_memory") {
+    return MechanismChoice::shared_memory;
+  }
+  if (text == "process") {
+    return MechanismChoice::process;
+  }
+  return std::nullopt;
+}
+
+std::string_view mechanism_name(Mechanism mechanism) {
+  return mechanism == Mechanism::shared_memory ? "shared_memory" : "process";
+}
+
+void set_kernel(Facts& facts, const std::string& release) {
+  facts.kernel_release = release;
+  facts.kernel_major = facts.kernel_minor = 0;
+  std::sscanf(release.c_str(), "%d.%d", &facts.kernel_major, &facts.kernel_minor);
+}
+
+Facts look_at_machine() {
+  Facts facts;
+  utsname system{};
+  if (::uname(&system) == 0) {
+    set_kernel(facts, system.release);
+  }
+  prepare_clone();
+  facts.clone_error = try_clone();
+  facts.allocator = allocator_in_use();
+  return facts;
+}
+
+Gate choose_mechanism(MechanismChoice choice, const Facts& facts) {
+  Gate gate;
+  if (choice == MechanismChoice::process) {
+    return gate;
+  }
+  const std::string obstacle = why_not(facts);
+  if (!obstacle.empty()) {
+    if (choice == MechanismChoice::shared_memory) {
+      throw MechanismUnavailable("isolation in shared memory was asked for, but " + obstacle +
+                                 "; use isolation: process");
+    }
+    gate.notes.push_back(obstacle +
+                         "; every node is a program of its own instead (isolation: process), and "
+                         "messages between nodes are copied through the middleware");
+    return gate;
+  }
+  gate.mechanism = Mechanism::shared_memory;
+  if (facts.allocator.empty()) {
+    gate.notes.push_back(
+        "malloc is neither mimalloc nor jemalloc: a node that dies while it allocates can freeze "
+        "its whole container, which is then restarted; install mimalloc (apt install "
+        "libmimalloc2.0) or set PLAY_LAUNCH_ALLOCATOR to the path of its library");
+  }
+  return gate;
+}
+
+}  // namespace play_launch::isolation

@@ -1,0 +1,64 @@
+#include "isolation/clone/inheritance.hpp"
+
+#include <signal.h>
+
+#include <chrono>
+#include <cstdint>
+
+#include "isolation/clone/allocator.hpp"
+#include "isolation/clone/vm_clone.hpp"
+#include "isolation/record/own_signals.hpp"
+
+#if defined(__x86_64__)
+#include <asm/prctl.h>
+#include <sys/syscall.h>
+#endif
+
+namespace play_launch::isolation {
+namespace {
+
+using namespace std::chrono_literals;
+
+constexpr auto kLimit = 200ms;
+
+/// From now on the calling thread finds the thread-local storage of another one, which must be
+/// dead, as its own. Not through the C library, which looks up errno there.
+[[gnu::always_inline]] inline void become(std::uintptr_t thread_pointer) noexcept {
+#if defined(__x86_64__)
+  long result = SYS_arch_prctl;
+  asm volatile("syscall"
+               : "+a"(result)
+               : "D"(long{ARCH_SET_FS}), "S"(thread_pointer)
+               : "rcx", "r11", "memory");
+#elif defined(__aarch64__)
+  asm volatile("msr tpidr_el0, %0" : : "r"(thread_pointer) : "memory");
+#endif
+}
+
+[[gnu::noinline]] void call_as(std::uintptr_t thread_pointer, ThreadDone function) noexcept {
+  const auto own = reinterpret_cast<std::uintptr_t>(__builtin_thread_pointer());
+  become(thread_pointer);
+  function();
+  become(own);
+}
+
+int give_back(void* argument) {
+  signal_self_after(kLimit, SIGKILL);
+  const auto& slot = *static_cast<const CrashSlot*>(argument);
+  const ThreadDone done = allocator_thread_done();
+  for (std::uint32_t i = 0; i < slot.resting_thread_count; ++i) {
+    call_as(slot.resting_threads[i], done);
+  }
+  return 0;
+}
+
+}  // namespace
+
+bool give_back_heaps(const CrashSlot& slot) noexcept {
+  if (slot.resting_thread_count == 0 || allocator_thread_done() == nullptr) {
+    return true;
+  }
+  return clone_and_wait(give_back, const_cast<CrashSlot*>(&slot)).clean();
+}
+
+}  // namespace play_launch::isolation

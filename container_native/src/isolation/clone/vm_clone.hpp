@@ -1,0 +1,39 @@
+#pragma once
+
+#include "isolation/record/child_end.hpp"
+
+namespace play_launch::isolation {
+
+/// What a cloned process runs; what it returns is its exit status or, negative, -signal for the
+/// signal that it then dies of.
+using CloneEntry = int (*)(void* argument);
+
+/// Runs entry(argument) in a new process that shares this one's memory and file descriptors, and
+/// returns when that process is dead and reaped. The calling thread, the donor, is suspended
+/// meanwhile: the process runs on its stack and with its thread-local storage, which makes it
+/// complete for the C library, whatever it does. The child starts with all signals blocked and with
+/// this process's signal handlers. `before_reaping` is called on the donor when no thread of the
+/// child is left, while its pid cannot be used again yet.
+///
+/// Afterwards the donor's state is what it was, as far as the C and C++ libraries keep any: errno,
+/// signal mask, locale, exceptions, list of robust mutexes, id of the thread. thread_local objects
+/// are what the child made of them, and so is the allocator's cache for this thread: after a child
+/// that did not return (ChildEnd::returned) the donor must neither use the allocator nor end like
+/// other threads do; see DonorThread.
+///
+/// Never throws, never allocates. An exception that leaves `entry` ends the child in
+/// std::terminate, with the stack still as it was at the throw.
+ChildEnd clone_and_wait(CloneEntry entry, void* argument,
+                        void (*before_reaping)(void*) = nullptr) noexcept;
+
+/// Whether a child of the calling thread did not return, so that the thread must not end like
+/// others.
+bool donor_is_tainted() noexcept;
+
+/// Looks up what clone_and_wait() uses and cannot look up. DonorThread does it.
+void prepare_clone();
+
+/// Whether processes can be made like that here: 0, or the errno that says why not. Makes one.
+int try_clone() noexcept;
+
+}  // namespace play_launch::isolation

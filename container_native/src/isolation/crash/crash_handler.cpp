@@ -1,0 +1,225 @@
+#include "isolation/crash/crash_handler.hpp"
+
+#include <cxxabi.h>
+#include <pthread.h>
+#include <signal.h>
+#include <sys/prctl.h>
+#include <sys/syscall.h>
+#include <sys/uio.h>
+#include <time.h>
+#include <ucontext.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <array>
+#include <cerrno>
+#include <cstdint>
+#include <cstdlib>
+#include <cstring>
+#include <exception>
+#include <memory>
+#include <typeinfo>
+
+#include "isolation/crash/throw_site.hpp"
+#include "isolation/quiesce/call_stack.hpp"
+#include "isolation/quiesce/code_map.hpp"
+#include "isolation/quiesce/quiesce.hpp"
+#include "isolation/record/own_signals.hpp"
+
+namespace play_launch::isolation {
+namespace {
+
+constexpr std::array kFaults{SIGSEGV, SIGBUS, SIGFPE, SIGILL, SIGABRT};
+constexpr std::array kRequests{SIGTERM, SIGINT};
+
+std::terminate_handler terminate_before = nullptr;
+
+std::uint64_t time_ns(clockid_t clock) noexcept {
+  constexpr std::uint64_t kPerSecond = 1'000'000'000;
+  timespec time{};
+  ::clock_gettime(clock, &time);
+  return static_cast<std::uint64_t>(time.tv_sec) * kPerSecond +
+         static_cast<std::uint64_t>(time.tv_nsec);
+}
+
+void set_default(int signal) noexcept {
+  struct sigaction action{};
+  action.sa_handler = SIG_DFL;
+  ::sigaction(signal, &action, nullptr);
+}
+
+/// From a handler: the process dies of the signal when the handler returns, in the interrupted
+/// place and with the interrupted registers, so that a core shows the fault and not the handler.
+void die_in_place(int signal, siginfo_t& info, void* context) noexcept {
+  set_default(signal);
+  // Again as it came, instead of leaving it to the instruction to fault again: blocked while the
+  // handler runs, it waits for the return.
+  ::syscall(SYS_rt_tgsigqueueinfo, ::getpid(), ::gettid(), signal, &info);
+  sigdelset(&static_cast<ucontext_t*>(context)->uc_sigmask, signal);
+}
+
+bool was_sent(const siginfo_t& info) noexcept { return info.si_code <= 0; }
+
+bool is_deadline(const siginfo_t& info, const ChildRecord& child) noexcept {
+  return info.si_code == SI_TIMER && info.si_value.sival_ptr == &child;
+}
+
+bool is_request(int signal, const siginfo_t& info) noexcept {
+  return std::find(kRequests.begin(), kRequests.end(), signal) != kRequests.end() ||
+         (was_sent(info) && info.si_pid != ::getpid());
+}
+
+void leave(ChildRecord& child, int signal, const siginfo_t& info) noexcept {
+  CrashSlot& slot = *child.slot;
+  int none = 0;
+  if (slot.stop_signal.compare_exchange_strong(none, signal)) {
+    slot.stop_sender = was_sent(info) ? info.si_pid : 0;
+    ChildPhase running = ChildPhase::running;
+    slot.phase.compare_exchange_strong(running, ChildPhase::leaving);
+    signal_self_after(child.options.leave_limit, signal, &child);
+  }
+  child.program->cancel();
+}
+
+void fill(CrashSlot& slot, int signal, const siginfo_t& info, void* context) noexcept {
+  slot.crash_time_ns = time_ns(CLOCK_MONOTONIC);
+  slot.crash_wall_time_ns = time_ns(CLOCK_REALTIME);
+  slot.signal = signal;
+  slot.code = info.si_code;
+  if (was_sent(info)) {
+    slot.sender = info.si_code == SI_TIMER ? 0 : info.si_pid;
+  } else {
+    slot.fault_address = reinterpret_cast<std::uintptr_t>(info.si_addr);
+  }
+  ::prctl(PR_GET_NAME, slot.thread_name.data());
+  const CallStack stack = interrupted_call_stack(context);
+  std::transform(stack.frames.begin(), stack.frames.begin() + stack.count, slot.frames.begin(),
+                 [](const Frame& frame) { return frame.address; });
+  slot.program_counter = slot.frames[0];
+  slot.frame_count = static_cast<std::uint32_t>(stack.count);
+  slot.inside = !judge(stack, Caution::lenient).harmless;
+}
+
+void crash(ChildRecord& child, int signal, const siginfo_t& info, void* context) noexcept {
+  claim_end(child);
+  CrashSlot& slot = *child.slot;
+  slot.phase = ChildPhase::crashed;
+  fill(slot, signal, info, context);
+  slot.thread = ::gettid();
+  child.program->crashed();
+  quiesce(child);
+  if (!slot.inside) {
+    child.threads.rest();
+  }
+  slot.phase = ChildPhase::dying;
+}
+
+extern "C" void on_crash_signal(int signal, siginfo_t* info, void* context) {
+  const int error = errno;
+  ChildRecord* const child = current_child();
+  if (child == nullptr) {
+    die_in_place(signal, *info, context);  // a process that a node forked
+  } else if (child->options.dies_abruptly || is_deadline(*info, *child) ||
+             !is_request(signal, *info)) {
+    crash(*child, signal, *info, context);
+    die_in_place(signal, *info, context);
+  } else {
+    leave(*child, signal, *info);
+  }
+  errno = error;
+}
+
+template <std::size_t size>
+void copy_text(std::array<char, size>& to, const char* from) noexcept {
+  const std::size_t length = std::min(std::strlen(from), size - 1);
+  std::copy_n(from, length, to.data());
+  to[length] = '\0';
+}
+
+void note_exception(CrashSlot& slot) {
+  const std::type_info* const type = abi::__cxa_current_exception_type();
+  if (type == nullptr) {
+    return;
+  }
+  int status = 0;
+  const std::unique_ptr<char, decltype(&std::free)> name(
+      abi::__cxa_demangle(type->name(), nullptr, nullptr, &status), &std::free);
+  copy_text(slot.exception_type, status == 0 ? name.get() : type->name());
+  const std::exception_ptr exception = std::current_exception();
+  // What it points to is the object, in this C++ library and in LLVM's.
+  const void* const object = *reinterpret_cast<void* const*>(&exception);
+  slot.throw_frame_count = throw_site(object, slot.throw_frames);
+  try {
+    throw;
+  } catch (const std::exception& error) {
+    copy_text(slot.exception_text, error.what());
+  } catch (...) {
+  }
+}
+
+iovec piece(const char* text) { return {const_cast<char*>(text), std::strlen(text)}; }
+
+/// Instead of the C++ library's handler, which remembers in the memory that all share that it has
+/// been called, and from the second death on says nothing else.
+[[noreturn]] void on_terminate() {
+  ChildRecord* const child = current_child();
+  if (child == nullptr && terminate_before != nullptr) {
+    terminate_before();
+  }
+  if (child != nullptr && child->ender == 0) {
+    CrashSlot& slot = *child->slot;
+    note_exception(slot);
+    std::array<char, 16> name{};
+    ::prctl(PR_GET_NAME, name.data());
+    const bool thrown = slot.exception_type[0] != '\0';
+    const std::array<iovec, 7> line{
+        piece(name.data()),
+        piece(": std::terminate() was called"),
+        piece(thrown ? " for an exception of type " : ""),
+        piece(slot.exception_type.data()),
+        piece(slot.exception_text[0] != '\0' ? ": " : ""),
+        piece(slot.exception_text.data()),
+        piece("\n"),
+    };
+    [[maybe_unused]] const ssize_t written =
+        ::writev(STDERR_FILENO, line.data(), static_cast<int>(line.size()));
+  }
+  std::abort();
+}
+
+}  // namespace
+
+void prepare_crash_handling() {
+  prepare_call_stack();
+  prepare_code_map();
+  prepare_throw_sites();
+  const std::terminate_handler before = std::set_terminate(on_terminate);
+  if (before != on_terminate) {
+    terminate_before = before;
+  }
+}
+
+void install_crash_handlers() noexcept {
+  struct sigaction action{};
+  action.sa_sigaction = on_crash_signal;
+  action.sa_flags = SA_SIGINFO | SA_RESTART | SA_ONSTACK;
+  // Whatever faults in a handler kills at once; whatever else comes waits for the end.
+  sigfillset(&action.sa_mask);
+  for (const int signal : kFaults) {
+    ::sigaction(signal, &action, nullptr);
+  }
+  for (const int signal : kRequests) {
+    ::sigaction(signal, &action, nullptr);
+  }
+  install_park_handler();
+}
+
+void claim_end(ChildRecord& child) noexcept {
+  pid_t nobody = 0;
+  const pid_t self = ::gettid();
+  if (!child.ender.compare_exchange_strong(nobody, self) && nobody != self) {
+    park(child, false);
+  }
+}
+
+}  // namespace play_launch::isolation

@@ -1,0 +1,27 @@
+#pragma once
+
+#include "isolation/record/child_record.hpp"
+
+namespace play_launch::isolation {
+
+/// Once, in the container, before the first child: loads what handlers use and cannot load, and
+/// sets a terminate handler that notes in a child's slot which exception it was.
+void prepare_crash_handling();
+
+/// In a child's first thread: installs its handlers.
+///
+/// SIGSEGV, SIGBUS, SIGFPE, SIGILL and SIGABRT that the child caused itself: the slot gets time,
+/// registers and return addresses, the other threads are quiesced, and the child dies of that very
+/// signal in the place where it happened, dumping core where that is on. A fault in a handler kills
+/// at once. Any of these signals from another process, and SIGTERM and SIGINT from anybody, are a
+/// request: ChildProgram::cancel() is called, and the child dies of the signal when run() returned
+/// or ChildOptions::leave_limit is over.
+///
+/// A node may install handlers of its own for all of them; they are its own process's.
+void install_crash_handlers() noexcept;
+
+/// In a child: makes the calling thread the one that ends it. If another one is at it already, this
+/// one is parked for good.
+void claim_end(ChildRecord& child) noexcept;
+
+}  // namespace play_launch::isolation

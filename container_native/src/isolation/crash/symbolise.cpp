@@ -1,0 +1,196 @@
+#include "isolation/crash/symbolise.hpp"
+
+#include <cxxabi.h>
+#include <dlfcn.h>
+#include <link.h>
+#include <signal.h>
+#include <string.h>
+
+#include <array>
+#include <cstdio>
+#include <cstdlib>
+#include <map>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <utility>
+
+#include "base/elf_symbols.hpp"
+
+namespace play_launch::isolation {
+namespace {
+
+std::string hex(std::uintptr_t value) {
+  std::array<char, 2 + 16 + 1> text{};
+  std::snprintf(text.data(), text.size(), "0x%lx", static_cast<unsigned long>(value));
+  return text.data();
+}
+
+std::string demangled(const char* name) {
+  int status = 0;
+  const std::unique_ptr<char, decltype(&std::free)> text(
+      abi::__cxa_demangle(name, nullptr, nullptr, &status), &std::free);
+  return status == 0 ? text.get() : name;
+}
+
+std::string base_name(const std::string& path) { return path.substr(path.rfind('/') + 1); }
+
+/// What was looked up before: a node that crashes again mostly does so where it did. Libraries stay
+/// loaded, so that an address keeps its meaning.
+class Memory {
+ public:
+  std::string describe(std::uintptr_t address, bool is_return_address);
+
+ private:
+  static constexpr std::size_t kMostFrames = 4096;
+
+  std::mutex mutex_;  // guards what follows
+  std::map<std::string, ElfSymbols> files_;
+  std::map<std::pair<std::uintptr_t, bool>, std::string> frames_;
+
+  std::string look_up(std::uintptr_t address, bool is_return_address);
+};
+
+std::string Memory::describe(std::uintptr_t address, bool is_return_address) {
+  const std::lock_guard lock(mutex_);
+  const auto known = frames_.find({address, is_return_address});
+  if (known != frames_.end()) {
+    return known->second;
+  }
+  std::string text = look_up(address, is_return_address);
+  // Without a library it may belong to one that is loaded later.
+  if (text != hex(address) && frames_.size() < kMostFrames) {
+    frames_.emplace(std::pair(address, is_return_address), text);
+  }
+  return text;
+}
+
+std::string Memory::look_up(std::uintptr_t address, bool is_return_address) {
+  // A return address may belong to what follows the call's function.
+  const std::uintptr_t inside = is_return_address ? address - 1 : address;
+  Dl_info place{};
+  link_map* library = nullptr;
+  if (::dladdr1(reinterpret_cast<void*>(inside), &place, reinterpret_cast<void**>(&library),
+                RTLD_DL_LINKMAP) == 0 ||
+      library == nullptr || place.dli_fname == nullptr) {
+    return hex(address);
+  }
+  const bool is_program = library->l_name == nullptr || library->l_name[0] == '\0';
+  const std::string path = is_program ? "/proc/self/exe" : place.dli_fname;
+  std::string function;
+  std::uintptr_t offset = 0;
+  if (place.dli_sname != nullptr) {
+    function = demangled(place.dli_sname);
+    offset = address - reinterpret_cast<std::uintptr_t>(place.dli_saddr);
+  } else {
+    const ElfSymbols& symbols = files_.try_emplace(path, path).first->second;
+    if (const auto found = symbols.function_at(inside - library->l_addr)) {
+      function = demangled(found->name.c_str());
+      offset = found->offset + (address - inside);
+    }
+  }
+  const std::string where = base_name(place.dli_fname) + "+" + hex(address - library->l_addr);
+  return function.empty() ? where : function + "+" + hex(offset) + " (" + where + ")";
+}
+
+struct CodeText {
+  int signal;
+  int code;
+  const char* text;
+};
+
+/// What the kernel says about a fault, beside its address.
+constexpr std::array kCodes{
+    CodeText{SIGSEGV, SEGV_MAPERR, "no memory"},
+    CodeText{SIGSEGV, SEGV_ACCERR, "access not allowed"},
+    CodeText{SIGBUS, BUS_ADRALN, "misaligned access"},
+    CodeText{SIGBUS, BUS_ADRERR, "nothing behind the mapping"},
+    CodeText{SIGBUS, BUS_OBJERR, "hardware error"},
+    CodeText{SIGFPE, FPE_INTDIV, "integer division by zero"},
+    CodeText{SIGFPE, FPE_INTOVF, "integer overflow"},
+    CodeText{SIGFPE, FPE_FLTDIV, "floating-point division by zero"},
+    CodeText{SIGFPE, FPE_FLTINV, "invalid floating-point operation"},
+    CodeText{SIGILL, ILL_ILLOPC, "illegal instruction"},
+    CodeText{SIGILL, ILL_ILLOPN, "illegal instruction"},
+};
+
+std::string describe_fault(const CrashSlot& slot) {
+  if (slot.code == SI_TIMER) {
+    return "it did not leave in time after the signal";
+  }
+  if (slot.exception_type[0] != '\0') {
+    const std::string text = slot.exception_text.data();
+    return "uncaught exception " + std::string(slot.exception_type.data()) +
+           (text.empty() ? "" : ": " + text);
+  }
+  if (slot.code <= 0) {
+    return slot.signal == SIGABRT ? "abort() was called" : "the node sent it to itself";
+  }
+  if (slot.signal == SIGSEGV && slot.code == SI_KERNEL) {
+    return "access to an address that no memory can have";
+  }
+  for (const CodeText& known : kCodes) {
+    if (known.signal == slot.signal && known.code == slot.code) {
+      return std::string(known.text) + " at address " + hex(slot.fault_address);
+    }
+  }
+  return "code " + std::to_string(slot.code) + " at address " + hex(slot.fault_address);
+}
+
+std::string describe_signal(const ChildEnd& end, const CrashSlot& slot) {
+  std::string text = signal_name(end.signal);
+  if (slot.thread != 0 && slot.signal == end.signal) {
+    text += " (" + describe_fault(slot) + ") in thread '" + slot.thread_name.data() + "'";
+  } else if (slot.stop_signal == end.signal) {
+    text += " (sent by process " + std::to_string(slot.stop_sender) + ")";
+  }
+  return text;
+}
+
+}  // namespace
+
+std::vector<std::string> symbolise(const CrashSlot& slot) {
+  std::vector<std::string> lines;
+  if (slot.thread == 0) {
+    return lines;
+  }
+  static Memory memory;
+  const bool thrown = slot.throw_frame_count > 0;
+  const auto& frames = thrown ? slot.throw_frames : slot.frames;
+  const std::uint32_t count = thrown ? slot.throw_frame_count : slot.frame_count;
+  for (std::uint32_t i = 0; i < count; ++i) {
+    const bool is_return_address = thrown || i > 0;
+    lines.push_back("#" + std::to_string(i) + " " + memory.describe(frames[i], is_return_address));
+  }
+  return lines;
+}
+
+std::string signal_name(int signal) {
+  const char* const name = ::sigabbrev_np(signal);
+  return name != nullptr ? std::string("SIG") + name : "signal " + std::to_string(signal);
+}
+
+std::string describe_end(const ChildEnd& end, const CrashSlot& slot) {
+  if (end.error != 0) {
+    return std::string("no process: ") + ::strerror(end.error);
+  }
+  std::string text;
+  if (end.signal != 0) {
+    text = describe_signal(end, slot);
+  } else {
+    text = "exit status " + std::to_string(end.exit_code);
+    if (slot.exit_called) {
+      text += " (exit() was called)";
+    }
+  }
+  if (slot.inside) {
+    text += "; it died inside the middleware or the allocator, and may hold a lock there";
+  }
+  if (slot.threads_not_parked > 0) {
+    text += "; " + std::to_string(slot.threads_not_parked) +
+            " of its threads could not be stopped in a harmless place";
+  }
+  return text;
+}
+
+}  // namespace play_launch::isolation

@@ -1,0 +1,24 @@
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "isolation/record/child_end.hpp"
+#include "isolation/record/crash_slot.hpp"
+
+namespace play_launch::isolation {
+
+/// One line per frame of the slot, such as "#1 demo::Talker::tick()+0x2e (libdemo.so+0x51ae)":
+/// function and offset where the library tells it, library and offset always. To be called in the
+/// container, not on a donor, when CrashSlot::thread is set. Remembers what it has looked up.
+std::vector<std::string> symbolise(const CrashSlot& slot);
+
+/// "SIGSEGV (no memory at address 0x0) in thread 'executor'", "exit status 3 (exit() was called)",
+/// "SIGKILL" and so on, with a remark when threads could not be quiesced. To be called after the
+/// child's death.
+std::string describe_end(const ChildEnd& end, const CrashSlot& slot);
+
+/// "SIGSEGV"; "signal 77" for a number without a name.
+std::string signal_name(int signal);
+
+}  // namespace play_launch::isolation

@@ -1,0 +1,17 @@
+// Defines pthread_cond_destroy() for the whole program, as exit_guard.cpp does with exit(). The C
+// library's waits until every thread that sleeps in the variable has left it, which threads of a
+// dead child never do. So a child that cleans up after a dead one does not destroy condition
+// variables; they own nothing.
+
+#include <dlfcn.h>
+#include <pthread.h>
+
+#include "isolation/record/child_record.hpp"
+
+extern "C" [[gnu::visibility("default")]] int pthread_cond_destroy(
+    pthread_cond_t* condition) noexcept {
+  using Destroy = int (*)(pthread_cond_t*);
+  static const auto destroy = reinterpret_cast<Destroy>(::dlsym(RTLD_NEXT, "pthread_cond_destroy"));
+  const auto* const child = play_launch::isolation::current_child();
+  return child != nullptr && child->after_death ? 0 : destroy(condition);
+}

@@ -1,0 +1,77 @@
+#include "isolation/overrides/exit_guard.hpp"
+
+#include <dlfcn.h>
+#include <pthread.h>
+#include <sys/syscall.h>
+#include <unistd.h>
+
+#include <cstdlib>
+
+#include "isolation/crash/crash_handler.hpp"
+#include "isolation/quiesce/quiesce.hpp"
+#include "isolation/record/child_record.hpp"
+
+namespace play_launch::isolation {
+namespace {
+
+[[noreturn]] void end_child(ChildRecord& child, int status) noexcept {
+  claim_end(child);
+  CrashSlot& slot = *child.slot;
+  slot.exit_called = true;
+  slot.exit_status = status;
+  slot.phase = ChildPhase::exiting;
+  quiesce(child);
+  child.threads.rest();
+  slot.phase = ChildPhase::dying;
+  while (true) {
+    ::syscall(SYS_exit_group, status);
+  }
+}
+
+template <class Function>
+Function next(const char* name) {
+  return reinterpret_cast<Function>(::dlsym(RTLD_NEXT, name));
+}
+
+}  // namespace
+
+bool exit_guard_is_effective() noexcept {
+  return ::dlsym(RTLD_DEFAULT, "exit") == reinterpret_cast<void*>(&::exit);
+}
+
+}  // namespace play_launch::isolation
+
+using play_launch::isolation::ChildRecord;
+using play_launch::isolation::current_child;
+using play_launch::isolation::end_child;
+using play_launch::isolation::next;
+
+extern "C" {
+
+[[noreturn, gnu::visibility("default")]] void exit(int status) noexcept {
+  if (ChildRecord* const child = current_child()) {
+    end_child(*child, status);
+  }
+  next<void (*)(int)>("exit")(status);
+  std::abort();
+}
+
+[[noreturn, gnu::visibility("default")]] void quick_exit(int status) noexcept {
+  if (ChildRecord* const child = current_child()) {
+    end_child(*child, status);
+  }
+  next<void (*)(int)>("quick_exit")(status);
+  std::abort();
+}
+
+[[noreturn, gnu::visibility("default")]] void pthread_exit(void* result) {
+  ChildRecord* const child = current_child();
+  // The first thread only lends its name to a thread of the container, which must not end here.
+  if (child != nullptr && ::gettid() == ::getpid()) {
+    end_child(*child, 0);
+  }
+  next<void (*)(void*)>("pthread_exit")(result);
+  std::abort();
+}
+
+}  // extern "C"

@@ -1,0 +1,365 @@
+#include "isolation/quiesce/code_map.hpp"
+
+#include <dlfcn.h>
+#include <link.h>
+
+#include <algorithm>
+#include <array>
+#include <cstring>
+#include <initializer_list>
+#include <string_view>
+
+namespace play_launch::isolation {
+namespace {
+
+using namespace std::string_view_literals;
+
+enum class Place {
+  neutral,   // decided by who called it
+  header,    // likewise: from the C++ library's headers
+  unnamed,   // a function of a node or of this program that is not exported
+  harmless,  // no lock of others is held here
+  inside,    // maybe one is
+};
+
+struct Range {
+  std::uintptr_t begin = 0;
+  std::uintptr_t end = 0;
+
+  bool contains(std::uintptr_t address) const { return begin <= address && address < end; }
+};
+
+/// Libraries whose name begins so have locks that all nodes share.
+constexpr std::array kShared{
+    "libfast"sv,         "librmw"sv,
+    "librcl"sv,          "librosidl"sv,
+    "librcutils"sv,      "librcpputils"sv,
+    "libplay_launch_"sv, "libcomponent_"sv,
+    "libclass_loader"sv, "libament_"sv,
+    "libtracetools"sv,   "liblttng"sv,
+    "libspdlog"sv,       "libyaml"sv,
+    "libmimalloc"sv,     "libjemalloc"sv,
+    "libtcmalloc"sv,     "libddsc"sv,
+    "libcyclonedds"sv,   "libiceoryx"sv,
+    "libzenoh"sv,        "libfoonathan_"sv,
+    "ld-linux"sv,        "ld.so"sv,
+    "libstatistics_"sv,  "libconsole_bridge"sv,
+};
+/// The demonstration's components are a user's, not the SDK.
+constexpr std::array kNotShared{"libplay_launch_demo"sv};
+/// Message libraries: libstd_msgs__rosidl_typesupport_cpp.so.
+constexpr std::string_view kGeneratedCode = "__rosidl_";
+
+constexpr std::array kCppRuntime{"libstdc++"sv, "libgcc_s"sv, "libm.so"sv, "libm-"sv,
+                                 "linux-vdso"sv};
+constexpr std::array kCLibrary{"libc.so"sv, "libc-"sv, "libpthread"sv};
+
+/// Functions that templates of the middleware become in somebody's library; while they run they may
+/// hold the locks of delivery by pointer.
+constexpr std::array kTemplates{"_ZN6rclcpp"sv, "_ZNK6rclcpp"sv, "_ZN11play_launch"sv,
+                                "_ZNK11play_launch"sv};
+
+/// Functions from the C++ library's headers that were not merged into who called them, such as
+/// those of locks and containers: that one decides.
+constexpr std::array kCppHeaders{"_ZSt"sv, "_ZNSt"sv, "_ZNKSt"sv, "_ZN9__gnu_cxx"sv,
+                                 "_ZNK9__gnu_cxx"sv};
+/// But these call what users wrote, which is often merged into them.
+constexpr std::array kCallers{"_ZNSt17_Function_handler"sv, "_ZNSt6thread11_State_impl"sv,
+                              "_ZNSt13__future_base"sv};
+
+struct Landmarks {
+  std::array<Range, 3> c_library_inside{};  // allocator, stdio, starting of threads
+  // What takes and gives back locks: the one that called it may be out of the picture already, as
+  // the last thing that a function does is often a jump.
+  std::array<Range, 4> c_library_locks{};
+  Range join;  // std::thread::join()
+};
+Landmarks landmarks;
+
+template <std::size_t size>
+bool begins_with_any(std::string_view text, const std::array<std::string_view, size>& prefixes) {
+  return std::any_of(prefixes.begin(), prefixes.end(),
+                     [text](std::string_view prefix) { return text.starts_with(prefix); });
+}
+
+std::string_view base_name(const char* path) {
+  const std::string_view text = path == nullptr ? "" : path;
+  return text.substr(text.rfind('/') + 1);
+}
+
+/// The dynamic symbols of a library, as the loader sees them.
+class DynamicSymbols {
+ public:
+  explicit DynamicSymbols(const link_map& library) : base_(library.l_addr) {
+    for (const ElfW(Dyn)* entry = library.l_ld; entry != nullptr && entry->d_tag != DT_NULL;
+         ++entry) {
+      switch (entry->d_tag) {
+        case DT_SYMTAB:
+          symbols_ = reinterpret_cast<const ElfW(Sym)*>(entry->d_un.d_ptr);
+          break;
+        case DT_STRTAB:
+          names_ = reinterpret_cast<const char*>(entry->d_un.d_ptr);
+          break;
+        case DT_GNU_HASH:
+          count_ = count_of(reinterpret_cast<const std::uint32_t*>(entry->d_un.d_ptr));
+          break;
+        default:
+          break;
+      }
+    }
+  }
+
+  /// Name of the function at the address; empty when none is exported there.
+  std::string_view function_at(std::uintptr_t address) const {
+    const std::uintptr_t offset = address - base_;
+    const ElfW(Sym)* const symbol = best([offset](const ElfW(Sym) & candidate, const ElfW(Sym)*) {
+      return candidate.st_value <= offset && offset < candidate.st_value + candidate.st_size;
+    });
+    return symbol == nullptr ? std::string_view() : names_ + symbol->st_name;
+  }
+
+  /// Address of an exported function; 0 when there is none.
+  std::uintptr_t find(std::string_view name) const {
+    const ElfW(Sym)* const symbol =
+        best([name, this](const ElfW(Sym) & candidate, const ElfW(Sym)*) {
+          return name == names_ + candidate.st_name;
+        });
+    return symbol == nullptr ? 0 : base_ + symbol->st_value;
+  }
+
+  /// Where the code between two exported functions begins, which is that of functions without an
+  /// exported name: the end of the last exported one before the address.
+  std::uintptr_t gap_before(std::uintptr_t address) const {
+    const std::uintptr_t offset = address - base_;
+    const ElfW(Sym)* const symbol =
+        best([offset](const ElfW(Sym) & candidate, const ElfW(Sym) * before) {
+          return candidate.st_value < offset &&
+                 (before == nullptr || candidate.st_value > before->st_value);
+        });
+    return symbol == nullptr ? address : base_ + symbol->st_value + symbol->st_size;
+  }
+
+  /// Where the next exported function begins.
+  std::uintptr_t gap_after(std::uintptr_t address) const {
+    const std::uintptr_t offset = address - base_;
+    const ElfW(Sym)* const symbol =
+        best([offset](const ElfW(Sym) & candidate, const ElfW(Sym) * before) {
+          return candidate.st_value > offset &&
+                 (before == nullptr || candidate.st_value < before->st_value);
+        });
+    return symbol == nullptr ? address : base_ + symbol->st_value;
+  }
+
+ private:
+  /// The last function for which better(it, the one before it) held.
+  template <class Better>
+      const ElfW(Sym) * best(Better better) const {
+    const ElfW(Sym)* chosen = nullptr;
+    for (std::size_t i = 0; symbols_ != nullptr && names_ != nullptr && i < count_; ++i) {
+      const ElfW(Sym)& symbol = symbols_[i];
+      const auto type = ELF64_ST_TYPE(symbol.st_info);
+      if (symbol.st_shndx != SHN_UNDEF && (type == STT_FUNC || type == STT_GNU_IFUNC) &&
+          better(symbol, chosen)) {
+        chosen = &symbol;
+      }
+    }
+    return chosen;
+  }
+
+  /// The table does not tell its length: one more than the highest index in its hash table.
+  static std::size_t count_of(const std::uint32_t* hash) {
+    const std::uint32_t buckets = hash[0];
+    const std::uint32_t first = hash[1];
+    const std::uint32_t bloom_words = hash[2];
+    const std::uint32_t* const bucket = hash + 4 + bloom_words * (sizeof(ElfW(Addr)) / 4);
+    const std::uint32_t* const chain = bucket + buckets;
+    const std::uint32_t last = buckets == 0 ? 0 : *std::max_element(bucket, bucket + buckets);
+    if (last < first) {
+      return first;
+    }
+    std::size_t index = last;
+    while ((chain[index - first] & 1) == 0) {
+      ++index;
+    }
+    return index + 1;
+  }
+
+  std::uintptr_t base_;
+  const ElfW(Sym) * symbols_ = nullptr;
+  const char* names_ = nullptr;
+  std::size_t count_ = 0;
+};
+
+/// The code of some functions that are linked next to each other, and of what was compiled together
+/// with them.
+Range code_of(const DynamicSymbols& library, std::initializer_list<std::string_view> functions) {
+  constexpr std::uintptr_t kImplausible = 1 << 20;
+  Range range{~std::uintptr_t{0}, 0};
+  for (const std::string_view name : functions) {
+    if (const std::uintptr_t address = library.find(name)) {
+      range.begin = std::min(range.begin, library.gap_before(address));
+      range.end = std::max(range.end, library.gap_after(address));
+    }
+  }
+  return range.end <= range.begin || range.end - range.begin > kImplausible ? Range{} : range;
+}
+
+#if defined(__x86_64__)
+constexpr std::array<unsigned char, 2> kSystemCall{0x0f, 0x05};
+#else
+constexpr std::array<unsigned char, 4> kSystemCall{0x01, 0x00, 0x00, 0xd4};
+#endif
+
+bool before_system_call(std::uintptr_t address) {
+  return std::memcmp(reinterpret_cast<const void*>(address), kSystemCall.data(),
+                     kSystemCall.size()) == 0;
+}
+
+/// A thread blocked in a system call is interrupted before it (to be made again) or behind it.
+bool at_system_call(std::uintptr_t address) {
+  return before_system_call(address) || before_system_call(address - kSystemCall.size());
+}
+
+/// A jump from a library to a function of another one, with which unlocking often begins.
+bool in_call_stub(std::uintptr_t address) {
+#if defined(__x86_64__)
+  const auto begins_with = [address](std::initializer_list<unsigned char> bytes) {
+    return std::memcmp(reinterpret_cast<const void*>(address), bytes.begin(), bytes.size()) == 0;
+  };
+  return begins_with({0xf3, 0x0f, 0x1e, 0xfa}) ||  // endbr64
+         begins_with({0xff, 0x25}) ||              // jmp through a table
+         begins_with({0xf2, 0xff, 0x25}) ||        // bnd jmp
+         begins_with({0x68}) ||                    // push of an index, before the first call
+         begins_with({0xff, 0x35});                // push of the table, likewise
+#else
+  std::uint32_t instruction = 0;
+  std::memcpy(&instruction, reinterpret_cast<const void*>(address), sizeof instruction);
+  return (instruction & 0x9f00001f) == 0x90000010 ||  // adrp x16
+         (instruction & 0xffc003ff) == 0xf9400211 ||  // ldr x17, [x16, ...]
+         (instruction & 0xffc003ff) == 0x91000210 ||  // add x16, x16, ...
+         instruction == 0xd61f0220;                   // br x17
+#endif
+}
+
+template <std::size_t size>
+bool is_in_any(std::uintptr_t address, const std::array<Range, size>& ranges) {
+  return std::any_of(ranges.begin(), ranges.end(),
+                     [address](const Range& range) { return range.contains(address); });
+}
+
+Place in_c_library(std::uintptr_t address, bool innermost, bool wakes_others, Caution caution) {
+  if (is_in_any(address, landmarks.c_library_inside)) {
+    return Place::inside;
+  }
+  if (innermost && wakes_others && before_system_call(address)) {
+    // The kernel never asks for a wake a second time, so this one is still to come. What the
+    // thread held is free by now, but who waits for it would sleep for ever.
+    return Place::inside;
+  }
+  const bool running = innermost && !at_system_call(address);
+  if (running && (caution == Caution::careful || is_in_any(address, landmarks.c_library_locks))) {
+    return Place::inside;
+  }
+  return Place::neutral;
+}
+
+Place place_of(const CallStack& stack, std::size_t frame, Caution caution) {
+  const bool innermost = frame == 0;
+  // A return address may already be the next function's: a call can be the last of its caller.
+  const std::uintptr_t address = stack.frames[frame].address - (innermost ? 0 : 1);
+  if (landmarks.join.contains(address)) {
+    return Place::harmless;
+  }
+  dl_find_object object{};
+  if (::_dl_find_object(reinterpret_cast<void*>(address), &object) != 0) {
+    // Generated code, or a wild jump: whatever called it decides.
+    return Place::neutral;
+  }
+  const link_map& library = *object.dlfo_link_map;
+  const std::string_view name = base_name(library.l_name);
+  const bool is_program = name.empty();
+  if (begins_with_any(name, kCLibrary)) {
+    return in_c_library(address, innermost, stack.wakes_others, caution);
+  }
+  if (begins_with_any(name, kCppRuntime)) {
+    return Place::neutral;
+  }
+  if (name.find(kGeneratedCode) != std::string_view::npos ||
+      (begins_with_any(name, kShared) && !begins_with_any(name, kNotShared))) {
+    return Place::inside;
+  }
+  if (innermost && in_call_stub(address)) {
+    return Place::inside;
+  }
+  const std::string_view function = DynamicSymbols(library).function_at(address);
+  if (function.empty()) {
+    return Place::unnamed;
+  }
+  if (begins_with_any(function, kCppHeaders)) {
+    return begins_with_any(function, kCallers) ? Place::harmless : Place::header;
+  }
+  // This program is no node's, and keeps children away from its own locks.
+  return !is_program && begins_with_any(function, kTemplates) ? Place::inside : Place::harmless;
+}
+
+}  // namespace
+
+void prepare_code_map() {
+  if (void* const library = ::dlopen("libc.so.6", RTLD_NOW | RTLD_NOLOAD)) {
+    const DynamicSymbols symbols(*static_cast<const link_map*>(library));
+    landmarks.c_library_inside = {
+        code_of(symbols,
+                {"malloc", "free", "calloc", "realloc", "memalign", "aligned_alloc",
+                 "posix_memalign", "malloc_trim", "malloc_usable_size", "mallopt", "malloc_info"}),
+        code_of(symbols, {"printf", "fprintf", "vfprintf", "fopen", "fclose", "fflush", "fputs",
+                          "puts", "fwrite", "_IO_file_write", "_IO_file_xsputn"}),
+        code_of(symbols, {"pthread_create"})};
+    landmarks.c_library_locks = {
+        code_of(symbols, {"pthread_mutex_lock", "pthread_mutex_trylock", "pthread_mutex_timedlock",
+                          "pthread_mutex_clocklock", "pthread_mutex_unlock"}),
+        code_of(symbols,
+                {"pthread_rwlock_rdlock", "pthread_rwlock_wrlock", "pthread_rwlock_tryrdlock",
+                 "pthread_rwlock_trywrlock", "pthread_rwlock_timedrdlock",
+                 "pthread_rwlock_timedwrlock", "pthread_rwlock_unlock"}),
+        code_of(symbols, {"__lll_lock_wait_private", "__lll_lock_wake_private"}),
+        code_of(symbols, {"pthread_cond_signal", "pthread_cond_broadcast"})};
+    ::dlclose(library);
+  }
+  if (void* const library = ::dlopen("libstdc++.so.6", RTLD_NOW | RTLD_NOLOAD)) {
+    const DynamicSymbols symbols(*static_cast<const link_map*>(library));
+    landmarks.join = code_of(symbols, {"_ZNSt6thread4joinEv"});
+    ::dlclose(library);
+  }
+}
+
+Judgement judge(const CallStack& stack, Caution caution) noexcept {
+  Judgement judgement;
+  constexpr std::size_t kNone = CallStack::kMaxFrames;
+  std::size_t unnamed = kNone;  // the first of those in a row
+  for (std::size_t i = 0; i < stack.count; ++i) {
+    const Place place = place_of(stack, i, caution);
+    // Without optimisation, locking ends in some functions without a name, and is what called
+    // them; all others are the node's.
+    if (place == Place::unnamed) {
+      unnamed = std::min(unnamed, i);
+      continue;
+    }
+    if (unnamed != kNone && caution == Caution::lenient && place != Place::header) {
+      judgement.way_out = unnamed;
+      return judgement;
+    }
+    unnamed = kNone;
+    if (place == Place::harmless) {
+      judgement.way_out = i;
+      return judgement;
+    }
+    if (place == Place::inside) {
+      judgement.harmless = false;
+    }
+  }
+  const bool is_the_nodes = unnamed != kNone && caution == Caution::lenient;
+  judgement.way_out = is_the_nodes ? unnamed : stack.count;
+  return judgement;
+}
+
+}  // namespace play_launch::isolation

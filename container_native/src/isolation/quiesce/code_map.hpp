@@ -1,0 +1,34 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+#include "isolation/quiesce/call_stack.hpp"
+
+namespace play_launch::isolation {
+
+/// How to judge a thread of which too little can be seen: one that runs in the C library, where a
+/// function may hold one of many short locks, and one in a function without an exported name.
+enum class Caution {
+  careful,  // look again, it is soon done; ask who called the function
+  lenient,  // take it as harmless, but for the allocator, stdio and what starts threads
+};
+
+struct Judgement {
+  /// The thread holds nothing, as far as can be seen, that others wait for.
+  bool harmless = true;
+  /// If it is not: the first frame where it would be; the number of frames when there is none.
+  std::size_t way_out = 0;
+};
+
+/// Looks up the places in the C library that matter. Once, before the first child.
+void prepare_code_map();
+
+/// Decided by the innermost frame that is neither in the C nor the C++ library: whether it is in
+/// the middleware, an allocator or the loader, or in a template of rclcpp or of this SDK that was
+/// compiled into somebody's library. (Outer frames always are the middleware's: it calls the
+/// callbacks, without holding a lock.) A thread that waits for another one to end is harmless
+/// anywhere. Async-signal-safe.
+Judgement judge(const CallStack& stack, Caution caution) noexcept;
+
+}  // namespace play_launch::isolation

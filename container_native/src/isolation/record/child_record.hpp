@@ -1,0 +1,83 @@
+#pragma once
+
+#include <array>
+#include <atomic>
+#include <chrono>
+#include <cstddef>
+#include <cstdint>
+#include <string_view>
+
+#include "isolation/record/child_threads.hpp"
+#include "isolation/record/crash_slot.hpp"
+
+namespace play_launch::isolation {
+
+/// What a child does.
+class ChildProgram {
+ public:
+  virtual ~ChildProgram() = default;
+
+  /// In the child, in its first thread. What it returns becomes the exit status, unless a signal
+  /// asked the child to leave: then it dies of that signal. What it throws ends the child.
+  /// slot.pid and slot.start_time are set, signal handlers are installed, no signal is blocked.
+  virtual int run() = 0;
+
+  /// Makes run() return soon. Called in the child from a signal handler, in any of its threads, at
+  /// any time from before run() begins until after it returned, possibly more than once and in
+  /// several threads at once: async-signal-safe functions only, on nothing that run() destroys.
+  /// After a fault it is called as well, so that threads which run callbacks end; then run() must
+  /// call park_if_dying() wherever such a thread comes out.
+  virtual void cancel() noexcept = 0;
+
+  /// Called in a signal handler of the child when the slot tells of its crash (CrashSlot::thread is
+  /// set), some time before the death: whoever wants to look the backtrace up can begin.
+  virtual void crashed() noexcept {}
+};
+
+struct ChildOptions {
+  /// What `ps` and `top` show; cut after 15 bytes.
+  std::string_view name = "node";
+  /// SIGKILL after so long. Zero: no limit.
+  std::chrono::milliseconds time_limit{0};
+  /// From a signal that asks the child to leave (SIGTERM, SIGINT, or any crash signal that another
+  /// process sent) to its death of that signal, should run() not return.
+  std::chrono::milliseconds leave_limit{1000};
+  /// For bringing the other threads to a harmless place before the child dies of a fault.
+  std::chrono::milliseconds quiesce_limit{50};
+  /// Every signal that it handles ends it at once, with its other threads wherever they are. For
+  /// measuring what the care above is worth.
+  bool dies_abruptly = false;
+  /// Nobody minds should it hang until its time limit: living_children() leaves it out.
+  bool expendable = false;
+};
+
+/// At most so many children live at a time; more of them fail with EAGAIN.
+inline constexpr std::size_t kMaxChildren = 1024;
+
+/// A living child, as its own signal handlers see it.
+struct ChildRecord {
+  /// More threads than that are counted, but asked again each time.
+  static constexpr std::size_t kMaxParked = 512;
+
+  /// The child's pid in the table where current_child() looks; 0 before it began, and once dead.
+  std::atomic<pid_t>* registered_pid = nullptr;
+  ChildProgram* program = nullptr;
+  CrashSlot* slot = nullptr;
+  ChildOptions options;
+  /// A child before it on the same donor did not return: this one cleans up after it.
+  bool after_death = false;
+  /// The thread that ends the child: the first to crash, to call exit() or to return from run().
+  std::atomic<pid_t> ender{0};
+  /// The time for careful looks is over.
+  std::atomic<bool> impatient{false};
+  /// Threads that were parked, in order of arrival.
+  std::array<std::atomic<pid_t>, kMaxParked> parked{};
+  std::atomic<std::uint32_t> parked_count{0};
+  ChildThreads threads;
+};
+
+/// The child that calls this, in any of its threads; null in the container itself and in processes
+/// that were forked. Async-signal-safe.
+ChildRecord* current_child() noexcept;
+
+}  // namespace play_launch::isolation

@@ -1,0 +1,47 @@
+#include "isolation/record/own_signals.hpp"
+
+#include <signal.h>
+#include <sys/syscall.h>
+#include <time.h>
+#include <unistd.h>
+
+namespace play_launch::isolation {
+
+std::uint64_t exchange_signal_mask(std::uint64_t mask) noexcept {
+  std::uint64_t before = 0;
+  ::syscall(SYS_rt_sigprocmask, SIG_SETMASK, &mask, &before, sizeof mask);
+  return before;
+}
+
+void block_all_signals() noexcept { exchange_signal_mask(~std::uint64_t{0}); }
+void unblock_all_signals() noexcept { exchange_signal_mask(0); }
+
+bool signal_self_after(std::chrono::milliseconds limit, int signal, void* cookie) noexcept {
+  // Not through the C library, whose timer_create() may allocate.
+  sigevent event{};
+  event.sigev_notify = SIGEV_SIGNAL;
+  event.sigev_signo = signal;
+  event.sigev_value.sival_ptr = cookie;
+  int timer = 0;
+  if (::syscall(SYS_timer_create, CLOCK_MONOTONIC, &event, &timer) != 0) {
+    return false;
+  }
+  const auto seconds = std::chrono::duration_cast<std::chrono::seconds>(limit);
+  itimerspec time{};
+  time.it_value.tv_sec = seconds.count();
+  time.it_value.tv_nsec = std::chrono::nanoseconds(limit - seconds).count();
+  return ::syscall(SYS_timer_settime, timer, 0, &time, nullptr) == 0;
+}
+
+void die_of(int signal) noexcept {
+  block_all_signals();
+  struct sigaction action{};
+  action.sa_handler = SIG_DFL;
+  ::sigaction(signal, &action, nullptr);
+  ::syscall(SYS_tgkill, ::getpid(), ::gettid(), signal);
+  unblock_all_signals();
+  constexpr int kExitSignalled = 128;  // as shells say it; for a signal that ends nobody
+  ::_exit(kExitSignalled + signal);
+}
+
+}  // namespace play_launch::isolation

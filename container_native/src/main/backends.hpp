@@ -1,0 +1,17 @@
+#pragma once
+
+#include <memory>
+#include <vector>
+
+#include "components/component_backend.hpp"
+
+namespace play_launch::container {
+
+/// Every backend that this program was built with, and one context for all of them. `argv` is the
+/// command line. Throws std::exception. Once per process.
+std::vector<std::unique_ptr<ComponentBackend>> make_backends(int argc, const char* const* argv);
+
+/// Their names, for people and for the hello.
+std::vector<std::string> backend_names();
+
+}  // namespace play_launch::container

@@ -1,0 +1,193 @@
+#include "main/container_process.hpp"
+
+#include <rcl/context.h>
+#include <rmw/rmw.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <array>
+#include <chrono>
+#include <cstdio>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "base/failpoints.hpp"
+#include "base/report.hpp"
+#include "main/backends.hpp"
+#include "main/host_choice.hpp"
+
+namespace play_launch::container {
+namespace {
+
+using namespace std::chrono_literals;
+using Clock = std::chrono::steady_clock;
+
+constexpr const char* kDefaultName = "ComponentManager";
+
+// A supervisor that is gone cannot clean up after us: everything has to be gone within 1 s.
+constexpr auto kOrphanStopLimit = 600ms;
+constexpr auto kOrphanLifeLimit = 900ms;
+/// For a second request to stop.
+constexpr auto kHurriedStopLimit = 200ms;
+/// For taking the container itself apart, after its nodes.
+constexpr auto kTeardownLimit = 1s;
+/// For the supervisor to read the last events.
+constexpr auto kFlushLimit = 500ms;
+
+bool is_orphaned(StopCause cause) {
+  return cause == StopCause::closed || cause == StopCause::protocol_error;
+}
+
+int exit_code(StopCause cause) {
+  return cause == StopCause::protocol_error ? kExitProtocol : kExitOk;
+}
+
+std::string seconds_text(Clock::duration duration) {
+  std::array<char, 32> text{};
+  std::snprintf(text.data(), text.size(), "%.1f s",
+                std::chrono::duration<double>(duration).count());
+  return text.data();
+}
+
+}  // namespace
+
+ContainerProcess::ContainerProcess(const Options& options, int argc, const char* const* argv,
+                                   control::UniqueFd control_socket)
+    : options_(options), process_(identity_of(::getpid())) {
+  stop_.handle_signals();
+  if (control_socket) {
+    control_.emplace(std::move(control_socket), stop_, [this] {
+      watchdog_.arm(Clock::now() + kOrphanLifeLimit, kExitOk,
+                    "the supervisor is gone, and stopping takes too long: leaving");
+    });
+  }
+  start(argc, argv);
+}
+
+ContainerProcess::~ContainerProcess() = default;
+
+void ContainerProcess::start(int argc, const char* const* argv) {
+  std::vector<std::unique_ptr<ComponentBackend>> backends = make_backends(argc, argv);
+  context_ = backends.front()->context();
+  // The first node of the context, and the last to go: the participant and its threads come with
+  // it, and must not depend on what becomes of a component.
+  if (!options_.hosted) {
+    NodeOptions node_options;
+    node_options.context = context_;
+    node_ = std::make_shared<Node>(kDefaultName, node_options);
+  }
+  const std::size_t threads = choose_threads();
+  auto greeting = hello(threads, backend_names());
+  HostChoice choice = choose_host(options_, threads, std::move(backends));
+  greeting.mechanism = std::move(choice.mechanism);
+  greeting.notes = std::move(choice.notes);
+  host_ = std::move(choice.host);
+  manager_ = std::make_unique<ObservableComponentManager>(*host_, process_);
+  if (node_) {
+    ros_ = std::make_unique<RosInterface>(node_, *manager_, control_.has_value());
+  }
+  hit(Failpoint::before_hello);
+  if (control_) {
+    manager_->add_sink(*control_);
+    control_->open(*manager_, greeting);
+  }
+}
+
+std::size_t ContainerProcess::choose_threads() {
+  const auto parameter = node_ ? node_->declare_parameter<std::int64_t>("thread_num", 0) : 0;
+  if (parameter < 0 || parameter > static_cast<std::int64_t>(kMaxThreads)) {
+    throw UsageError("parameter thread_num is " + std::to_string(parameter) +
+                     ", expected a number from 0 to " + std::to_string(kMaxThreads) +
+                     " (0: one per CPU)");
+  }
+  if (!options_.multi_threaded) {
+    return 1;
+  }
+  const std::size_t asked = options_.thread_num.value_or(static_cast<std::size_t>(parameter));
+  return options_.isolated ? node_executor_threads(asked) : executor_threads(asked);
+}
+
+play_launch_msgs::msg::ControlHello ContainerProcess::hello(
+    std::size_t threads, std::vector<std::string> backends) const {
+  play_launch_msgs::msg::ControlHello hello;
+  hello.protocol_version = control::kProtocolVersion;
+  hello.version = PLAY_LAUNCH_VERSION;
+  hello.pid = process_.pid;
+  hello.start_time = process_.start_time;
+  hello.full_node_name = node_ ? node_->full_name() : "";
+  hello.mode = options_.mode();
+  hello.thread_num = static_cast<std::uint32_t>(threads);
+  hello.backends = std::move(backends);
+  hello.rmw_implementation = rmw_get_implementation_identifier();
+  std::size_t domain_id = 0;
+  if (rcl_context_get_domain_id(context_->rcl(), &domain_id) == RCL_RET_OK) {
+    hello.domain_id = static_cast<std::uint32_t>(domain_id);
+  }
+  return hello;
+}
+
+int ContainerProcess::run() {
+  while (stop_.cause() == StopCause::none) {
+    stop_.wait();
+  }
+  stop_nodes();
+  const int status = exit_code(stop_.cause());
+  const bool all_gone = manager_->empty();
+  if (!all_gone) {
+    report_remaining();
+  }
+  ros_.reset();
+  if (control_) {
+    manager_->remove_sink(*control_);
+    control_->close(Clock::now() + kFlushLimit);
+  }
+  node_.reset();
+  if (!all_gone) {
+    // What is left is used by a thread that cannot be stopped: it may not be taken apart.
+    leave_now(status);
+  }
+  host_.reset();
+  manager_.reset();
+  context_.reset();
+  return status;
+}
+
+void ContainerProcess::stop_nodes() {
+  const StopCause cause = stop_.cause();
+  const int asked = stop_.times_asked();
+  auto limit = std::chrono::duration_cast<Clock::duration>(options_.stop_timeout);
+  if (is_orphaned(cause)) {
+    limit = std::min<Clock::duration>(limit, kOrphanStopLimit);
+  }
+  SteadyTime deadline = Clock::now() + limit;
+  const std::string too_long = "taking the container apart takes too long: leaving";
+  watchdog_.arm(deadline + kTeardownLimit, exit_code(cause), too_long);
+  hit(Failpoint::during_stop);
+  host_->hurry(deadline);
+  host_->stop_spinning();
+  manager_->begin_stop([this] { stop_.wake(); });
+  while (!manager_->empty() && Clock::now() < deadline) {
+    stop_.wait(deadline);
+    if (stop_.times_asked() > asked) {
+      deadline = std::min<SteadyTime>(deadline, Clock::now() + kHurriedStopLimit);
+      host_->hurry(deadline);
+      watchdog_.arm(deadline + kTeardownLimit, exit_code(cause), too_long);
+    }
+  }
+}
+
+void ContainerProcess::report_remaining() const {
+  for (const NodeSnapshot& snapshot : manager_->nodes()) {
+    const NodeEntry& entry = snapshot.entry;
+    const std::string name = entry.full_name.empty() ? "a node" : entry.full_name;
+    const char* const what = entry.state == NodeState::constructing
+                                 ? " is still in its constructor, "
+                                 : " is still in a callback or its destructor, ";
+    report(name + " (" + entry.plugin_name + ", unique_id " + std::to_string(entry.unique_id) +
+           ")" + what + seconds_text(std::chrono::nanoseconds(snapshot.elapsed_ns)) +
+           " by now: leaving without waiting for it");
+  }
+}
+
+}  // namespace play_launch::container

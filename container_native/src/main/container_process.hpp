@@ -1,0 +1,57 @@
+#pragma once
+
+#include <memory>
+#include <optional>
+#include <play_launch/context.hpp>
+#include <play_launch/node.hpp>
+#include <string>
+#include <vector>
+
+#include "main/control_interface.hpp"
+#include "main/options.hpp"
+#include "main/ros_interface.hpp"
+#include "main/stop.hpp"
+#include "manager/component_manager.hpp"
+
+namespace play_launch::container {
+
+/// Exit statuses of the container (sysexits.h where it has one).
+inline constexpr int kExitOk = 0;
+inline constexpr int kExitFailed = 1;
+inline constexpr int kExitUsage = 64;
+inline constexpr int kExitProtocol = 70;
+
+/// The whole container: puts its parts together, waits until it is asked to stop, and takes them
+/// apart again.
+class ContainerProcess {
+ public:
+  /// Throws std::exception when something that it needs is not to be had.
+  ContainerProcess(const Options& options, int argc, const char* const* argv,
+                   control::UniqueFd control_socket);
+  ~ContainerProcess();
+
+  /// Returns the exit status once it was asked to stop and is done; does not return when something
+  /// cannot be taken apart, but ends the process with that status.
+  int run();
+
+ private:
+  void start(int argc, const char* const* argv);
+  std::size_t choose_threads();
+  play_launch_msgs::msg::ControlHello hello(std::size_t threads,
+                                            std::vector<std::string> backends) const;
+  void stop_nodes();
+  void report_remaining() const;
+
+  const Options options_;
+  const ProcessIdentity process_;
+  StopRequests stop_;
+  Watchdog watchdog_;
+  std::optional<ControlInterface> control_;
+  std::shared_ptr<Context> context_;
+  std::shared_ptr<Node> node_;
+  std::unique_ptr<NodeHost> host_;
+  std::unique_ptr<ObservableComponentManager> manager_;
+  std::unique_ptr<RosInterface> ros_;
+};
+
+}  // namespace play_launch::container

@@ -1,0 +1,26 @@
+#pragma once
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "components/component_backend.hpp"
+#include "hosts/node_host.hpp"
+#include "main/options.hpp"
+
+namespace play_launch::container {
+
+/// The host that was chosen, and why.
+struct HostChoice {
+  std::unique_ptr<NodeHost> host;
+  std::string mechanism;           // see play_launch_msgs/ControlHello
+  std::vector<std::string> notes;  // "
+};
+
+/// The host for the mode that `options` ask for; `threads` is for each executor. Notes are reported
+/// too. Throws isolation::MechanismUnavailable when a mechanism was demanded that does not work
+/// here.
+HostChoice choose_host(const Options& options, std::size_t threads,
+                       std::vector<std::unique_ptr<ComponentBackend>> backends);
+
+}  // namespace play_launch::container

@@ -1,0 +1,57 @@
+#include <cstdio>
+#include <cstdlib>
+#include <exception>
+#include <string>
+
+#include "base/failpoints.hpp"
+#include "base/report.hpp"
+#include "main/backends.hpp"
+#include "main/container_process.hpp"
+#include "main/control_interface.hpp"
+#include "main/installation.hpp"
+#include "main/options.hpp"
+
+namespace {
+
+using namespace play_launch::container;
+
+void print_version() {
+  std::string line = "component_container " PLAY_LAUNCH_VERSION ", components:";
+  for (const std::string& name : backend_names()) {
+    line += " " + name;
+  }
+  std::puts(line.c_str());
+}
+
+int usage_error(const std::exception& error) {
+  report(error.what());
+  return kExitUsage;
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  try {
+    const Options options = parse_options(argc, argv);
+    if (options.help) {
+      std::fputs(usage(), stdout);
+      return kExitOk;
+    }
+    if (options.version) {
+      print_version();
+      return kExitOk;
+    }
+    arm_failpoints(std::getenv("PLAY_LAUNCH_FAILPOINTS"));
+    search_own_prefix();
+    play_launch::control::UniqueFd control_socket = take_control_socket();
+    ContainerProcess process(options, argc, argv, std::move(control_socket));
+    return process.run();
+  } catch (const UsageError& error) {
+    return usage_error(error);
+  } catch (const FailpointError& error) {
+    return usage_error(error);
+  } catch (const std::exception& error) {
+    report(std::string("cannot start: ") + error.what());
+    return kExitFailed;
+  }
+}

@@ -1,0 +1,124 @@
+#include "main/options.hpp"
+
+#include <algorithm>
+#include <charconv>
+#include <cmath>
+#include <string_view>
+#include <thread>
+
+namespace play_launch::container {
+namespace {
+
+constexpr std::string_view kRosArguments = "--ros-args";
+constexpr double kLongestStop = 3600.0;  // seconds
+
+/// The value of option `name` that is at argv[index], either after "=" or in the next argument,
+/// to which `index` is then moved.
+std::string_view value_of(std::string_view name, int& index, int argc, const char* const* argv) {
+  const std::string_view argument = argv[index];
+  if (argument.size() > name.size()) {
+    return argument.substr(name.size() + 1);
+  }
+  if (index + 1 >= argc || kRosArguments == argv[index + 1]) {
+    throw UsageError(std::string(name) + " needs a value");
+  }
+  return argv[++index];
+}
+
+bool is_option(std::string_view argument, std::string_view name) {
+  return argument == name || (argument.starts_with(name) && argument.size() > name.size() &&
+                              argument[name.size()] == '=');
+}
+
+std::size_t thread_count(std::string_view text) {
+  std::size_t value = 0;
+  const char* const end = text.data() + text.size();
+  const auto [parsed_to, error] = std::from_chars(text.data(), end, value);
+  if (error != std::errc() || parsed_to != end || value > kMaxThreads) {
+    throw UsageError("--thread_num " + std::string(text) + ": expected a number from 0 to " +
+                     std::to_string(kMaxThreads) + " (0: one per CPU)");
+  }
+  return value;
+}
+
+std::chrono::duration<double> seconds(std::string_view text) {
+  double value = 0.0;
+  const char* const end = text.data() + text.size();
+  const auto [parsed_to, error] = std::from_chars(text.data(), end, value);
+  if (error != std::errc() || parsed_to != end || !std::isfinite(value) || value < 0.0 ||
+      value > kLongestStop) {
+    throw UsageError("--stop_timeout " + std::string(text) + ": expected seconds from 0 to 3600");
+  }
+  return std::chrono::duration<double>(value);
+}
+
+isolation::MechanismChoice mechanism(std::string_view text) {
+  const auto choice = isolation::parse_mechanism_choice(text);
+  if (!choice) {
+    throw UsageError("--isolation " + std::string(text) +
+                     ": expected auto, shared_memory or process");
+  }
+  return *choice;
+}
+
+}  // namespace
+
+std::string Options::mode() const {
+  return isolated ? (multi_threaded ? "isolated_mt" : "isolated")
+                  : (multi_threaded ? "mt" : "standard");
+}
+
+Options parse_options(int argc, const char* const* argv) {
+  Options options;
+  for (int i = 1; i < argc; ++i) {
+    const std::string_view argument = argv[i];
+    if (argument == kRosArguments) {
+      while (i + 1 < argc && std::string_view(argv[i + 1]) != "--") {
+        options.ros_arguments.emplace_back(argv[++i]);
+      }
+      ++i;
+    } else if (argument == "--use_multi_threaded_executor") {
+      options.multi_threaded = true;
+    } else if (argument == "--isolated") {
+      options.isolated = true;
+    } else if (is_option(argument, "--isolation")) {
+      options.isolation = mechanism(value_of("--isolation", i, argc, argv));
+    } else if (argument == "--hosted") {
+      options.hosted = true;
+    } else if (is_option(argument, "--thread_num")) {
+      options.thread_num = thread_count(value_of("--thread_num", i, argc, argv));
+    } else if (is_option(argument, "--stop_timeout")) {
+      options.stop_timeout = seconds(value_of("--stop_timeout", i, argc, argv));
+    } else if (argument == "--help" || argument == "-h") {
+      options.help = true;
+    } else if (argument == "--version") {
+      options.version = true;
+    } else {
+      throw UsageError("unknown argument '" + std::string(argument) +
+                       "' (ROS arguments belong behind --ros-args)");
+    }
+  }
+  return options;
+}
+
+const char* usage() {
+  return "usage: component_container [--use_multi_threaded_executor] [--thread_num N]\n"
+         "                           [--isolated] [--isolation auto|shared_memory|process]\n"
+         "                           [--stop_timeout SECONDS] [--ros-args ...]\n"
+         "       component_container --version\n";
+}
+
+std::size_t executor_threads(std::size_t asked) {
+  if (asked != 0) {
+    return asked;
+  }
+  const std::size_t cpus = std::thread::hardware_concurrency();
+  return cpus < 2 ? 2 : cpus;
+}
+
+std::size_t node_executor_threads(std::size_t asked) {
+  constexpr std::size_t kMostByDefault = 4;
+  return asked != 0 ? asked : std::min(executor_threads(0), kMostByDefault);
+}
+
+}  // namespace play_launch::container

@@ -1,0 +1,54 @@
+#pragma once
+
+#include <chrono>
+#include <cstddef>
+#include <optional>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+#include "isolation/clone/gate.hpp"
+
+namespace play_launch::container {
+
+/// Most threads of an executor that anybody may ask for.
+inline constexpr std::size_t kMaxThreads = 1024;
+
+/// What the command line asks for, ROS arguments aside.
+struct Options {
+  bool multi_threaded = false;
+  bool isolated = false;
+  isolation::MechanismChoice isolation = isolation::MechanismChoice::automatic;
+  /// Set by a container for the processes that it starts: one node, no ROS services of its own.
+  bool hosted = false;
+  std::optional<std::size_t> thread_num;  // nothing: parameter thread_num, or one per CPU
+  std::chrono::duration<double> stop_timeout{2.0};
+  bool help = false;
+  bool version = false;
+  std::vector<std::string> ros_arguments;  // all that stand behind --ros-args
+
+  /// standard, mt, isolated or isolated_mt.
+  std::string mode() const;
+};
+
+/// The command line makes no sense; the text says why.
+class UsageError : public std::runtime_error {
+ public:
+  using std::runtime_error::runtime_error;
+};
+
+/// Reads the arguments that are not ROS arguments (between --ros-args and --, or the end).
+/// Throws UsageError.
+Options parse_options(int argc, const char* const* argv);
+
+/// Text for --help.
+const char* usage();
+
+/// Threads for the executor of all nodes: what was asked for, else one per CPU, but at least 2.
+std::size_t executor_threads(std::size_t asked);
+
+/// Threads for the executor of a single node: what was asked for, else one per CPU, but at least 2
+/// and at most 4.
+std::size_t node_executor_threads(std::size_t asked);
+
+}  // namespace play_launch::container

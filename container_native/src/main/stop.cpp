@@ -1,0 +1,161 @@
+#include "main/stop.hpp"
+
+#include <poll.h>
+#include <pthread.h>
+#include <signal.h>
+#include <sys/eventfd.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <cstdint>
+#include <system_error>
+
+#include "base/report.hpp"
+#include "main/shared_memory.hpp"
+
+namespace play_launch::container {
+namespace {
+
+constexpr int kSignalsToLeaveAtOnce = 3;
+constexpr int kSignalExitBase = 128;
+
+// What a signal handler may touch.
+volatile sig_atomic_t signal_event_fd = -1;
+std::atomic<int> signals{0};
+static_assert(std::atomic<int>::is_always_lock_free);
+
+void post(int fd) {
+  const std::uint64_t one = 1;
+  [[maybe_unused]] const ssize_t written = ::write(fd, &one, sizeof one);
+}
+
+extern "C" void on_stop_signal(int number) {
+  const int error = errno;
+  if (signals.fetch_add(1) + 1 >= kSignalsToLeaveAtOnce) {
+    ::_exit(kSignalExitBase + number);
+  }
+  post(signal_event_fd);
+  errno = error;
+}
+
+extern "C" void on_ignored_signal(int) {}
+
+void set_handler(int number, void (*handler)(int)) {
+  struct sigaction action{};
+  action.sa_handler = handler;
+  action.sa_flags = SA_RESTART;
+  sigemptyset(&action.sa_mask);
+  ::sigaction(number, &action, nullptr);
+}
+
+bool is_ignored(int number) {
+  struct sigaction action{};
+  ::sigaction(number, nullptr, &action);
+  return action.sa_handler == SIG_IGN;
+}
+
+}  // namespace
+
+StopRequests::StopRequests() : event_(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {
+  if (!event_) {
+    throw std::system_error(errno, std::generic_category(), "eventfd");
+  }
+}
+
+void StopRequests::handle_signals() {
+  signal_event_fd = event_.get();
+  set_handler(SIGINT, on_stop_signal);
+  set_handler(SIGTERM, on_stop_signal);
+  if (!is_ignored(SIGHUP)) {
+    set_handler(SIGHUP, on_stop_signal);
+  }
+  // A handler instead of SIG_IGN: programs that nodes start would inherit SIG_IGN, but get the
+  // default back where a handler was.
+  set_handler(SIGPIPE, on_ignored_signal);
+  sigset_t ours;
+  sigemptyset(&ours);
+  for (const int number : {SIGINT, SIGTERM, SIGHUP}) {
+    sigaddset(&ours, number);
+  }
+  ::pthread_sigmask(SIG_UNBLOCK, &ours, nullptr);
+}
+
+void StopRequests::request(StopCause cause) {
+  StopCause none = StopCause::none;
+  cause_.compare_exchange_strong(none, cause);
+  ++requests_;
+  wake();
+}
+
+void StopRequests::wake() { post(event_.get()); }
+
+void StopRequests::wait(SteadyTime deadline) {
+  int timeout_ms = -1;
+  if (deadline != SteadyTime::max()) {
+    const auto left =
+        std::chrono::ceil<std::chrono::milliseconds>(deadline - std::chrono::steady_clock::now());
+    timeout_ms = static_cast<int>(std::clamp<std::int64_t>(left.count(), 0, 1'000'000));
+  }
+  pollfd fd{event_.get(), POLLIN, 0};
+  if (::poll(&fd, 1, timeout_ms) > 0) {
+    std::uint64_t count = 0;
+    [[maybe_unused]] const ssize_t got = ::read(event_.get(), &count, sizeof count);
+  }
+}
+
+StopCause StopRequests::cause() const {
+  const StopCause cause = cause_;
+  return cause == StopCause::none && signals > 0 ? StopCause::signal : cause;
+}
+
+int StopRequests::times_asked() const { return requests_ + signals; }
+
+Watchdog::Watchdog()
+    : thread_([this] {
+        ::pthread_setname_np(::pthread_self(), "watchdog");
+        watch();
+      }) {}
+
+Watchdog::~Watchdog() {
+  {
+    const std::lock_guard lock(mutex_);
+    done_ = true;
+  }
+  changed_.notify_all();
+  thread_.join();
+}
+
+void Watchdog::arm(SteadyTime deadline, int exit_code, const std::string& what) {
+  {
+    const std::lock_guard lock(mutex_);
+    if (deadline >= deadline_) {
+      return;
+    }
+    deadline_ = deadline;
+    exit_code_ = exit_code;
+    what_ = what;
+  }
+  changed_.notify_all();
+}
+
+void Watchdog::watch() {
+  std::unique_lock lock(mutex_);
+  while (!done_) {
+    if (deadline_ == SteadyTime::max()) {
+      changed_.wait(lock);
+    } else if (std::chrono::steady_clock::now() >= deadline_) {
+      report(what_);
+      leave_now(exit_code_);
+    } else {
+      changed_.wait_until(lock, SteadyTime(deadline_));
+    }
+  }
+}
+
+void leave_now(int exit_code) noexcept {
+  unlink_own_segments();
+  ::_exit(exit_code);
+}
+
+}  // namespace play_launch::container

@@ -1,0 +1,78 @@
+#pragma once
+
+#include <atomic>
+#include <chrono>
+#include <condition_variable>
+#include <mutex>
+#include <string>
+#include <thread>
+
+#include "base/unique_fd.hpp"
+
+namespace play_launch::container {
+
+using SteadyTime = std::chrono::steady_clock::time_point;
+
+/// Why the container stops.
+enum class StopCause { none, signal, shutdown, closed, protocol_error };
+
+/// Collects what asks the container to stop, and lets one thread wait for it. There is one object,
+/// because signal handlers have no other way to find it.
+class StopRequests {
+ public:
+  StopRequests();
+  StopRequests(const StopRequests&) = delete;
+  StopRequests& operator=(const StopRequests&) = delete;
+
+  /// SIGINT, SIGTERM and SIGHUP (unless it is ignored, as under nohup) ask to stop; the third of
+  /// them ends the process at once. SIGPIPE does nothing.
+  void handle_signals();
+
+  /// Asks to stop; the first cause stays. Any thread.
+  void request(StopCause cause);
+  /// Ends the current wait() without asking for anything. Any thread.
+  void wake();
+
+  /// Waits for a request, signal or wake(), or until the deadline. Spurious returns are possible.
+  void wait(SteadyTime deadline = SteadyTime::max());
+
+  /// Signals count as a cause too.
+  StopCause cause() const;
+  /// How often somebody asked: a signal or a request each count 1.
+  int times_asked() const;
+
+ private:
+  const control::UniqueFd event_;
+  std::atomic<StopCause> cause_{StopCause::none};
+  std::atomic<int> requests_{0};
+};
+
+/// Ends the process when a stop takes too long, whatever its other threads are stuck in.
+class Watchdog {
+ public:
+  Watchdog();
+  Watchdog(const Watchdog&) = delete;
+  Watchdog& operator=(const Watchdog&) = delete;
+  ~Watchdog();
+
+  /// From `deadline` on the process ends with `exit_code`, after a line on stderr that says `what`
+  /// was not done in time. A later deadline than the one in force is ignored.
+  void arm(SteadyTime deadline, int exit_code, const std::string& what);
+
+ private:
+  void watch();
+
+  std::mutex mutex_;
+  std::condition_variable changed_;
+  SteadyTime deadline_ = SteadyTime::max();
+  int exit_code_ = 0;
+  std::string what_;
+  bool done_ = false;
+  std::thread thread_;
+};
+
+/// Ends the process at once with this status, without destructors and handlers, but not without
+/// taking its shared memory segments out of the file system, which would stay there for ever.
+[[noreturn]] void leave_now(int exit_code) noexcept;
+
+}  // namespace play_launch::container

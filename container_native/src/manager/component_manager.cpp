@@ -1,0 +1,340 @@
+#include "manager/component_manager.hpp"
+
+#include <algorithm>
+#include <chrono>
+#include <exception>
+#include <utility>
+
+#include "base/failpoints.hpp"
+#include "base/report.hpp"
+
+namespace play_launch::container {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+constexpr const char* kCancelled = "cancelled";
+
+void set_stamp(builtin_interfaces::msg::Time& stamp, std::chrono::nanoseconds age = {}) {
+  constexpr std::int64_t kNanosecondsPerSecond = 1'000'000'000;
+  const std::int64_t then = (std::chrono::duration_cast<std::chrono::nanoseconds>(
+                                 std::chrono::system_clock::now().time_since_epoch()) -
+                             age)
+                                .count();
+  stamp.sec = static_cast<std::int32_t>(then / kNanosecondsPerSecond);
+  stamp.nanosec = static_cast<std::uint32_t>(then % kNanosecondsPerSecond);
+}
+
+std::int64_t cpu_time_ns(clockid_t clock) {
+  timespec time{};
+  return ::clock_gettime(clock, &time) == 0
+             ? static_cast<std::int64_t>(time.tv_sec) * 1'000'000'000 + time.tv_nsec
+             : 0;
+}
+
+/// An event of that type about the node, now.
+ComponentEvent event_of(const NodeEntry& entry, std::uint8_t type) {
+  ComponentEvent event;
+  set_stamp(event.stamp);
+  event.event_type = type;
+  event.unique_id = entry.unique_id;
+  event.attempt = entry.attempt;
+  event.full_node_name = entry.full_name;
+  event.package_name = entry.package_name;
+  event.plugin_name = entry.plugin_name;
+  event.pid = entry.process.pid;
+  event.start_time = entry.process.start_time;
+  return event;
+}
+
+void add_death(ComponentEvent& event, const NodeDeath& death) {
+  event.exit_code = death.exit_code;
+  event.signal = death.signal;
+  event.backtrace = death.backtrace;
+  if (death.when) {
+    set_stamp(event.stamp, Clock::now() - *death.when);
+  }
+}
+
+std::string no_such_node(std::uint64_t unique_id) {
+  return "there is no node with unique_id " + std::to_string(unique_id) + " in this container";
+}
+
+}  // namespace
+
+ObservableComponentManager::ObservableComponentManager(NodeHost& host,
+                                                       const ProcessIdentity& process)
+    : host_(host), process_(process) {
+  host_.set_observer(*this);
+}
+
+void ObservableComponentManager::add_sink(EventSink& sink) {
+  const std::lock_guard lock(mutex_);
+  sinks_.push_back(&sink);
+}
+
+void ObservableComponentManager::remove_sink(EventSink& sink) {
+  const std::lock_guard lock(mutex_);
+  std::erase(sinks_, &sink);
+}
+
+std::optional<std::string> ObservableComponentManager::load(const LoadRequest& request,
+                                                            const OnAccepted& on_accepted) {
+  NodeTable::Wish wish{request.attempt, request.package_name, request.plugin_name,
+                       host_.expected_full_name(request).value_or("")};
+  const std::lock_guard lock(mutex_);
+  if (stopping_) {
+    return "the container is stopping";
+  }
+  if (table_.full()) {
+    return "the container already has " + std::to_string(NodeTable::kMaxNodes) + " nodes";
+  }
+  const NodeTable::Acceptance acceptance = table_.accept(wish, process_, Clock::now());
+  on_accepted(acceptance.unique_id);
+  if (acceptance.repeated) {
+    return std::nullopt;
+  }
+  hit(Failpoint::after_accept);
+  if (acceptance.conflict) {
+    NodeEntry entry;
+    entry.unique_id = acceptance.unique_id;
+    entry.attempt = wish.attempt;
+    entry.package_name = std::move(wish.package_name);
+    entry.plugin_name = std::move(wish.plugin_name);
+    entry.full_name = std::move(wish.expected_name);
+    entry.process = process_;
+    emit(entry, ComponentEvent::LOADING);
+    emit(entry, ComponentEvent::LOAD_FAILED, *acceptance.conflict);
+    return std::nullopt;
+  }
+  emit(*table_.find(acceptance.unique_id), ComponentEvent::LOADING);
+  try {
+    host_.load(acceptance.unique_id, request);
+  } catch (const std::exception& error) {
+    const std::optional<NodeEntry> entry = table_.remove(acceptance.unique_id);
+    emit(*entry, ComponentEvent::LOAD_FAILED, std::string("cannot start loading: ") + error.what());
+  }
+  return std::nullopt;
+}
+
+std::optional<std::string> ObservableComponentManager::unload(std::uint64_t unique_id,
+                                                              const OnAccepted& on_accepted) {
+  return retire(unique_id, on_accepted, "");
+}
+
+std::optional<std::string> ObservableComponentManager::cancel(std::uint64_t unique_id) {
+  return retire(unique_id, {}, kCancelled);
+}
+
+std::optional<std::string> ObservableComponentManager::retire(std::uint64_t unique_id,
+                                                              const OnAccepted& on_accepted,
+                                                              const std::string& verdict) {
+  const std::lock_guard lock(mutex_);
+  const NodeEntry* const entry = table_.find(unique_id);
+  if (entry == nullptr) {
+    return no_such_node(unique_id);
+  }
+  // A load that never came to its end is told apart from a node that was there.
+  const bool constructing = entry->state == NodeState::constructing;
+  const NodeTable::Retirement retirement =
+      table_.retire(unique_id, constructing ? kCancelled : verdict, Clock::now());
+  std::string why_not;
+  if (retirement == NodeTable::Retirement::unload_now && !start_unloading(unique_id, why_not)) {
+    table_.keep(unique_id, Clock::now());
+    return why_not;
+  }
+  if (on_accepted) {
+    on_accepted(unique_id);
+  }
+  return std::nullopt;
+}
+
+bool ObservableComponentManager::start_unloading(std::uint64_t unique_id, std::string& why_not) {
+  try {
+    host_.unload(unique_id);
+    return true;
+  } catch (const std::exception& error) {
+    why_not = std::string("cannot start unloading: ") + error.what();
+    report("unique_id " + std::to_string(unique_id) + ": " + why_not);
+    return false;
+  }
+}
+
+std::vector<NodeSnapshot> ObservableComponentManager::nodes(
+    std::span<const std::uint64_t> unique_ids, std::chrono::nanoseconds silent_too) const {
+  std::vector<NodeSnapshot> snapshots;
+  const std::lock_guard lock(mutex_);
+  const SteadyTime now = Clock::now();
+  for (const std::uint64_t unique_id : unique_ids) {
+    if (const NodeEntry* const entry = table_.find(unique_id)) {
+      snapshots.push_back(snapshot(*entry, now));
+    }
+  }
+  for (const auto& [unique_id, entry] : table_.entries()) {
+    const bool listed =
+        std::find(unique_ids.begin(), unique_ids.end(), unique_id) != unique_ids.end();
+    if (unique_ids.empty() || (!listed && is_silent(entry, silent_too))) {
+      snapshots.push_back(snapshot(entry, now));
+    }
+  }
+  return snapshots;
+}
+
+NodeSnapshot ObservableComponentManager::snapshot(const NodeEntry& entry, SteadyTime now) const {
+  NodeSnapshot snapshot;
+  snapshot.entry = entry;
+  snapshot.elapsed_ns =
+      std::chrono::duration_cast<std::chrono::nanoseconds>(now - entry.since).count();
+  snapshot.cpu_time_ns = entry.cpu_clock ? cpu_time_ns(*entry.cpu_clock) : 0;
+  if (const auto silence = host_.silence(entry.unique_id)) {
+    snapshot.silence_ns = silence->count();
+  }
+  return snapshot;
+}
+
+bool ObservableComponentManager::is_silent(const NodeEntry& entry,
+                                           std::chrono::nanoseconds limit) const {
+  if (entry.state != NodeState::loaded || limit == std::chrono::nanoseconds::max()) {
+    return false;
+  }
+  const auto silence = host_.silence(entry.unique_id);
+  return silence && *silence >= limit;
+}
+
+void ObservableComponentManager::refuse_loads() {
+  const std::lock_guard lock(mutex_);
+  stopping_ = true;
+}
+
+void ObservableComponentManager::begin_stop(std::function<void()> on_empty) {
+  const std::lock_guard lock(mutex_);
+  stopping_ = true;
+  on_empty_ = std::move(on_empty);
+  std::vector<std::uint64_t> unique_ids;
+  for (const auto& [unique_id, entry] : table_.entries()) {
+    unique_ids.push_back(unique_id);
+  }
+  for (const std::uint64_t unique_id : unique_ids) {
+    const bool constructing = table_.find(unique_id)->state == NodeState::constructing;
+    std::string why_not;
+    if (table_.retire(unique_id, constructing ? kCancelled : "", Clock::now()) ==
+        NodeTable::Retirement::unload_now) {
+      start_unloading(unique_id, why_not);  // if not, the end of the stop reports the node
+    }
+  }
+  after_removal();
+}
+
+bool ObservableComponentManager::empty() const {
+  const std::lock_guard lock(mutex_);
+  return table_.entries().empty();
+}
+
+void ObservableComponentManager::on_constructing(std::uint64_t unique_id,
+                                                 const ProcessIdentity& process,
+                                                 clockid_t cpu_clock) {
+  const std::lock_guard lock(mutex_);
+  table_.constructing(unique_id, process, cpu_clock);
+}
+
+bool ObservableComponentManager::on_constructed(std::uint64_t unique_id,
+                                                const std::string& full_name) {
+  const std::lock_guard lock(mutex_);
+  return table_.constructed(unique_id, full_name);
+}
+
+void ObservableComponentManager::on_loaded(std::uint64_t unique_id) {
+  const std::lock_guard lock(mutex_);
+  if (table_.loaded(unique_id, Clock::now())) {
+    emit(*table_.find(unique_id), ComponentEvent::LOADED);
+    return;
+  }
+  std::string why_not;
+  if (table_.find(unique_id) != nullptr && !start_unloading(unique_id, why_not)) {
+    table_.keep(unique_id, Clock::now());
+    emit(*table_.find(unique_id), ComponentEvent::LOADED);
+  }
+}
+
+void ObservableComponentManager::on_load_failed(std::uint64_t unique_id,
+                                                const std::string& reason) {
+  load_failed(unique_id, reason, nullptr);
+}
+
+void ObservableComponentManager::on_load_crashed(std::uint64_t unique_id, const NodeDeath& death) {
+  load_failed(unique_id, death.reason, &death);
+}
+
+void ObservableComponentManager::load_failed(std::uint64_t unique_id, const std::string& reason,
+                                             const NodeDeath* death) {
+  const std::lock_guard lock(mutex_);
+  const std::optional<NodeEntry> entry = table_.remove(unique_id);
+  if (!entry) {
+    return;
+  }
+  ComponentEvent event =
+      event_of(*entry, entry->retired ? ComponentEvent::UNLOADED : ComponentEvent::LOAD_FAILED);
+  if (entry->retired) {
+    event.error_message = entry->verdict + "; loading failed as well: " + reason;
+  } else if (entry->refused) {
+    event.error_message = entry->verdict + "; it died while it was discarded: " + reason;
+  } else {
+    event.error_message = reason;
+  }
+  if (death != nullptr) {
+    add_death(event, *death);
+  }
+  send(event);
+  after_removal();
+}
+
+void ObservableComponentManager::on_gone(std::uint64_t unique_id) {
+  const std::lock_guard lock(mutex_);
+  const std::optional<NodeEntry> entry = table_.remove(unique_id);
+  if (!entry) {
+    return;
+  }
+  emit(*entry, entry->refused ? ComponentEvent::LOAD_FAILED : ComponentEvent::UNLOADED,
+       entry->verdict);
+  after_removal();
+}
+
+void ObservableComponentManager::on_crashed(std::uint64_t unique_id, const NodeDeath& death) {
+  const std::lock_guard lock(mutex_);
+  const std::optional<NodeEntry> entry = table_.remove(unique_id);
+  if (!entry) {
+    return;
+  }
+  // Nobody wants a node back that he sent away.
+  ComponentEvent event =
+      event_of(*entry, entry->retired ? ComponentEvent::UNLOADED : ComponentEvent::CRASHED);
+  event.error_message = death.reason;
+  if (entry->retired) {
+    event.error_message = (entry->verdict.empty() ? "" : entry->verdict + "; ") +
+                          "it did not leave in order: " + death.reason;
+  }
+  add_death(event, death);
+  send(event);
+  after_removal();
+}
+
+void ObservableComponentManager::after_removal() {
+  if (stopping_ && on_empty_ && table_.entries().empty()) {
+    std::exchange(on_empty_, nullptr)();
+  }
+}
+
+void ObservableComponentManager::emit(const NodeEntry& entry, std::uint8_t type,
+                                      const std::string& error) {
+  ComponentEvent event = event_of(entry, type);
+  event.error_message = error;
+  send(event);
+}
+
+void ObservableComponentManager::send(const ComponentEvent& event) {
+  for (EventSink* const sink : sinks_) {
+    sink->on_event(event);
+  }
+}
+
+}  // namespace play_launch::container

@@ -1,0 +1,105 @@
+#pragma once
+
+#include <chrono>
+#include <cstddef>
+#include <cstdint>
+#include <ctime>
+#include <deque>
+#include <map>
+#include <optional>
+#include <string>
+#include <unordered_map>
+#include <vector>
+
+#include "base/process_identity.hpp"
+
+namespace play_launch::container {
+
+enum class NodeState : std::uint8_t { constructing = 0, loaded = 1, unloading = 2 };
+
+using SteadyTime = std::chrono::steady_clock::time_point;
+
+/// What the container knows of one node.
+struct NodeEntry {
+  std::uint64_t unique_id = 0;
+  std::uint64_t attempt = 0;
+  std::string package_name;
+  std::string plugin_name;
+  std::string full_name;  // empty while nobody can know it
+  NodeState state = NodeState::constructing;
+  SteadyTime since;         // when it entered `state`
+  ProcessIdentity process;  // who holds it
+  /// CPU clock of who constructs it; valid only while `state` is constructing.
+  std::optional<clockid_t> cpu_clock;
+  /// Set: nobody wants it any more, it goes once its constructor has returned.
+  bool retired = false;
+  /// Error message of its last event, when it was refused or cancelled while constructing.
+  std::string verdict;
+  /// Its last event is LOAD_FAILED instead of UNLOADED.
+  bool refused = false;
+};
+
+/// The container's nodes and the decisions about them. Pure: no threads, clocks or I/O; whoever
+/// owns it serialises the calls.
+class NodeTable {
+ public:
+  static constexpr std::size_t kMaxNodes = 4096;
+  /// Attempts that are remembered in order to recognise a repeated request.
+  static constexpr std::size_t kMaxAttempts = 4096;
+
+  /// A new request to load.
+  struct Wish {
+    std::uint64_t attempt = 0;  // 0: not numbered, never a repetition
+    std::string package_name;
+    std::string plugin_name;
+    std::string expected_name;  // full name of the node; empty: not known before construction
+  };
+  struct Acceptance {
+    std::uint64_t unique_id = 0;
+    bool repeated = false;  // the attempt was accepted before; start nothing
+    /// The name is taken: the load has failed for this reason, and there is no entry.
+    std::optional<std::string> conflict;
+  };
+  Acceptance accept(const Wish& wish, ProcessIdentity process, SteadyTime now);
+  bool full() const { return entries_.size() >= kMaxNodes; }
+
+  /// Construction began in `process`.
+  void constructing(std::uint64_t unique_id, ProcessIdentity process, clockid_t cpu_clock);
+
+  /// The constructor returned a node of that name. False: discard it; the entry says why.
+  bool constructed(std::uint64_t unique_id, const std::string& full_name);
+
+  /// The node spins. False: it was retired meanwhile and is unloading now.
+  bool loaded(std::uint64_t unique_id, SteadyTime now);
+
+  enum class Retirement {
+    unknown,     // there is no such node
+    when_built,  // it constructs; it is discarded when the constructor returns
+    unload_now,  // it was loaded and is unloading now: the caller unloads it
+    under_way    // it was unloading or retired already
+  };
+  /// Nobody wants the node any more. `verdict` goes into its last event.
+  Retirement retire(std::uint64_t unique_id, const std::string& verdict, SteadyTime now);
+
+  /// Takes back a retirement that answered unload_now: unloading could not be started.
+  void keep(std::uint64_t unique_id, SteadyTime now);
+
+  /// Removes the entry and returns it. Nothing: there was none.
+  std::optional<NodeEntry> remove(std::uint64_t unique_id);
+
+  const NodeEntry* find(std::uint64_t unique_id) const;
+  /// By unique_id.
+  const std::map<std::uint64_t, NodeEntry>& entries() const { return entries_; }
+
+ private:
+  std::optional<std::string> name_conflict(const std::string& full_name,
+                                           std::uint64_t except) const;
+  void remember_attempt(std::uint64_t attempt, std::uint64_t unique_id);
+
+  std::map<std::uint64_t, NodeEntry> entries_;
+  std::unordered_map<std::uint64_t, std::uint64_t> attempts_;  // attempt -> unique_id
+  std::deque<std::uint64_t> attempt_order_;
+  std::uint64_t last_id_ = 0;
+};
+
+}  // namespace play_launch::container

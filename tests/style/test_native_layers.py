@@ -1,0 +1,68 @@
+"""Includes between the rooms of the container's C++ sources point downwards only."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+NATIVE = Path(__file__).resolve().parents[2] / "container_native"
+SOURCES = NATIVE / "src"
+
+# From the bottom up. A room may include what lies in lower layers, never its neighbours'. The
+# headers of the SDK are <play_launch/…>, which every room but the lowest may use.
+LAYERS = (
+    {"base"},
+    {"sdk", "control", "isolation/record"},
+    {"isolation/after", "isolation/quiesce"},
+    {"isolation/crash"},
+    {"isolation/clone"},
+    {"isolation/overrides"},
+    {"components"},
+    {"components/rclcpp", "hosts"},
+    {"hosts/isolated", "hosts/shared"},
+    {"hosts/cloned", "hosts/spawned"},
+    {"manager"},
+    {"main"},
+)
+LEVEL = {room: level for level, rooms in enumerate(LAYERS) for room in rooms}
+# A program of its own, in one file.
+APART = {"spawn_guard"}
+
+INCLUDE = re.compile(r'^#include "([^"]+)"', re.MULTILINE)
+
+
+def sources() -> list[Path]:
+    return sorted(path for path in SOURCES.rglob("*") if path.suffix in {".cpp", ".hpp", ".c"})
+
+
+def room_of(path: Path) -> str:
+    return path.relative_to(SOURCES).parent.as_posix()
+
+
+def included_files(path: Path) -> list[Path]:
+    names = INCLUDE.findall(path.read_text(encoding="utf-8"))
+    beside = [path.parent / name for name in names]
+    files = [
+        near if near.is_file() else SOURCES / name for near, name in zip(beside, names, strict=True)
+    ]
+    missing = [str(file) for file in files if not file.is_file()]
+    assert not missing, f"{path}: written with quotes, but not below src/: {missing}"
+    return files
+
+
+@pytest.mark.parametrize("path", sources(), ids=lambda path: str(path.relative_to(SOURCES)))
+def test_includes_point_downwards(path: Path) -> None:
+    room = room_of(path)
+    if room in APART:
+        assert not included_files(path)
+        return
+    assert room in LEVEL, f"{path}: unknown room, give it a layer"
+    for other in {room_of(file) for file in included_files(path)} - {room}:
+        assert other in LEVEL, f"{path} includes from {other}, which has no layer"
+        assert LEVEL[other] < LEVEL[room], f"{path}: {room} may not include from {other}"
+
+
+def test_every_layer_has_sources() -> None:
+    assert {room_of(path) for path in sources()} == LEVEL.keys() | APART
