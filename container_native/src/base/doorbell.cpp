@@ -7,10 +7,10 @@
 #include <cstdint>
 #include <system_error>
 
-namespace play_launch::container {
+namespace play_launch {
 
-control::UniqueFd make_doorbell() {
-  control::UniqueFd fd(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
+UniqueFd make_doorbell() {
+  UniqueFd fd(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
   if (!fd) {
     throw std::system_error(errno, std::generic_category(), "eventfd");
   }
@@ -28,4 +28,4 @@ void hush(int doorbell) noexcept {
   [[maybe_unused]] const ssize_t got = ::read(doorbell, &count, sizeof count);
 }
 
-}  // namespace play_launch::container
+}  // namespace play_launch

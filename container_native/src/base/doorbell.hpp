@@ -2,10 +2,10 @@
 
 #include "base/unique_fd.hpp"
 
-namespace play_launch::container {
+namespace play_launch {
 
 /// An eventfd to wake a thread with. Throws std::system_error.
-control::UniqueFd make_doorbell();
+UniqueFd make_doorbell();
 
 /// Wakes whoever polls it. Any thread of any process that has it, also a signal handler.
 void ring(int doorbell) noexcept;
@@ -13,4 +13,4 @@ void ring(int doorbell) noexcept;
 /// Forgets what was rung.
 void hush(int doorbell) noexcept;
 
-}  // namespace play_launch::container
+}  // namespace play_launch

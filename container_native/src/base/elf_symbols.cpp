@@ -13,7 +13,7 @@
 namespace play_launch::isolation {
 
 ElfSymbols::ElfSymbols(const std::string& path) {
-  const control::UniqueFd file(::open(path.c_str(), O_RDONLY | O_CLOEXEC));
+  const UniqueFd file(::open(path.c_str(), O_RDONLY | O_CLOEXEC));
   struct stat status{};
   if (!file || ::fstat(file.get(), &status) != 0 || status.st_size <= 0) {
     return;

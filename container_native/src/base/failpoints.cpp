@@ -16,7 +16,7 @@
 
 #include "base/report.hpp"
 
-namespace play_launch::container {
+namespace play_launch {
 namespace {
 
 constexpr std::size_t kCount = static_cast<std::size_t>(Failpoint::count);
@@ -140,4 +140,4 @@ bool hit(Failpoint place) {
   return act(slots[index], kNames[index]);
 }
 
-}  // namespace play_launch::container
+}  // namespace play_launch

@@ -2,7 +2,7 @@
 
 #include <stdexcept>
 
-namespace play_launch::container {
+namespace play_launch {
 
 /// Places where tests can make the container misbehave; failpoints.cpp has their names.
 enum class Failpoint : unsigned {
@@ -49,4 +49,4 @@ void arm_failpoints(const char* specification);
 /// Costs one load when nothing was asked for.
 bool hit(Failpoint place);
 
-}  // namespace play_launch::container
+}  // namespace play_launch

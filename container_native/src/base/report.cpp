@@ -5,7 +5,7 @@
 
 #include <array>
 
-namespace play_launch::container {
+namespace play_launch {
 namespace {
 
 iovec piece(std::string_view text) { return {const_cast<char*>(text.data()), text.size()}; }
@@ -18,4 +18,4 @@ void report(std::string_view text) noexcept {
   [[maybe_unused]] const ssize_t written = ::writev(STDERR_FILENO, line.data(), line.size());
 }
 
-}  // namespace play_launch::container
+}  // namespace play_launch

@@ -8,7 +8,7 @@
 
 #include <array>
 
-namespace play_launch::isolation {
+namespace play_launch {
 
 /// The threads of a process, without the allocator that opendir() needs.
 class ThreadList {
@@ -60,4 +60,4 @@ class ThreadList {
   int fd_;
 };
 
-}  // namespace play_launch::isolation
+}  // namespace play_launch

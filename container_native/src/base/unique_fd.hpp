@@ -4,7 +4,7 @@
 
 #include <utility>
 
-namespace play_launch::control {
+namespace play_launch {
 
 /// Owns one file descriptor and closes it when it goes.
 class UniqueFd {
@@ -36,4 +36,4 @@ class UniqueFd {
   int fd_ = -1;
 };
 
-}  // namespace play_launch::control
+}  // namespace play_launch

@@ -2,7 +2,6 @@
 
 #include <poll.h>
 #include <pthread.h>
-#include <sys/eventfd.h>
 #include <sys/socket.h>
 
 #include <array>
@@ -12,36 +11,19 @@
 #include <system_error>
 #include <utility>
 
+#include "base/doorbell.hpp"
+
 namespace play_launch::control {
 namespace {
 
 constexpr std::size_t kReadSize = 64 * 1024;  // bytes
 
-UniqueFd make_eventfd() {
-  UniqueFd fd(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
-  if (!fd) {
-    throw std::system_error(errno, std::generic_category(), "eventfd");
-  }
-  return fd;
-}
-
-void signal_eventfd(const UniqueFd& fd) {
-  const std::uint64_t one = 1;
-  // Fails only when the counter is full, and then the reader is awake anyway.
-  [[maybe_unused]] const ssize_t written = ::write(fd.get(), &one, sizeof one);
-}
-
-void drain_eventfd(const UniqueFd& fd) {
-  std::uint64_t count = 0;
-  [[maybe_unused]] const ssize_t got = ::read(fd.get(), &count, sizeof count);
-}
-
 }  // namespace
 
 Channel::Channel(UniqueFd socket, std::size_t queue_capacity)
     : socket_(std::move(socket)),
-      wake_reader_(make_eventfd()),
-      wake_writer_(make_eventfd()),
+      wake_reader_(make_doorbell()),
+      wake_writer_(make_doorbell()),
       capacity_(queue_capacity) {}
 
 Channel::~Channel() { stop(); }
@@ -60,7 +42,7 @@ void Channel::start(ChannelHandler& handler) {
 
 void Channel::open_gate() {
   gate_open_ = true;
-  signal_eventfd(wake_reader_);
+  ring(wake_reader_.get());
 }
 
 void Channel::stop() {
@@ -69,8 +51,8 @@ void Channel::stop() {
     stopping_ = true;
   }
   changed_.notify_all();
-  signal_eventfd(wake_reader_);
-  signal_eventfd(wake_writer_);
+  ring(wake_reader_.get());
+  ring(wake_writer_.get());
   for (std::thread* thread : {&reader_, &writer_}) {
     if (thread->joinable()) {
       thread->join();
@@ -130,7 +112,7 @@ bool Channel::wait_readable() {
       throw std::system_error(errno, std::generic_category(), "poll");
     }
     if (fds[1].revents != 0) {
-      drain_eventfd(wake_reader_);
+      hush(wake_reader_.get());
     }
     if (fds[0].revents != 0) {
       return true;

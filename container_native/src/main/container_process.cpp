@@ -53,7 +53,7 @@ std::string seconds_text(Clock::duration duration) {
 }  // namespace
 
 ContainerProcess::ContainerProcess(const Options& options, int argc, const char* const* argv,
-                                   control::UniqueFd control_socket)
+                                   UniqueFd control_socket)
     : options_(options), process_(identity_of(::getpid())) {
   stop_.handle_signals();
   if (control_socket) {

@@ -27,7 +27,7 @@ class ContainerProcess {
  public:
   /// Throws std::exception when something that it needs is not to be had.
   ContainerProcess(const Options& options, int argc, const char* const* argv,
-                   control::UniqueFd control_socket);
+                   UniqueFd control_socket);
   ~ContainerProcess();
 
   /// Returns the exit status once it was asked to stop and is done; does not return when something

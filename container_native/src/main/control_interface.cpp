@@ -73,7 +73,7 @@ bool is_to_be_lost(const ComponentEvent& event) {
 
 }  // namespace
 
-control::UniqueFd take_control_socket() {
+UniqueFd take_control_socket() {
   const char* const text = std::getenv(kSocketVariable);
   if (text == nullptr) {
     return {};
@@ -96,10 +96,10 @@ control::UniqueFd take_control_socket() {
   // spawn_guard had us killed with the supervisor. From here on the end of this socket tells of its
   // death, and we leave in order: a killed process leaves its shared memory behind.
   ::prctl(PR_SET_PDEATHSIG, 0);
-  return control::UniqueFd(fd);
+  return UniqueFd(fd);
 }
 
-ControlInterface::ControlInterface(control::UniqueFd socket, StopRequests& stop,
+ControlInterface::ControlInterface(UniqueFd socket, StopRequests& stop,
                                    std::function<void()> on_lost)
     : stop_(stop), on_lost_(std::move(on_lost)), channel_(std::move(socket)) {
   channel_.start(*this);

@@ -17,7 +17,7 @@ class ControlInterface final : public EventSink, public control::ChannelHandler 
  public:
   /// Notices the end of the channel from now on. `on_lost` is called, in the channel's thread,
   /// before the stop is asked for when the supervisor is gone.
-  ControlInterface(control::UniqueFd socket, StopRequests& stop, std::function<void()> on_lost);
+  ControlInterface(UniqueFd socket, StopRequests& stop, std::function<void()> on_lost);
 
   /// Says hello and begins to obey. `manager` must outlive close().
   void open(ObservableComponentManager& manager, const play_launch_msgs::msg::ControlHello& hello);
@@ -53,6 +53,6 @@ class ControlInterface final : public EventSink, public control::ChannelHandler 
 /// The socket that PLAY_LAUNCH_CONTROL_FD names, kept from programs that nodes start; the variable
 /// is removed. Without the variable an empty one. Throws std::runtime_error when it names none.
 /// Call it before there are threads.
-control::UniqueFd take_control_socket();
+UniqueFd take_control_socket();
 
 }  // namespace play_launch::container

@@ -13,6 +13,7 @@
 
 namespace {
 
+using namespace play_launch;
 using namespace play_launch::container;
 
 void print_version() {
@@ -43,7 +44,7 @@ int main(int argc, char** argv) {
     }
     arm_failpoints(std::getenv("PLAY_LAUNCH_FAILPOINTS"));
     search_own_prefix();
-    play_launch::control::UniqueFd control_socket = take_control_socket();
+    UniqueFd control_socket = take_control_socket();
     ContainerProcess process(options, argc, argv, std::move(control_socket));
     return process.run();
   } catch (const UsageError& error) {

@@ -3,14 +3,13 @@
 #include <poll.h>
 #include <pthread.h>
 #include <signal.h>
-#include <sys/eventfd.h>
 #include <unistd.h>
 
 #include <algorithm>
 #include <cerrno>
 #include <cstdint>
-#include <system_error>
 
+#include "base/doorbell.hpp"
 #include "base/report.hpp"
 #include "main/shared_memory.hpp"
 
@@ -25,17 +24,12 @@ volatile sig_atomic_t signal_event_fd = -1;
 std::atomic<int> signals{0};
 static_assert(std::atomic<int>::is_always_lock_free);
 
-void post(int fd) {
-  const std::uint64_t one = 1;
-  [[maybe_unused]] const ssize_t written = ::write(fd, &one, sizeof one);
-}
-
 extern "C" void on_stop_signal(int number) {
   const int error = errno;
   if (signals.fetch_add(1) + 1 >= kSignalsToLeaveAtOnce) {
     ::_exit(kSignalExitBase + number);
   }
-  post(signal_event_fd);
+  ring(signal_event_fd);
   errno = error;
 }
 
@@ -57,11 +51,7 @@ bool is_ignored(int number) {
 
 }  // namespace
 
-StopRequests::StopRequests() : event_(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {
-  if (!event_) {
-    throw std::system_error(errno, std::generic_category(), "eventfd");
-  }
-}
+StopRequests::StopRequests() : event_(make_doorbell()) {}
 
 void StopRequests::handle_signals() {
   signal_event_fd = event_.get();
@@ -88,7 +78,7 @@ void StopRequests::request(StopCause cause) {
   wake();
 }
 
-void StopRequests::wake() { post(event_.get()); }
+void StopRequests::wake() { ring(event_.get()); }
 
 void StopRequests::wait(SteadyTime deadline) {
   int timeout_ms = -1;
@@ -99,8 +89,7 @@ void StopRequests::wait(SteadyTime deadline) {
   }
   pollfd fd{event_.get(), POLLIN, 0};
   if (::poll(&fd, 1, timeout_ms) > 0) {
-    std::uint64_t count = 0;
-    [[maybe_unused]] const ssize_t got = ::read(event_.get(), &count, sizeof count);
+    hush(event_.get());
   }
 }
 

@@ -42,7 +42,7 @@ class StopRequests {
   int times_asked() const;
 
  private:
-  const control::UniqueFd event_;
+  const UniqueFd event_;
   std::atomic<StopCause> cause_{StopCause::none};
   std::atomic<int> requests_{0};
 };

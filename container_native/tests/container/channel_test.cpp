@@ -41,13 +41,13 @@ class Recorder final : public ChannelHandler {
   std::promise<std::string> ended;
 };
 
-std::pair<UniqueFd, UniqueFd> socket_pair() {
+std::pair<play_launch::UniqueFd, play_launch::UniqueFd> socket_pair() {
   int fds[2];
   CHECK(::socketpair(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0, fds) == 0);
-  return {UniqueFd(fds[0]), UniqueFd(fds[1])};
+  return {play_launch::UniqueFd(fds[0]), play_launch::UniqueFd(fds[1])};
 }
 
-void send_raw(const UniqueFd& fd, std::span<const std::uint8_t> bytes) {
+void send_raw(const play_launch::UniqueFd& fd, std::span<const std::uint8_t> bytes) {
   CHECK(::send(fd.get(), bytes.data(), bytes.size(), MSG_NOSIGNAL) ==
         static_cast<ssize_t>(bytes.size()));
 }

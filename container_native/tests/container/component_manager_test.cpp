@@ -7,6 +7,7 @@
 
 #include "check.hpp"
 
+using namespace play_launch;
 using namespace play_launch::container;
 
 namespace {
@@ -92,7 +93,7 @@ struct Bench {
   }
 
   FakeHost host;
-  ObservableComponentManager manager{host, ProcessIdentity{1, 2}};
+  ObservableComponentManager manager{host, play_launch::ProcessIdentity{1, 2}};
   Recorder recorder;
 };
 

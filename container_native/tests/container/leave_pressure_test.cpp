@@ -4,6 +4,7 @@
 
 #include "check.hpp"
 
+using namespace play_launch;
 using namespace play_launch::container;
 using namespace std::chrono_literals;
 

@@ -4,12 +4,13 @@
 
 #include "check.hpp"
 
+using namespace play_launch;
 using namespace play_launch::container;
 using Retirement = NodeTable::Retirement;
 
 namespace {
 
-const ProcessIdentity kProcess{100, 200};
+const play_launch::ProcessIdentity kProcess{100, 200};
 
 SteadyTime at(int seconds) { return SteadyTime(std::chrono::seconds(seconds)); }
 

@@ -9,6 +9,7 @@
 #include "components/component_index.hpp"
 #include "components/component_options.hpp"
 
+using namespace play_launch;
 using namespace play_launch::container;
 using rcl_interfaces::msg::Parameter;
 using rcl_interfaces::msg::ParameterType;

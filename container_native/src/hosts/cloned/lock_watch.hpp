@@ -42,8 +42,8 @@ class LockWatch {
   void compare(const Found& before, const Found& now);
 
   isolation::DeadLockSearch search_;
-  const control::UniqueFd begun_;
-  const control::UniqueFd done_;
+  const UniqueFd begun_;
+  const UniqueFd done_;
   mutable std::mutex mutex_;  // guards what follows
   Found confirmed_;
   std::thread thread_;  // last: it uses all of the above

@@ -53,7 +53,7 @@ class IsolatedHost : public NodeHost {
   void wait_until(Time deadline, const Nodes& nodes) const;
 
   const BackendList backends_;
-  const control::UniqueFd doorbell_;
+  const UniqueFd doorbell_;
   NodeHostObserver* observer_ = nullptr;
   IsolationTotals totals_;
 

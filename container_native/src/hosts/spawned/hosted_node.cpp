@@ -21,12 +21,12 @@ namespace {
 namespace msg = play_launch_msgs::msg;
 using control::FrameKind;
 
-std::pair<control::UniqueFd, control::UniqueFd> socket_pair() {
+std::pair<UniqueFd, UniqueFd> socket_pair() {
   int fds[2];
   if (::socketpair(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0, fds) != 0) {
     throw std::system_error(errno, std::generic_category(), "socketpair");
   }
-  return {control::UniqueFd(fds[0]), control::UniqueFd(fds[1])};
+  return {UniqueFd(fds[0]), UniqueFd(fds[1])};
 }
 
 msg::ControlLoad load_message(const LoadRequest& request) {

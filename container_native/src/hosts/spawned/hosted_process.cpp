@@ -77,7 +77,7 @@ std::vector<char*> pointers(std::vector<std::string>& texts) {
 }  // namespace
 
 HostedProcess::HostedProcess(const std::vector<std::string>& arguments,
-                             const control::UniqueFd& control_socket) {
+                             const UniqueFd& control_socket) {
   std::vector<std::string> argv{"component_container"};
   argv.insert(argv.end(), arguments.begin(), arguments.end());
   std::vector<std::string> variables = environment(control_socket.get());

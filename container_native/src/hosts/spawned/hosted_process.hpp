@@ -20,7 +20,7 @@ class HostedProcess {
  public:
   /// Starts this very program with these arguments, and `control_socket` as its control channel.
   /// Throws std::system_error.
-  HostedProcess(const std::vector<std::string>& arguments, const control::UniqueFd& control_socket);
+  HostedProcess(const std::vector<std::string>& arguments, const UniqueFd& control_socket);
   HostedProcess(const HostedProcess&) = delete;
   HostedProcess& operator=(const HostedProcess&) = delete;
   /// Kills and reaps it, if it was not reaped.
@@ -38,7 +38,7 @@ class HostedProcess {
 
  private:
   ProcessIdentity identity_;
-  control::UniqueFd fd_;
+  UniqueFd fd_;
   bool reaped_ = false;
   ProcessEnd end_;
 };

@@ -1,6 +1,5 @@
 #include "isolation/clone/child.hpp"
 
-#include <fcntl.h>
 #include <sched.h>
 #include <signal.h>
 #include <sys/prctl.h>
@@ -10,8 +9,8 @@
 #include <algorithm>
 #include <array>
 #include <cerrno>
-#include <cstring>
 
+#include "base/process_identity.hpp"
 #include "isolation/clone/vm_clone.hpp"
 #include "isolation/crash/crash_handler.hpp"
 #include "isolation/quiesce/quiesce.hpp"
@@ -33,30 +32,6 @@ struct Launch {
 
 constexpr int kExitOrphaned = 125;
 constexpr int kExitStatusMask = 0xff;
-
-/// Field 22 of the process's stat, without the allocator.
-std::uint64_t read_start_time() noexcept {
-  const int fd = ::open("/proc/self/stat", O_RDONLY | O_CLOEXEC);
-  if (fd < 0) {
-    return 0;
-  }
-  std::array<char, 512> text{};
-  const ssize_t size = ::read(fd, text.data(), text.size() - 1);
-  ::close(fd);
-  // Field 2 is the command in parentheses, and may hold spaces and parentheses itself.
-  const char* field = size > 0 ? std::strrchr(text.data(), ')') : nullptr;
-  constexpr int kFieldsAfterCommand = 22 - 2;
-  for (int i = 0; field != nullptr && i < kFieldsAfterCommand; ++i) {
-    field = std::strchr(field + 1, ' ');
-  }
-  std::uint64_t value = 0;
-  if (field != nullptr) {
-    for (++field; *field >= '0' && *field <= '9'; ++field) {
-      value = value * 10 + static_cast<std::uint64_t>(*field - '0');
-    }
-  }
-  return value;
-}
 
 /// The child has a copy of the container's actions, which would act on the container's memory.
 void forget_signal_actions() noexcept {
@@ -80,7 +55,7 @@ void enter(const Launch& launch) noexcept {
   rise(pid);
   *record.registered_pid = pid;
   slot.pid = pid;
-  slot.start_time = read_start_time();
+  slot.start_time = start_time_of_self();
   slot.alive = true;
   ::prctl(PR_SET_PDEATHSIG, SIGKILL);
   if (::getppid() != launch.container) {
