@@ -8,8 +8,11 @@
 
 namespace play_launch {
 
+namespace detail {
+class StopFlag;
+}
+
 class IntraProcessHub;
-class ReadyQueue;
 
 /// One rcl context, which means one participant on the network, shared by all nodes made with it.
 /// All members may be called from any thread.
@@ -41,8 +44,8 @@ class Context {
   /// Where publishers and subscriptions of this context meet without the middleware.
   [[nodiscard]] IntraProcessHub& intra_process() noexcept { return *hub_; }
 
-  /// Has `queue` closed on shutdown(). Used by executors.
-  void close_on_shutdown(const std::shared_ptr<ReadyQueue>& queue);
+  /// Has `stop` set on shutdown(). Used by executors.
+  void stop_on_shutdown(const std::shared_ptr<detail::StopFlag>& stop);
 
  private:
   Context();
@@ -53,7 +56,7 @@ class Context {
   std::unique_ptr<IntraProcessHub> hub_;
   std::mutex mutex_;
   bool shut_down_ = false;
-  std::vector<std::weak_ptr<ReadyQueue>> queues_;
+  std::vector<std::weak_ptr<detail::StopFlag>> stops_;
 };
 
 }  // namespace play_launch

@@ -10,6 +10,10 @@
 
 namespace play_launch {
 
+namespace detail {
+class StopFlag;
+}
+
 class Node;
 struct ExecutorState;
 struct RunningTurn;
@@ -52,7 +56,8 @@ class Executor {
   virtual void abandon();
 
  protected:
-  Executor();
+  /// `stop` is the request to stop; null: one of its own, which only cancel() makes.
+  explicit Executor(std::shared_ptr<detail::StopFlag> stop);
 
   /// Works in the calling thread until cancelled.
   void work();
@@ -79,6 +84,8 @@ class Executor {
 /// Runs all callbacks one after the other, in the thread that calls spin().
 class SingleThreadedExecutor final : public Executor {
  public:
+  explicit SingleThreadedExecutor(std::shared_ptr<detail::StopFlag> stop = nullptr);
+
   void spin() override;
 };
 
@@ -86,7 +93,8 @@ class SingleThreadedExecutor final : public Executor {
 class MultiThreadedExecutor final : public Executor {
  public:
   /// `threads` work in spin(), the calling one included; 0 = one per CPU, at least 2.
-  explicit MultiThreadedExecutor(std::size_t threads = 0);
+  explicit MultiThreadedExecutor(std::size_t threads = 0,
+                                 std::shared_ptr<detail::StopFlag> stop = nullptr);
 
   void spin() override;
   void abandon() override;

@@ -7,6 +7,7 @@
 #include <optional>
 #include <play_launch/construction.hpp>
 #include <play_launch/context.hpp>
+#include <play_launch/detail/stop_flag.hpp>
 #include <string>
 #include <string_view>
 
@@ -39,10 +40,9 @@ class ComponentExecutor {
   ComponentExecutor& operator=(const ComponentExecutor&) = delete;
   virtual ~ComponentExecutor() = default;
 
-  /// Runs until cancel(). What a callback throws leaves it, and so ends the process.
+  /// Runs callbacks until the request to stop is made, and returns after those that run then. What
+  /// a callback throws leaves it, and so ends the process.
   virtual void spin() = 0;
-  /// Makes spin() return after the callbacks that run now. Safe in a signal handler.
-  virtual void cancel() = 0;
   virtual void add(Component& component) = 0;
   /// Returns when no callback of the component runs any more; none will run afterwards.
   virtual void remove(Component& component) = 0;
@@ -86,7 +86,9 @@ class ComponentBackend {
   virtual std::unique_ptr<Component> create(const LoadRequest& request,
                                             Construction* construction) = 0;
 
-  virtual std::unique_ptr<ComponentExecutor> create_executor(const ExecutorChoice& choice) = 0;
+  /// `stop` is the request to stop, for this executor alone.
+  virtual std::unique_ptr<ComponentExecutor> create_executor(
+      const ExecutorChoice& choice, std::shared_ptr<detail::StopFlag> stop) = 0;
 };
 
 }  // namespace play_launch::container

@@ -27,7 +27,6 @@ class NativeExecutor final : public ComponentExecutor {
  public:
   explicit NativeExecutor(std::unique_ptr<Executor> executor) : executor_(std::move(executor)) {}
   void spin() override { executor_->spin(); }
-  void cancel() override { executor_->cancel(); }
   void add(Component& component) override { executor_->add_node(node_of(component)); }
   void remove(Component& component) override { executor_->remove_node(node_of(component)); }
   void abandon() override { executor_->abandon(); }
@@ -114,12 +113,14 @@ std::unique_ptr<Component> NativeBackend::create(const LoadRequest& request,
   return std::make_unique<NativeComponent>(std::move(node));
 }
 
-std::unique_ptr<ComponentExecutor> NativeBackend::create_executor(const ExecutorChoice& choice) {
+std::unique_ptr<ComponentExecutor> NativeBackend::create_executor(
+    const ExecutorChoice& choice, std::shared_ptr<detail::StopFlag> stop) {
   if (choice.multi_threaded) {
     return std::make_unique<NativeExecutor>(
-        std::make_unique<MultiThreadedExecutor>(choice.threads));
+        std::make_unique<MultiThreadedExecutor>(choice.threads, std::move(stop)));
   }
-  return std::make_unique<NativeExecutor>(std::make_unique<SingleThreadedExecutor>());
+  return std::make_unique<NativeExecutor>(
+      std::make_unique<SingleThreadedExecutor>(std::move(stop)));
 }
 
 }  // namespace play_launch::container

@@ -22,7 +22,8 @@ class NativeBackend final : public ComponentBackend {
   std::optional<std::string> expected_full_name(const LoadRequest& request) const override;
   std::unique_ptr<Component> create(const LoadRequest& request,
                                     Construction* construction) override;
-  std::unique_ptr<ComponentExecutor> create_executor(const ExecutorChoice& choice) override;
+  std::unique_ptr<ComponentExecutor> create_executor(
+      const ExecutorChoice& choice, std::shared_ptr<detail::StopFlag> stop) override;
 
  private:
   void open_library(const std::string& path);

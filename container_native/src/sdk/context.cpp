@@ -4,10 +4,9 @@
 #include <rcl/logging.h>
 
 #include <play_launch/context.hpp>
+#include <play_launch/detail/stop_flag.hpp>
 #include <play_launch/error.hpp>
 #include <play_launch/intra_process.hpp>
-
-#include "ready_queue.hpp"
 
 namespace play_launch {
 namespace {
@@ -82,32 +81,32 @@ Context::~Context() {
 bool Context::ok() const noexcept { return context_ != nullptr && rcl_context_is_valid(context_); }
 
 void Context::shutdown() {
-  std::vector<std::weak_ptr<ReadyQueue>> queues;
+  std::vector<std::weak_ptr<detail::StopFlag>> stops;
   {
     const std::lock_guard lock(mutex_);
     if (shut_down_) return;
     shut_down_ = true;
-    queues.swap(queues_);
+    stops.swap(stops_);
   }
   if (context_ == &own_ && rcl_shutdown(&own_) != RCL_RET_OK) rcl_reset_error();
-  for (const auto& weak : queues) {
-    if (const auto queue = weak.lock()) queue->close();
+  for (const auto& weak : stops) {
+    if (const auto stop = weak.lock()) stop->set();
   }
 }
 
-void Context::close_on_shutdown(const std::shared_ptr<ReadyQueue>& queue) {
+void Context::stop_on_shutdown(const std::shared_ptr<detail::StopFlag>& stop) {
   {
     const std::lock_guard lock(mutex_);
     if (!shut_down_) {
-      std::erase_if(queues_, [&queue](const auto& known) {
+      std::erase_if(stops_, [&stop](const auto& known) {
         const auto alive = known.lock();
-        return alive == nullptr || alive == queue;
+        return alive == nullptr || alive == stop;
       });
-      queues_.push_back(queue);
+      stops_.push_back(stop);
       return;
     }
   }
-  queue->close();
+  stop->set();
 }
 
 }  // namespace play_launch

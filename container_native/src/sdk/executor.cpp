@@ -1,5 +1,3 @@
-#include <pthread.h>
-
 #include <algorithm>
 #include <exception>
 #include <list>
@@ -7,6 +5,7 @@
 #include <memory>
 #include <play_launch/callback_group.hpp>
 #include <play_launch/context.hpp>
+#include <play_launch/detail/forget.hpp>
 #include <play_launch/executor.hpp>
 #include <play_launch/node.hpp>
 #include <stdexcept>
@@ -26,7 +25,10 @@ struct ExecutorState {
     std::shared_ptr<NodeSlot> slot;
   };
 
-  const std::shared_ptr<ReadyQueue> queue = std::make_shared<ReadyQueue>();
+  explicit ExecutorState(std::shared_ptr<detail::StopFlag> stop)
+      : queue(std::make_shared<ReadyQueue>(std::move(stop))) {}
+
+  const std::shared_ptr<ReadyQueue> queue;
   std::mutex mutex;
   // Guarded by the mutex from here on.
   Scheduler scheduler{queue};
@@ -38,7 +40,7 @@ struct ExecutorState {
   // Where to note when a thread looked for work; null: nowhere. Set before spin().
   std::atomic<Nanoseconds>* beat = nullptr;
   // Rings when the last callback of a removed node has returned.
-  Doorbell quiet;
+  detail::Doorbell quiet;
 };
 
 namespace {
@@ -69,7 +71,9 @@ void call_user(Work& work, const Waitable& waitable) {
 
 }  // namespace
 
-Executor::Executor() : state_(std::make_unique<ExecutorState>()) {}
+Executor::Executor(std::shared_ptr<detail::StopFlag> stop)
+    : state_(std::make_unique<ExecutorState>(
+          stop != nullptr ? std::move(stop) : std::make_shared<detail::StopFlag>())) {}
 
 Executor::~Executor() {
   while (true) {
@@ -81,9 +85,10 @@ Executor::~Executor() {
     }
     remove_node(node);
   }
+  state_->queue->retire();
 }
 
-void Executor::cancel() noexcept { state_->queue->close(); }
+void Executor::cancel() noexcept { state_->queue->stop()->set(); }
 
 void Executor::beat_into(std::atomic<std::int64_t>& beat) noexcept {
   state_->beat = &beat;
@@ -98,7 +103,7 @@ void Executor::add_node(std::shared_ptr<Node> node) {
     const std::lock_guard lock(state_->mutex);
     state_->nodes.emplace(node.get(), ExecutorState::Held{node, slot});
   }
-  node->context()->close_on_shutdown(state_->queue);
+  node->context()->stop_on_shutdown(state_->queue->stop());
   node->waitables_->attach(slot);
 }
 
@@ -133,7 +138,7 @@ void Executor::work() {
   while (true) {
     // Read before looking: what comes later makes wait_for_work return at once.
     const auto seen = state_->queue->doorbell().rings();
-    if (state_->queue->closed()) return;
+    if (state_->queue->stop()->is_set()) return;
     state_->scheduler.collect();
     if (state_->beat != nullptr) state_->beat->store(steady_now(), std::memory_order_relaxed);
     RunningTurn* const turn = state_->scheduler.next();
@@ -205,6 +210,7 @@ void Executor::run(RunningTurn& turn, std::unique_lock<std::mutex>& lock) {
 }
 
 void Executor::abandon() {
+  detail::forget(state_->mutex);  // a thread may have died with it
   std::list<RunningTurn> held;
   {
     const std::lock_guard lock(state_->mutex);
@@ -227,24 +233,18 @@ Executor::Spinning::~Spinning() {
   executor_.state_->spinning = false;
 }
 
+SingleThreadedExecutor::SingleThreadedExecutor(std::shared_ptr<detail::StopFlag> stop)
+    : Executor(std::move(stop)) {}
+
 void SingleThreadedExecutor::spin() {
   const Spinning spinning(*this);
   work();
 }
 
-namespace {
-
-/// Frees the stack of a thread whose process died, without waiting for one that lives.
-void let_go(std::thread& thread) {
-  const pthread_t handle = thread.native_handle();
-  if (::pthread_tryjoin_np(handle, nullptr) != 0) ::pthread_detach(handle);
-  std::construct_at(&thread);  // in the place of the old one, which must not be destroyed
-}
-
-}  // namespace
-
-MultiThreadedExecutor::MultiThreadedExecutor(std::size_t threads)
-    : threads_(threads != 0 ? threads
+MultiThreadedExecutor::MultiThreadedExecutor(std::size_t threads,
+                                             std::shared_ptr<detail::StopFlag> stop)
+    : Executor(std::move(stop)),
+      threads_(threads != 0 ? threads
                             : std::max<std::size_t>(2, std::thread::hardware_concurrency())) {}
 
 void MultiThreadedExecutor::spin() {
@@ -262,7 +262,7 @@ void MultiThreadedExecutor::spin() {
 }
 
 void MultiThreadedExecutor::abandon() {
-  for (std::thread& worker : workers_) let_go(worker);
+  for (std::thread& worker : workers_) detail::forget(worker);
   workers_.clear();
   Executor::abandon();
 }

@@ -1,46 +1,14 @@
 #include "ready_queue.hpp"
 
-#include <linux/futex.h>
-#include <sys/syscall.h>
-#include <unistd.h>
-
 #include <chrono>
-#include <ctime>
 #include <utility>
 
 namespace play_launch {
-
-static_assert(std::atomic<std::uint32_t>::is_always_lock_free &&
-              sizeof(std::atomic<std::uint32_t>) == sizeof(std::uint32_t));
 
 Nanoseconds steady_now() noexcept {
   return std::chrono::duration_cast<std::chrono::nanoseconds>(
              std::chrono::steady_clock::now().time_since_epoch())
       .count();
-}
-
-void Doorbell::ring(int waiters) noexcept {
-  rings_.fetch_add(1);
-  if (waiters_.load() == 0) return;
-  syscall(SYS_futex, reinterpret_cast<std::uint32_t*>(&rings_), FUTEX_WAKE_PRIVATE, waiters,
-          nullptr, nullptr, 0);
-}
-
-void Doorbell::wait(std::uint32_t seen, Nanoseconds deadline) noexcept {
-  constexpr Nanoseconds kSecond = 1'000'000'000;
-  timespec until{};
-  const timespec* timeout = nullptr;
-  if (deadline != kNever) {
-    const Nanoseconds at = deadline < 0 ? 0 : deadline;
-    until.tv_sec = at / kSecond;
-    until.tv_nsec = at % kSecond;
-    timeout = &until;
-  }
-  waiters_.fetch_add(1);
-  // The bitset form takes an absolute time, by CLOCK_MONOTONIC.
-  syscall(SYS_futex, reinterpret_cast<std::uint32_t*>(&rings_), FUTEX_WAIT_BITSET_PRIVATE, seen,
-          timeout, nullptr, FUTEX_BITSET_MATCH_ANY);
-  waiters_.fetch_sub(1);
 }
 
 ReadyQueue::~ReadyQueue() { static_cast<void>(take_all()); }
@@ -52,7 +20,8 @@ void ReadyQueue::push(std::shared_ptr<WakeToken> token) noexcept {
   do {
     raw->next_ = newest;
   } while (!newest_.compare_exchange_weak(newest, raw));
-  doorbell_.ring();
+  doorbell().ring();
+  if (retired_.load()) let_go();
 }
 
 ReadyQueue::Batch ReadyQueue::take_all() noexcept {
@@ -77,45 +46,48 @@ std::shared_ptr<WakeToken> ReadyQueue::Batch::pop_front() noexcept {
   return std::move(std::exchange(first_, first_->next_)->self_);
 }
 
-void ReadyQueue::close() noexcept {
-  closed_.store(true);
-  doorbell_.ring_all();
+void ReadyQueue::retire() noexcept {
+  retired_.store(true);
+  let_go();
 }
 
+void ReadyQueue::let_go() noexcept {
+  auto batch = take_all();
+  while (const auto token = batch.pop_front()) token->leave(*this);
+}
+
+// Who notifies marks the token and then reads the slot; who attaches writes the slot and then looks
+// at the mark. So one of the two sees the other, and nothing is lost.
 void WakeToken::notify(std::size_t new_events) noexcept {
   events.fetch_add(new_events);
-  if (queued.exchange(true)) return;
-  const std::lock_guard lock(mutex_);
-  if (slot_ == nullptr) {
-    // attach() looks for itself, so nothing is lost.
+  while (!queued.exchange(true)) {
+    if (const NodeSlot* const slot = slot_.load()) {
+      slot->queue->push(shared_from_this());
+      return;
+    }
     queued.store(false);
-    return;
+    if (slot_.load() == nullptr) return;
   }
-  slot_->queue->push(shared_from_this());
 }
 
-void WakeToken::bind(std::weak_ptr<Waitable> waitable) {
-  const std::lock_guard lock(mutex_);
-  waitable_ = std::move(waitable);
-}
+void WakeToken::bind(std::weak_ptr<Waitable> waitable) { waitable_ = std::move(waitable); }
 
-void WakeToken::attach(const std::shared_ptr<NodeSlot>& slot) {
-  {
-    const std::lock_guard lock(mutex_);
-    slot_ = slot;
-  }
+void WakeToken::attach(std::shared_ptr<NodeSlot> slot) {
+  slots_.push_back(std::move(slot));
+  slot_.store(slots_.back().get());
   // Something may have arrived before.
   notify(0);
 }
 
-void WakeToken::detach() {
-  const std::lock_guard lock(mutex_);
-  slot_ = nullptr;
+std::shared_ptr<NodeSlot> WakeToken::slot() const {
+  NodeSlot* const slot = slot_.load();
+  return slot != nullptr ? slot->shared_from_this() : nullptr;
 }
 
-std::shared_ptr<NodeSlot> WakeToken::slot() const {
-  const std::lock_guard lock(mutex_);
-  return slot_;
+void WakeToken::leave(const ReadyQueue& queue) noexcept {
+  queued.store(false);
+  const NodeSlot* const slot = slot_.load();
+  if (slot != nullptr && slot->queue.get() != &queue) notify(0);
 }
 
 }  // namespace play_launch

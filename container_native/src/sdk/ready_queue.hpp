@@ -3,10 +3,11 @@
 #include <atomic>
 #include <cstddef>
 #include <cstdint>
-#include <limits>
 #include <memory>
-#include <mutex>
 #include <optional>
+#include <play_launch/detail/stop_flag.hpp>
+#include <utility>
+#include <vector>
 
 namespace play_launch {
 
@@ -15,39 +16,14 @@ class NodeSlot;
 class Waitable;
 class WakeToken;
 
-/// Points in time are nanoseconds of the steady clock (CLOCK_MONOTONIC).
-using Nanoseconds = std::int64_t;
-inline constexpr Nanoseconds kAtOnce = std::numeric_limits<Nanoseconds>::min();
-inline constexpr Nanoseconds kNever = std::numeric_limits<Nanoseconds>::max();
 [[nodiscard]] Nanoseconds steady_now() noexcept;
 
-/// A counter that threads can wait on. It holds no state that a thread which dies while waiting
-/// could leave locked, unlike a condition variable: executors work in processes that share their
-/// memory with others and may be killed at any time.
-class Doorbell {
- public:
-  /// The number to hand to wait(). Read it before looking for work.
-  [[nodiscard]] std::uint32_t rings() const noexcept { return rings_.load(); }
-
-  /// Wakes one waiter, or all.
-  void ring() noexcept { ring(1); }
-  void ring_all() noexcept { ring(std::numeric_limits<int>::max()); }
-
-  /// Returns when it rang since `seen` was read, at `deadline`, or for no reason.
-  void wait(std::uint32_t seen, Nanoseconds deadline = kNever) noexcept;
-
- private:
-  void ring(int waiters) noexcept;
-
-  std::atomic<std::uint32_t> rings_{0};
-  std::atomic<std::uint32_t> waiters_{0};
-};
-
 /// What has become ready for one executor. Producers, among them the middleware's receive threads,
-/// never wait for the executor or for each other here.
+/// never wait for the executor or for each other here: they take no lock, which a thread of the
+/// executor could hold when its process is killed.
 class ReadyQueue {
  public:
-  ReadyQueue() = default;
+  explicit ReadyQueue(std::shared_ptr<detail::StopFlag> stop) : stop_(std::move(stop)) {}
   ~ReadyQueue();
   ReadyQueue(const ReadyQueue&) = delete;
   ReadyQueue& operator=(const ReadyQueue&) = delete;
@@ -70,20 +46,25 @@ class ReadyQueue {
   };
   [[nodiscard]] Batch take_all() noexcept;
 
-  /// The executor is to stop; final. Safe in a signal handler.
-  void close() noexcept;
-  [[nodiscard]] bool closed() const noexcept { return closed_.load(); }
+  /// Nobody takes any more: what is here, and what somebody is about to push, is let go of.
+  void retire() noexcept;
 
-  [[nodiscard]] Doorbell& doorbell() noexcept { return doorbell_; }
+  /// The request to the executor to stop.
+  [[nodiscard]] const std::shared_ptr<detail::StopFlag>& stop() const noexcept { return stop_; }
+
+  /// Rings with every push, and with the request to stop.
+  [[nodiscard]] detail::Doorbell& doorbell() const noexcept { return stop_->doorbell(); }
 
  private:
+  void let_go() noexcept;
+
   std::atomic<WakeToken*> newest_{nullptr};
-  std::atomic<bool> closed_{false};
-  Doorbell doorbell_;
+  std::atomic<bool> retired_{false};
+  const std::shared_ptr<detail::StopFlag> stop_;
 };
 
 /// A node's place in one executor, from add_node to remove_node.
-class NodeSlot {
+class NodeSlot : public std::enable_shared_from_this<NodeSlot> {
  public:
   explicit NodeSlot(std::shared_ptr<ReadyQueue> ready) : queue(std::move(ready)) {}
 
@@ -105,11 +86,16 @@ class WakeToken : public std::enable_shared_from_this<WakeToken> {
 
   /// Which waitable it stands for; once, before attach().
   void bind(std::weak_ptr<Waitable> waitable);
-  /// Notifications go to that executor from now on; the first one is given here.
-  void attach(const std::shared_ptr<NodeSlot>& slot);
-  /// Notifications go nowhere from now on.
-  void detach();
+  /// Notifications go to that executor from now on; the first one is given here. One thread at a
+  /// time.
+  void attach(std::shared_ptr<NodeSlot> slot);
+  /// Notifications go nowhere from now on, but for those that are under way: `queue` may still get
+  /// one.
+  void detach() noexcept { slot_.store(nullptr); }
+  /// Null when it is in no executor.
   [[nodiscard]] std::shared_ptr<NodeSlot> slot() const;
+  /// It was taken from that queue, and there is nobody to look at it there.
+  void leave(const ReadyQueue& queue) noexcept;
   /// Null when the waitable is gone.
   [[nodiscard]] std::shared_ptr<Waitable> lock() const { return waitable_.lock(); }
 
@@ -132,8 +118,9 @@ class WakeToken : public std::enable_shared_from_this<WakeToken> {
  private:
   friend class ReadyQueue;
 
-  mutable std::mutex mutex_;
-  std::shared_ptr<NodeSlot> slot_;
+  std::atomic<NodeSlot*> slot_{nullptr};
+  // All that slot_ ever was, for who has just read it: one for each executor that had the node.
+  std::vector<std::shared_ptr<NodeSlot>> slots_;
   std::weak_ptr<Waitable> waitable_;
   // Owned by the queue the token is in.
   WakeToken* next_ = nullptr;

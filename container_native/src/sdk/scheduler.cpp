@@ -13,8 +13,8 @@ void Scheduler::collect() {
   auto batch = queue_->take_all();
   while (auto token = batch.pop_front()) {
     auto slot = token->slot();
-    if (slot == nullptr || slot->removed) {
-      token->queued.store(false);
+    if (slot == nullptr || slot->queue != queue_ || slot->removed) {
+      token->leave(*queue_);
       continue;
     }
     admit({std::move(token), std::move(slot)}, now);

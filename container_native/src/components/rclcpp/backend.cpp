@@ -41,9 +41,9 @@ class RclcppComponent final : public Component {
 
 class RclcppExecutor final : public ComponentExecutor {
  public:
-  explicit RclcppExecutor(std::size_t threads) : executor_(threads) {}
+  RclcppExecutor(std::size_t threads, std::shared_ptr<detail::StopFlag> stop)
+      : executor_(threads, std::move(stop)) {}
   void spin() override { executor_.spin(); }
-  void cancel() override { executor_.cancel(); }
   void add(Component& component) override { executor_.add_node(node_of(component)); }
   void remove(Component& component) override { executor_.take_out(node_of(component)); }
   void abandon() override { executor_.abandon(); }
@@ -108,8 +108,9 @@ std::unique_ptr<Component> RclcppBackend::create(const LoadRequest& request,
 }
 
 std::unique_ptr<ComponentExecutor> RclcppBackend::create_executor(
-    const container::ExecutorChoice& choice) {
-  return std::make_unique<RclcppExecutor>(choice.multi_threaded ? choice.threads : 1);
+    const container::ExecutorChoice& choice, std::shared_ptr<detail::StopFlag> stop) {
+  return std::make_unique<RclcppExecutor>(choice.multi_threaded ? choice.threads : 1,
+                                          std::move(stop));
 }
 
 }  // namespace play_launch::rclcpp_backend

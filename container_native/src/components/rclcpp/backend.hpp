@@ -23,7 +23,7 @@ class RclcppBackend final : public container::ComponentBackend {
   std::unique_ptr<container::Component> create(const container::LoadRequest& request,
                                                Construction* construction) override;
   std::unique_ptr<container::ComponentExecutor> create_executor(
-      const container::ExecutorChoice& choice) override;
+      const container::ExecutorChoice& choice, std::shared_ptr<detail::StopFlag> stop) override;
 
  private:
   const std::shared_ptr<Context> context_;

@@ -3,33 +3,15 @@
 #include <pthread.h>
 
 #include <algorithm>
-#include <cerrno>
 #include <chrono>
 #include <memory>
+#include <play_launch/detail/forget.hpp>
 #include <rclcpp/executor_options.hpp>
 #include <rclcpp/utilities.hpp>
-#include <system_error>
 #include <utility>
 
 namespace play_launch::rclcpp_backend {
 namespace {
-
-/// Frees the stack of a thread whose process died, without waiting for one that lives.
-void let_go(std::thread& thread) {
-  if (thread.joinable()) {
-    const pthread_t handle = thread.native_handle();
-    if (::pthread_tryjoin_np(handle, nullptr) != 0) {
-      ::pthread_detach(handle);
-    }
-    std::construct_at(&thread);  // in the place of the old one, which must not be destroyed
-  }
-}
-
-/// Puts a new one in the place of a mutex or condition variable that a dead thread may hold.
-template <class T>
-void renew(T& object) {
-  std::construct_at(&object);
-}
 
 /// For a function that takes a share in what its caller holds anyway. A thread that dies in there
 /// would never give it back.
@@ -40,44 +22,25 @@ std::shared_ptr<T> unshared(const std::shared_ptr<T>& owner) {
 
 }  // namespace
 
-Bell::Bell(std::function<void()> answer) {
-  if (::sem_init(&semaphore_, 0, 0) != 0) {
-    throw std::system_error(errno, std::generic_category(), "sem_init");
-  }
-  thread_ = std::thread([this, answer = std::move(answer)] {
-    ::pthread_setname_np(::pthread_self(), "interrupt");
-    while (true) {
-      if (::sem_wait(&semaphore_) != 0) {
-        continue;  // a signal
-      }
-      if (done_) {
-        return;
-      }
-      answer();
-    }
-  });
-}
-
-Bell::~Bell() {
-  if (thread_.joinable()) {
-    done_ = true;
-    ring();
-    thread_.join();
-  }
-  ::sem_destroy(&semaphore_);
-}
-
-void Bell::abandon() { let_go(thread_); }
-
-NodeExecutor::NodeExecutor(std::size_t threads)
+NodeExecutor::NodeExecutor(std::size_t threads, std::shared_ptr<detail::StopFlag> stop)
     : rclcpp::Executor(rclcpp::ExecutorOptions()),
+      stop_(std::move(stop)),
       workers_(std::max<std::size_t>(threads, 1)),
-      interrupt_([this] { interrupt_guard_condition_->trigger(); }) {
+      interrupter_([this] {
+        ::pthread_setname_np(::pthread_self(), "interrupt");
+        stop_->wait();
+        interrupt_guard_condition_->trigger();
+      }) {
   // What is added before spin() is then collected by spin(), and not meanwhile by who adds it.
   spinning = true;
 }
 
-NodeExecutor::~NodeExecutor() = default;
+NodeExecutor::~NodeExecutor() {
+  if (interrupter_.joinable()) {
+    stop_->set();
+    interrupter_.join();
+  }
+}
 
 void NodeExecutor::spin() {
   for (std::size_t i = 1; i < workers_.size(); ++i) {
@@ -92,10 +55,7 @@ void NodeExecutor::spin() {
   wait_result_.reset();
 }
 
-void NodeExecutor::cancel() {
-  cancelled_ = true;
-  interrupt_.ring();
-}
+void NodeExecutor::cancel() { stop_->set(); }
 
 void NodeExecutor::beat_into(std::atomic<std::int64_t>& beat) noexcept {
   beat_ = &beat;
@@ -112,7 +72,7 @@ std::chrono::nanoseconds NodeExecutor::note_beat() {
   return std::chrono::seconds(1);
 }
 
-bool NodeExecutor::may_run() const { return !cancelled_ && rclcpp::ok(context_); }
+bool NodeExecutor::may_run() const { return !stop_->is_set() && rclcpp::ok(context_); }
 
 void NodeExecutor::run(Worker& worker) noexcept {
   while (may_run()) {
@@ -201,17 +161,17 @@ bool NodeExecutor::runs_any_of(const std::vector<const rclcpp::CallbackGroup*>& 
 
 void NodeExecutor::abandon() {
   abandoned_ = true;
-  interrupt_.abandon();
+  detail::forget(interrupter_);
   for (Worker& worker : workers_) {
-    let_go(worker.thread);
+    detail::forget(worker.thread);
     worker.group = nullptr;
     worker.work.reset();
   }
-  renew(mutex_);  // rclcpp's own
-  renew(take_mutex_);
-  renew(runs_mutex_);
-  renew(removed_);
-  renew(run_finished_);
+  detail::forget(mutex_);  // rclcpp's own
+  detail::forget(take_mutex_);
+  detail::forget(runs_mutex_);
+  detail::forget(removed_);
+  detail::forget(run_finished_);
   removals_ = 0;
   spinning = false;
   wait_result_.reset();

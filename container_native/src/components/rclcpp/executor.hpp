@@ -1,45 +1,24 @@
 #pragma once
 
-#include <semaphore.h>
-
 #include <atomic>
 #include <chrono>
 #include <condition_variable>
 #include <cstddef>
 #include <cstdint>
-#include <functional>
 #include <memory>
 #include <mutex>
 #include <optional>
+#include <play_launch/detail/stop_flag.hpp>
 #include <rclcpp/executor.hpp>
 #include <thread>
 #include <vector>
 
 namespace play_launch::rclcpp_backend {
 
-/// Calls a function in a thread of its own whenever it is rung for. Ringing is safe in a signal
-/// handler; the function need not be.
-class Bell {
- public:
-  explicit Bell(std::function<void()> answer);
-  ~Bell();
-  Bell(const Bell&) = delete;
-  Bell& operator=(const Bell&) = delete;
-
-  void ring() noexcept { ::sem_post(&semaphore_); }
-  /// For when the thread's process has died.
-  void abandon();
-
- private:
-  sem_t semaphore_{};
-  std::atomic<bool> done_{false};
-  std::thread thread_;
-};
-
 /// rclcpp's executor, with what its own ones lack for nodes that are unloaded while it spins, or
-/// die in a callback: take_out() waits for running callbacks, cancel() may be called in a signal
-/// handler and before spin(), and what a callback holds is kept here instead of on the stack of
-/// its thread, so that it can be let go of when that thread is no more.
+/// die in a callback: take_out() waits for running callbacks, it may be stopped by a signal handler
+/// and before spin(), and what a callback holds is kept here instead of on the stack of its thread,
+/// so that it can be let go of when that thread is no more.
 ///
 /// With one thread callbacks run in the one that calls spin(), else in that one and others, by the
 /// rules of callback groups.
@@ -47,7 +26,9 @@ class NodeExecutor final : public rclcpp::Executor {
  public:
   using Node = rclcpp::node_interfaces::NodeBaseInterface;
 
-  explicit NodeExecutor(std::size_t threads);
+  /// `stop` is the request to stop; rclcpp can be woken by who is no signal handler only, so a
+  /// thread of the executor waits for the request.
+  NodeExecutor(std::size_t threads, std::shared_ptr<detail::StopFlag> stop);
   ~NodeExecutor() override;
 
   /// What a callback throws ends the process.
@@ -80,7 +61,7 @@ class NodeExecutor final : public rclcpp::Executor {
   std::chrono::nanoseconds note_beat();
   bool runs_any_of(const std::vector<const rclcpp::CallbackGroup*>& groups) const;
 
-  std::atomic<bool> cancelled_{false};
+  const std::shared_ptr<detail::StopFlag> stop_;
   bool abandoned_ = false;
   std::atomic<std::int64_t>* beat_ = nullptr;
   std::vector<Worker> workers_;
@@ -93,7 +74,7 @@ class NodeExecutor final : public rclcpp::Executor {
   std::mutex runs_mutex_;
   std::condition_variable run_finished_;
 
-  Bell interrupt_;
+  std::thread interrupter_;  // last: it uses the above
 };
 
 }  // namespace play_launch::rclcpp_backend

@@ -1,7 +1,6 @@
 #include "hosts/cloned/node_program.hpp"
 
 #include <algorithm>
-#include <ctime>
 #include <exception>
 #include <utility>
 
@@ -12,47 +11,11 @@
 namespace play_launch::container {
 namespace {
 
-static_assert(std::atomic<std::uint32_t>::is_always_lock_free &&
-              std::atomic<ComponentExecutor*>::is_always_lock_free);
-
 /// Statuses of a burial.
 constexpr int kBuried = 0;
 constexpr int kIncomplete = 1;
 
 }  // namespace
-
-void ExecutorHandle::open(ComponentExecutor& executor) noexcept {
-  executor_ = &executor;
-  if (cancelled_) {
-    executor.cancel();
-  }
-}
-
-void ExecutorHandle::close() noexcept {
-  executor_ = nullptr;
-  users_.fetch_or(kClosed);
-  // Whoever is inside comes out soon: it is the container, or a handler in another thread. A user
-  // that never comes out was killed there.
-  constexpr int kPatience = 1000;
-  constexpr timespec kMoment{0, 20'000};
-  for (int i = 0; i < kPatience && users_ != kClosed; ++i) {
-    ::nanosleep(&kMoment, nullptr);
-  }
-}
-
-void ExecutorHandle::cancel() noexcept {
-  cancelled_ = true;
-  std::uint32_t users = users_;
-  do {
-    if ((users & kClosed) != 0) {
-      return;
-    }
-  } while (!users_.compare_exchange_weak(users, users + 1));
-  if (ComponentExecutor* const executor = executor_) {
-    executor->cancel();
-  }
-  users_.fetch_sub(1);
-}
 
 NodeProgram::NodeProgram(const BackendList& backends, const ExecutorChoice& choice,
                          LoadRequest request, int doorbell)
@@ -69,8 +32,7 @@ int NodeProgram::run() {
   try {
     const std::size_t backend = backends_.of_package(request_.package_name);
     partial_ = true;
-    executor_ = backends_[backend].create_executor(choice_);
-    executor_handle_.open(*executor_);
+    executor_ = backends_[backend].create_executor(choice_, stop_);
     component_ = backends_[backend].create(request_, &construction_);
   } catch (...) {
     isolation::park_if_dying();
@@ -129,7 +91,6 @@ std::optional<std::chrono::nanoseconds> NodeProgram::silence() const {
 void NodeProgram::take_apart() {
   partial_ = true;
   component_.reset();
-  executor_handle_.close();
   executor_.reset();
   partial_ = false;
 }
@@ -144,7 +105,6 @@ void NodeProgram::reach(NodeStage stage) noexcept {
 int NodeBurial::run() {
   hit(Failpoint::during_burial);
   dead_.construction_.discard();
-  dead_.executor_handle_.close();
   if (dead_.executor_ != nullptr) {
     dead_.executor_->abandon();
     remove_from_executor();

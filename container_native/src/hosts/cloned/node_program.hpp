@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <memory>
 #include <optional>
+#include <play_launch/detail/stop_flag.hpp>
 #include <string>
 
 #include "components/backend_list.hpp"
@@ -12,25 +13,6 @@
 #include "isolation/clone/child.hpp"
 
 namespace play_launch::container {
-
-/// Lets the container cancel an executor that a child may be about to destroy, without a lock that
-/// the child could take with it into death.
-class ExecutorHandle {
- public:
-  /// From now on cancel() reaches it; what was cancelled before is cancelled at once.
-  void open(ComponentExecutor& executor) noexcept;
-  /// Returns when no cancel() is under way, unless who called it has died; later ones do nothing.
-  void close() noexcept;
-  /// Any thread of the container or the child, and signal handlers.
-  void cancel() noexcept;
-
- private:
-  static constexpr std::uint32_t kClosed = 1U << 31U;
-
-  std::atomic<std::uint32_t> users_{0};  // and kClosed
-  std::atomic<bool> cancelled_{false};
-  std::atomic<ComponentExecutor*> executor_{nullptr};
-};
 
 /// How far a node came. A child only moves it on.
 enum class NodeStage : std::uint32_t { preparing, constructing, constructed, spinning };
@@ -49,7 +31,7 @@ class NodeProgram final : public isolation::ChildProgram {
   ~NodeProgram() override;
 
   int run() override;
-  void cancel() noexcept override { executor_handle_.cancel(); }
+  void cancel() noexcept override { stop_->set(); }
   void crashed() noexcept override;
 
   NodeStage stage() const { return stage_.load(); }
@@ -82,7 +64,7 @@ class NodeProgram final : public isolation::ChildProgram {
   const LoadRequest request_;
   const int doorbell_;
 
-  ExecutorHandle executor_handle_;
+  const std::shared_ptr<detail::StopFlag> stop_ = std::make_shared<detail::StopFlag>();
   std::unique_ptr<ComponentExecutor> executor_;
   std::unique_ptr<Component> component_;
   Construction construction_;

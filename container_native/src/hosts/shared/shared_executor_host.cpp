@@ -15,13 +15,14 @@ SharedExecutorHost::SharedExecutorHost(std::vector<std::unique_ptr<ComponentBack
     : process_(identity_of(::getpid())), backends_(std::move(backends)) {
   spinners_.reserve(backends_.size());
   for (std::size_t i = 0; i < backends_.size(); ++i) {
-    std::unique_ptr<ComponentExecutor> executor = backends_[i].create_executor(choice);
+    auto stop = std::make_shared<detail::StopFlag>();
+    std::unique_ptr<ComponentExecutor> executor = backends_[i].create_executor(choice, stop);
     ComponentExecutor* const spinning = executor.get();
     std::thread thread([spinning] {
       ::pthread_setname_np(::pthread_self(), "executor");
       spinning->spin();
     });
-    spinners_.push_back({std::move(executor), std::move(thread)});
+    spinners_.push_back({std::move(stop), std::move(executor), std::move(thread)});
   }
 }
 
@@ -48,7 +49,7 @@ void SharedExecutorHost::unload(std::uint64_t unique_id) {
 
 void SharedExecutorHost::stop_spinning() {
   for (Spinner& spinner : spinners_) {
-    spinner.executor->cancel();
+    spinner.stop->set();
   }
 }
 

@@ -29,6 +29,7 @@ class SharedExecutorHost final : public NodeHost {
 
  private:
   struct Spinner {
+    std::shared_ptr<detail::StopFlag> stop;
     std::unique_ptr<ComponentExecutor> executor;
     std::thread thread;
   };
