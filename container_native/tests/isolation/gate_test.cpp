@@ -10,7 +10,24 @@ namespace {
 
 using namespace play_launch::isolation;
 
-Facts good_machine() { return {6, 8, "6.8.0-generic", 0, "mimalloc"}; }
+Facts good_machine() {
+  Facts facts;
+  facts.kernel_release = "6.8.0-generic";
+  facts.probe = {true, 0, true, true};
+  facts.allocator = "mimalloc";
+  return facts;
+}
+
+/// What is said when memory cannot be shared: a note, or a refusal when it was asked for.
+void check_falls_back(const Facts& facts, const char* reason) {
+  const Gate gate = choose_mechanism(MechanismChoice::automatic, facts);
+  CHECK(gate.mechanism == Mechanism::process);
+  CHECK(gate.notes.size() == 1 && contains(gate.notes[0], reason) &&
+        contains(gate.notes[0], "a program of its own instead"));
+  const std::string refusal =
+      CHECK_THROWS(choose_mechanism(MechanismChoice::shared_memory, facts), MechanismUnavailable);
+  CHECK(contains(refusal, reason) && contains(refusal, "isolation: process"));
+}
 
 void test_choices() {
   CHECK(parse_mechanism_choice("auto") == MechanismChoice::automatic);
@@ -28,49 +45,41 @@ void test_good_machine() {
   CHECK(asked.mechanism == Mechanism::process && asked.notes.empty());
 }
 
-void test_old_kernel() {
+void test_crash_that_spreads() {
   Facts facts = good_machine();
-  facts.kernel_major = 5;
-  facts.kernel_minor = 15;
   facts.kernel_release = "5.15.0-generic";
-  const Gate gate = choose_mechanism(MechanismChoice::automatic, facts);
-  CHECK(gate.mechanism == Mechanism::process);
-  CHECK(gate.notes.size() == 1 && contains(gate.notes[0], "5.15.0-generic"));
-  const std::string refusal =
-      CHECK_THROWS(choose_mechanism(MechanismChoice::shared_memory, facts), MechanismUnavailable);
-  CHECK(contains(refusal, "5.16") && contains(refusal, "isolation: process"));
-  facts.kernel_minor = 16;
-  CHECK(choose_mechanism(MechanismChoice::automatic, facts).mechanism == Mechanism::shared_memory);
-}
-
-void test_release_strings() {
-  struct Case {
-    const char* release;
-    Mechanism mechanism;
-  };
-  for (const Case& known :
-       {Case{"5.15.0-91-generic", Mechanism::process}, Case{"4.19.0", Mechanism::process},
-        Case{"5.15.146.1-microsoft-standard-WSL2", Mechanism::process},
-        Case{"5.16.0", Mechanism::shared_memory}, Case{"5.16-rc1", Mechanism::shared_memory},
-        Case{"6.1.0-18-amd64", Mechanism::shared_memory}, Case{"10.0", Mechanism::shared_memory},
-        Case{"who knows", Mechanism::process}}) {
-    Facts facts = good_machine();
-    set_kernel(facts, known.release);
-    const Gate gate = choose_mechanism(MechanismChoice::automatic, facts);
-    CHECK(gate.mechanism == known.mechanism);
-    CHECK(gate.notes.size() == (known.mechanism == Mechanism::process ? 1u : 0u));
-    CHECK(gate.notes.empty() || (contains(gate.notes[0], known.release) &&
-                                 contains(gate.notes[0], "must be 5.16 or newer") &&
-                                 contains(gate.notes[0], "a program of its own instead")));
-  }
+  facts.probe.survives_crash = false;
+  check_falls_back(facts, "with Linux 5.15.0-generic a crash ends every process");
 }
 
 void test_no_clone() {
   Facts facts = good_machine();
-  facts.clone_error = EPERM;
-  const Gate gate = choose_mechanism(MechanismChoice::automatic, facts);
-  CHECK(gate.mechanism == Mechanism::process);
-  CHECK(contains(gate.notes.at(0), "Operation not permitted"));
+  facts.probe = {false, EPERM, false, true};
+  check_falls_back(facts, "Operation not permitted");
+}
+
+void test_no_waitid() {
+  Facts facts = good_machine();
+  facts.probe = {false, 0, false, true};
+  check_falls_back(facts, "cannot be waited for");
+}
+
+void test_other_c_library() {
+  Facts facts = good_machine();
+  facts.obstacle = "the C library does not say it";
+  check_falls_back(facts, "the C library does not say it");
+}
+
+void test_no_descriptors_of_processes() {
+  Facts facts = good_machine();
+  facts.kernel_release = "4.18.0";
+  facts.probe.waits_by_descriptor = false;
+  CHECK(choose_mechanism(MechanismChoice::automatic, facts).mechanism == Mechanism::shared_memory);
+  facts.probe.survives_crash = false;
+  for (const MechanismChoice choice : {MechanismChoice::automatic, MechanismChoice::process}) {
+    const std::string refusal = CHECK_THROWS(choose_mechanism(choice, facts), MechanismUnavailable);
+    CHECK(contains(refusal, "pidfd_open") && contains(refusal, "4.18.0"));
+  }
 }
 
 void test_other_allocator() {
@@ -83,7 +92,8 @@ void test_other_allocator() {
 
 void test_this_machine() {
   const Facts facts = look_at_machine();
-  CHECK(facts.kernel_major > 0 && !facts.kernel_release.empty());
+  CHECK(!facts.kernel_release.empty() && facts.obstacle.empty());
+  CHECK(facts.probe.shares_memory && facts.probe.survives_crash && facts.probe.waits_by_descriptor);
   const char* const preload = std::getenv("LD_PRELOAD");
   const bool expected = preload != nullptr && contains(preload, "mimalloc");
   CHECK((facts.allocator == "mimalloc") == expected);
@@ -94,9 +104,11 @@ void test_this_machine() {
 int main() {
   test_choices();
   test_good_machine();
-  test_old_kernel();
-  test_release_strings();
+  test_crash_that_spreads();
   test_no_clone();
+  test_no_waitid();
+  test_other_c_library();
+  test_no_descriptors_of_processes();
   test_other_allocator();
   test_this_machine();
   return 0;

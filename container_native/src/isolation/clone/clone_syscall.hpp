@@ -1,7 +1,10 @@
 #pragma once
 
-/// Makes system call `number` (clone3 or clone, without a stack for the child) with three
-/// arguments. In the parent: gives its result, a pid or a negative errno. In the child: exits with
-/// what entry(argument) returns; never returns.
-extern "C" long play_launch_clone_syscall(long number, long first, long second, long third,
-                                          int (*entry)(void*), void* argument);
+/// Makes a process with the system call clone, without a stack for it: it goes on on the caller's,
+/// so `flags` must have CLONE_VM. All signals must be blocked.
+///
+/// In the child: exits with what entry(argument) returns; never returns. In the parent: returns
+/// when no thread of the child is left, and before it is reaped, its pid, or at once a negative
+/// errno. Until then the parent touches neither the stack nor anything else in memory.
+extern "C" long play_launch_clone_on_own_stack(unsigned long flags, int (*entry)(void*),
+                                               void* argument);

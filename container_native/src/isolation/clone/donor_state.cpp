@@ -4,9 +4,11 @@
 #include <dlfcn.h>
 #include <pthread.h>
 #include <signal.h>
+#include <sys/auxv.h>
 #include <sys/syscall.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <atomic>
 #include <cerrno>
 #include <climits>
@@ -35,46 +37,79 @@ pid_t* stored_thread_id() noexcept {
 }
 
 #ifdef RSEQ_SIG
-constexpr std::uint32_t kRseqSize = 32;  // of the area's first version, which all kernels take
+constexpr std::uint32_t kRseqFirstLength = 32;
+constexpr std::uint32_t kRseqCriticalSection = 8;  // offset in the area
 
-long rseq(int flags) noexcept {
+/// Bytes of the area that the C library registered for each thread; 0: it did not.
+std::atomic<std::uint32_t> rseq_length{0};
+
+char* rseq_area() noexcept {
+  return static_cast<char*>(__builtin_thread_pointer()) + __rseq_offset;
+}
+
+bool set_rseq(std::uint32_t length, int flags) noexcept {
+  return length != 0 && ::syscall(SYS_rseq, rseq_area(), length, flags, RSEQ_SIG) == 0;
+}
+
+bool register_rseq() noexcept { return set_rseq(rseq_length, 0); }
+bool unregister_rseq() noexcept { return set_rseq(rseq_length, RSEQ_FLAG_UNREGISTER); }
+
+/// A dead child's critical section is none of this thread's.
+void leave_critical_section() noexcept {
+  *reinterpret_cast<volatile std::uint64_t*>(rseq_area() + kRseqCriticalSection) = 0;
+}
+
+/// The kernel only takes the length that was registered: finds out which one that is.
+bool find_rseq_length() {
   if (__rseq_size == 0) {
-    return 0;  // the C library did not register it, so it is not used
+    return true;
   }
-  char* const area = static_cast<char*>(__builtin_thread_pointer()) + __rseq_offset;
-  return ::syscall(SYS_rseq, area, kRseqSize, flags, RSEQ_SIG);
-}
+#ifdef AT_RSEQ_FEATURE_SIZE
+  const std::uint64_t alignment = std::max(::getauxval(AT_RSEQ_ALIGN), 1UL);
+  const std::uint64_t size = ::getauxval(AT_RSEQ_FEATURE_SIZE);
+  const auto whole = static_cast<std::uint32_t>((size + alignment - 1) / alignment * alignment);
+#else
+  const std::uint32_t whole = kRseqFirstLength;
 #endif
-
-void register_rseq() noexcept {
-#ifdef RSEQ_SIG
-  rseq(0);
-#endif
-}
-
-/// The child wrote its CPU into the area; the kernel does not know that for the donor.
-void renew_rseq() noexcept {
-#ifdef RSEQ_SIG
-  if (rseq(RSEQ_FLAG_UNREGISTER) == 0) {
-    rseq(0);
+  for (const std::uint32_t length : {kRseqFirstLength, whole}) {
+    if (set_rseq(length, RSEQ_FLAG_UNREGISTER)) {
+      rseq_length = length;
+      return register_rseq();
+    }
   }
-#endif
+  return false;
 }
+#else
+bool register_rseq() noexcept { return false; }
+bool unregister_rseq() noexcept { return false; }
+void leave_critical_section() noexcept {}
+bool find_rseq_length() { return true; }
+#endif
 
-}  // namespace
-
-void DonorState::prepare() {
+bool find_thread_id() {
   // The description of its thread record that the C library keeps for debuggers: bits, count,
   // offset.
   const auto* const field = static_cast<const std::uint32_t*>(
       ::dlvsym(RTLD_DEFAULT, "_thread_db_pthread_tid", "GLIBC_PRIVATE"));
   if (field == nullptr || field[0] != sizeof(pid_t) * CHAR_BIT || field[1] != 1) {
-    return;
+    return false;
   }
   thread_id_offset = field[2];
-  if (stored_thread_id() == nullptr) {
-    thread_id_offset = 0;
+  return stored_thread_id() != nullptr;
+}
+
+}  // namespace
+
+const char* DonorState::prepare() {
+  // Without it, setuid() and the like in the container would wait for the answer of a thread that
+  // gives none while its child lives.
+  if (!find_thread_id()) {
+    return "the C library does not say where it keeps the id of a thread";
   }
+  if (!find_rseq_length()) {
+    return "the C library's restartable sequences cannot be handed from thread to thread";
+  }
+  return nullptr;
 }
 
 DonorState::DonorState() noexcept
@@ -90,6 +125,11 @@ DonorState::DonorState() noexcept
   if (robust_list_ != nullptr) {
     robust_list_before_ = *robust_list_;
   }
+  ::pthread_setcancelstate(PTHREAD_CANCEL_DISABLE, &cancel_state_);
+  // The donor goes through user mode while the child lives (at its birth, after a stop, under a
+  // debugger). The kernel would then write the donor's CPU into the area that is the child's, and
+  // end its critical sections.
+  has_rseq_ = unregister_rseq();
 }
 
 void DonorState::adopt() const noexcept {
@@ -99,7 +139,9 @@ void DonorState::adopt() const noexcept {
   if (robust_list_ != nullptr) {
     ::syscall(SYS_set_robust_list, robust_list_, robust_list_size_);
   }
-  register_rseq();
+  if (has_rseq_) {
+    register_rseq();
+  }
 }
 
 DonorState::~DonorState() {
@@ -109,7 +151,11 @@ DonorState::~DonorState() {
   if (robust_list_ != nullptr) {
     *robust_list_ = robust_list_before_;
   }
-  renew_rseq();
+  if (has_rseq_) {
+    leave_critical_section();
+    register_rseq();
+  }
+  ::pthread_setcancelstate(cancel_state_, nullptr);
   *exceptions_ = exceptions_before_;
   ::uselocale(locale_);
   exchange_signal_mask(signal_mask_);

@@ -10,7 +10,8 @@
 namespace play_launch::isolation {
 
 /// What the C and C++ libraries keep for the thread that becomes a donor, so that a child which
-/// died anywhere leaves it as it was. Blocks all signals while it exists. Async-signal-safe.
+/// died anywhere leaves it as it was. While it exists, all signals are blocked, and nobody can
+/// cancel the thread: that would unwind into its first frames, in the child. Async-signal-safe.
 class DonorState {
  public:
   DonorState() noexcept;
@@ -24,8 +25,9 @@ class DonorState {
   /// for the thread itself), the list of robust mutexes, restartable sequences.
   void adopt() const noexcept;
 
-  /// Looks up where the C library keeps the id of a thread. Not async-signal-safe.
-  static void prepare();
+  /// Finds out where the C library keeps the id of a thread, and how it registered its restartable
+  /// sequences. Null, or a text that says what could not be found. Not async-signal-safe.
+  static const char* prepare();
 
  private:
   struct ExceptionState {  // __cxa_eh_globals of the C++ ABI
@@ -41,7 +43,9 @@ class DonorState {
   robust_list_head* robust_list_ = nullptr;
   std::size_t robust_list_size_ = 0;
   robust_list_head robust_list_before_{};
-  pid_t* thread_id_;  // null: not found, stays as it is
+  pid_t* thread_id_;
+  int cancel_state_ = 0;
+  bool has_rseq_ = false;
 };
 
 }  // namespace play_launch::isolation

@@ -91,6 +91,8 @@ void DonorThread::join() {
 void* DonorThread::start(void* self) {
   auto& donor = *static_cast<DonorThread*>(self);
   ::pthread_setname_np(::pthread_self(), donor.name_.c_str());
+  // Should a child manage to cancel the thread, it must not be the donor that ends.
+  ::pthread_setcancelstate(PTHREAD_CANCEL_DISABLE, nullptr);
   donor.body_();
   if (donor_is_tainted()) {
     if (const ThreadDone done = allocator_thread_done()) {

@@ -3,18 +3,12 @@
 #include <dlfcn.h>
 #include <sys/utsname.h>
 
-#include <cerrno>
-#include <cstdio>
 #include <cstring>
 
 #include "isolation/clone/vm_clone.hpp"
 
 namespace play_launch::isolation {
 namespace {
-
-// Before it, a signal that dumps core kills every process that shares the memory.
-constexpr int kKernelMajor = 5;
-constexpr int kKernelMinor = 16;
 
 bool exists(const char* symbol) { return ::dlsym(RTLD_DEFAULT, symbol) != nullptr; }
 
@@ -39,15 +33,29 @@ std::string allocator_in_use() {
 }
 
 std::string why_not(const Facts& facts) {
-  if (facts.kernel_major < kKernelMajor ||
-      (facts.kernel_major == kKernelMajor && facts.kernel_minor < kKernelMinor)) {
-    return "Linux is " + facts.kernel_release + " and must be " + std::to_string(kKernelMajor) +
-           "." + std::to_string(kKernelMinor) +
-           " or newer: before, a crash ends every process that shares the memory";
+  if (!facts.obstacle.empty()) {
+    return facts.obstacle + " (processes cannot share memory then)";
   }
-  if (facts.clone_error != 0) {
+  if (facts.probe.clone_error != 0) {
     return std::string("processes that share memory cannot be made here (clone: ") +
-           std::strerror(facts.clone_error) + ")";
+           std::strerror(facts.probe.clone_error) + ")";
+  }
+  if (!facts.probe.shares_memory) {
+    return "processes that share memory cannot be waited for here (does a filter forbid waitid?)";
+  }
+  if (!facts.probe.survives_crash) {
+    return "with Linux " + facts.kernel_release +
+           " a crash ends every process that shares the memory (since 5.16 it does not)";
+  }
+  return {};
+}
+
+Gate with_processes(const Facts& facts) {
+  if (!facts.probe.waits_by_descriptor) {
+    throw MechanismUnavailable(
+        "nodes cannot be isolated here: isolation: process needs pidfd_open (Linux 5.4 or newer, "
+        "where no filter forbids it; this is " +
+        facts.kernel_release + ")");
   }
   return {};
 }
@@ -71,28 +79,23 @@ std::string_view mechanism_name(Mechanism mechanism) {
   return mechanism == Mechanism::shared_memory ? "shared_memory" : "process";
 }
 
-void set_kernel(Facts& facts, const std::string& release) {
-  facts.kernel_release = release;
-  facts.kernel_major = facts.kernel_minor = 0;
-  std::sscanf(release.c_str(), "%d.%d", &facts.kernel_major, &facts.kernel_minor);
-}
-
 Facts look_at_machine() {
   Facts facts;
   utsname system{};
   if (::uname(&system) == 0) {
-    set_kernel(facts, system.release);
+    facts.kernel_release = system.release;
   }
-  prepare_clone();
-  facts.clone_error = try_clone();
+  if (const char* const obstacle = prepare_clone()) {
+    facts.obstacle = obstacle;
+  }
+  facts.probe = probe_machine();
   facts.allocator = allocator_in_use();
   return facts;
 }
 
 Gate choose_mechanism(MechanismChoice choice, const Facts& facts) {
-  Gate gate;
   if (choice == MechanismChoice::process) {
-    return gate;
+    return with_processes(facts);
   }
   const std::string obstacle = why_not(facts);
   if (!obstacle.empty()) {
@@ -100,11 +103,13 @@ Gate choose_mechanism(MechanismChoice choice, const Facts& facts) {
       throw MechanismUnavailable("isolation in shared memory was asked for, but " + obstacle +
                                  "; use isolation: process");
     }
+    Gate gate = with_processes(facts);
     gate.notes.push_back(obstacle +
                          "; every node is a program of its own instead (isolation: process), and "
                          "messages between nodes are copied through the middleware");
     return gate;
   }
+  Gate gate;
   gate.mechanism = Mechanism::shared_memory;
   if (facts.allocator.empty()) {
     gate.notes.push_back(

@@ -6,6 +6,8 @@
 #include <string_view>
 #include <vector>
 
+#include "isolation/clone/probe.hpp"
+
 namespace play_launch::isolation {
 
 /// How nodes are kept in processes of their own.
@@ -36,22 +38,17 @@ struct Gate {
 
 /// What is known about the machine; apart from the decision so that this can be tested.
 struct Facts {
-  int kernel_major = 0;
-  int kernel_minor = 0;
   std::string kernel_release;
-  /// 0, or the errno of trying to make a child.
-  int clone_error = 0;
+  /// What prepare_clone() says against sharing memory; empty: nothing.
+  std::string obstacle;
+  Probe probe;
   /// "mimalloc", "jemalloc", or empty when malloc is another.
   std::string allocator;
 };
 
-/// What look_at_machine() takes from the name of a kernel's release, such as "5.15.0-91-generic";
-/// 0.0 for one that it does not understand.
-void set_kernel(Facts& facts, const std::string& release);
-
 Facts look_at_machine();
 
-/// Throws MechanismUnavailable when shared_memory was demanded and cannot be.
+/// Throws MechanismUnavailable when shared_memory was demanded and cannot be, or neither can be.
 Gate choose_mechanism(MechanismChoice choice, const Facts& facts);
 
 }  // namespace play_launch::isolation

@@ -1,14 +1,12 @@
 #include "isolation/clone/vm_clone.hpp"
 
 #include <linux/sched.h>
+#include <pthread.h>
 #include <signal.h>
-#include <sys/syscall.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
-#include <atomic>
 #include <cerrno>
-#include <cstdint>
 
 #include "isolation/clone/clone_syscall.hpp"
 #include "isolation/clone/donor_state.hpp"
@@ -17,11 +15,14 @@
 namespace play_launch::isolation {
 namespace {
 
-// No signal at its death: nobody has to be told who is not suspended already, and it is out of
-// reach for a wait() that some library in the container calls for any child.
-constexpr std::uint64_t kFlags = CLONE_VM | CLONE_VFORK | CLONE_FS | CLONE_FILES;
+// By clone() and not by clone3(), which container runtimes' filters often forbid, and of which
+// nothing is used that clone() lacks.
+//
+// No signal at its death: nobody has to be told who does not wait already, and it is out of reach
+// for a wait() that some library in the container calls for any child. No CLONE_FS: a node's
+// working directory and umask are its own.
+constexpr unsigned long kFlags = CLONE_VM | CLONE_FILES;
 
-std::atomic<bool> clone3_works{true};
 thread_local bool tainted = false;
 
 struct Start {
@@ -42,29 +43,19 @@ int start_child(void* argument) {
   return status;
 }
 
-long make_child(Start& start) noexcept {
-  if (clone3_works.load(std::memory_order_relaxed)) {
-    clone_args arguments{};
-    arguments.flags = kFlags;
-    const long pid = play_launch_clone_syscall(SYS_clone3, reinterpret_cast<long>(&arguments),
-                                               sizeof arguments, 0, start_child, &start);
-    if (pid != -ENOSYS) {
-      return pid;
+/// Once per address space, the C library installs the handler by which pthread_cancel() works. A
+/// process that comes later and never got it dies of that signal.
+void install_cancel_handler() {
+  pthread_t thread{};
+  const auto sleep = [](void*) -> void* {
+    while (true) {
+      ::pause();
     }
-    // Filters of container runtimes answer so to what they do not know.
-    clone3_works = false;
+  };
+  if (::pthread_create(&thread, nullptr, sleep, nullptr) == 0) {
+    ::pthread_cancel(thread);
+    ::pthread_join(thread, nullptr);
   }
-  return play_launch_clone_syscall(SYS_clone, static_cast<long>(kFlags), 0, 0, start_child, &start);
-}
-
-/// Waits until no thread of the child is left: the donor is woken a little before that.
-int wait_for(pid_t pid, siginfo_t& info, int options) noexcept {
-  while (::waitid(P_PID, static_cast<id_t>(pid), &info, WEXITED | __WALL | options) != 0) {
-    if (errno != EINTR) {
-      return errno;
-    }
-  }
-  return 0;
 }
 
 }  // namespace
@@ -73,18 +64,22 @@ ChildEnd clone_and_wait(CloneEntry entry, void* argument, void (*before_reaping)
   const DonorState donor;
   Start start{entry, argument, donor};
   ChildEnd end;
-  const long pid = make_child(start);
+  const long pid = play_launch_clone_on_own_stack(kFlags, start_child, &start);
   if (pid < 0) {
     end.error = static_cast<int>(-pid);
     return end;
   }
   end.pid = static_cast<pid_t>(pid);
-  siginfo_t info{};
-  wait_for(end.pid, info, WNOWAIT);
   if (before_reaping != nullptr) {
     before_reaping(argument);
   }
-  end.error = wait_for(end.pid, info, 0);
+  siginfo_t info{};
+  while (::waitid(P_PID, static_cast<id_t>(end.pid), &info, WEXITED | __WALL) != 0) {
+    if (errno != EINTR) {
+      end.error = errno;
+      break;
+    }
+  }
   end.returned = start.returned;
   tainted = tainted || !end.returned;
   if (info.si_code == CLD_EXITED) {
@@ -98,11 +93,12 @@ ChildEnd clone_and_wait(CloneEntry entry, void* argument, void (*before_reaping)
 
 bool donor_is_tainted() noexcept { return tainted; }
 
-void prepare_clone() { DonorState::prepare(); }
-
-int try_clone() noexcept {
-  const ChildEnd end = clone_and_wait([](void*) { return 0; }, nullptr);
-  return end.error;
+const char* prepare_clone() {
+  static const char* const obstacle = [] {
+    install_cancel_handler();
+    return DonorState::prepare();
+  }();
+  return obstacle;
 }
 
 }  // namespace play_launch::isolation

@@ -9,11 +9,11 @@ namespace play_launch::isolation {
 using CloneEntry = int (*)(void* argument);
 
 /// Runs entry(argument) in a new process that shares this one's memory and file descriptors, and
-/// returns when that process is dead and reaped. The calling thread, the donor, is suspended
-/// meanwhile: the process runs on its stack and with its thread-local storage, which makes it
-/// complete for the C library, whatever it does. The child starts with all signals blocked and with
-/// this process's signal handlers. `before_reaping` is called on the donor when no thread of the
-/// child is left, while its pid cannot be used again yet.
+/// returns when that process is dead and reaped. The calling thread, the donor, waits meanwhile
+/// without touching memory: the process runs on its stack and with its thread-local storage, which
+/// makes it complete for the C library, whatever it does. The child starts with all signals blocked
+/// and with this process's signal handlers. `before_reaping` is called on the donor when no thread
+/// of the child is left, while its pid cannot be used again yet.
 ///
 /// Afterwards the donor's state is what it was, as far as the C and C++ libraries keep any: errno,
 /// signal mask, locale, exceptions, list of robust mutexes, id of the thread. thread_local objects
@@ -30,10 +30,8 @@ ChildEnd clone_and_wait(CloneEntry entry, void* argument,
 /// others.
 bool donor_is_tainted() noexcept;
 
-/// Looks up what clone_and_wait() uses and cannot look up. DonorThread does it.
-void prepare_clone();
-
-/// Whether processes can be made like that here: 0, or the errno that says why not. Makes one.
-int try_clone() noexcept;
+/// Prepares this process for children, the first time: before the first of them, and not in one.
+/// Null: all is ready. Else why no child must share this process's memory.
+const char* prepare_clone();
 
 }  // namespace play_launch::isolation

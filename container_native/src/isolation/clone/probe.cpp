@@ -1,0 +1,109 @@
+#include "isolation/clone/probe.hpp"
+
+#include <fcntl.h>
+#include <signal.h>
+#include <sys/resource.h>
+#include <sys/syscall.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <chrono>
+
+#include "base/unique_fd.hpp"
+#include "isolation/clone/vm_clone.hpp"
+#include "isolation/record/own_signals.hpp"
+
+namespace play_launch::isolation {
+namespace {
+
+using namespace std::chrono_literals;
+
+/// For all of it. Where a filter forbids waitid(), clone_and_wait() never returns.
+constexpr auto kLimit = 5s;
+/// waitid() by descriptor, for C libraries that lack the name.
+constexpr auto kByDescriptor = static_cast<idtype_t>(3);
+
+/// A core is handled up to the point where it would be written. Not 0: programs that get cores
+/// through a pipe get those, too.
+void write_no_cores() noexcept {
+  rlimit limit{};
+  ::getrlimit(RLIMIT_CORE, &limit);
+  limit.rlim_cur = limit.rlim_max = std::min<rlim_t>(limit.rlim_max, 1);
+  ::setrlimit(RLIMIT_CORE, &limit);
+}
+
+void tell(int fd, int result) noexcept {
+  [[maybe_unused]] const ssize_t written = ::write(fd, &result, sizeof result);
+}
+
+/// The forked process: the errno of making a child that ends in order, then 0 after one that
+/// crashed, as far as it gets.
+[[noreturn]] void try_out(int fd) noexcept {
+  signal_self_after(kLimit, SIGKILL);
+  write_no_cores();
+  const ChildEnd orderly = clone_and_wait([](void*) { return 0; }, nullptr);
+  tell(fd, orderly.error);
+  if (orderly.error == 0) {
+    clone_and_wait([](void*) { return -SIGABRT; }, nullptr);
+    tell(fd, 0);
+  }
+  ::_exit(0);
+}
+
+bool hear(int fd, int& result) noexcept {
+  ssize_t size = 0;
+  do {
+    size = ::read(fd, &result, sizeof result);
+  } while (size < 0 && errno == EINTR);
+  return size == sizeof result;
+}
+
+/// Whether it could be done by descriptor.
+bool reap(pid_t pid) noexcept {
+  const UniqueFd process(static_cast<int>(::syscall(SYS_pidfd_open, pid, 0)));
+  siginfo_t info{};
+  while (process &&
+         ::waitid(kByDescriptor, static_cast<id_t>(process.get()), &info, WEXITED) != 0) {
+    if (errno != EINTR) {
+      break;
+    }
+  }
+  if (info.si_pid == pid) {
+    return true;
+  }
+  while (::waitpid(pid, nullptr, 0) < 0 && errno == EINTR) {
+  }
+  return false;
+}
+
+}  // namespace
+
+Probe probe_machine() noexcept {
+  Probe probe;
+  int ends[2] = {-1, -1};
+  if (::pipe2(ends, O_CLOEXEC) != 0) {
+    probe.clone_error = errno;
+    return probe;
+  }
+  const UniqueFd reading(ends[0]);
+  UniqueFd writing(ends[1]);
+  const pid_t pid = ::fork();
+  if (pid == 0) {
+    try_out(writing.get());
+  }
+  probe.clone_error = pid < 0 ? errno : 0;
+  writing.reset();
+  if (pid > 0) {
+    int result = 0;
+    if (hear(reading.get(), probe.clone_error)) {
+      probe.shares_memory = probe.clone_error == 0;
+      probe.survives_crash = hear(reading.get(), result);
+    }
+    probe.waits_by_descriptor = reap(pid);
+  }
+  return probe;
+}
+
+}  // namespace play_launch::isolation
