@@ -268,6 +268,8 @@ class ContainerNodes:
         if record.state is not before.state and record.state is NodeState.LOADED:
             node.loaded_at = self._clock()
             node.took = node.loaded_at - record.sent_at
+        if NodeAction.REPORT_UNASKED in result.actions and not self._stopping and not facts.reason:
+            facts = replace(facts, reason="not at the supervisor's request")
         if NodeAction.REPORT_CRASHED in result.actions:
             node.crashes += 1
         if NodeAction.SEND_LOAD in result.actions and record.is_reload:
@@ -313,7 +315,14 @@ class ContainerNodes:
                 _log.info("%s crashed: %s", name, facts.reason)
             case NodeAction.REPORT_GAVE_UP:
                 _told.error("%s is given up: %s", name, facts.reason)
-            case NodeAction.REPORT_LOADED | NodeAction.REPORT_UNLOADED | NodeAction.REPORT_LOST:
+            case NodeAction.REPORT_UNASKED if not self._stopping:
+                _told.warning("%s is unloaded: %s", name, facts.reason)
+            case (
+                NodeAction.REPORT_UNASKED
+                | NodeAction.REPORT_LOADED
+                | NodeAction.REPORT_UNLOADED
+                | NodeAction.REPORT_LOST
+            ):
                 _log.debug("%s is %s", name, node.record.state)
             case _:
                 assert_never(action)

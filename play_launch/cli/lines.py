@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 from play_launch.cli.status import container_status, duration, ending
 from play_launch.core.events import (
     TOLD_LOGGER,
+    ContainerState,
     LogRecord,
     NodeState,
     NodeStateChanged,
@@ -78,6 +79,9 @@ def _node_line(event: NodeStateChanged, before: SystemView, after: SystemView) -
             return Line(event.stamp_ns, event.container, text, ERROR)
         case NodeState.LOST if not repeated:
             return Line(event.stamp_ns, event.container, f"{event.node} lost{reason}", WARN)
+        # In an orderly stop nobody wonders; an unload that was asked for has no reason.
+        case NodeState.UNLOADED if reason and container.state is ContainerState.RUNNING:
+            return Line(event.stamp_ns, event.container, f"{event.node} unloaded{reason}", WARN)
         case _:
             return None
 

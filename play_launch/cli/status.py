@@ -29,6 +29,8 @@ def container_status(container: ContainerView, now_ns: int = 0) -> str:
     parts = [f"loaded {container.loaded}/{container.total}"]
     if container.failed:
         parts.append(f"failed: {_names(container.failed)}")
+    if container.unloaded:
+        parts.append(f"unloaded: {_names(container.unloaded)}")
     if waiting := container.waiting:
         oldest = min(node.since_ns for node in waiting)
         parts.append(f"waiting on {_names(waiting)}{_waited(oldest, now_ns)}")

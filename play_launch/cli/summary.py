@@ -29,7 +29,7 @@ def print_summary(
     stream: IO[str],
     colour: bool,
 ) -> None:
-    """Print a table of containers and processes, what failed and why, and the recording.
+    """Print a table of containers and processes, what is not there and why, and the recording.
 
     ``view`` is the system at the moment its end began.
     """
@@ -48,7 +48,7 @@ def print_summary(
         console.print(_processes(view))
     if view.crashed:
         console.print(_crashed(view))
-    for node in view.failed:
+    for node in (*view.failed, *view.unloaded):
         reason = f": {node.reason}" if node.reason else ""
         console.print(
             Text(f"{node.node} ({node.container}): {node.state.value}{reason}", style="red"),
@@ -104,6 +104,7 @@ def _container_object(container: ContainerView) -> dict[str, object]:
         "nodes": container.total,
         "loaded": container.loaded,
         "failed": [node.node for node in container.failed],
+        "unloaded": [node.node for node in container.unloaded],
         "waiting": [node.node for node in container.waiting],
         "restarts": container.process.restarts,
         "pid": container.process.pid,

@@ -1,11 +1,12 @@
 """The exit code of a run.
 
-====== ==========================================================
+====== ======================================================================
 0      everything that was declared was there when the run ended
 1      a node failed: it did not load, crashed or was given up
-3      nobody failed, but nodes were still missing
+3      nobody failed, but something was missing: a node that is not loaded
+       (yet, or not any more), a container or a process between two starts
 128+n  the run was ended by signal n
-====== ==========================================================
+====== ======================================================================
 
 A signal comes first, as shells expect it. (2 is for the command line and the configuration; a run
 never gets that far.)
@@ -41,6 +42,6 @@ def exit_code(view: SystemView, signum: int | None) -> int:
         return ExitCode.SIGNAL_BASE + signum
     if view.failed or view.gave_up or view.failed_processes:
         return ExitCode.NODE_FAILED
-    if view.waiting:
+    if not view.is_complete:
         return ExitCode.NODES_MISSING
     return ExitCode.OK

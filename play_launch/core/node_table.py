@@ -69,6 +69,8 @@ class NodeAction(StrEnum):
     REPORT_CRASHED = auto()
     REPORT_GAVE_UP = auto()
     REPORT_UNLOADED = auto()
+    REPORT_UNASKED = auto()
+    """Unloaded, and not because we asked: it ended itself, or somebody else unloaded it."""
     REPORT_LOST = auto()
 
 
@@ -123,6 +125,7 @@ _NEW_LOAD: Final = (State.REQUESTED, Do.SEND_LOAD)
 _CRASH: Final = (State.CRASHED, Do.REPORT_CRASHED, Do.FOLLOW_UP)
 _FAILED: Final = (State.LOAD_FAILED, Do.REPORT_FAILED)
 _FAILED_AGAIN: Final = (State.LOAD_FAILED, Do.REPORT_FAILED, Do.FOLLOW_UP)
+_UNASKED: Final = (State.UNLOADED, Do.REPORT_UNASKED)
 _LOST: Final = (State.LOST, Do.REPORT_LOST)
 _TIMERS: Final = (Said.SILENT, Said.RELOAD_DUE, Said.GIVEN_UP)
 
@@ -145,7 +148,7 @@ TABLE: Final[Mapping[NodeState, Mapping[NodeInput, Transition]]] = {
             Said.LOADED: (State.LOADED, Do.REPORT_LOADED),
             Said.LOAD_FAILED: _FAILED,
             Said.RELOAD_FAILED: _FAILED_AGAIN,
-            Said.UNLOADED: (State.UNLOADED, Do.REPORT_UNLOADED),
+            Said.UNLOADED: _UNASKED,
             Said.CRASHED: _CRASH,
             Said.CONTAINER_LOST: _LOST,
             Said.SILENT: (State.REQUESTED, Do.SEND_QUERY),
@@ -171,7 +174,7 @@ TABLE: Final[Mapping[NodeState, Mapping[NodeInput, Transition]]] = {
             Said.LOADED: (State.LOADED, Do.REPORT_LOADED),
             Said.LOAD_FAILED: _FAILED,
             Said.RELOAD_FAILED: _FAILED_AGAIN,
-            Said.UNLOADED: (State.UNLOADED, Do.REPORT_UNLOADED),
+            Said.UNLOADED: _UNASKED,
             Said.CRASHED: _CRASH,
             Said.CONTAINER_LOST: _LOST,
             Said.SILENT: (State.LOADING, Do.SEND_QUERY),
@@ -197,7 +200,7 @@ TABLE: Final[Mapping[NodeState, Mapping[NodeInput, Transition]]] = {
     State.LOADED: _row(
         State.LOADED,
         {
-            Said.UNLOADED: (State.UNLOADED, Do.REPORT_UNLOADED),
+            Said.UNLOADED: _UNASKED,
             Said.CRASHED: _CRASH,
             Said.CONTAINER_LOST: _LOST,
             Said.UNLOAD_REQUESTED: (State.UNLOADING, Do.SEND_UNLOAD),

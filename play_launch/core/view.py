@@ -73,6 +73,11 @@ class ProcessView:
         return ended and self.exit_code == 0 and self.signal == 0
 
     @property
+    def restarting(self) -> bool:
+        """Whether it waits for its restart, so that it is not there at the moment."""
+        return self.kind is ProcessEventKind.RESTARTING
+
+    @property
     def failed(self) -> bool:
         """Whether it ended otherwise than with status 0, or was given up."""
         if self.kind is ProcessEventKind.GAVE_UP:
@@ -109,6 +114,12 @@ class ContainerView:
         return tuple(node for node in self.nodes.values() if node.state in WAITING_STATES)
 
     @property
+    def unloaded(self) -> tuple[NodeView, ...]:
+        """The nodes that were unloaded, or are being unloaded: nobody is going to load them."""
+        unloaded = {NodeState.UNLOADING, NodeState.UNLOADED}
+        return tuple(node for node in self.nodes.values() if node.state in unloaded)
+
+    @property
     def failed(self) -> tuple[NodeView, ...]:
         """The nodes that failed to load, crashed or were given up."""
         return tuple(node for node in self.nodes.values() if node.state in FAILED_STATES)
@@ -140,6 +151,22 @@ class SystemView:
     def waiting(self) -> tuple[NodeView, ...]:
         """All nodes that are not there (yet)."""
         return tuple(node for each in self.containers.values() for node in each.waiting)
+
+    @property
+    def unloaded(self) -> tuple[NodeView, ...]:
+        """All nodes that were unloaded, or are being unloaded."""
+        return tuple(node for each in self.containers.values() for node in each.unloaded)
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether all that is declared is there: containers run, nodes are loaded.
+
+        An ordinary process that has ended has done its work; one that waits for its restart has
+        not.
+        """
+        running = all(each.state is ContainerState.RUNNING for each in self.containers.values())
+        waiting = any(each.restarting for each in self.processes.values())
+        return running and not waiting and self.loaded == self.total
 
     @property
     def failed(self) -> tuple[NodeView, ...]:

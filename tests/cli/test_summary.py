@@ -62,6 +62,7 @@ def test_the_summary_for_machines_has_the_same() -> None:
         "nodes": 2,
         "loaded": 0,
         "failed": ["/bad/n0"],
+        "unloaded": [],
         "waiting": ["/bad/n1"],
         "restarts": 2,
         "pid": 0,

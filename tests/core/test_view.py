@@ -34,6 +34,9 @@ def container(state: ContainerState) -> ContainerStateChanged:
     return ContainerStateChanged(stamp_ns=1, container="/c", state=state)
 
 
+RUNS = container(ContainerState.RUNNING)
+
+
 def fold(*events: RunEvent) -> SystemView:
     view = SystemView()
     for event in events:
@@ -79,10 +82,18 @@ def test_output_changes_nothing() -> None:
     ("events", "code"),
     [
         ([], ExitCode.OK),
-        ([node(NodeState.LOADED)], ExitCode.OK),
-        ([node(NodeState.UNLOADED)], ExitCode.OK),
-        ([node(NodeState.LOADED), node(NodeState.LOADING, 1)], ExitCode.NODES_MISSING),
-        ([node(NodeState.LOST)], ExitCode.NODES_MISSING),
+        ([RUNS, node(NodeState.LOADED)], ExitCode.OK),
+        ([RUNS], ExitCode.OK),
+        ([RUNS, node(NodeState.LOADED), node(NodeState.LOADING, 1)], ExitCode.NODES_MISSING),
+        ([RUNS, node(NodeState.LOST)], ExitCode.NODES_MISSING),
+        # Unloaded by itself, by its container or by somebody else.
+        ([RUNS, node(NodeState.UNLOADED)], ExitCode.NODES_MISSING),
+        ([RUNS, node(NodeState.LOADED), node(NodeState.UNLOADED, 1)], ExitCode.NODES_MISSING),
+        ([RUNS, node(NodeState.UNLOADING)], ExitCode.NODES_MISSING),
+        # Between two starts, with and without nodes.
+        ([container(ContainerState.BACKOFF)], ExitCode.NODES_MISSING),
+        ([container(ContainerState.STARTING)], ExitCode.NODES_MISSING),
+        ([container(ContainerState.BACKOFF), node(NodeState.UNLOADED)], ExitCode.NODES_MISSING),
         ([node(NodeState.LOST), node(NodeState.LOAD_FAILED, 1)], ExitCode.NODE_FAILED),
         ([node(NodeState.CRASHED)], ExitCode.NODE_FAILED),
         ([container(ContainerState.GAVE_UP)], ExitCode.NODE_FAILED),
@@ -92,7 +103,7 @@ def test_output_changes_nothing() -> None:
         ([process(ProcessEventKind.GAVE_UP)], ExitCode.NODE_FAILED),
         (
             [process(ProcessEventKind.EXITED, signal=9), process(ProcessEventKind.RESTARTING)],
-            ExitCode.OK,
+            ExitCode.NODES_MISSING,
         ),
     ],
 )
