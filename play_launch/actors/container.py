@@ -40,6 +40,7 @@ from play_launch.native.messages import Hello, Shutdown, Status
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from play_launch.actors.library_probes import LibraryProbes
     from play_launch.actors.ports import ControlLink, Launcher, ManagedProcess
     from play_launch.actors.publisher import Publisher
     from play_launch.actors.stop_requests import StopRequests
@@ -74,10 +75,14 @@ class ContainerActor:
         stop: StopRequests,
         attempts: AttemptNumbers,
         starts: asyncio.Semaphore,
+        probes: LibraryProbes | None = None,
         limits: Limits = LIMITS,
         jitter: Callable[[], float] = random.random,
     ) -> None:
-        """Know the container; ``starts`` bounds how many start up at the same time."""
+        """Know the container; ``starts`` bounds how many start up at the same time.
+
+        ``probes`` loads libraries in scratch processes; None where the container is not our own.
+        """
         self._config = config
         self._name = config.full_name
         self._launcher = launcher
@@ -101,17 +106,20 @@ class ContainerActor:
             clock=self._loop.time,
             jitter=jitter,
             silence=limits.silence,
+            probes=probes,
         )
         self._watch = ContainerWatch(self._name, clock=self._loop.time, limits=limits.watch)
         self._deadlines_changed = asyncio.Event()
         self._stopping = asyncio.Event()
         self._stop_reason = ""
         self._can_be_asked = False
+        self._death_reason = ""
         # Of the present process:
         self._process: ManagedProcess | None = None
         self._ended = False
         self._killed_because = ""
         self._mechanism = ""
+        self._blames_loads = True
         self._link: ControlLink | None = None
         self._hello_due: float | None = None
         self._ready_at: float | None = None
@@ -142,19 +150,29 @@ class ContainerActor:
     def reload_hangs(self, reason: str) -> None:
         """Start it anew if it may hold the lock of a dead node; else the node is just slow."""
         if self._watch.may_hold_dead_locks:
-            self._apply(ContainerInput.FROZEN, f"a dead node may have left a lock: {reason}")
+            self._poisoned(f"a dead node may have left a lock: {reason}")
 
     def _look_for_dead_locks(self) -> None:
         if waiting := self._watch.waits_for_the_dead:
-            self._apply(ContainerInput.FROZEN, f"a node died with a lock: {waiting}")
+            self._poisoned(f"a node died with a lock: {waiting}")
             return
         limit = self._limits.reload_after_leak
         if self._watch.probably_holds_dead_locks and (name := self._nodes.slow_reload(limit)):
-            reason = f"{name} is not loaded again, and cleaning up after a dead node failed"
-            self._apply(ContainerInput.FROZEN, reason)
+            self._poisoned(f"{name} is not loaded again, and cleaning up after a dead node failed")
+
+    def _poisoned(self, reason: str) -> None:
+        """Have it restarted because of a node that died, so not because of one that is loaded."""
+        self._blames_loads = False
+        self._apply(ContainerInput.FROZEN, reason)
 
     async def run(self) -> None:
         """Keep it running until the system stops or it is given up."""
+        async with asyncio.TaskGroup() as tasks:
+            probing = tasks.create_task(self._nodes.suspects.run())
+            await self._keep_running()
+            probing.cancel()
+
+    async def _keep_running(self) -> None:
         actions = self._apply(ContainerInput.START_REQUESTED)
         while ContainerAction.SPAWN in actions:
             death = await self._live()
@@ -327,6 +345,7 @@ class ContainerActor:
         self._ended = False
         self._killed_because = ""
         self._mechanism = ""
+        self._blames_loads = True
         # One that somebody else starts comes when it comes.
         attaches = self._config.attach
         self._hello_due = None if attaches else self._loop.time() + self._limits.hello
@@ -365,6 +384,7 @@ class ContainerActor:
 
     def _die(self, death: _Death) -> tuple[ContainerAction, ...]:
         """Decide what follows from the end of the process."""
+        self._death_reason = death.reason
         if self._state in {ContainerState.STOPPING, ContainerState.GAVE_UP}:
             return self._apply(ContainerInput.DIED_FOR_GOOD, death.reason)
         if death.permanent:
@@ -390,7 +410,8 @@ class ContainerActor:
         for action in actions:
             match action:
                 case ContainerAction.LOSE_NODES:
-                    self._nodes.container_lost(f"its container: {reason}")
+                    blame = self._death_reason if self._blames_loads else ""
+                    self._nodes.container_lost(f"its container: {reason}", blame)
                 case ContainerAction.KILL:
                     _log.error("%s is killed: %s", self._name, reason)
                     self._kill(reason)

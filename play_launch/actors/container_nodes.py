@@ -9,14 +9,21 @@ from __future__ import annotations
 import logging
 import random
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final, Protocol, assert_never
+from typing import TYPE_CHECKING, Final, assert_never
 
 from play_launch.actors.load_request import load_request
-from play_launch.actors.node_facts import NOTHING, Facts, facts_of_event, facts_of_status
+from play_launch.actors.node_facts import (
+    INPUT_OF_EVENT,
+    NOTHING,
+    Facts,
+    facts_of_event,
+    facts_of_status,
+)
 from play_launch.actors.node_reports import MirroredNode, NodeReports
 from play_launch.actors.restarter import CrashFollower
+from play_launch.actors.suspect_nodes import SuspectNodes
 from play_launch.core.crash import Ignore, Shutdown, StopContainer
-from play_launch.core.events import TOLD_LOGGER, ComponentEvent, ComponentEventKind, NodeState
+from play_launch.core.events import TOLD_LOGGER, ComponentEvent, NodeState
 from play_launch.core.lifecycle import is_silent, step
 from play_launch.core.node_table import NodeAction, NodeInput
 from play_launch.core.questions import Asked, ids_to_ask, read_answer
@@ -36,9 +43,12 @@ from play_launch.native.messages import (
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
+    from play_launch.actors.library_probes import LibraryProbes
+    from play_launch.actors.ports import Escalation
     from play_launch.actors.publisher import Publisher
     from play_launch.config.model import ContainerConfig
     from play_launch.core.lifecycle import Patience
+    from play_launch.core.probe import Finding
     from play_launch.native.messages import NodeStatus
 
 _log = logging.getLogger(__name__)
@@ -47,28 +57,10 @@ _told = logging.getLogger(TOLD_LOGGER)
 _OPEN_QUESTIONS: Final = 16
 """Questions whose answers are still expected; older ones are given up."""
 
+_ALONE_LIMIT: Final = 60.0
+"""Seconds for which a load can keep others waiting that have to be alone."""
+
 _UNDER_WAY: Final = frozenset({NodeState.REQUESTED, NodeState.LOADING})
-
-_SAID: Final = {
-    ComponentEventKind.LOADED: NodeInput.LOADED,
-    ComponentEventKind.UNLOADED: NodeInput.UNLOADED,
-    ComponentEventKind.LOAD_FAILED: NodeInput.LOAD_FAILED,
-    ComponentEventKind.CRASHED: NodeInput.CRASHED,
-    ComponentEventKind.LOADING: NodeInput.LOADING,
-}
-
-
-class Escalation(Protocol):
-    """Where a crash concerns more than its node."""
-
-    def stop_container(self, reason: str) -> None:
-        """Stop the container for good."""
-
-    def shut_down(self, reason: str) -> None:
-        """Stop the whole system."""
-
-    def reload_hangs(self, reason: str) -> None:
-        """A crashed node is being constructed again for longer than the loading timeout."""
 
 
 class AttemptNumbers:
@@ -96,8 +88,12 @@ class ContainerNodes:
         clock: Callable[[], float],
         jitter: Callable[[], float] = random.random,
         silence: float,
+        probes: LibraryProbes | None = None,
     ) -> None:
-        """Know the declared nodes; ``attempts`` is shared by all containers."""
+        """Know the declared nodes; ``attempts`` and ``probes`` are shared by all containers.
+
+        Without ``probes`` every node is loaded whenever the container is ready.
+        """
         self._container = config.full_name
         self._reports = NodeReports(config.full_name, publisher, clock)
         self._escalation = escalation
@@ -114,6 +110,8 @@ class ContainerNodes:
             MirroredNode(index, node, CrashFollower(node.on_crash, node.restart, jitter))
             for index, node in enumerate(config.composable_nodes)
         ]
+        self.suspects = SuspectNodes(config, probes, self)
+        """Those that may have taken the container down; its `run` has to run."""
 
     def announce(self) -> None:
         """Tell that the nodes are declared."""
@@ -125,22 +123,54 @@ class ContainerNodes:
         self._send = send
         self._stopping = False
         for node in self._nodes:
-            self._apply(node, NodeInput.CONTAINER_READY)
+            if not self.suspects.holds(node.index):
+                self._apply(node, NodeInput.CONTAINER_READY)
+        self.load_cleared()
 
     def container_stops(self) -> None:
         """The container was asked to end; nothing is loaded again any more."""
         self._stopping = True
+        self.suspects.stop()
         for node in self._nodes:
             node.reload_at = None
 
-    def container_lost(self, reason: str) -> None:
-        """The container process is gone, and with it all nodes."""
+    def container_lost(self, reason: str, blame: str) -> None:
+        """The container process is gone, and with it all nodes.
+
+        ``blame`` says how it ended where a load may be the cause, else it is empty.
+        """
+        under_way = self._under_way()
         self._send = None
         self._questions.clear()
         self._to_ask.clear()
         for node in self._nodes:
             node.reload_at = None
             self._apply(node, NodeInput.CONTAINER_LOST, Facts(reason=reason))
+        if not self._stopping:
+            self.suspects.container_died(under_way if blame else (), blame)
+
+    def wait_for_probe(self, index: int) -> None:
+        """Report that the library of a node is loaded in a scratch process first."""
+        facts = Facts(reason="its library is loaded in a scratch process first")
+        self._reports.state(self._nodes[index], facts)
+
+    def refuse(self, index: int, reason: str, finding: Finding | None = None) -> None:
+        """Let a node fail that the container does not get."""
+        node = self._nodes[index]
+        self._reports.refusal(node, reason, finding)
+        self._apply(node, NodeInput.REFUSED, Facts(reason=reason))
+
+    def load_cleared(self) -> None:
+        """Load the nodes whose library was found to be good, if it is their turn."""
+        if self._send is None or self._stopping:
+            return
+        since = self._clock() - _ALONE_LIMIT
+        for index in self.suspects.due(self._under_way(since)):
+            self._apply(self._nodes[index], NodeInput.CONTAINER_READY)
+
+    def _under_way(self, since: float = 0.0) -> list[int]:
+        nodes = (each for each in self._nodes if each.record.state in _UNDER_WAY)
+        return [node.index for node in nodes if node.record.sent_at >= since]
 
     def unload(self, index: int) -> None:
         """Have a node unloaded; it does not come back with its container either."""
@@ -162,6 +192,7 @@ class ContainerNodes:
             case _:
                 assert_never(message)
         self._ask()
+        self.load_cleared()
 
     def hear_silence(self, listed: Iterable[NodeStatus]) -> None:
         """Tell once of each node that is loaded and stays in its callbacks for long."""
@@ -208,6 +239,7 @@ class ContainerNodes:
             if is_silent(node.record, now):
                 self._apply(node, NodeInput.SILENT)
         self._ask()
+        self.load_cleared()
 
     def _hear_rejected(self, message: Rejected) -> None:
         facts = Facts(attempt=message.attempt, unique_id=message.unique_id, reason=message.reason)
@@ -223,7 +255,7 @@ class ContainerNodes:
     def _hear_event(self, event: ComponentEvent) -> None:
         self._reports.event(event)
         if event.attempt:
-            self._about_attempt(_SAID[event.kind], facts_of_event(event))
+            self._about_attempt(INPUT_OF_EVENT[event.kind], facts_of_event(event))
 
     def _hear_status(self, status: Status) -> None:
         asked = self._questions.pop(status.query_id, None)
@@ -270,6 +302,9 @@ class ContainerNodes:
             node.took = node.loaded_at - record.sent_at
         if NodeAction.REPORT_UNASKED in result.actions and not self._stopping and not facts.reason:
             facts = replace(facts, reason="not at the supervisor's request")
+        over = before.state in _UNDER_WAY and record.state not in _UNDER_WAY
+        if over and said is not NodeInput.CONTAINER_LOST:
+            self.suspects.survived(node.index)
         if NodeAction.REPORT_CRASHED in result.actions:
             node.crashes += 1
         if NodeAction.SEND_LOAD in result.actions and record.is_reload:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from play_launch.core.events import ComponentEventKind
+from play_launch.core.node_table import NodeInput
 from play_launch.process.exit import Exit
 
 if TYPE_CHECKING:
@@ -32,6 +33,15 @@ class Facts:
 
 NOTHING: Final = Facts()
 
+
+INPUT_OF_EVENT: Final = {
+    ComponentEventKind.LOADED: NodeInput.LOADED,
+    ComponentEventKind.UNLOADED: NodeInput.UNLOADED,
+    ComponentEventKind.LOAD_FAILED: NodeInput.LOAD_FAILED,
+    ComponentEventKind.CRASHED: NodeInput.CRASHED,
+    ComponentEventKind.LOADING: NodeInput.LOADING,
+}
+"""What an event of the container says about the node."""
 
 _RUNTIME: Final = re.compile(r"\b(?:libc|libstdc\+\+|libgcc_s|libpthread|ld-linux[\w-]*)\.so\b")
 """Libraries in which a fault shows, but which seldom are to blame for it."""

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from play_launch.actors.publisher import Publisher
     from play_launch.actors.restarter import CrashFollower
     from play_launch.config.model import ComposableNodeConfig
+    from play_launch.core.probe import Finding
 
 _TIMED: Final = frozenset(
     {NodeState.REQUESTED, NodeState.LOADING, NodeState.LOADED, NodeState.LOAD_FAILED}
@@ -83,6 +84,26 @@ class NodeReports:
                 attempt=record.attempt,
                 crashes=node.crashes,
                 reloads=node.reloads,
+            )
+        )
+
+    def refusal(self, node: MirroredNode, reason: str, finding: Finding | None) -> None:
+        """Tell that its latest load is not repeated, with what a scratch process found."""
+        self._publisher.publish(
+            ComponentEvent(
+                stamp_ns=self._publisher.stamp_ns(),
+                kind=ComponentEventKind.LOAD_FAILED,
+                container=self._container,
+                unique_id=node.record.unique_id,
+                attempt=node.record.attempt,
+                full_node_name=node.name,
+                package_name=node.config.package,
+                plugin_name=node.config.plugin,
+                error_message=reason,
+                exit_code=finding.exit_code if finding and not finding.signal else 0,
+                signal=finding.signal if finding else 0,
+                backtrace=finding.backtrace if finding else (),
+                confirmed_by="supervisor" if finding is None else "probe",
             )
         )
 

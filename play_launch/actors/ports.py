@@ -14,7 +14,11 @@ from play_launch.process.lines import Line
 if TYPE_CHECKING:
     import asyncio
 
-    from play_launch.config.model import ContainerConfig, ProcessConfig
+    from play_launch.config.model import (
+        ComposableNodeConfig,
+        ContainerConfig,
+        ProcessConfig,
+    )
     from play_launch.native.messages import Hello, Incoming, Outgoing
     from play_launch.process.exit import Exit
 
@@ -69,6 +73,19 @@ class ManagedProcess(Protocol):
         """
 
 
+class Escalation(Protocol):
+    """Where a crash concerns more than its node."""
+
+    def stop_container(self, reason: str) -> None:
+        """Stop the container for good."""
+
+    def shut_down(self, reason: str) -> None:
+        """Stop the whole system."""
+
+    def reload_hangs(self, reason: str) -> None:
+        """A crashed node is being constructed again for longer than the loading timeout."""
+
+
 class ControlLink(Protocol):
     """Our end of a control channel; errors as :mod:`play_launch.native.control` has them."""
 
@@ -86,7 +103,7 @@ class ControlLink(Protocol):
 
 
 class Launcher(Protocol):
-    """Starts processes; each call takes about a millisecond and does not wait for anything."""
+    """Starts processes; a start takes about a millisecond and does not wait for anything."""
 
     def hello(self) -> Hello:
         """Say who we are."""
@@ -95,6 +112,18 @@ class Launcher(Protocol):
         self, config: ContainerConfig, on_output: OutputCallback
     ) -> tuple[ManagedProcess, ControlLink]:
         """Start a container.
+
+        Raises:
+            StartError: When that is not possible.
+        """
+
+    async def library_of(self, container: ContainerConfig, node: ComposableNodeConfig) -> str:
+        """Find the library of a component; empty where that is not known."""
+
+    def start_probe(
+        self, container: ContainerConfig, node: ComposableNodeConfig, on_output: OutputCallback
+    ) -> ManagedProcess:
+        """Start a scratch process that loads the library of a node as the container would.
 
         Raises:
             StartError: When that is not possible.

@@ -12,6 +12,7 @@ from play_launch.actors.container import ContainerActor
 from play_launch.actors.container_limits import LIMITS, Limits
 from play_launch.actors.container_nodes import AttemptNumbers
 from play_launch.actors.deadline import happens_before
+from play_launch.actors.library_probes import LibraryProbes
 from play_launch.actors.process_node import ProcessActor
 from play_launch.actors.publisher import Publisher
 from play_launch.actors.wiring import NativeLauncher
@@ -112,6 +113,7 @@ async def _run(
     attempts = AttemptNumbers()
     starts = starts or default_starts()
     places = asyncio.Semaphore(starts)
+    probes = LibraryProbes(launcher, publisher)
     stock_places = asyncio.Semaphore(STOCK_STARTS * starts)
     containers = [
         ContainerActor(
@@ -121,6 +123,7 @@ async def _run(
             stop=stop,
             attempts=attempts,
             starts=_starts_of(container, places, stock_places),
+            probes=None if container.container_type is ContainerType.STOCK else probes,
             limits=limits,
         )
         for container in config.containers

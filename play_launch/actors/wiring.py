@@ -22,10 +22,12 @@ from play_launch.native.argv import (
     ExecutableNotFoundError,
     container_argv,
     find_executable,
+    probe_argv,
     process_argv,
     stock_container_argv,
 )
 from play_launch.native.codec import preload
+from play_launch.native.component_index import component_library
 from play_launch.native.control import ControlChannel, control_pair
 from play_launch.native.environment import child_environment, foreign_python_environment
 from play_launch.native.locate import (
@@ -45,7 +47,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from play_launch.actors.ports import ControlLink, ManagedProcess, OutputCallback
-    from play_launch.config.model import ContainerConfig, ProcessConfig, ReplayConfig
+    from play_launch.config.model import (
+        ComposableNodeConfig,
+        ContainerConfig,
+        ProcessConfig,
+        ReplayConfig,
+    )
     from play_launch.native.locate import RosInstallation
     from play_launch.process.child import Child
     from play_launch.process.exit import Exit
@@ -171,9 +178,7 @@ class NativeLauncher:
         argv = container_argv(
             config, self._container, stop_timeout=self._policy.ask * _CONTAINER_SHARE
         )
-        environment = child_environment(os.environ, self._ros, config.environment)
-        if _shares_memory(config):
-            environment = for_isolation(environment, self._allocator)
+        environment = self._environment(config)
         try:
             pair = control_pair()
         except OSError as error:
@@ -186,6 +191,25 @@ class NativeLauncher:
             pair.close_child_end()
             opened.pop_all()
         return process, ControlChannel(pair.ours, container=config.full_name)
+
+    async def library_of(self, container: ContainerConfig, node: ComposableNodeConfig) -> str:
+        """Find the library in the ament index that the container uses; empty: it has none."""
+        prefixes = ament_prefixes(self._environment(container))
+        found = await asyncio.to_thread(component_library, node.package, node.plugin, prefixes)
+        return str(found or "")
+
+    def start_probe(
+        self, container: ContainerConfig, node: ComposableNodeConfig, on_output: OutputCallback
+    ) -> NativeProcess:
+        """Start a scratch process like the container itself; raises StartError."""
+        argv = probe_argv(node.package, node.plugin, self._container)
+        return self._spawn(argv, self._environment(container), on_output)
+
+    def _environment(self, config: ContainerConfig) -> dict[str, str]:
+        environment = child_environment(os.environ, self._ros, config.environment)
+        if _shares_memory(config):
+            environment = for_isolation(environment, self._allocator)
+        return environment
 
     def _start_stock(self, config: ContainerConfig, on_output: OutputCallback) -> NativeProcess:
         environment = child_environment(os.environ, self._ros, config.environment)

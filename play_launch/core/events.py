@@ -98,9 +98,10 @@ class ComponentEvent:
     signal: int = 0
     backtrace: tuple[str, ...] = ()
     confirmed_by: str = ""
-    """How it is known when nothing had told it and the container was asked, else empty.
+    """How it is known when the container has not said it by itself, else empty.
 
-    ``"status"`` by the control channel, ``"list_nodes"`` by the service of that name.
+    ``"status"`` and ``"list_nodes"``: it was asked, by the control channel or the service of that
+    name. ``"probe"``: a scratch process loaded the library. ``"supervisor"``: it was decided by us.
     """
 
 

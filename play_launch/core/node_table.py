@@ -24,6 +24,8 @@ class NodeInput(StrEnum):
     """The pause after a crash is over."""
     GIVEN_UP = auto()
     """No reload follows any more."""
+    REFUSED = auto()
+    """It is not sent to the container, which did not survive an earlier load of it."""
     SILENT = auto()
     """The container has not said anything for too long."""
     ACCEPTED = auto()
@@ -136,7 +138,7 @@ TABLE: Final[Mapping[NodeState, Mapping[NodeInput, Transition]]] = {
             Said.CONTAINER_READY: _NEW_LOAD,
             Said.UNLOAD_REQUESTED: (State.UNLOADED, Do.REPORT_UNLOADED),
         },
-        {Said.CONTAINER_LOST, Said.UNLOAD_REJECTED, *_TIMERS, *FROM_CONTAINER},
+        {Said.REFUSED, Said.CONTAINER_LOST, Said.UNLOAD_REJECTED, *_TIMERS, *FROM_CONTAINER},
     ),
     State.REQUESTED: _row(
         State.REQUESTED,
@@ -161,6 +163,7 @@ TABLE: Final[Mapping[NodeState, Mapping[NodeInput, Transition]]] = {
             Said.UNLOAD_REQUESTED: (State.UNLOADING,),
         },
         {
+            Said.REFUSED,
             Said.CONTAINER_READY,
             Said.RELOAD_DUE,
             Said.GIVEN_UP,
@@ -188,6 +191,7 @@ TABLE: Final[Mapping[NodeState, Mapping[NodeInput, Transition]]] = {
             Said.REJECTED: (State.LOADING, Do.SEND_QUERY),
         },
         {
+            Said.REFUSED,
             Said.CONTAINER_READY,
             Said.RELOAD_DUE,
             Said.GIVEN_UP,
@@ -213,6 +217,7 @@ TABLE: Final[Mapping[NodeState, Mapping[NodeInput, Transition]]] = {
             Said.RELOAD_FAILED: (State.LOADED, Do.SEND_QUERY),
         },
         {
+            Said.REFUSED,
             Said.CONTAINER_READY,
             *_TIMERS,
             Said.UNLOAD_REJECTED,
@@ -245,6 +250,7 @@ TABLE: Final[Mapping[NodeState, Mapping[NodeInput, Transition]]] = {
             Said.STATUS_UNKNOWN_AGAIN: (State.UNLOADED, Do.REPORT_UNLOADED),
         },
         {
+            Said.REFUSED,
             Said.CONTAINER_READY,
             Said.RELOAD_DUE,
             Said.GIVEN_UP,
@@ -263,7 +269,7 @@ TABLE: Final[Mapping[NodeState, Mapping[NodeInput, Transition]]] = {
             Said.GIVEN_UP: (State.GAVE_UP, Do.REPORT_GAVE_UP),
             Said.UNLOAD_REQUESTED: (State.UNLOADED, Do.REPORT_UNLOADED),
         },
-        {Said.CONTAINER_LOST, Said.UNLOAD_REJECTED, Said.SILENT, *FROM_CONTAINER},
+        {Said.REFUSED, Said.CONTAINER_LOST, Said.UNLOAD_REJECTED, Said.SILENT, *FROM_CONTAINER},
     ),
     State.UNLOADED: _row(
         State.UNLOADED,
@@ -271,6 +277,7 @@ TABLE: Final[Mapping[NodeState, Mapping[NodeInput, Transition]]] = {
         # outside tells that it unloads its nodes, too.
         {Said.CONTAINER_READY: _NEW_LOAD},
         {
+            Said.REFUSED,
             Said.CONTAINER_LOST,
             Said.UNLOAD_REQUESTED,
             Said.UNLOAD_REJECTED,
@@ -286,13 +293,14 @@ TABLE: Final[Mapping[NodeState, Mapping[NodeInput, Transition]]] = {
             Said.CONTAINER_LOST: _LOST,
             Said.UNLOAD_REQUESTED: (State.UNLOADED, Do.REPORT_UNLOADED),
         },
-        {Said.CONTAINER_READY, Said.SILENT, Said.UNLOAD_REJECTED, *FROM_CONTAINER},
+        {Said.REFUSED, Said.CONTAINER_READY, Said.SILENT, Said.UNLOAD_REJECTED, *FROM_CONTAINER},
     ),
     State.GAVE_UP: _row(
         State.GAVE_UP,
         {Said.UNLOAD_REQUESTED: (State.UNLOADED, Do.REPORT_UNLOADED)},
         # It does not come back with its container either: it may be what brought that down.
         {
+            Said.REFUSED,
             Said.CONTAINER_READY,
             Said.CONTAINER_LOST,
             Said.UNLOAD_REJECTED,
@@ -304,6 +312,7 @@ TABLE: Final[Mapping[NodeState, Mapping[NodeInput, Transition]]] = {
         State.LOST,
         {
             Said.CONTAINER_READY: _NEW_LOAD,
+            Said.REFUSED: _FAILED,
             Said.UNLOAD_REQUESTED: (State.UNLOADED, Do.REPORT_UNLOADED),
         },
         {Said.CONTAINER_LOST, Said.UNLOAD_REJECTED, *_TIMERS, *FROM_CONTAINER},

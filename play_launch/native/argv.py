@@ -56,6 +56,17 @@ def container_argv(
     return tuple(argv)
 
 
+def probe_argv(package: str, plugin: str, binary: Path) -> tuple[str, ...]:
+    """Make the command line of a scratch process that loads the library of one component.
+
+    Args:
+        package: The package that the component is in.
+        plugin: The class.
+        binary: The program `component_container`.
+    """
+    return (os.fspath(binary), "--probe", package, plugin)
+
+
 def stock_container_argv(config: ContainerConfig, program: Path) -> tuple[str, ...]:
     """Make the command line of a container that is not our own."""
     argv = [os.fspath(program), *config.arguments]

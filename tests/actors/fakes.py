@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import json
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +16,7 @@ from play_launch.config.model import (
     ReplayConfig,
     RestartLimits,
 )
-from play_launch.core.events import ComponentEvent, ComponentEventKind
+from play_launch.core.events import ComponentEvent, ComponentEventKind, Stream
 from play_launch.native.control import (
     ChannelClosedError,
     ControlError,
@@ -38,6 +39,7 @@ from play_launch.native.messages import (
     Unload,
 )
 from play_launch.process.exit import Exit
+from play_launch.process.lines import Line
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -278,6 +280,17 @@ class FakeContainer:
         )
 
 
+def found(process: FakeProcess, on_output: OutputCallback, **values: Any) -> None:
+    """End as the scratch process that loaded a library, with what it says."""
+    told = {"library": "/lib.so", "error": "", "signal": 0, "backtrace": [], **values}
+    on_output(Stream.STDOUT, [Line(json.dumps(told))])
+    process.end(Exit(code=1 if told["error"] else 0))
+
+
+def found_good(name: str, process: FakeProcess, on_output: OutputCallback) -> None:
+    found(process, on_output)
+
+
 @dataclass
 class FakeLauncher:
     """Starts fakes; the n-th start of a container takes the n-th of its makers, then the last."""
@@ -288,6 +301,10 @@ class FakeLauncher:
     containers: dict[str, list[FakeContainer]] = field(default_factory=dict)
     processes: dict[str, list[FakeProcess]] = field(default_factory=dict)
     on_process: Callable[[FakeProcess], None] = lambda process: None
+    libraries: dict[str, str] = field(default_factory=dict)
+    """Of nodes, by name."""
+    probes: list[tuple[str, FakeProcess]] = field(default_factory=list)
+    on_probe: Callable[[str, FakeProcess, OutputCallback], None] = found_good
     failures: dict[str, StartError] = field(default_factory=dict)
     cleaned: int = 0
     cleaned_before_a_start: list[int] = field(default_factory=list)
@@ -318,6 +335,20 @@ class FakeLauncher:
         self.on_process(process)
         return process
 
+    async def library_of(self, container: ContainerConfig, node: ComposableNodeConfig) -> str:
+        return self.libraries.get(node.name, node.name)
+
+    def start_probe(
+        self, container: ContainerConfig, node: ComposableNodeConfig, on_output: OutputCallback
+    ) -> FakeProcess:
+        if "probe" in self.failures:
+            raise self.failures["probe"]
+        process = FakeProcess(("component_container", "--probe", node.package, node.plugin))
+        self.probes.append((node.name, process))
+        # Nothing is heard of a process before it has been started.
+        asyncio.get_running_loop().call_soon(self.on_probe, node.name, process, on_output)
+        return process
+
     async def clean_up(self) -> None:
         self.cleaned += 1
 
@@ -327,7 +358,9 @@ class FakeLauncher:
     def alive(self) -> list[FakeProcess]:
         containers = [each.process for started in self.containers.values() for each in started]
         processes = [each for started in self.processes.values() for each in started]
-        return [process for process in (*containers, *processes) if process.exit is None]
+        probes = [process for _, process in self.probes]
+        everything = (*containers, *processes, *probes)
+        return [process for process in everything if process.exit is None]
 
 
 def node(

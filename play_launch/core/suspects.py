@@ -1,0 +1,135 @@
+"""Which nodes may be loaded into a container that did not survive an earlier load.
+
+A container loads many nodes at the same time, so when it dies, each node that was being loaded is
+a suspect. What may be done with a suspect depends on how many deaths in a row it was there for:
+
+* After the first one its library is loaded in a scratch process, which shows whether the library
+  is to blame. If it cannot be loaded there, the node is not loaded; its library is probed again
+  when the container starts anew, for it may have been replaced. If it can, the node is loaded as
+  usual.
+* After the second one the library is not to blame, but the constructor may be. The suspects are
+  loaded one at a time, so that the next death has one suspect only.
+* A node that was the only one being loaded at its second death, and any node at its third, is not
+  loaded any more in this run.
+
+A load that the container survives, whatever became of the node, clears it of all suspicion. So a
+node that has nothing to do with the deaths is always loaded in the end.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import StrEnum, auto
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
+
+MOST_DEATHS: Final = 3
+"""Deaths of its container after which a node is refused, whoever else was being loaded."""
+_DEATHS_ALONE: Final = 2
+"""The same for a node that was the only one being loaded, and from then on loaded one at a time."""
+
+
+class Stage(StrEnum):
+    """How far the inquiry about one node is."""
+
+    TRUSTED = auto()
+    """It is loaded whenever the container is ready."""
+    PROBING = auto()
+    """Its library is being loaded, or going to be loaded, in a scratch process."""
+    CLEARED = auto()
+    """Its library can be loaded; the node waits for its turn."""
+    TRIED = auto()
+    """It is being loaded."""
+    CONDEMNED = auto()
+    """Its library cannot be loaded; it is probed again when the container starts anew."""
+    REFUSED = auto()
+    """It took the container down too often."""
+
+
+@dataclass(frozen=True, slots=True)
+class Suspicion:
+    """What is known about one node."""
+
+    stage: Stage = Stage.TRUSTED
+    deaths: int = 0
+    """Of its container during its load, since the last load that the container survived."""
+
+    @property
+    def wants_to_be_alone(self) -> bool:
+        """Whether no other node may be loaded at the same time."""
+        return self.deaths >= _DEATHS_ALONE
+
+
+def blamed(suspicion: Suspicion, *, alone: bool) -> Suspicion:
+    """Return what is known after a death during the node's load; ``alone``: no other's."""
+    deaths = suspicion.deaths + 1
+    refused = deaths >= MOST_DEATHS or (alone and deaths >= _DEATHS_ALONE)
+    return Suspicion(Stage.REFUSED if refused else Stage.PROBING, deaths)
+
+
+class Suspects:
+    """The nodes of one container, by their places in the declaration. No I/O, no clock."""
+
+    def __init__(self) -> None:
+        self._known: dict[int, Suspicion] = {}
+
+    def of(self, index: int) -> Suspicion:
+        """Return what is known about a node."""
+        return self._known.get(index, Suspicion())
+
+    def container_died(self, under_way: Collection[int]) -> tuple[list[int], list[int]]:
+        """Take the death of a container that was loading these nodes.
+
+        Returns:
+            The nodes to be probed, and those that are refused from now on.
+        """
+        probe, refused = [], []
+        for index in sorted({*self._known, *under_way}):
+            before = self.of(index)
+            if index in under_way:
+                after = blamed(before, alone=len(under_way) == 1)
+            elif before.stage is Stage.CONDEMNED:
+                after = replace(before, stage=Stage.PROBING)
+            elif before.stage is Stage.TRIED:  # its load was over
+                after = Suspicion()
+            else:
+                after = before
+            self._known[index] = after
+            if after.stage is not before.stage or index in under_way:
+                if after.stage is Stage.PROBING:
+                    probe.append(index)
+                elif after.stage is Stage.REFUSED:
+                    refused.append(index)
+        return probe, refused
+
+    def probe_ended(self, index: int, *, loads: bool) -> None:
+        """Take the result of the scratch process.
+
+        Without one the library counts as one that loads: the number of deaths is bounded anyway.
+        """
+        before = self.of(index)
+        if before.stage is Stage.PROBING:
+            stage = Stage.CLEARED if loads else Stage.CONDEMNED
+            self._known[index] = replace(before, stage=stage)
+
+    def survived(self, index: int) -> None:
+        """The load came to an end, in whichever way, and the container lives."""
+        self._known.pop(index, None)
+
+    def holds(self, index: int) -> bool:
+        """Whether a container that is ready does not get the node yet, or not at all."""
+        return self.of(index).stage not in {Stage.TRUSTED, Stage.TRIED}
+
+    def due(self, under_way: Collection[int]) -> list[int]:
+        """Choose those that are loaded now, beside others; they count as sent."""
+        if any(self.of(index).wants_to_be_alone for index in under_way):
+            return []
+        cleared = [i for i, each in sorted(self._known.items()) if each.stage is Stage.CLEARED]
+        chosen = [index for index in cleared if not self._known[index].wants_to_be_alone]
+        if not chosen and not under_way:
+            chosen = cleared[:1]
+        for index in chosen:
+            self._known[index] = replace(self._known[index], stage=Stage.TRIED)
+        return chosen
