@@ -4,7 +4,27 @@ from __future__ import annotations
 
 import os
 import signal
-from signal import SIGABRT, SIGBUS, SIGFPE, SIGILL, SIGKILL, SIGSEGV, SIGTERM
+from signal import (
+    SIGABRT,
+    SIGALRM,
+    SIGBUS,
+    SIGFPE,
+    SIGHUP,
+    SIGILL,
+    SIGIO,
+    SIGKILL,
+    SIGPROF,
+    SIGQUIT,
+    SIGSEGV,
+    SIGSYS,
+    SIGTERM,
+    SIGTRAP,
+    SIGUSR1,
+    SIGUSR2,
+    SIGVTALRM,
+    SIGXCPU,
+    SIGXFSZ,
+)
 from statistics import median
 from typing import TYPE_CHECKING
 
@@ -39,9 +59,34 @@ WAYS = {
     "term": SIGTERM,
     "exception": SIGABRT,
     "exit": 0,
+    "sys": SIGSYS,
+    "xcpu": SIGXCPU,
+    "trap": SIGTRAP,
 }
 TRACED = {"segv", "abrt", "exception"}
 """Ways to die in the thread that runs the callback; the others are signals to the process."""
+
+DAMAGED = {
+    "low_call": (SIGSEGV, "jump to address 0x10,", "#0 0x10"),
+    "high_call": (SIGSEGV, "jump to address 0x4141414141,", "#0 0x4141414141"),
+    "data_call": (SIGSEGV, "where no code is", "#0 "),
+    "smashed_frame": (SIGABRT, "abort() was called", "#0 "),
+    "lost_stack": (SIGSEGV, "at address 0x", "#0 "),
+}
+"""Ways to die with a stack that cannot be followed, or a program counter that points to no code:
+signal, what the text says, how the first frame begins."""
+NAMED = {
+    "low_call": "die",
+    "high_call": "die",
+    "data_call": "die",
+    "smashed_frame": "die_of_smashed_frame",
+    "lost_stack": "die_without_stack",
+}
+"""The function that the backtrace names all the same."""
+REQUESTS = [
+    *(SIGTERM, SIGHUP, SIGQUIT, SIGUSR1, SIGUSR2, SIGALRM, SIGPROF, SIGVTALRM, SIGIO),
+    *(SIGSEGV, SIGTRAP, SIGSYS, SIGXCPU, SIGXFSZ),
+]
 
 both_modes = pytest.mark.parametrize("mode", MODES)
 
@@ -118,6 +163,26 @@ def test_a_crash_in_a_constructor_is_a_failed_load(
 
 
 @both_modes
+@pytest.mark.parametrize("how", DAMAGED)
+def test_a_crash_that_damaged_the_stack(spawn: StartContainer, mode: str, how: str) -> None:
+    container = start_isolated(spawn, mode)
+    with survives(container), Probe() as probe:
+        container.loaded("Talker")
+        crasher = container.loaded("Crasher", parameters={"how": how, "after": 0.0})
+        crashed = container.event(CRASHED, unique_id=crasher.unique_id)
+        number, text, first = DAMAGED[how]
+        assert crashed.signal == number
+        assert number.name in crashed.error_message
+        assert text in crashed.error_message
+        assert crashed.backtrace[0].startswith(first), crashed.backtrace
+        assert any(NAMED[how] in line for line in crashed.backtrace), crashed.backtrace
+        probe.collect(String, "/chatter", 5)
+        assert_cleaned_up(container, crashes=1)
+        # Its threads were stopped with care, so the container has no doubts about itself.
+        assert container.status().unquiesced == 0
+
+
+@both_modes
 def test_a_crash_on_a_message(spawn: StartContainer, mode: str) -> None:
     container = start_isolated(spawn, mode)
     with survives(container), Probe() as probe:
@@ -133,7 +198,7 @@ def test_a_crash_on_a_message(spawn: StartContainer, mode: str) -> None:
 
 
 @both_modes
-@pytest.mark.parametrize("number", [SIGKILL, SIGSEGV, SIGTERM])
+@pytest.mark.parametrize("number", [SIGKILL, *REQUESTS])
 def test_a_signal_from_outside(spawn: StartContainer, mode: str, number: signal.Signals) -> None:
     container = start_isolated(spawn, mode)
     with survives(container), Probe() as probe:

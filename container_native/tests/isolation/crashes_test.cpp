@@ -15,6 +15,85 @@
 
 #include "harness.hpp"
 
+extern "C" [[noreturn]] void __stack_chk_fail();
+extern "C" void crash_by_lost_stack();
+extern "C" void crash_by_damaged_frame();
+extern "C" void crash_by_damaged_unwind_data();
+
+// The stack pointer is gone; what finds the frame is gone; what says how to find it is damaged,
+// which makes the unwinder call abort().
+#if defined(__x86_64__)
+asm(R"(
+    .text
+    .globl crash_by_lost_stack
+    .type crash_by_lost_stack, @function
+crash_by_lost_stack:
+    .cfi_startproc
+    mov $0x100, %esp
+    push %rax
+    .cfi_endproc
+    .size crash_by_lost_stack, . - crash_by_lost_stack
+
+    .globl crash_by_damaged_frame
+    .type crash_by_damaged_frame, @function
+crash_by_damaged_frame:
+    .cfi_startproc
+    push %rbp
+    mov %rsp, %rbp
+    .cfi_def_cfa rbp, 16
+    movabs $0x4141414141414141, %rbp
+    xor %eax, %eax
+    movl $0, 8(%rax)
+    .cfi_endproc
+    .size crash_by_damaged_frame, . - crash_by_damaged_frame
+
+    .globl crash_by_damaged_unwind_data
+    .type crash_by_damaged_unwind_data, @function
+crash_by_damaged_unwind_data:
+    .cfi_startproc
+    .cfi_escape 0x0f, 1, 0xff
+    xor %eax, %eax
+    movl $0, 8(%rax)
+    .cfi_endproc
+    .size crash_by_damaged_unwind_data, . - crash_by_damaged_unwind_data
+)");
+#else
+asm(R"(
+    .text
+    .globl crash_by_lost_stack
+    .type crash_by_lost_stack, @function
+crash_by_lost_stack:
+    .cfi_startproc
+    mov x0, #0x100
+    mov sp, x0
+    str x0, [sp, #-16]!
+    .cfi_endproc
+    .size crash_by_lost_stack, . - crash_by_lost_stack
+
+    .globl crash_by_damaged_frame
+    .type crash_by_damaged_frame, @function
+crash_by_damaged_frame:
+    .cfi_startproc
+    .cfi_def_cfa x29, 16
+    .cfi_offset x30, -8
+    movz x29, #0x4141, lsl #48
+    mov x0, #8
+    str w0, [x0]
+    .cfi_endproc
+    .size crash_by_damaged_frame, . - crash_by_damaged_frame
+
+    .globl crash_by_damaged_unwind_data
+    .type crash_by_damaged_unwind_data, @function
+crash_by_damaged_unwind_data:
+    .cfi_startproc
+    .cfi_escape 0x0f, 1, 0xff
+    mov x0, #8
+    str w0, [x0]
+    .cfi_endproc
+    .size crash_by_damaged_unwind_data, . - crash_by_damaged_unwind_data
+)");
+#endif
+
 namespace {
 
 using namespace isolation_test;
@@ -62,6 +141,29 @@ int crash_by_recursion(int depth) {
 void crash_by_stack_overflow() { std::exit(crash_by_recursion(0)); }
 void crash_by_terminate() { std::terminate(); }
 
+void call(std::uintptr_t address) { reinterpret_cast<void (*)()>(address)(); }
+volatile std::uintptr_t low_address = 0x10;
+void crash_by_call_to_low_address() { call(low_address); }
+volatile std::uintptr_t high_address = 0x4141414141;
+void crash_by_call_to_high_address() { call(high_address); }
+alignas(64) std::array<char, 64> no_code{};
+void crash_by_call_to_data() { call(reinterpret_cast<std::uintptr_t>(no_code.data())); }
+void crash_by_smashed_frame() {
+  // Its caller's frame pointer and its return address.
+  auto* const frame = static_cast<volatile std::uintptr_t*>(__builtin_frame_address(0));
+  frame[0] = 0x4141414141414141;
+  frame[1] = 0x4141414141414141;
+  __stack_chk_fail();
+}
+void crash_by_trap() {
+#if defined(__x86_64__)
+  asm volatile("int3");
+#else
+  asm volatile("brk #1000");
+#endif
+}
+void crash_by_forbidden_system_call() { ::raise(SIGSYS); }
+
 struct Kind {
   const char* name;
   void (*crash)();
@@ -83,6 +185,21 @@ constexpr std::array kKinds{
          "illegal instruction"},
     Kind{"stack overflow", crash_by_stack_overflow, SIGSEGV, "crash_by_recursion", "SIGSEGV"},
     Kind{"terminate", crash_by_terminate, SIGABRT, "crash_by_terminate", "abort() was called"},
+    Kind{"SIGTRAP", crash_by_trap, SIGTRAP, "crash_by_trap", "breakpoint"},
+    Kind{"SIGSYS", crash_by_forbidden_system_call, SIGSYS, "crash_by_forbidden_system_call",
+         "SIGSYS"},
+    Kind{"low call", crash_by_call_to_low_address, SIGSEGV, "crash_by_call_to_low_address",
+         "jump to address 0x10, where no code is"},
+    Kind{"high call", crash_by_call_to_high_address, SIGSEGV, "crash_by_call_to_high_address",
+         "jump to address 0x4141414141, where no code is"},
+    Kind{"data call", crash_by_call_to_data, SIGSEGV, "crash_by_call_to_data", "where no code is"},
+    Kind{"smashed frame", crash_by_smashed_frame, SIGABRT, "crash_by_smashed_frame",
+         "abort() was called"},
+    Kind{"lost stack", crash_by_lost_stack, SIGSEGV, "#0 crash_by_lost_stack", "address 0xf"},
+    Kind{"damaged frame", crash_by_damaged_frame, SIGSEGV, "#0 crash_by_damaged_frame",
+         "address 0x8"},
+    Kind{"damaged unwind data", crash_by_damaged_unwind_data, SIGSEGV,
+         "#0 crash_by_damaged_unwind_data", "address 0x8"},
 };
 
 /// Lives and ticks until told to stop.
@@ -132,6 +249,9 @@ void check_outcome(const Kind& kind, const Outcome& outcome, bool in_main_thread
     return;
   }
   CHECK((outcome.slot.thread == outcome.end.pid) == in_main_thread);
+  CHECK(outcome.slot.phase == ChildPhase::dying);
+  CHECK(outcome.slot.threads_not_parked == 0);
+  CHECK(!outcome.slot.inside);
   const std::string backtrace = joined(outcome.slot);
   if (!contains(backtrace, kind.function)) {
     std::fprintf(stderr, "%s\n", backtrace.c_str());
@@ -189,6 +309,23 @@ void test_crashes(const Kind& kind, std::vector<std::unique_ptr<Neighbour>>& nei
   std::fflush(stdout);
 }
 
+/// What the container's code does in the handlers must not stand in the way.
+void test_program_that_faults_in_handlers() {
+  class Damaged final : public ChildProgram {
+   public:
+    int run() override { std::abort(); }
+    void cancel() noexcept override { crash_by_bad_address(); }
+    void crashed() noexcept override { std::abort(); }
+  };
+  Damaged program;
+  Outcome outcome;
+  DonorThread donor("donor", [&] { outcome.end = run_in_child(program, outcome.slot); });
+  donor.join();
+  CHECK(outcome.end.signal == SIGABRT);
+  CHECK(outcome.slot.signal == SIGABRT && outcome.slot.phase == ChildPhase::dying);
+  CHECK(contains(joined(outcome.slot), "Damaged::run"));
+}
+
 /// The same in a thread that the child started.
 void test_crashes_in_second_thread() {
   for (const Kind& kind : kKinds) {
@@ -213,6 +350,7 @@ int main() {
     test_crashes(kind, neighbours);
   }
   test_crashes_in_second_thread();
+  test_program_that_faults_in_handlers();
   for (const auto& neighbour : neighbours) {
     neighbour->stop();
   }

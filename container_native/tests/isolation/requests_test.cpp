@@ -1,8 +1,10 @@
 // Signals from outside ask a child to leave; limits on its life hold.
 
 #include <signal.h>
+#include <sys/resource.h>
 
 #include <array>
+#include <atomic>
 #include <chrono>
 #include <string>
 #include <thread>
@@ -41,7 +43,9 @@ int deaf(Program&) {
 }
 
 void test_leaves_in_order() {
-  for (const int signal : {SIGTERM, SIGINT, SIGSEGV, SIGBUS, SIGFPE, SIGILL, SIGABRT}) {
+  for (const int signal : {SIGTERM, SIGINT,    SIGHUP,  SIGQUIT, SIGUSR1, SIGUSR2, SIGALRM,
+                           SIGPROF, SIGVTALRM, SIGIO,   SIGPWR,  SIGSEGV, SIGBUS,  SIGFPE,
+                           SIGILL,  SIGABRT,   SIGTRAP, SIGSYS,  SIGXCPU, SIGXFSZ}) {
     Outcome outcome;
     bool left = false;
     with_child(
@@ -60,6 +64,53 @@ void test_leaves_in_order() {
     CHECK(contains(outcome.text(), "sent by process " + std::to_string(::getpid())));
     CHECK(!send_signal(outcome.slot, 0));
   }
+}
+
+/// One that takes a signal for something of its own keeps it.
+void test_handler_of_its_own() {
+  static std::atomic<bool> handled{false};
+  handled = false;
+  Outcome outcome;
+  Event ready;
+  Program program([&](Program& self) {
+    ::signal(SIGUSR1, [](int) { handled = true; });
+    ready.set();
+    return until_cancelled(self);
+  });
+  DonorThread donor("donor", [&] { outcome.end = run_in_child(program, outcome.slot); });
+  ready.wait();
+  CHECK(send_signal(outcome.slot, SIGUSR1));
+  while (!handled) {
+    std::this_thread::yield();
+  }
+  program.cancelled = true;
+  donor.join();
+  CHECK(outcome.end.clean());
+}
+
+/// As after nohup.
+void test_what_the_container_ignores() {
+  ::signal(SIGHUP, SIG_IGN);
+  Outcome outcome;
+  with_child(outcome, until_cancelled, {}, [](Outcome& running) {
+    CHECK(send_signal(running.slot, SIGHUP));
+    CHECK(send_signal(running.slot, SIGTERM));
+  });
+  ::signal(SIGHUP, SIG_DFL);
+  CHECK(outcome.end.signal == SIGTERM);
+}
+
+void test_limits_of_the_kernel() {
+  Outcome outcome;
+  run(outcome, [](Program&) {
+    const rlimit limit{1, 2};
+    ::setrlimit(RLIMIT_CPU, &limit);
+    while (true) {
+    }
+    return 0;
+  });
+  CHECK(outcome.end.signal == SIGXCPU && outcome.slot.signal == SIGXCPU);
+  CHECK(contains(outcome.text(), "limit of processor time"));
 }
 
 void test_one_that_does_not_leave() {
@@ -126,6 +177,9 @@ void test_signals_at_any_instant() {
 int main() {
   prepare_crash_handling();
   test_leaves_in_order();
+  test_handler_of_its_own();
+  test_what_the_container_ignores();
+  test_limits_of_the_kernel();
   test_one_that_does_not_leave();
   test_crash_while_leaving();
   test_time_limit();

@@ -243,11 +243,11 @@ std::atomic<int> containers_signals{0};
 
 void test_signal_actions_and_mask() {
   ::signal(SIGINT, [](int) { ++containers_signals; });
-  ::signal(SIGUSR2, [](int) { ++containers_signals; });
+  ::signal(SIGWINCH, [](int) { ++containers_signals; });
   ::signal(SIGPIPE, [](int) {});
   sigset_t blocked;
   sigemptyset(&blocked);
-  sigaddset(&blocked, SIGUSR2);
+  sigaddset(&blocked, SIGWINCH);
   ::pthread_sigmask(SIG_BLOCK, &blocked, nullptr);  // donors inherit it
   in_child([] {
     sigset_t mask;
@@ -256,7 +256,7 @@ void test_signal_actions_and_mask() {
       CHECK(::sigismember(&mask, signal) != 1);
     }
     struct sigaction action{};
-    ::sigaction(SIGUSR2, nullptr, &action);
+    ::sigaction(SIGWINCH, nullptr, &action);
     CHECK(action.sa_handler == SIG_DFL);
     CHECK(::raise(SIGPIPE) == 0);
   });

@@ -75,7 +75,7 @@ void ClonedNode::tell(NodeHostObserver& observer, IsolationTotals& totals) {
   // Read before the stage: what is dead by now goes no further.
   const bool buried = buried_;
   const bool dead = dead_;
-  if (!backtrace_ && slot_.thread != 0) {
+  if (!backtrace_ && slot_.traced) {
     backtrace_ = isolation::symbolise(slot_);  // while the process still dies
   }
   tell_progress(observer, program_.stage());
@@ -132,7 +132,7 @@ void ClonedNode::tell_end(NodeHostObserver& observer, IsolationTotals& totals) {
     return;
   }
   ++totals.crashes;
-  const bool quiesced = slot_.thread != 0 || slot_.exit_called || outcome != NodeOutcome::none;
+  const bool quiesced = slot_.phase == isolation::ChildPhase::dying || outcome != NodeOutcome::none;
   if (!quiesced || slot_.inside || slot_.threads_not_parked > 0) {
     ++totals.unquiesced;
   }
@@ -149,11 +149,14 @@ void ClonedNode::tell_end(NodeHostObserver& observer, IsolationTotals& totals) {
 }
 
 NodeDeath ClonedNode::death() {
+  if (!backtrace_) {
+    backtrace_ = isolation::symbolise(slot_);
+  }
   NodeDeath death;
   death.exit_code = end_.exit_code;
   death.signal = end_.signal;
   death.reason = isolation::describe_end(end_, slot_);
-  death.backtrace = std::move(backtrace_).value_or(std::vector<std::string>());
+  death.backtrace = std::move(*backtrace_);
   if (slot_.thread != 0) {
     death.when =
         std::chrono::steady_clock::time_point(std::chrono::nanoseconds(slot_.crash_time_ns));

@@ -116,6 +116,7 @@ void CrashSlot::reset() {
   stop_signal = 0;
   stop_sender = 0;
   thread = 0;
+  traced = false;
   thread_name = {};
   crash_time_ns = 0;
   crash_wall_time_ns = 0;

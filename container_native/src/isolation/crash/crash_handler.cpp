@@ -25,12 +25,17 @@
 #include "isolation/quiesce/code_map.hpp"
 #include "isolation/quiesce/quiesce.hpp"
 #include "isolation/record/own_signals.hpp"
+#include "isolation/record/survive.hpp"
 
 namespace play_launch::isolation {
 namespace {
 
-constexpr std::array kFaults{SIGSEGV, SIGBUS, SIGFPE, SIGILL, SIGABRT};
-constexpr std::array kRequests{SIGTERM, SIGINT};
+/// What instructions cause, and what the kernel sends who exceeds a limit.
+constexpr std::array kFaults{SIGSEGV, SIGBUS, SIGFPE,  SIGILL, SIGABRT,
+                             SIGTRAP, SIGSYS, SIGXCPU, SIGXFSZ};
+/// What ends a process that has no handler for it, and says nothing about the process.
+constexpr std::array kRequests{SIGTERM, SIGINT,  SIGHUP,    SIGQUIT, SIGUSR1, SIGUSR2,
+                               SIGALRM, SIGPROF, SIGVTALRM, SIGIO,   SIGPWR};
 
 std::terminate_handler terminate_before = nullptr;
 
@@ -81,7 +86,8 @@ void leave(ChildRecord& child, int signal, const siginfo_t& info) noexcept {
   child.program->cancel();
 }
 
-void fill(CrashSlot& slot, int signal, const siginfo_t& info, void* context) noexcept {
+/// Without a look at the stack, which may be what is damaged.
+void describe(CrashSlot& slot, int signal, const siginfo_t& info, void* context) noexcept {
   slot.crash_time_ns = time_ns(CLOCK_MONOTONIC);
   slot.crash_wall_time_ns = time_ns(CLOCK_REALTIME);
   slot.signal = signal;
@@ -92,21 +98,50 @@ void fill(CrashSlot& slot, int signal, const siginfo_t& info, void* context) noe
     slot.fault_address = reinterpret_cast<std::uintptr_t>(info.si_addr);
   }
   ::prctl(PR_GET_NAME, slot.thread_name.data());
-  const CallStack stack = interrupted_call_stack(context);
+  slot.program_counter = interrupted_place(context);
+  slot.frames[0] = slot.program_counter;
+  slot.frame_count = 1;
+  slot.thread = ::gettid();
+}
+
+void trace(CrashSlot& slot, void* context) noexcept {
+  const CallStack stack = interrupted_call_stack(context, is_jump_to_no_code(slot));
   std::transform(stack.frames.begin(), stack.frames.begin() + stack.count, slot.frames.begin(),
                  [](const Frame& frame) { return frame.address; });
-  slot.program_counter = slot.frames[0];
   slot.frame_count = static_cast<std::uint32_t>(stack.count);
-  slot.inside = !judge(stack, Caution::lenient).harmless;
+  bool harmless = false;
+  survive([&] { harmless = judge(stack, Caution::lenient).harmless; });
+  slot.inside = !harmless;
+  slot.traced = true;
+}
+
+extern "C" void on_crash_signal(int signal, siginfo_t* info, void* context);
+
+/// But for signals that the process ignores, as after nohup.
+template <std::size_t size>
+void handle(const std::array<int, size>& signals) noexcept {
+  struct sigaction action{};
+  action.sa_sigaction = on_crash_signal;
+  action.sa_flags = SA_SIGINFO | SA_RESTART | SA_ONSTACK;
+  // Whatever is not caused within survive() waits for the end.
+  sigfillset(&action.sa_mask);
+  for (const int signal : signals) {
+    struct sigaction before{};
+    if (::sigaction(signal, nullptr, &before) == 0 && before.sa_handler != SIG_IGN) {
+      ::sigaction(signal, &action, nullptr);
+    }
+  }
 }
 
 void crash(ChildRecord& child, int signal, const siginfo_t& info, void* context) noexcept {
   claim_end(child);
+  // From here on faults are ours, also where the node had handlers of its own.
+  handle(kFaults);
   CrashSlot& slot = *child.slot;
   slot.phase = ChildPhase::crashed;
-  fill(slot, signal, info, context);
-  slot.thread = ::gettid();
-  child.program->crashed();
+  describe(slot, signal, info, context);
+  trace(slot, context);
+  survive([&] { child.program->crashed(); });
   quiesce(child);
   if (!slot.inside) {
     child.threads.rest();
@@ -119,9 +154,12 @@ extern "C" void on_crash_signal(int signal, siginfo_t* info, void* context) {
   ChildRecord* const child = current_child();
   if (child == nullptr) {
     die_in_place(signal, *info, context);  // a process that a node forked
+  } else if (is_surviving(*info)) {
+    // It is dying already.
   } else if (child->options.dies_abruptly || is_deadline(*info, *child) ||
              !is_request(signal, *info)) {
-    crash(*child, signal, *info, context);
+    // Whatever else goes wrong, the process dies of this signal.
+    survive([&] { crash(*child, signal, *info, context); });
     die_in_place(signal, *info, context);
   } else {
     leave(*child, signal, *info);
@@ -200,17 +238,9 @@ void prepare_crash_handling() {
 }
 
 void install_crash_handlers() noexcept {
-  struct sigaction action{};
-  action.sa_sigaction = on_crash_signal;
-  action.sa_flags = SA_SIGINFO | SA_RESTART | SA_ONSTACK;
-  // Whatever faults in a handler kills at once; whatever else comes waits for the end.
-  sigfillset(&action.sa_mask);
-  for (const int signal : kFaults) {
-    ::sigaction(signal, &action, nullptr);
-  }
-  for (const int signal : kRequests) {
-    ::sigaction(signal, &action, nullptr);
-  }
+  forget_survival();
+  handle(kFaults);
+  handle(kRequests);
   install_park_handler();
 }
 

@@ -10,12 +10,15 @@ void prepare_crash_handling();
 
 /// In a child's first thread: installs its handlers.
 ///
-/// SIGSEGV, SIGBUS, SIGFPE, SIGILL and SIGABRT that the child caused itself: the slot gets time,
-/// registers and return addresses, the other threads are quiesced, and the child dies of that very
-/// signal in the place where it happened, dumping core where that is on. A fault in a handler kills
-/// at once. Any of these signals from another process, and SIGTERM and SIGINT from anybody, are a
-/// request: ChildProgram::cancel() is called, and the child dies of the signal when run() returned
-/// or ChildOptions::leave_limit is over.
+/// SIGSEGV, SIGBUS, SIGFPE, SIGILL, SIGABRT, SIGTRAP, SIGSYS, SIGXCPU and SIGXFSZ that the child
+/// caused itself: the slot gets time, signal, address and program counter, then return addresses as
+/// far as the stack is sound, the other threads are quiesced, and the child dies of that very
+/// signal in the place where it happened, dumping core where that is on. A fault in the course of
+/// this is survived. Any of these signals from another process, and from anybody other signals that
+/// end a process (SIGTERM, SIGINT, SIGHUP, SIGQUIT, SIGUSR1, SIGUSR2, SIGPWR, SIGIO, those of
+/// timers), are a request: ChildProgram::cancel() is called, and the child dies of the signal when
+/// run() returned or ChildOptions::leave_limit is over. Signals that the container ignores stay
+/// ignored.
 ///
 /// A node may install handlers of its own for all of them; they are its own process's.
 void install_crash_handlers() noexcept;

@@ -99,6 +99,9 @@ struct CodeText {
   const char* text;
 };
 
+/// SYS_SECCOMP, which not every C library names.
+constexpr int kBySeccomp = 1;
+
 /// What the kernel says about a fault, beside its address.
 constexpr std::array kCodes{
     CodeText{SIGSEGV, SEGV_MAPERR, "no memory"},
@@ -112,6 +115,8 @@ constexpr std::array kCodes{
     CodeText{SIGFPE, FPE_FLTINV, "invalid floating-point operation"},
     CodeText{SIGILL, ILL_ILLOPC, "illegal instruction"},
     CodeText{SIGILL, ILL_ILLOPN, "illegal instruction"},
+    CodeText{SIGTRAP, TRAP_BRKPT, "breakpoint"},
+    CodeText{SIGSYS, kBySeccomp, "system call that is not allowed"},
 };
 
 std::string describe_fault(const CrashSlot& slot) {
@@ -126,8 +131,22 @@ std::string describe_fault(const CrashSlot& slot) {
   if (slot.code <= 0) {
     return slot.signal == SIGABRT ? "abort() was called" : "the node sent it to itself";
   }
-  if (slot.signal == SIGSEGV && slot.code == SI_KERNEL) {
-    return "access to an address that no memory can have";
+  if (slot.code == SI_KERNEL) {
+    switch (slot.signal) {
+      case SIGSEGV:
+        return "access to an address that no memory can have";
+      case SIGTRAP:
+        return "breakpoint at address " + hex(slot.program_counter);
+      case SIGXCPU:
+        return "its limit of processor time is exceeded";
+      case SIGXFSZ:
+        return "its limit of file size is exceeded";
+      default:
+        break;
+    }
+  }
+  if (is_jump_to_no_code(slot)) {
+    return "jump to address " + hex(slot.fault_address) + ", where no code is";
   }
   for (const CodeText& known : kCodes) {
     if (known.signal == slot.signal && known.code == slot.code) {

@@ -8,6 +8,7 @@
 #include <unwind.h>
 
 #include "isolation/quiesce/quiesce.hpp"
+#include "isolation/record/survive.hpp"
 
 #if defined(__x86_64__)
 // Returned to, not called: there is no caller any more.
@@ -37,29 +38,38 @@ extern "C" [[gnu::used, gnu::visibility("hidden")]] void play_launch_park_curren
 namespace play_launch::isolation {
 namespace {
 
-struct Registers {
-  std::uintptr_t program_counter;
-  std::uintptr_t caller;  // the return address right after a call, when nothing else is known
-};
+mcontext_t& registers_of(void* context) noexcept {
+  return static_cast<ucontext_t*>(context)->uc_mcontext;
+}
 
-Registers registers_of(void* context) noexcept {
-  const mcontext_t& registers = static_cast<ucontext_t*>(context)->uc_mcontext;
-#if defined(__x86_64__)
-  const auto pc = static_cast<std::uintptr_t>(registers.gregs[REG_RIP]);
+bool is_code(std::uintptr_t address) noexcept {
   dl_find_object object{};
-  if (::_dl_find_object(reinterpret_cast<void*>(pc), &object) == 0) {
-    return {pc, 0};
-  }
-  // A call to no code: the return address lies on top of the stack.
-  return {pc, *reinterpret_cast<const std::uintptr_t*>(registers.gregs[REG_RSP])};
+  return ::_dl_find_object(reinterpret_cast<void*>(address), &object) == 0;
+}
+
+/// The return address right after a call, when nothing else is known about the stack; 0 if what is
+/// in its place is none. Faults when there is no stack.
+std::uintptr_t caller_of(const mcontext_t& registers) noexcept {
+#if defined(__x86_64__)
+  const std::uintptr_t caller = *reinterpret_cast<const std::uintptr_t*>(registers.gregs[REG_RSP]);
 #else
-  return {static_cast<std::uintptr_t>(registers.pc),
-          static_cast<std::uintptr_t>(registers.regs[30])};
+  const auto caller = static_cast<std::uintptr_t>(registers.regs[30]);
+#endif
+  return is_code(caller) ? caller : 0;
+}
+
+/// As if the interrupted place had been called and returned: the unwinder takes it from there.
+void return_to(std::uintptr_t caller, mcontext_t& registers) noexcept {
+#if defined(__x86_64__)
+  registers.gregs[REG_RIP] = static_cast<greg_t>(caller);
+  registers.gregs[REG_RSP] += sizeof caller;
+#else
+  registers.pc = caller;
 #endif
 }
 
 bool has_registers_of_a_wake(void* context) noexcept {
-  const mcontext_t& registers = static_cast<ucontext_t*>(context)->uc_mcontext;
+  const mcontext_t& registers = registers_of(context);
 #if defined(__x86_64__)
   const auto number = registers.gregs[REG_RAX];
   const auto operation = registers.gregs[REG_RSI];
@@ -86,6 +96,7 @@ bool has_registers_of_a_wake(void* context) noexcept {
 struct Collection {
   CallStack& stack;
   std::uintptr_t begin;  // the interrupted place; the handler's own frames come before it
+  bool began = false;
   std::size_t skipped = 0;
 };
 
@@ -94,9 +105,10 @@ _Unwind_Reason_Code collect(_Unwind_Context* context, void* argument) noexcept {
   auto& collection = *static_cast<Collection*>(argument);
   CallStack& stack = collection.stack;
   const std::uintptr_t address = _Unwind_GetIP(context);
-  if (stack.count == 0 && address != collection.begin) {
+  if (!collection.began && address != collection.begin) {
     return ++collection.skipped < kMostSkipped ? _URC_NO_REASON : _URC_END_OF_STACK;
   }
+  collection.began = true;
   if (stack.count == CallStack::kMaxFrames || address == 0) {
     return _URC_END_OF_STACK;
   }
@@ -105,27 +117,54 @@ _Unwind_Reason_Code collect(_Unwind_Context* context, void* argument) noexcept {
   return _URC_NO_REASON;
 }
 
+/// Adds what can be found to the stack, bit by bit: it may end in a fault.
+void unwind(CallStack& stack, std::uintptr_t begin) noexcept {
+  Collection collection{stack, begin};
+  _Unwind_Backtrace(collect, &collection);
+}
+
+void unwind_from_caller(CallStack& stack, mcontext_t& registers) noexcept {
+  if (const std::uintptr_t caller = caller_of(registers)) {
+    return_to(caller, registers);
+    unwind(stack, caller);
+    if (stack.count == 1) {
+      stack.frames[stack.count++] = {caller, 0};
+    }
+  }
+}
+
 }  // namespace
 
-CallStack interrupted_call_stack(void* context) noexcept {
+std::uintptr_t interrupted_place(void* context) noexcept {
+  const mcontext_t& registers = registers_of(context);
+#if defined(__x86_64__)
+  return static_cast<std::uintptr_t>(registers.gregs[REG_RIP]);
+#else
+  return static_cast<std::uintptr_t>(registers.pc);
+#endif
+}
+
+CallStack interrupted_call_stack(void* context, bool jumped_to_no_code) noexcept {
   CallStack stack;
   stack.wakes_others = has_registers_of_a_wake(context);
-  const Registers registers = registers_of(context);
-  Collection collection{stack, registers.program_counter};
-  _Unwind_Backtrace(collect, &collection);
-  if (stack.count == 0) {
-    stack.frames[stack.count++] = {registers.program_counter, 0};
+  const std::uintptr_t place = interrupted_place(context);
+  if (!jumped_to_no_code) {
+    survive([&] { unwind(stack, place); });
   }
-  if (stack.count == 1 && registers.caller != 0) {
-    stack.frames[stack.count++] = {registers.caller, 0};
+  if (stack.count == 0) {
+    stack.frames[stack.count++] = {place, 0};
+  }
+  if (stack.count == 1 && (jumped_to_no_code || !is_code(place))) {
+    const mcontext_t before = registers_of(context);
+    survive([&] { unwind_from_caller(stack, registers_of(context)); });
+    registers_of(context) = before;
   }
   return stack;
 }
 
 void prepare_call_stack() {
   CallStack stack;
-  Collection collection{stack, 0};
-  _Unwind_Backtrace(collect, &collection);
+  unwind(stack, 0);
 }
 
 bool park_on_return_to(const Frame& frame) noexcept {

@@ -24,9 +24,15 @@ struct CallStack {
   bool wakes_others = false;
 };
 
-/// From the signal's handler: `context` is the handler's third argument. Async-signal-safe once
-/// prepare_call_stack() has run.
-CallStack interrupted_call_stack(void* context) noexcept;
+/// The program counter of the thread that a signal interrupted; `context` is the third argument of
+/// the signal's handler. Async-signal-safe, reads no other memory.
+std::uintptr_t interrupted_place(void* context) noexcept;
+
+/// From the handler of such a signal, as far as it can be followed: where the stack is damaged, or
+/// leads to code without unwind information, it ends. At least one frame. `jumped_to_no_code`: the
+/// interrupted place is no code; the frames go on with who called it, if it was called.
+/// Async-signal-safe once prepare_call_stack() has run.
+CallStack interrupted_call_stack(void* context, bool jumped_to_no_code = false) noexcept;
 
 /// The first call may load things. Once, before the first child.
 void prepare_call_stack();

@@ -72,6 +72,9 @@ struct Landmarks {
   // What takes and gives back locks: the one that called it may be out of the picture already, as
   // the last thing that a function does is often a jump.
   std::array<Range, 4> c_library_locks{};
+  /// Says why the process ends, when a check of the C library or of the compiler failed: without a
+  /// lock, so that the one that called it decides.
+  Range c_library_last_words;
   Range join;  // std::thread::join()
 };
 Landmarks landmarks;
@@ -248,6 +251,9 @@ bool is_in_any(std::uintptr_t address, const std::array<Range, size>& ranges) {
 }
 
 Place in_c_library(std::uintptr_t address, bool innermost, bool wakes_others, Caution caution) {
+  if (landmarks.c_library_last_words.contains(address)) {
+    return Place::neutral;
+  }
   if (is_in_any(address, landmarks.c_library_inside)) {
     return Place::inside;
   }
@@ -323,6 +329,7 @@ void prepare_code_map() {
                  "pthread_rwlock_timedwrlock", "pthread_rwlock_unlock"}),
         code_of(symbols, {"__lll_lock_wait_private", "__lll_lock_wake_private"}),
         code_of(symbols, {"pthread_cond_signal", "pthread_cond_broadcast"})};
+    landmarks.c_library_last_words = code_of(symbols, {"__libc_fatal"});
     ::dlclose(library);
   }
   if (void* const library = ::dlopen("libstdc++.so.6", RTLD_NOW | RTLD_NOLOAD)) {

@@ -16,6 +16,7 @@
 #include "base/thread_list.hpp"
 #include "isolation/quiesce/code_map.hpp"
 #include "isolation/record/own_signals.hpp"
+#include "isolation/record/survive.hpp"
 
 namespace play_launch::isolation {
 namespace {
@@ -87,7 +88,8 @@ extern "C" void on_park_signal(int, siginfo_t* info, void* context) {
   if (child != nullptr && info->si_pid == ::getpid() && is_ending(*child)) {
     const CallStack stack = interrupted_call_stack(context);
     const bool lenient = child->impatient || ++looks > kCarefulLooks;
-    const Judgement judgement = judge(stack, lenient ? Caution::lenient : Caution::careful);
+    Judgement judgement{.harmless = false, .way_out = stack.count};
+    survive([&] { judgement = judge(stack, lenient ? Caution::lenient : Caution::careful); });
     if (judgement.harmless) {
       park(*child);
     }
@@ -135,7 +137,7 @@ void quiesce(ChildRecord& child) noexcept {
     return;
   }
   if (child.slot->phase != ChildPhase::returned) {
-    child.program->cancel();
+    survive([&] { child.program->cancel(); });
   }
   const nanoseconds begin = now();
   const nanoseconds limit = child.options.quiesce_limit;

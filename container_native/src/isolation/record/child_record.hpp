@@ -29,7 +29,7 @@ class ChildProgram {
   /// call park_if_dying() wherever such a thread comes out.
   virtual void cancel() noexcept = 0;
 
-  /// Called in a signal handler of the child when the slot tells of its crash (CrashSlot::thread is
+  /// Called in a signal handler of the child when the slot tells of its crash (CrashSlot::traced is
   /// set), some time before the death: whoever wants to look the backtrace up can begin.
   virtual void crashed() noexcept {}
 };

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <signal.h>
 #include <sys/types.h>
 
 #include <array>
@@ -41,8 +42,10 @@ struct CrashSlot {
   std::atomic<pid_t> stop_sender{0};
 
   // A fault, an abort(), or a signal that the child did not obey in time. `thread` is 0 when none
-  // was caught; the rest is only valid otherwise.
+  // was caught; the rest is only valid otherwise, frames but for the first one and `inside` only
+  // when `traced` is set or the child is dead.
   std::atomic<pid_t> thread{0};
+  std::atomic<bool> traced{false};
   std::array<char, 16> thread_name{};
   std::uint64_t crash_time_ns = 0;       // CLOCK_MONOTONIC
   std::uint64_t crash_wall_time_ns = 0;  // CLOCK_REALTIME
@@ -51,7 +54,7 @@ struct CrashSlot {
   pid_t sender = 0;  // si_pid, when the signal was sent and not caused by an instruction; else 0
   std::uintptr_t fault_address = 0;  // si_addr, when it was caused by an instruction
   std::uintptr_t program_counter = 0;
-  /// Innermost first: the program counter, then return addresses.
+  /// Innermost first: the program counter, then return addresses. There is at least the former.
   std::array<std::uintptr_t, kMaxFrames> frames{};
   std::uint32_t frame_count = 0;
 
@@ -77,5 +80,11 @@ struct CrashSlot {
   bool exit_called = false;
   int exit_status = 0;
 };
+
+/// The fault is that the program counter points to no code.
+inline bool is_jump_to_no_code(const CrashSlot& slot) {
+  return (slot.signal == SIGSEGV || slot.signal == SIGBUS) && slot.code > 0 &&
+         slot.fault_address == slot.program_counter;
+}
 
 }  // namespace play_launch::isolation
