@@ -13,6 +13,25 @@ std::size_t BackendList::of_package(const std::string& package) const {
   throw LoadError(no_such_package(package, indexes));
 }
 
+BackendList::Place BackendList::place_of(const std::string& package,
+                                         const std::string& plugin) const {
+  const std::size_t backend = of_package(package);
+  return {backend, backends_[backend]->index().library_of(package, plugin)};
+}
+
+BackendList::Found BackendList::find(std::uint64_t unique_id, const LoadRequest& request) const {
+  const Place place = place_of(request.package_name, request.plugin_name);
+  const std::string node = expected_full_name(request).value_or(request.plugin_name);
+  const ComponentLibrary& library =
+      loader_->open(*backends_[place.backend], place.library, unique_id, node);
+  return {place.backend, &library.find(request.plugin_name)};
+}
+
+std::string BackendList::wait_of(std::uint64_t unique_id) const {
+  const std::string library = loader_->opening_for(unique_id);
+  return library.empty() ? "" : "waits for the dynamic loader, which is opening " + library;
+}
+
 std::optional<std::string> BackendList::expected_full_name(const LoadRequest& request) const {
   // Which backend it will be is found out by whoever constructs, as that reads files.
   std::optional<std::string> name;

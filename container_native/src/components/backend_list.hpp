@@ -1,12 +1,14 @@
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
 #include <memory>
 #include <optional>
 #include <string>
 #include <vector>
 
 #include "components/component_backend.hpp"
+#include "components/library_loader.hpp"
 
 namespace play_launch::container {
 
@@ -20,15 +22,33 @@ class BackendList {
   std::size_t size() const { return backends_.size(); }
   ComponentBackend& operator[](std::size_t index) const { return *backends_[index]; }
 
-  /// Index of the backend whose components the package has; reads files. Throws LoadError when
-  /// there is none.
-  std::size_t of_package(const std::string& package) const;
+  /// What a request asks for, found in the index: reads files. Throws LoadError.
+  struct Place {
+    std::size_t backend = 0;
+    std::string library;  // path
+  };
+  Place place_of(const std::string& package, const std::string& plugin) const;
+
+  /// What a request asks for, ready to be constructed.
+  struct Found {
+    std::size_t backend = 0;
+    const ComponentClass* component_class = nullptr;
+  };
+  /// Finds the component, and waits until its library is open. In a thread of the container that
+  /// may wait, see LibraryLoader. Throws LoadError.
+  Found find(std::uint64_t unique_id, const LoadRequest& request) const;
+
+  /// What a node waits for while find() does; empty when it does not.
+  std::string wait_of(std::uint64_t unique_id) const;
 
   /// Full name that the node will have, as far as all backends agree on it.
   std::optional<std::string> expected_full_name(const LoadRequest& request) const;
 
  private:
+  std::size_t of_package(const std::string& package) const;
+
   const std::vector<std::unique_ptr<ComponentBackend>> backends_;
+  const std::unique_ptr<LibraryLoader> loader_ = std::make_unique<LibraryLoader>();
 };
 
 }  // namespace play_launch::container

@@ -55,6 +55,32 @@ class ComponentExecutor {
   virtual void beat_into(Beat& beat) = 0;
 };
 
+/// A component class in a library that is open. Lives for ever.
+class ComponentClass {
+ public:
+  ComponentClass() = default;
+  ComponentClass(const ComponentClass&) = delete;
+  ComponentClass& operator=(const ComponentClass&) = delete;
+  virtual ~ComponentClass() = default;
+
+  /// Constructs a component, in the calling thread, which may be a child's. `construction`, unless
+  /// null, keeps track of what its nodes take meanwhile, if the backend can. Throws LoadError.
+  virtual std::unique_ptr<Component> create(const LoadRequest& request,
+                                            Construction* construction) const = 0;
+};
+
+/// A library of components that is open, and stays so.
+class ComponentLibrary {
+ public:
+  ComponentLibrary() = default;
+  ComponentLibrary(const ComponentLibrary&) = delete;
+  ComponentLibrary& operator=(const ComponentLibrary&) = delete;
+  virtual ~ComponentLibrary() = default;
+
+  /// The class that is registered as `plugin`. Any thread of the container. Throws LoadError.
+  virtual const ComponentClass& find(const std::string& plugin) const = 0;
+};
+
 struct ExecutorChoice {
   bool multi_threaded = false;
   std::size_t threads = 1;
@@ -81,10 +107,9 @@ class ComponentBackend {
   /// See container::expected_full_name().
   virtual std::optional<std::string> expected_full_name(const LoadRequest& request) const = 0;
 
-  /// Finds, loads and constructs the component, in the calling thread. `construction`, unless null,
-  /// keeps track of what its nodes take meanwhile, if the backend can. Throws LoadError.
-  virtual std::unique_ptr<Component> create(const LoadRequest& request,
-                                            Construction* construction) = 0;
+  /// Opens a library. Its initialisers run in the calling thread, with the dynamic loader's lock.
+  /// Once for each library, see LibraryLoader. Throws LoadError.
+  virtual std::unique_ptr<ComponentLibrary> open(const std::string& path) = 0;
 
   /// `stop` is the request to stop, for this executor alone.
   virtual std::unique_ptr<ComponentExecutor> create_executor(

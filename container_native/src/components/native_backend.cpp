@@ -2,7 +2,7 @@
 
 #include <dlfcn.h>
 
-#include <filesystem>
+#include <map>
 #include <play_launch/component_registry.hpp>
 #include <play_launch/executor.hpp>
 #include <play_launch/node.hpp>
@@ -55,6 +55,63 @@ NodeOptions node_options(const LoadRequest& request, std::shared_ptr<Context> co
   return options;
 }
 
+class NativeClass final : public ComponentClass {
+ public:
+  NativeClass(const ComponentFactory& factory, std::shared_ptr<Context> context)
+      : factory_(factory), context_(std::move(context)) {}
+
+  std::unique_ptr<Component> create(const LoadRequest& request,
+                                    Construction* construction) const override {
+    const NodeOptions options = node_options(request, context_);
+    std::shared_ptr<Node> node;
+    std::optional<Construction::Watch> watch;
+    if (construction != nullptr) {
+      watch.emplace(*construction);
+    }
+    try {
+      node = factory_.create(options);
+    } catch (...) {
+      throw LoadError("the constructor of " + request.plugin_name + " threw " +
+                      describe_current_exception());
+    }
+    return std::make_unique<NativeComponent>(std::move(node));
+  }
+
+ private:
+  const ComponentFactory& factory_;
+  const std::shared_ptr<Context> context_;
+};
+
+/// Takes what it registered out of the registry when it is opened, so that nodes' processes need no
+/// lock to find it.
+class NativeLibrary final : public ComponentLibrary {
+ public:
+  NativeLibrary(const std::string& path, const std::shared_ptr<Context>& context) : path_(path) {
+    const ComponentRegistry& registry = ComponentRegistry::instance();
+    for (const std::string& name : registry.names(path)) {
+      classes_.try_emplace(name, *registry.find(name, path), context);
+    }
+  }
+
+  const ComponentClass& find(const std::string& plugin) const override {
+    const auto found = classes_.find(plugin);
+    if (found != classes_.end()) {
+      return found->second;
+    }
+    std::string known;
+    for (const auto& [name, component_class] : classes_) {
+      known += (known.empty() ? "" : ", ") + name;
+    }
+    throw LoadError("the index says that " + path_ + " has component '" + plugin +
+                    "', but it registers " + (known.empty() ? "none" : "only " + known) +
+                    "; is PLAY_LAUNCH_REGISTER_COMPONENT missing?");
+  }
+
+ private:
+  const std::string path_;
+  std::map<std::string, NativeClass> classes_;
+};
+
 }  // namespace
 
 NativeBackend::NativeBackend(std::shared_ptr<Context> context) : context_(std::move(context)) {}
@@ -63,54 +120,13 @@ std::optional<std::string> NativeBackend::expected_full_name(const LoadRequest& 
   return container::expected_full_name(request);
 }
 
-void NativeBackend::open_library(const std::string& path) {
-  {
-    const std::lock_guard lock(mutex_);
-    if (libraries_.contains(path)) {
-      return;
-    }
-  }
-  // Not under the lock: static initialisers of one library must not hold up the others longer
-  // than the loader itself does. What they throw ends the process; it cannot pass the loader.
-  void* const handle = ::dlopen(path.c_str(), RTLD_NOW | RTLD_LOCAL);
-  if (handle == nullptr) {
+std::unique_ptr<ComponentLibrary> NativeBackend::open(const std::string& path) {
+  // What its static initialisers throw ends the process; it cannot pass the loader.
+  if (::dlopen(path.c_str(), RTLD_NOW | RTLD_LOCAL) == nullptr) {
     const char* const why = ::dlerror();
     throw LoadError("cannot load library " + path + ": " + (why != nullptr ? why : "no reason"));
   }
-  const std::lock_guard lock(mutex_);
-  libraries_.emplace(path, handle);
-}
-
-std::unique_ptr<Component> NativeBackend::create(const LoadRequest& request,
-                                                 Construction* construction) {
-  const NodeOptions options = node_options(request, context_);
-  const std::filesystem::path library =
-      index_.library_of(request.package_name, request.plugin_name);
-  open_library(library);
-  const ComponentRegistry& registry = ComponentRegistry::instance();
-  const ComponentFactory* const factory = registry.find(request.plugin_name, library);
-  if (factory == nullptr) {
-    std::string known;
-    for (const std::string& name : registry.names(library)) {
-      known += (known.empty() ? "" : ", ") + name;
-    }
-    throw LoadError("the index says that " + library.string() + " has component '" +
-                    request.plugin_name + "', but it registers " +
-                    (known.empty() ? "none" : "only " + known) +
-                    "; is PLAY_LAUNCH_REGISTER_COMPONENT missing?");
-  }
-  std::shared_ptr<Node> node;
-  std::optional<Construction::Watch> watch;
-  if (construction != nullptr) {
-    watch.emplace(*construction);
-  }
-  try {
-    node = factory->create(options);
-  } catch (...) {
-    throw LoadError("the constructor of " + request.plugin_name + " threw " +
-                    describe_current_exception());
-  }
-  return std::make_unique<NativeComponent>(std::move(node));
+  return std::make_unique<NativeLibrary>(path, context_);
 }
 
 std::unique_ptr<ComponentExecutor> NativeBackend::create_executor(

@@ -92,6 +92,9 @@ class NodeHost {
   virtual std::optional<std::chrono::nanoseconds> silence(std::uint64_t) const {
     return std::nullopt;
   }
+
+  /// What a node that is not constructed yet waits for, in words; empty: nothing.
+  virtual std::string wait_of(std::uint64_t) const { return {}; }
 };
 
 }  // namespace play_launch::container

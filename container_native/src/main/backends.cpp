@@ -9,13 +9,19 @@
 namespace play_launch::container {
 
 std::vector<std::unique_ptr<ComponentBackend>> make_backends(int argc, const char* const* argv) {
-  std::vector<std::unique_ptr<ComponentBackend>> backends;
 #ifdef PLAY_LAUNCH_RCLCPP
-  const std::shared_ptr<Context> context = rclcpp_backend::initialise(argc, argv);
-  backends.push_back(std::make_unique<NativeBackend>(context));
-  backends.push_back(std::make_unique<rclcpp_backend::RclcppBackend>(context));
+  return make_backends(rclcpp_backend::initialise(argc, argv));
 #else
-  backends.push_back(std::make_unique<NativeBackend>(Context::create(argc, argv)));
+  return make_backends(Context::create(argc, argv));
+#endif
+}
+
+std::vector<std::unique_ptr<ComponentBackend>> make_backends(
+    const std::shared_ptr<Context>& context) {
+  std::vector<std::unique_ptr<ComponentBackend>> backends;
+  backends.push_back(std::make_unique<NativeBackend>(context));
+#ifdef PLAY_LAUNCH_RCLCPP
+  backends.push_back(std::make_unique<rclcpp_backend::RclcppBackend>(context));
 #endif
   return backends;
 }

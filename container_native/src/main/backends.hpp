@@ -11,6 +11,11 @@ namespace play_launch::container {
 /// command line. Throws std::exception. Once per process.
 std::vector<std::unique_ptr<ComponentBackend>> make_backends(int argc, const char* const* argv);
 
+/// Every backend, with a context from the other function, or null: then they can find libraries and
+/// open them, but make no nodes.
+std::vector<std::unique_ptr<ComponentBackend>> make_backends(
+    const std::shared_ptr<Context>& context);
+
 /// Their names, for people and for the hello.
 std::vector<std::string> backend_names();
 

@@ -15,6 +15,7 @@
 #include "base/failpoints.hpp"
 #include "base/report.hpp"
 #include "main/backends.hpp"
+#include "main/exit_status.hpp"
 #include "main/host_choice.hpp"
 
 namespace play_launch::container {
@@ -181,7 +182,8 @@ void ContainerProcess::report_remaining() const {
   for (const NodeSnapshot& snapshot : manager_->nodes()) {
     const NodeEntry& entry = snapshot.entry;
     const std::string name = entry.full_name.empty() ? "a node" : entry.full_name;
-    const char* const what = entry.state == NodeState::constructing
+    const std::string what = !snapshot.note.empty() ? " still " + snapshot.note + ", "
+                             : entry.state == NodeState::constructing
                                  ? " is still in its constructor, "
                                  : " is still in a callback or its destructor, ";
     report(name + " (" + entry.plugin_name + ", unique_id " + std::to_string(entry.unique_id) +

@@ -15,12 +15,6 @@
 
 namespace play_launch::container {
 
-/// Exit statuses of the container (sysexits.h where it has one).
-inline constexpr int kExitOk = 0;
-inline constexpr int kExitFailed = 1;
-inline constexpr int kExitUsage = 64;
-inline constexpr int kExitProtocol = 70;
-
 /// The whole container: puts its parts together, waits until it is asked to stop, and takes them
 /// apart again.
 class ContainerProcess {

@@ -50,6 +50,7 @@ msg::NodeStatus status_of(const NodeSnapshot& snapshot) {
   status.elapsed_ns = snapshot.elapsed_ns;
   status.cpu_time_ns = snapshot.cpu_time_ns;
   status.silence_ns = snapshot.silence_ns;
+  status.note = snapshot.note;
   return status;
 }
 

@@ -8,8 +8,10 @@
 #include "main/backends.hpp"
 #include "main/container_process.hpp"
 #include "main/control_interface.hpp"
+#include "main/exit_status.hpp"
 #include "main/installation.hpp"
 #include "main/options.hpp"
+#include "main/probe.hpp"
 
 namespace {
 
@@ -44,6 +46,9 @@ int main(int argc, char** argv) {
     }
     arm_failpoints(std::getenv("PLAY_LAUNCH_FAILPOINTS"));
     search_own_prefix();
+    if (options.probe) {
+      return probe(options.probe->package, options.probe->plugin);
+    }
     UniqueFd control_socket = take_control_socket();
     ContainerProcess process(options, argc, argv, std::move(control_socket));
     return process.run();

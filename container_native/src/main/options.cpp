@@ -12,6 +12,14 @@ namespace {
 constexpr std::string_view kRosArguments = "--ros-args";
 constexpr double kLongestStop = 3600.0;  // seconds
 
+/// The argument behind argv[index], which belongs to option `name`; `index` is moved to it.
+std::string_view next_value(std::string_view name, int& index, int argc, const char* const* argv) {
+  if (index + 1 >= argc || kRosArguments == argv[index + 1]) {
+    throw UsageError(std::string(name) + " needs a value");
+  }
+  return argv[++index];
+}
+
 /// The value of option `name` that is at argv[index], either after "=" or in the next argument,
 /// to which `index` is then moved.
 std::string_view value_of(std::string_view name, int& index, int argc, const char* const* argv) {
@@ -19,10 +27,7 @@ std::string_view value_of(std::string_view name, int& index, int argc, const cha
   if (argument.size() > name.size()) {
     return argument.substr(name.size() + 1);
   }
-  if (index + 1 >= argc || kRosArguments == argv[index + 1]) {
-    throw UsageError(std::string(name) + " needs a value");
-  }
-  return argv[++index];
+  return next_value(name, index, argc, argv);
 }
 
 bool is_option(std::string_view argument, std::string_view name) {
@@ -89,6 +94,10 @@ Options parse_options(int argc, const char* const* argv) {
       options.thread_num = thread_count(value_of("--thread_num", i, argc, argv));
     } else if (is_option(argument, "--stop_timeout")) {
       options.stop_timeout = seconds(value_of("--stop_timeout", i, argc, argv));
+    } else if (argument == "--probe") {
+      ProbeRequest& request = options.probe.emplace();
+      request.package = next_value("--probe PACKAGE PLUGIN", i, argc, argv);
+      request.plugin = next_value("--probe PACKAGE PLUGIN", i, argc, argv);
     } else if (argument == "--help" || argument == "-h") {
       options.help = true;
     } else if (argument == "--version") {
@@ -105,6 +114,7 @@ const char* usage() {
   return "usage: component_container [--use_multi_threaded_executor] [--thread_num N]\n"
          "                           [--isolated] [--isolation auto|shared_memory|process]\n"
          "                           [--stop_timeout SECONDS] [--ros-args ...]\n"
+         "       component_container --probe PACKAGE PLUGIN\n"
          "       component_container --version\n";
 }
 

@@ -14,6 +14,12 @@ namespace play_launch::container {
 /// Most threads of an executor that anybody may ask for.
 inline constexpr std::size_t kMaxThreads = 1024;
 
+/// A component whose library is only tried out, see probe().
+struct ProbeRequest {
+  std::string package;
+  std::string plugin;
+};
+
 /// What the command line asks for, ROS arguments aside.
 struct Options {
   bool multi_threaded = false;
@@ -23,6 +29,7 @@ struct Options {
   bool hosted = false;
   std::optional<std::size_t> thread_num;  // nothing: parameter thread_num, or one per CPU
   std::chrono::duration<double> stop_timeout{2.0};
+  std::optional<ProbeRequest> probe;
   bool help = false;
   bool version = false;
   std::vector<std::string> ros_arguments;  // all that stand behind --ros-args

@@ -189,6 +189,9 @@ NodeSnapshot ObservableComponentManager::snapshot(const NodeEntry& entry, Steady
   if (const auto silence = host_.silence(entry.unique_id)) {
     snapshot.silence_ns = silence->count();
   }
+  if (entry.state == NodeState::constructing) {
+    snapshot.note = host_.wait_of(entry.unique_id);
+  }
   return snapshot;
 }
 

@@ -34,6 +34,7 @@ struct NodeSnapshot {
   std::int64_t elapsed_ns = 0;                // in its state
   std::int64_t cpu_time_ns = 0;               // of who constructs it; 0 when nobody does
   std::int64_t silence_ns = kSilenceUnknown;  // since its executor last came round
+  std::string note;                           // what it waits for before its constructor
 };
 
 /// Owns the table of nodes: takes up requests, lets a NodeHost carry them out, and tells the

@@ -3,12 +3,15 @@
 #include <algorithm>
 #include <atomic>
 #include <cstdint>
+#include <map>
+#include <mutex>
 #include <rclcpp/logger.hpp>
 #include <rclcpp_components/node_instance_wrapper.hpp>
 #include <string>
 #include <utility>
 
 #include "components/component_options.hpp"
+#include "components/rclcpp/class_library.hpp"
 #include "components/rclcpp/executor.hpp"
 #include "components/rclcpp/handle_ledger.hpp"
 #include "components/rclcpp/node_options.hpp"
@@ -24,17 +27,13 @@ using rclcpp::node_interfaces::NodeBaseInterface;
 
 class RclcppComponent final : public Component {
  public:
-  RclcppComponent(std::shared_ptr<rclcpp_components::NodeFactory> factory,
-                  rclcpp_components::NodeInstanceWrapper instance)
-      : factory_(std::move(factory)),
-        instance_(std::move(instance)),
-        node_(instance_.get_node_base_interface()) {}
+  explicit RclcppComponent(rclcpp_components::NodeInstanceWrapper instance)
+      : instance_(std::move(instance)), node_(instance_.get_node_base_interface()) {}
 
   std::string full_name() const override { return node_->get_fully_qualified_name(); }
   const NodeBaseInterface::SharedPtr& node() const { return node_; }
 
  private:
-  const std::shared_ptr<rclcpp_components::NodeFactory> factory_;
   rclcpp_components::NodeInstanceWrapper instance_;
   const NodeBaseInterface::SharedPtr node_;
 };
@@ -68,6 +67,62 @@ void set_log_level(const std::string& full_name, int level) {
   rclcpp::get_logger(logger_name(full_name)).set_level(static_cast<rclcpp::Logger::Level>(level));
 }
 
+class RclcppClass final : public container::ComponentClass {
+ public:
+  explicit RclcppClass(std::shared_ptr<rclcpp_components::NodeFactory> factory)
+      : factory_(std::move(factory)) {}
+
+  std::unique_ptr<Component> create(const LoadRequest& request,
+                                    Construction* construction) const override {
+    const container::ComponentOptions component = container::component_options(request);
+    const rclcpp::NodeOptions options = node_options(component);
+    // Before the constructor logs anything, if the name is known.
+    const std::optional<std::string> expected = container::expected_full_name(request);
+    if (component.log_level != 0 && expected) {
+      set_log_level(*expected, component.log_level);
+    }
+    std::optional<Construction::Watch> watch;
+    std::optional<HandleLedger> ledger;
+    if (construction != nullptr) {
+      watch.emplace(*construction);
+      ledger.emplace();
+    }
+    rclcpp_components::NodeInstanceWrapper instance;
+    try {
+      instance = factory_->create_node_instance(options);
+    } catch (...) {
+      throw LoadError("the constructor of " + request.plugin_name + " threw " +
+                      container::describe_current_exception());
+    }
+    auto made = std::make_unique<RclcppComponent>(std::move(instance));
+    if (component.log_level != 0 && made->full_name() != expected) {
+      set_log_level(made->full_name(), component.log_level);
+    }
+    return made;
+  }
+
+ private:
+  const std::shared_ptr<rclcpp_components::NodeFactory> factory_;
+};
+
+class RclcppLibrary final : public container::ComponentLibrary {
+ public:
+  explicit RclcppLibrary(const std::string& path) : library_(path) {}
+
+  const container::ComponentClass& find(const std::string& plugin) const override {
+    const std::lock_guard lock(mutex_);
+    const auto found = classes_.find(plugin);
+    return found != classes_.end()
+               ? found->second
+               : classes_.try_emplace(plugin, library_.factory(plugin)).first->second;
+  }
+
+ private:
+  const ClassLibrary library_;
+  mutable std::mutex mutex_;  // guards what follows; no child takes it
+  mutable std::map<std::string, RclcppClass> classes_;
+};
+
 }  // namespace
 
 RclcppBackend::RclcppBackend(std::shared_ptr<Context> context) : context_(std::move(context)) {}
@@ -76,35 +131,8 @@ std::optional<std::string> RclcppBackend::expected_full_name(const LoadRequest& 
   return container::expected_full_name(request);
 }
 
-std::unique_ptr<Component> RclcppBackend::create(const LoadRequest& request,
-                                                 Construction* construction) {
-  const container::ComponentOptions component = container::component_options(request);
-  const rclcpp::NodeOptions options = node_options(component);
-  const std::string library = index_.library_of(request.package_name, request.plugin_name);
-  auto factory = libraries_.factory(library, request.plugin_name);
-  // Before the constructor logs anything, if the name is known.
-  const std::optional<std::string> expected = expected_full_name(request);
-  if (component.log_level != 0 && expected) {
-    set_log_level(*expected, component.log_level);
-  }
-  std::optional<Construction::Watch> watch;
-  std::optional<HandleLedger> ledger;
-  if (construction != nullptr) {
-    watch.emplace(*construction);
-    ledger.emplace();
-  }
-  rclcpp_components::NodeInstanceWrapper instance;
-  try {
-    instance = factory->create_node_instance(options);
-  } catch (...) {
-    throw LoadError("the constructor of " + request.plugin_name + " threw " +
-                    container::describe_current_exception());
-  }
-  auto made = std::make_unique<RclcppComponent>(std::move(factory), std::move(instance));
-  if (component.log_level != 0 && made->full_name() != expected) {
-    set_log_level(made->full_name(), component.log_level);
-  }
-  return made;
+std::unique_ptr<container::ComponentLibrary> RclcppBackend::open(const std::string& path) {
+  return std::make_unique<RclcppLibrary>(path);
 }
 
 std::unique_ptr<ComponentExecutor> RclcppBackend::create_executor(

@@ -2,10 +2,10 @@
 
 #include <memory>
 #include <optional>
+#include <string>
 #include <string_view>
 
 #include "components/component_backend.hpp"
-#include "components/rclcpp/class_libraries.hpp"
 
 namespace play_launch::rclcpp_backend {
 
@@ -20,15 +20,13 @@ class RclcppBackend final : public container::ComponentBackend {
   const container::ComponentIndex& index() const override { return index_; }
   std::optional<std::string> expected_full_name(
       const container::LoadRequest& request) const override;
-  std::unique_ptr<container::Component> create(const container::LoadRequest& request,
-                                               Construction* construction) override;
+  std::unique_ptr<container::ComponentLibrary> open(const std::string& path) override;
   std::unique_ptr<container::ComponentExecutor> create_executor(
       const container::ExecutorChoice& choice, std::shared_ptr<detail::StopFlag> stop) override;
 
  private:
   const std::shared_ptr<Context> context_;
   const container::ComponentIndex index_{"rclcpp_components"};
-  ClassLibraries libraries_;
 };
 
 }  // namespace play_launch::rclcpp_backend

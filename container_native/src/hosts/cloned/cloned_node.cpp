@@ -48,8 +48,15 @@ ClonedNode::ClonedNode(std::uint64_t unique_id, const BackendList& backends,
       program_(backends, choice, std::move(request), doorbell),
       donor_(process_name_, [this] { donate(); }) {}
 
-// Nothing here may use the allocator: the child may have left it in any state.
 void ClonedNode::donate() noexcept {
+  if (!program_.prepare(unique_id())) {
+    end_.returned = true;
+    dead_ = true;
+    buried_ = true;
+    ring(doorbell());
+    return;
+  }
+  // From here on nothing may use the allocator: the child may leave it in any state.
   isolation::ChildOptions options;
   options.name = process_name_;
   options.dies_abruptly = hit(Failpoint::abrupt_deaths);

@@ -26,14 +26,28 @@ NodeProgram::~NodeProgram() {
   static_cast<void>(executor_.release());
 }
 
+bool NodeProgram::prepare(std::uint64_t unique_id) noexcept {
+  try {
+    found_ = backends_.find(unique_id, request_);
+  } catch (...) {
+    failure_ = describe_current_exception();
+    outcome_ = NodeOutcome::failed;
+    return false;
+  }
+  if (stop_->is_set()) {
+    outcome_ = NodeOutcome::left;
+    return false;
+  }
+  return true;
+}
+
 int NodeProgram::run() {
   reach(NodeStage::constructing);
   hit(Failpoint::before_construct);
   try {
-    const std::size_t backend = backends_.of_package(request_.package_name);
     partial_ = true;
-    executor_ = backends_[backend].create_executor(choice_, stop_);
-    component_ = backends_[backend].create(request_, &construction_);
+    executor_ = backends_[found_.backend].create_executor(choice_, stop_);
+    component_ = found_.component_class->create(request_, &construction_);
   } catch (...) {
     isolation::park_if_dying();
     failure_ = describe_current_exception();

@@ -21,7 +21,8 @@ enum class NodeStage : std::uint32_t { preparing, constructing, constructed, spi
 enum class NodeOutcome : std::uint32_t { none, failed, left };
 
 /// The life of one isolated node, from its constructor to its destructor, as run in a child. The
-/// child tells how far it is in atomics and rings an eventfd; it takes no lock of the container.
+/// child tells how far it is in atomics and rings an eventfd. The locks of the container that it
+/// takes all the same are listed in docs/isolation.md.
 class NodeProgram final : public isolation::ChildProgram {
  public:
   /// What is referred to must outlive the child; `doorbell` is an eventfd.
@@ -29,6 +30,10 @@ class NodeProgram final : public isolation::ChildProgram {
               int doorbell);
   /// What a dead child left is not destroyed here, see NodeBurial.
   ~NodeProgram() override;
+
+  /// On the donor, before the child: finds the component and waits until its library is open.
+  /// False: there is nothing to run; outcome() says why.
+  bool prepare(std::uint64_t unique_id) noexcept;
 
   int run() override;
   void cancel() noexcept override { stop_->set(); }
@@ -64,6 +69,7 @@ class NodeProgram final : public isolation::ChildProgram {
   const LoadRequest request_;
   const int doorbell_;
 
+  BackendList::Found found_;
   const std::shared_ptr<detail::StopFlag> stop_ = std::make_shared<detail::StopFlag>();
   std::unique_ptr<ComponentExecutor> executor_;
   std::unique_ptr<Component> component_;

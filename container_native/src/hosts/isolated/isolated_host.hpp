@@ -33,6 +33,9 @@ class IsolatedHost : public NodeHost {
   void hurry(std::chrono::steady_clock::time_point deadline) override;
   HostTotals totals() const override;
   std::optional<std::chrono::nanoseconds> silence(std::uint64_t unique_id) const override;
+  std::string wait_of(std::uint64_t unique_id) const override {
+    return backends_.wait_of(unique_id);
+  }
 
  protected:
   explicit IsolatedHost(std::vector<std::unique_ptr<ComponentBackend>> backends);

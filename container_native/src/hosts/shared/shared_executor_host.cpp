@@ -61,9 +61,9 @@ void SharedExecutorHost::construct(std::uint64_t unique_id, const LoadRequest& r
   hit(Failpoint::before_construct);
   Node node;
   try {
-    const std::size_t backend = backends_.of_package(request.package_name);
-    node.executor = spinners_[backend].executor.get();
-    node.component = backends_[backend].create(request, nullptr);
+    const BackendList::Found found = backends_.find(unique_id, request);
+    node.executor = spinners_[found.backend].executor.get();
+    node.component = found.component_class->create(request, nullptr);
   } catch (...) {
     observer_->on_load_failed(unique_id, describe_current_exception());
     return;

@@ -26,6 +26,9 @@ class SharedExecutorHost final : public NodeHost {
   void load(std::uint64_t unique_id, LoadRequest request) override;
   void unload(std::uint64_t unique_id) override;
   void stop_spinning() override;
+  std::string wait_of(std::uint64_t unique_id) const override {
+    return backends_.wait_of(unique_id);
+  }
 
  private:
   struct Spinner {

@@ -1,8 +1,6 @@
 #include "isolation/crash/symbolise.hpp"
 
 #include <cxxabi.h>
-#include <dlfcn.h>
-#include <link.h>
 #include <signal.h>
 #include <string.h>
 
@@ -15,7 +13,7 @@
 #include <optional>
 #include <utility>
 
-#include "base/elf_symbols.hpp"
+#include "base/elf.hpp"
 
 namespace play_launch::isolation {
 namespace {
@@ -45,7 +43,7 @@ class Memory {
   static constexpr std::size_t kMostFrames = 4096;
 
   std::mutex mutex_;  // guards what follows
-  std::map<std::string, ElfSymbols> files_;
+  std::map<std::string, FileSymbols> files_;
   std::map<std::pair<std::uintptr_t, bool>, std::string> frames_;
 
   std::string look_up(std::uintptr_t address, bool is_return_address);
@@ -68,28 +66,25 @@ std::string Memory::describe(std::uintptr_t address, bool is_return_address) {
 std::string Memory::look_up(std::uintptr_t address, bool is_return_address) {
   // A return address may belong to what follows the call's function.
   const std::uintptr_t inside = is_return_address ? address - 1 : address;
-  Dl_info place{};
-  link_map* library = nullptr;
-  if (::dladdr1(reinterpret_cast<void*>(inside), &place, reinterpret_cast<void**>(&library),
-                RTLD_DL_LINKMAP) == 0 ||
-      library == nullptr || place.dli_fname == nullptr) {
+  const link_map* const library = library_at(inside);
+  if (library == nullptr) {
     return hex(address);
   }
-  const bool is_program = library->l_name == nullptr || library->l_name[0] == '\0';
-  const std::string path = is_program ? "/proc/self/exe" : place.dli_fname;
+  const std::string path = path_of(*library);
   std::string function;
   std::uintptr_t offset = 0;
-  if (place.dli_sname != nullptr) {
-    function = demangled(place.dli_sname);
-    offset = address - reinterpret_cast<std::uintptr_t>(place.dli_saddr);
+  const DynamicSymbols::Function exported = DynamicSymbols(*library).function_at(inside);
+  if (!exported.name.empty()) {
+    function = demangled(exported.name.data());  // ends in a null byte, in the library's table
+    offset = address - exported.begin;
   } else {
-    const ElfSymbols& symbols = files_.try_emplace(path, path).first->second;
+    const FileSymbols& symbols = files_.try_emplace(path, path).first->second;
     if (const auto found = symbols.function_at(inside - library->l_addr)) {
       function = demangled(found->name.c_str());
       offset = found->offset + (address - inside);
     }
   }
-  const std::string where = base_name(place.dli_fname) + "+" + hex(address - library->l_addr);
+  const std::string where = base_name(path) + "+" + hex(address - library->l_addr);
   return function.empty() ? where : function + "+" + hex(offset) + " (" + where + ")";
 }
 

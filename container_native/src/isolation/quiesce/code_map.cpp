@@ -9,6 +9,8 @@
 #include <initializer_list>
 #include <string_view>
 
+#include "base/elf.hpp"
+
 namespace play_launch::isolation {
 namespace {
 
@@ -89,109 +91,6 @@ std::string_view base_name(const char* path) {
   const std::string_view text = path == nullptr ? "" : path;
   return text.substr(text.rfind('/') + 1);
 }
-
-/// The dynamic symbols of a library, as the loader sees them.
-class DynamicSymbols {
- public:
-  explicit DynamicSymbols(const link_map& library) : base_(library.l_addr) {
-    for (const ElfW(Dyn)* entry = library.l_ld; entry != nullptr && entry->d_tag != DT_NULL;
-         ++entry) {
-      switch (entry->d_tag) {
-        case DT_SYMTAB:
-          symbols_ = reinterpret_cast<const ElfW(Sym)*>(entry->d_un.d_ptr);
-          break;
-        case DT_STRTAB:
-          names_ = reinterpret_cast<const char*>(entry->d_un.d_ptr);
-          break;
-        case DT_GNU_HASH:
-          count_ = count_of(reinterpret_cast<const std::uint32_t*>(entry->d_un.d_ptr));
-          break;
-        default:
-          break;
-      }
-    }
-  }
-
-  /// Name of the function at the address; empty when none is exported there.
-  std::string_view function_at(std::uintptr_t address) const {
-    const std::uintptr_t offset = address - base_;
-    const ElfW(Sym)* const symbol = best([offset](const ElfW(Sym) & candidate, const ElfW(Sym)*) {
-      return candidate.st_value <= offset && offset < candidate.st_value + candidate.st_size;
-    });
-    return symbol == nullptr ? std::string_view() : names_ + symbol->st_name;
-  }
-
-  /// Address of an exported function; 0 when there is none.
-  std::uintptr_t find(std::string_view name) const {
-    const ElfW(Sym)* const symbol =
-        best([name, this](const ElfW(Sym) & candidate, const ElfW(Sym)*) {
-          return name == names_ + candidate.st_name;
-        });
-    return symbol == nullptr ? 0 : base_ + symbol->st_value;
-  }
-
-  /// Where the code between two exported functions begins, which is that of functions without an
-  /// exported name: the end of the last exported one before the address.
-  std::uintptr_t gap_before(std::uintptr_t address) const {
-    const std::uintptr_t offset = address - base_;
-    const ElfW(Sym)* const symbol =
-        best([offset](const ElfW(Sym) & candidate, const ElfW(Sym) * before) {
-          return candidate.st_value < offset &&
-                 (before == nullptr || candidate.st_value > before->st_value);
-        });
-    return symbol == nullptr ? address : base_ + symbol->st_value + symbol->st_size;
-  }
-
-  /// Where the next exported function begins.
-  std::uintptr_t gap_after(std::uintptr_t address) const {
-    const std::uintptr_t offset = address - base_;
-    const ElfW(Sym)* const symbol =
-        best([offset](const ElfW(Sym) & candidate, const ElfW(Sym) * before) {
-          return candidate.st_value > offset &&
-                 (before == nullptr || candidate.st_value < before->st_value);
-        });
-    return symbol == nullptr ? address : base_ + symbol->st_value;
-  }
-
- private:
-  /// The last function for which better(it, the one before it) held.
-  template <class Better>
-      const ElfW(Sym) * best(Better better) const {
-    const ElfW(Sym)* chosen = nullptr;
-    for (std::size_t i = 0; symbols_ != nullptr && names_ != nullptr && i < count_; ++i) {
-      const ElfW(Sym)& symbol = symbols_[i];
-      const auto type = ELF64_ST_TYPE(symbol.st_info);
-      if (symbol.st_shndx != SHN_UNDEF && (type == STT_FUNC || type == STT_GNU_IFUNC) &&
-          better(symbol, chosen)) {
-        chosen = &symbol;
-      }
-    }
-    return chosen;
-  }
-
-  /// The table does not tell its length: one more than the highest index in its hash table.
-  static std::size_t count_of(const std::uint32_t* hash) {
-    const std::uint32_t buckets = hash[0];
-    const std::uint32_t first = hash[1];
-    const std::uint32_t bloom_words = hash[2];
-    const std::uint32_t* const bucket = hash + 4 + bloom_words * (sizeof(ElfW(Addr)) / 4);
-    const std::uint32_t* const chain = bucket + buckets;
-    const std::uint32_t last = buckets == 0 ? 0 : *std::max_element(bucket, bucket + buckets);
-    if (last < first) {
-      return first;
-    }
-    std::size_t index = last;
-    while ((chain[index - first] & 1) == 0) {
-      ++index;
-    }
-    return index + 1;
-  }
-
-  std::uintptr_t base_;
-  const ElfW(Sym) * symbols_ = nullptr;
-  const char* names_ = nullptr;
-  std::size_t count_ = 0;
-};
 
 /// The code of some functions that are linked next to each other, and of what was compiled together
 /// with them.
@@ -276,12 +175,12 @@ Place place_of(const CallStack& stack, std::size_t frame, Caution caution) {
   if (landmarks.join.contains(address)) {
     return Place::harmless;
   }
-  dl_find_object object{};
-  if (::_dl_find_object(reinterpret_cast<void*>(address), &object) != 0) {
+  const link_map* const found = library_at(address);
+  if (found == nullptr) {
     // Generated code, or a wild jump: whatever called it decides.
     return Place::neutral;
   }
-  const link_map& library = *object.dlfo_link_map;
+  const link_map& library = *found;
   const std::string_view name = base_name(library.l_name);
   const bool is_program = name.empty();
   if (begins_with_any(name, kCLibrary)) {
@@ -297,14 +196,14 @@ Place place_of(const CallStack& stack, std::size_t frame, Caution caution) {
   if (innermost && in_call_stub(address)) {
     return Place::inside;
   }
-  const std::string_view function = DynamicSymbols(library).function_at(address);
+  const std::string_view function = DynamicSymbols(library).function_at(address).name;
   if (function.empty()) {
     return Place::unnamed;
   }
   if (begins_with_any(function, kCppHeaders)) {
     return begins_with_any(function, kCallers) ? Place::harmless : Place::header;
   }
-  // This program is no node's, and keeps children away from its own locks.
+  // This program is no node's; its own locks that children take are listed in docs/isolation.md.
   return !is_program && begins_with_any(function, kTemplates) ? Place::inside : Place::harmless;
 }
 

@@ -1,0 +1,185 @@
+#include "base/elf.hpp"
+
+#include <dlfcn.h>
+#include <elf.h>
+#include <fcntl.h>
+#include <sys/mman.h>
+#include <sys/stat.h>
+
+#include <algorithm>
+#include <cstring>
+#include <filesystem>
+#include <system_error>
+
+#include "base/unique_fd.hpp"
+
+namespace play_launch {
+namespace {
+
+/// The table of symbols does not say its length: one more than the highest index in its hash table.
+std::size_t symbol_count(const std::uint32_t* hash) noexcept {
+  const std::uint32_t buckets = hash[0];
+  const std::uint32_t first = hash[1];
+  const std::uint32_t bloom_words = hash[2];
+  const std::uint32_t* const bucket = hash + 4 + bloom_words * (sizeof(ElfW(Addr)) / 4);
+  const std::uint32_t* const chain = bucket + buckets;
+  const std::uint32_t last = buckets == 0 ? 0 : *std::max_element(bucket, bucket + buckets);
+  if (last < first) {
+    return first;
+  }
+  std::size_t index = last;
+  while ((chain[index - first] & 1) == 0) {
+    ++index;
+  }
+  return index + 1;
+}
+
+}  // namespace
+
+const link_map* library_at(std::uintptr_t address) noexcept {
+  dl_find_object object{};
+  return ::_dl_find_object(reinterpret_cast<void*>(address), &object) == 0 ? object.dlfo_link_map
+                                                                           : nullptr;
+}
+
+std::string path_of(const link_map& library) {
+  if (library.l_name != nullptr && library.l_name[0] != '\0') {
+    return library.l_name;
+  }
+  std::error_code error;
+  return std::filesystem::read_symlink("/proc/self/exe", error);
+}
+
+DynamicSymbols::DynamicSymbols(const link_map& library) noexcept : base_(library.l_addr) {
+  for (const ElfW(Dyn)* entry = library.l_ld; entry != nullptr && entry->d_tag != DT_NULL;
+       ++entry) {
+    switch (entry->d_tag) {
+      case DT_SYMTAB:
+        symbols_ = reinterpret_cast<const ElfW(Sym)*>(entry->d_un.d_ptr);
+        break;
+      case DT_STRTAB:
+        names_ = reinterpret_cast<const char*>(entry->d_un.d_ptr);
+        break;
+      case DT_GNU_HASH:
+        count_ = symbol_count(reinterpret_cast<const std::uint32_t*>(entry->d_un.d_ptr));
+        break;
+      case DT_JMPREL:
+        calls_ = reinterpret_cast<const ElfW(Rela)*>(entry->d_un.d_ptr);
+        break;
+      case DT_PLTRELSZ:
+        call_count_ = entry->d_un.d_val / sizeof(ElfW(Rela));
+        break;
+      default:
+        break;
+    }
+  }
+  call_count_ = calls_ == nullptr ? 0 : call_count_;
+}
+
+/// The last exported function for which better(it, the one before it) held.
+template <class Better>
+    const ElfW(Sym) * DynamicSymbols::best(Better better) const noexcept {
+  const ElfW(Sym)* chosen = nullptr;
+  for (std::size_t i = 0; symbols_ != nullptr && names_ != nullptr && i < count_; ++i) {
+    const ElfW(Sym)& symbol = symbols_[i];
+    const auto type = ELF64_ST_TYPE(symbol.st_info);
+    if (symbol.st_shndx != SHN_UNDEF && (type == STT_FUNC || type == STT_GNU_IFUNC) &&
+        better(symbol, chosen)) {
+      chosen = &symbol;
+    }
+  }
+  return chosen;
+}
+
+DynamicSymbols::Function DynamicSymbols::function_at(std::uintptr_t address) const noexcept {
+  const std::uintptr_t offset = address - base_;
+  const ElfW(Sym)* const symbol = best([offset](const ElfW(Sym) & candidate, const ElfW(Sym)*) {
+    return candidate.st_value <= offset && offset < candidate.st_value + candidate.st_size;
+  });
+  return symbol == nullptr ? Function{}
+                           : Function{names_ + symbol->st_name, base_ + symbol->st_value};
+}
+
+std::uintptr_t DynamicSymbols::find(std::string_view name) const noexcept {
+  const ElfW(Sym)* const symbol = best([name, this](const ElfW(Sym) & candidate, const ElfW(Sym)*) {
+    return name == names_ + candidate.st_name;
+  });
+  return symbol == nullptr ? 0 : base_ + symbol->st_value;
+}
+
+std::uintptr_t DynamicSymbols::gap_before(std::uintptr_t address) const noexcept {
+  const std::uintptr_t offset = address - base_;
+  const ElfW(Sym)* const symbol =
+      best([offset](const ElfW(Sym) & candidate, const ElfW(Sym) * before) {
+        return candidate.st_value < offset &&
+               (before == nullptr || candidate.st_value > before->st_value);
+      });
+  return symbol == nullptr ? address : base_ + symbol->st_value + symbol->st_size;
+}
+
+std::uintptr_t DynamicSymbols::gap_after(std::uintptr_t address) const noexcept {
+  const std::uintptr_t offset = address - base_;
+  const ElfW(Sym)* const symbol =
+      best([offset](const ElfW(Sym) & candidate, const ElfW(Sym) * before) {
+        return candidate.st_value > offset &&
+               (before == nullptr || candidate.st_value < before->st_value);
+      });
+  return symbol == nullptr ? address : base_ + symbol->st_value;
+}
+
+FileSymbols::FileSymbols(const std::string& path) {
+  const UniqueFd file(::open(path.c_str(), O_RDONLY | O_CLOEXEC));
+  struct stat status{};
+  if (!file || ::fstat(file.get(), &status) != 0 || status.st_size <= 0) {
+    return;
+  }
+  size_ = static_cast<std::size_t>(status.st_size);
+  void* const mapping = ::mmap(nullptr, size_, PROT_READ, MAP_PRIVATE, file.get(), 0);
+  mapping_ = mapping == MAP_FAILED ? nullptr : mapping;
+}
+
+FileSymbols::~FileSymbols() {
+  if (mapping_ != nullptr) {
+    ::munmap(mapping_, size_);
+  }
+}
+
+template <class T>
+const T* FileSymbols::at(std::uint64_t offset, std::uint64_t count) const {
+  if (mapping_ == nullptr || offset > size_ || count > (size_ - offset) / sizeof(T) ||
+      offset % alignof(T) != 0) {
+    return nullptr;
+  }
+  return reinterpret_cast<const T*>(static_cast<const char*>(mapping_) + offset);
+}
+
+std::optional<FileSymbols::Function> FileSymbols::function_at(std::uintptr_t address) const {
+  const auto* const header = at<ElfW(Ehdr)>(0);
+  if (header == nullptr || std::memcmp(header->e_ident, ELFMAG, SELFMAG) != 0) {
+    return std::nullopt;
+  }
+  const auto* const sections = at<ElfW(Shdr)>(header->e_shoff, header->e_shnum);
+  for (std::size_t i = 0; sections != nullptr && i < header->e_shnum; ++i) {
+    const ElfW(Shdr)& section = sections[i];
+    if (section.sh_type != SHT_SYMTAB || section.sh_link >= header->e_shnum) {
+      continue;
+    }
+    const std::size_t count = section.sh_size / sizeof(ElfW(Sym));
+    const auto* const symbols = at<ElfW(Sym)>(section.sh_offset, count);
+    const ElfW(Shdr)& names = sections[section.sh_link];
+    const auto* const text = at<char>(names.sh_offset, names.sh_size);
+    for (std::size_t n = 0; symbols != nullptr && text != nullptr && n < count; ++n) {
+      const ElfW(Sym)& symbol = symbols[n];
+      if (ELF64_ST_TYPE(symbol.st_info) == STT_FUNC && symbol.st_shndx != SHN_UNDEF &&
+          symbol.st_value <= address && address - symbol.st_value < symbol.st_size &&
+          symbol.st_name < names.sh_size) {
+        const char* const name = text + symbol.st_name;
+        return Function{std::string(name, ::strnlen(name, names.sh_size - symbol.st_name)),
+                        address - symbol.st_value};
+      }
+    }
+  }
+  return std::nullopt;
+}
+
+}  // namespace play_launch

@@ -1,0 +1,94 @@
+#pragma once
+
+#include <link.h>
+
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <string_view>
+
+namespace play_launch {
+
+/// The library, or the program, whose code or data is at the address; null when there is none.
+/// Neither allocates nor takes the dynamic loader's lock, unlike dladdr(): async-signal-safe, and
+/// also answers while a library's initialiser runs or after it died.
+const link_map* library_at(std::uintptr_t address) noexcept;
+
+/// Path of a library of this process; of the program itself for the program.
+std::string path_of(const link_map& library);
+
+/// What the dynamic section of a loaded library says about its symbols, read in the memory of this
+/// process. Async-signal-safe. The library must stay loaded.
+class DynamicSymbols {
+ public:
+  explicit DynamicSymbols(const link_map& library) noexcept;
+
+  struct Function {
+    std::string_view name;  // mangled; empty when none is exported there
+    std::uintptr_t begin = 0;
+  };
+  /// The exported function at the address.
+  Function function_at(std::uintptr_t address) const noexcept;
+
+  /// Address of an exported function; 0 when there is none.
+  std::uintptr_t find(std::string_view name) const noexcept;
+
+  /// Where the code between two exported functions begins, which is that of functions without an
+  /// exported name: the end of the last exported one before the address.
+  std::uintptr_t gap_before(std::uintptr_t address) const noexcept;
+  /// Where the next exported function begins.
+  std::uintptr_t gap_after(std::uintptr_t address) const noexcept;
+
+  /// Calls `visit` with the mangled name of each function that the library calls through its table
+  /// and has not itself, unless it can do without.
+  template <class Visit>
+  void for_each_import(Visit visit) const {
+    for (std::size_t i = 0; symbols_ != nullptr && names_ != nullptr && i < call_count_; ++i) {
+      const ElfW(Sym)& symbol = symbols_[ELF64_R_SYM(calls_[i].r_info)];
+      const char* const name = names_ + symbol.st_name;
+      if (symbol.st_shndx == SHN_UNDEF && ELF64_ST_BIND(symbol.st_info) != STB_WEAK &&
+          *name != '\0') {
+        visit(name);
+      }
+    }
+  }
+
+ private:
+  template <class Better>
+      const ElfW(Sym) * best(Better better) const noexcept;
+
+  std::uintptr_t base_;
+  const ElfW(Sym) * symbols_ = nullptr;
+  const char* names_ = nullptr;
+  std::size_t count_ = 0;
+  const ElfW(Rela) * calls_ = nullptr;
+  std::size_t call_count_ = 0;
+};
+
+/// The symbol table of a library or program on disk, unless it was stripped: it also has functions
+/// that are not exported, as most callbacks are.
+class FileSymbols {
+ public:
+  /// Opens the file; one that cannot be read, or is none, has no symbols.
+  explicit FileSymbols(const std::string& path);
+  FileSymbols(const FileSymbols&) = delete;
+  FileSymbols& operator=(const FileSymbols&) = delete;
+  ~FileSymbols();
+
+  struct Function {
+    std::string name;           // mangled
+    std::uintptr_t offset = 0;  // of the address, from the function's begin
+  };
+  /// The function at an address that is relative to where the file was loaded.
+  std::optional<Function> function_at(std::uintptr_t address) const;
+
+ private:
+  template <class T>
+  const T* at(std::uint64_t offset, std::uint64_t count = 1) const;
+
+  void* mapping_ = nullptr;
+  std::size_t size_ = 0;
+};
+
+}  // namespace play_launch

@@ -1,0 +1,66 @@
+#pragma once
+
+#include <condition_variable>
+#include <cstdint>
+#include <deque>
+#include <map>
+#include <memory>
+#include <mutex>
+#include <string>
+#include <thread>
+#include <utility>
+
+#include "components/component_backend.hpp"
+
+namespace play_launch::container {
+
+/// Opens libraries of components, one after the other, in a thread of the container that lives as
+/// long as the container does: what a library's initialisers start, such as a pool of threads, does
+/// not go down with the first node that needs the library. A library that is open is never given to
+/// the dynamic loader again, whose lock is held for as long as another one's initialisers run.
+/// Libraries stay open: code of a library may be needed until the process ends, for example by a
+/// message's deleter, a thread_local or a handler it registered.
+///
+/// All members may be called from several threads of the container, none from a child.
+class LibraryLoader {
+ public:
+  LibraryLoader() = default;
+  /// Waits for the library that is being opened.
+  ~LibraryLoader();
+  LibraryLoader(const LibraryLoader&) = delete;
+  LibraryLoader& operator=(const LibraryLoader&) = delete;
+
+  /// The library, at once if it is open already; else waits until it has been opened. `unique_id`
+  /// and `node` say for whom. Throws LoadError.
+  const ComponentLibrary& open(ComponentBackend& backend, const std::string& path,
+                               std::uint64_t unique_id, const std::string& node);
+
+  /// While open() waits for that node: path of the library that is being opened, its own or one
+  /// before it. Empty otherwise.
+  std::string opening_for(std::uint64_t unique_id) const;
+
+ private:
+  struct Order {
+    ComponentBackend& backend;
+    const std::string path;
+    const std::string node;
+    bool done = false;
+    std::string failure;
+  };
+  using Key = std::pair<const ComponentBackend*, std::string>;
+
+  std::shared_ptr<Order> order(ComponentBackend& backend, const std::string& path,
+                               const std::string& node);
+  void work();
+  void carry_out(Order& order);
+
+  mutable std::mutex mutex_;  // guards what follows; never held while a library is opened
+  std::condition_variable changed_;
+  std::map<Key, std::unique_ptr<ComponentLibrary>> open_;
+  std::deque<std::shared_ptr<Order>> orders_;  // the first one is being carried out
+  std::map<std::uint64_t, std::shared_ptr<Order>> waiting_;
+  bool done_ = false;
+  std::thread thread_;  // from the first order on
+};
+
+}  // namespace play_launch::container
