@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from play_launch.config.schema import ComposableNodeSection, ContainerSection, LoadingSection
     from play_launch.config.yaml_tree import Mapping
 
-ISOLATED_KEYS: Final = ("isolation", "auto_reload_on_crash", "on_crash")
+ISOLATED_KEYS: Final = ("isolation", "core_dumps", "auto_reload_on_crash", "on_crash")
 """Keys of containers that say something for isolated ones only."""
 _NODE_KEYS: Final = ("auto_reload_on_crash", "on_crash", "restart")
 

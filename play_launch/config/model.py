@@ -162,6 +162,7 @@ class ContainerConfig:
     container_type: ContainerType = ContainerType.STANDARD
     thread_num: int | None = None
     isolation: Isolation = Isolation.AUTO
+    core_dumps: bool = False
     package: str = ""
     executable: str = ""
     arguments: tuple[str, ...] = ()

@@ -191,6 +191,9 @@ class _Resolver:
             container_type=kind,
             thread_num=thread_num,
             isolation=section.isolation or self._loading.isolation or Isolation.AUTO,
+            core_dumps=bool(
+                self._loading.core_dumps if section.core_dumps is None else section.core_dumps
+            ),
             package=stock.package,
             executable=stock.executable,
             arguments=stock.arguments,

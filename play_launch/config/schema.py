@@ -156,6 +156,7 @@ class LoadingSection(Section):
     container_type: ContainerTypeName | None = None
     thread_num: ThreadNum | None = None
     isolation: IsolationName | None = None
+    core_dumps: bool | None = None
     auto_reload_on_crash: bool | None = None
     on_crash: OnCrashName | None = None
     loading_timeout: PositiveDuration | None = None
@@ -220,6 +221,7 @@ class ContainerSection(Section):
     container_type: ContainerTypeName | None = None
     thread_num: ThreadNum | None = None
     isolation: IsolationName | None = None
+    core_dumps: bool | None = None
     package: Package | None = None
     executable: FilledText | None = None
     arguments: list[Text] | None = None

@@ -41,6 +41,8 @@ def container_argv(
     argv = [os.fspath(binary)]
     if config.container_type.is_isolated:
         argv += ["--isolated", "--isolation", str(config.isolation)]
+        if config.core_dumps:
+            argv.append("--core_dumps")
     if config.container_type.is_multi_threaded:
         argv.append("--use_multi_threaded_executor")
     if config.thread_num is not None:

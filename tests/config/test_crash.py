@@ -84,6 +84,24 @@ def test_isolation_and_threads(containers: tuple[ContainerConfig, ...]) -> None:
     ]
 
 
+def test_core_dumps_are_asked_for() -> None:
+    text = b"""
+version: 1
+composable_node_loading: {container_type: isolated, core_dumps: true}
+containers:
+  - name: one
+  - name: two
+    core_dumps: false
+"""
+    config = parse_config(text, Path("demo.yaml"))
+    assert [one.core_dumps for one in config.containers] == [True, False]
+    assert (
+        not parse_config(text.replace(b"true", b"false"), Path("demo.yaml"))
+        .containers[0]
+        .core_dumps
+    )
+
+
 def test_by_default_a_node_is_reloaded() -> None:
     text = b"""
 version: 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import signal
 from signal import (
     SIGABRT,
@@ -180,6 +181,21 @@ def test_a_crash_that_damaged_the_stack(spawn: StartContainer, mode: str, how: s
         assert_cleaned_up(container, crashes=1)
         # Its threads were stopped with care, so the container has no doubts about itself.
         assert container.status().unquiesced == 0
+
+
+@pytest.mark.parametrize("mechanism", ["shared_memory", "process"])
+@pytest.mark.parametrize("asked", [False, True])
+def test_core_dumps_are_a_setting(spawn: StartContainer, mechanism: str, asked: bool) -> None:
+    arguments = ["--isolation", mechanism, *(["--core_dumps"] if asked else [])]
+    container = start_isolated(spawn, "isolated", *arguments)
+    with survives(container):
+        own = resource.prlimit(container.process.pid, resource.RLIMIT_CORE)
+        talker = container.loaded("Talker")
+        soft, hard = resource.prlimit(talker.pid, resource.RLIMIT_CORE)
+        # A limit of 1, as one of 0 is ignored where cores go to a program.
+        assert soft == (hard if asked else 1)
+        assert hard == own[1]
+        assert resource.prlimit(container.process.pid, resource.RLIMIT_CORE) == own
 
 
 @both_modes

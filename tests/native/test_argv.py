@@ -70,6 +70,12 @@ def test_an_isolated_container(
     assert argv[1 : argv.index("--ros-args")] == flags
 
 
+def test_cores_are_dumped_where_that_is_asked_for() -> None:
+    asked = container(container_type=ContainerType.ISOLATED, core_dumps=True)
+    assert "--core_dumps" in container_argv(asked, BINARY)
+    assert "--core_dumps" not in container_argv(container(core_dumps=True), BINARY)
+
+
 def test_a_stock_container_gets_its_arguments_before_those_for_ros() -> None:
     config = ContainerConfig(
         name="box",

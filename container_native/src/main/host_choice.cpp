@@ -26,10 +26,11 @@ HostChoice choose_host(const Options& options, std::size_t threads,
   choice.mechanism = isolation::mechanism_name(gate.mechanism);
   choice.notes = std::move(gate.notes);
   if (gate.mechanism == isolation::Mechanism::shared_memory) {
-    choice.host = std::make_unique<CloneIsolatedHost>(std::move(backends), executor);
-  } else {
     choice.host =
-        std::make_unique<ProcessHost>(std::move(backends), executor, options.ros_arguments);
+        std::make_unique<CloneIsolatedHost>(std::move(backends), executor, options.core_dumps);
+  } else {
+    choice.host = std::make_unique<ProcessHost>(std::move(backends), executor, options.core_dumps,
+                                                options.ros_arguments);
   }
   return choice;
 }

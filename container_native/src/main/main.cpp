@@ -3,6 +3,7 @@
 #include <exception>
 #include <string>
 
+#include "base/core_limit.hpp"
 #include "base/failpoints.hpp"
 #include "base/report.hpp"
 #include "main/backends.hpp"
@@ -46,6 +47,9 @@ int main(int argc, char** argv) {
     }
     arm_failpoints(std::getenv("PLAY_LAUNCH_FAILPOINTS"));
     search_own_prefix();
+    if (options.hosted || options.probe) {
+      play_launch::set_core_dumps(options.core_dumps);
+    }
     if (options.probe) {
       return probe(options.probe->package, options.probe->plugin);
     }

@@ -90,6 +90,8 @@ Options parse_options(int argc, const char* const* argv) {
       options.isolation = mechanism(value_of("--isolation", i, argc, argv));
     } else if (argument == "--hosted") {
       options.hosted = true;
+    } else if (argument == "--core_dumps") {
+      options.core_dumps = true;
     } else if (is_option(argument, "--thread_num")) {
       options.thread_num = thread_count(value_of("--thread_num", i, argc, argv));
     } else if (is_option(argument, "--stop_timeout")) {
@@ -113,6 +115,7 @@ Options parse_options(int argc, const char* const* argv) {
 const char* usage() {
   return "usage: component_container [--use_multi_threaded_executor] [--thread_num N]\n"
          "                           [--isolated] [--isolation auto|shared_memory|process]\n"
+         "                           [--core_dumps]\n"
          "                           [--stop_timeout SECONDS] [--ros-args ...]\n"
          "       component_container --probe PACKAGE PLUGIN\n"
          "       component_container --version\n";

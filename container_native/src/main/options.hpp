@@ -27,6 +27,8 @@ struct Options {
   isolation::MechanismChoice isolation = isolation::MechanismChoice::automatic;
   /// Set by a container for the processes that it starts: one node, no ROS services of its own.
   bool hosted = false;
+  /// Isolated nodes that crash dump core.
+  bool core_dumps = false;
   std::optional<std::size_t> thread_num;  // nothing: parameter thread_num, or one per CPU
   std::chrono::duration<double> stop_timeout{2.0};
   std::optional<ProbeRequest> probe;

@@ -31,6 +31,7 @@ void test_command_line() {
   using play_launch::isolation::MechanismChoice;
   CHECK(parse({"--isolated"}).isolation == MechanismChoice::automatic);
   CHECK(parse({"--isolated", "--isolation=process"}).isolation == MechanismChoice::process);
+  CHECK(!parse({"--isolated"}).core_dumps && parse({"--isolated", "--core_dumps"}).core_dumps);
   CHECK(contains(CHECK_THROWS(parse({"--isolation", "cells"}), UsageError), "shared_memory"));
   CHECK(contains(CHECK_THROWS(parse({"--unknown"}), UsageError), "--unknown"));
   CHECK_THROWS(parse({"--thread_num", "-1"}), UsageError);

@@ -8,15 +8,15 @@
 namespace play_launch::container {
 
 CloneIsolatedHost::CloneIsolatedHost(std::vector<std::unique_ptr<ComponentBackend>> backends,
-                                     const ExecutorChoice& choice)
-    : IsolatedHost(std::move(backends)), choice_(choice) {
+                                     const ExecutorChoice& choice, bool core_dumps)
+    : IsolatedHost(std::move(backends)), choice_(choice), core_dumps_(core_dumps) {
   isolation::prepare_crash_handling();
 }
 
 std::shared_ptr<IsolatedNode> CloneIsolatedHost::start(std::uint64_t unique_id, LoadRequest request,
                                                        int doorbell) {
   return std::make_shared<ClonedNode>(unique_id, backends(), choice_, std::move(request), doorbell,
-                                      lock_watch_);
+                                      lock_watch_, core_dumps_);
 }
 
 }  // namespace play_launch::container

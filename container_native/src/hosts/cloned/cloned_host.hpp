@@ -18,9 +18,9 @@ namespace play_launch::container {
 /// of the participant are the container's.
 class CloneIsolatedHost final : public IsolatedHost {
  public:
-  /// `choice` is for the executor of each node.
+  /// `choice` is for the executor of each node; `core_dumps`: nodes that crash dump core.
   CloneIsolatedHost(std::vector<std::unique_ptr<ComponentBackend>> backends,
-                    const ExecutorChoice& choice);
+                    const ExecutorChoice& choice, bool core_dumps);
 
   std::vector<std::string> dead_locks() const override { return lock_watch_.dead_locks(); }
 
@@ -29,6 +29,7 @@ class CloneIsolatedHost final : public IsolatedHost {
                                       int doorbell) override;
 
   const ExecutorChoice choice_;
+  const bool core_dumps_;
   LockWatch lock_watch_;
 };
 

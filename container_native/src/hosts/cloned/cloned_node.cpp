@@ -41,10 +41,11 @@ std::string innermost(const std::vector<std::string>& backtrace) {
 
 ClonedNode::ClonedNode(std::uint64_t unique_id, const BackendList& backends,
                        const ExecutorChoice& choice, LoadRequest request, int doorbell,
-                       LockWatch& lock_watch)
+                       LockWatch& lock_watch, bool core_dumps)
     : IsolatedNode(unique_id, doorbell),
       process_name_(process_name(request)),
       lock_watch_(lock_watch),
+      core_dumps_(core_dumps),
       program_(backends, choice, std::move(request), doorbell),
       donor_(process_name_, [this] { donate(); }) {}
 
@@ -59,6 +60,7 @@ void ClonedNode::donate() noexcept {
   // From here on nothing may use the allocator: the child may leave it in any state.
   isolation::ChildOptions options;
   options.name = process_name_;
+  options.core_dumps = core_dumps_;
   options.dies_abruptly = hit(Failpoint::abrupt_deaths);
   end_ = isolation::run_in_child(program_, slot_, options);
   if (!end_.clean()) {

@@ -20,9 +20,10 @@ namespace play_launch::container {
 /// process that cleans up should it die.
 class ClonedNode final : public IsolatedNode {
  public:
-  /// Starts the donor thread and with it the child. Throws std::system_error.
+  /// Starts the donor thread and with it the child, which dumps core or not when it crashes. Throws
+  /// std::system_error.
   ClonedNode(std::uint64_t unique_id, const BackendList& backends, const ExecutorChoice& choice,
-             LoadRequest request, int doorbell, LockWatch& lock_watch);
+             LoadRequest request, int doorbell, LockWatch& lock_watch, bool core_dumps);
 
   void tell(NodeHostObserver& observer, IsolationTotals& totals) override;
   bool is_over() const override { return told_end_ && told_burial_; }
@@ -43,6 +44,7 @@ class ClonedNode final : public IsolatedNode {
 
   const std::string process_name_;
   LockWatch& lock_watch_;
+  const bool core_dumps_;
   NodeProgram program_;
   NodeBurial burial_{program_};
 

@@ -14,12 +14,15 @@ constexpr const char* kStopTimeout = "10";
 }  // namespace
 
 ProcessHost::ProcessHost(std::vector<std::unique_ptr<ComponentBackend>> backends,
-                         const ExecutorChoice& executor,
+                         const ExecutorChoice& executor, bool core_dumps,
                          const std::vector<std::string>& ros_arguments)
     : IsolatedHost(std::move(backends)), arguments_{"--hosted", "--stop_timeout", kStopTimeout} {
   if (executor.multi_threaded) {
     arguments_.insert(arguments_.end(), {"--use_multi_threaded_executor", "--thread_num",
                                          std::to_string(executor.threads)});
+  }
+  if (core_dumps) {
+    arguments_.emplace_back("--core_dumps");
   }
   arguments_.emplace_back("--ros-args");
   arguments_.insert(arguments_.end(), ros_arguments.begin(), ros_arguments.end());

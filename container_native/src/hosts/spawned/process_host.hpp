@@ -12,9 +12,11 @@ namespace play_launch::container {
 /// more, as a container of one node; messages between nodes go through the middleware.
 class ProcessHost final : public IsolatedHost {
  public:
-  /// `executor` is that of each node; `ros_arguments` are what stands behind --ros-args.
+  /// `executor` is that of each node; `core_dumps`: nodes that crash dump core; `ros_arguments` are
+  /// what stands behind --ros-args.
   ProcessHost(std::vector<std::unique_ptr<ComponentBackend>> backends,
-              const ExecutorChoice& executor, const std::vector<std::string>& ros_arguments);
+              const ExecutorChoice& executor, bool core_dumps,
+              const std::vector<std::string>& ros_arguments);
 
  private:
   std::shared_ptr<IsolatedNode> start(std::uint64_t unique_id, LoadRequest request,

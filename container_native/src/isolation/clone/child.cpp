@@ -10,6 +10,7 @@
 #include <array>
 #include <cerrno>
 
+#include "base/core_limit.hpp"
 #include "base/process_identity.hpp"
 #include "isolation/clone/vm_clone.hpp"
 #include "isolation/crash/crash_handler.hpp"
@@ -63,6 +64,8 @@ void enter(const Launch& launch) noexcept {
   }
   ::prctl(PR_SET_NAME, launch.name.data());
   forget_signal_actions();
+  // The limits are this process's own, whatever it shares.
+  set_core_dumps(record.options.core_dumps);
   launch.alternate_stack.use();
   install_crash_handlers();
   if (record.options.time_limit.count() > 0) {

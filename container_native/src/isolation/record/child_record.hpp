@@ -47,6 +47,8 @@ struct ChildOptions {
   /// Every signal that it handles ends it at once, with its other threads wherever they are. For
   /// measuring what the care above is worth.
   bool dies_abruptly = false;
+  /// A core is dumped when it crashes, see set_core_dumps().
+  bool core_dumps = false;
   /// Nobody minds should it hang until its time limit: living_children() leaves it out.
   bool expendable = false;
 };
