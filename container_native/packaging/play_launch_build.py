@@ -9,6 +9,7 @@ from __future__ import annotations
 import importlib.util
 import os
 import shutil
+import sys
 import sysconfig
 import tomllib
 from collections.abc import Mapping
@@ -24,8 +25,22 @@ Settings = dict[str, list[str] | str] | None
 
 def ros_is_sourced(environment: Mapping[str, str]) -> bool:
     """Tell whether AMENT_PREFIX_PATH names a ROS installation that has rcl."""
-    prefixes = environment.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
-    return any(prefix and (Path(prefix) / "share" / "rcl").is_dir() for prefix in prefixes)
+    return any((prefix / "share" / "rcl").is_dir() for prefix in _prefixes(environment))
+
+
+def sourced_python_path(environment: Mapping[str, str]) -> str:
+    """Return PYTHONPATH with the Python packages of all sourced prefixes behind what it has.
+
+    ROS's CMake functions are written in Python in parts, which they find through PYTHONPATH, and
+    pip's build isolation replaces that. Existing folders only; `site-packages` is where wheels and
+    upstream's packages have them, `local/.../dist-packages` where colcon has them on Ubuntu.
+    """
+    version = f"python{sys.version_info.major}.{sys.version_info.minor}"
+    places = (f"lib/{version}/site-packages", f"local/lib/{version}/dist-packages")
+    sourced = [prefix / place for prefix in _prefixes(environment) for place in places]
+    present = [entry for entry in environment.get("PYTHONPATH", "").split(os.pathsep) if entry]
+    ours = [os.fspath(folder) for folder in sourced if folder.is_dir()]
+    return os.pathsep.join(dict.fromkeys([*present, *ours]))
 
 
 def ros_wheels(pyproject: Path) -> list[str]:
@@ -68,6 +83,18 @@ def missing_ros(environment: Mapping[str, str]) -> str | None:
     )
 
 
+def _prefixes(environment: Mapping[str, str]) -> list[Path]:
+    entries = environment.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    return [Path(entry) for entry in entries if entry]
+
+
+def _prepare() -> None:
+    """Stop with a sentence when something is missing; else make the environment CMake's."""
+    _stop_on(missing_tools() or missing_ros(os.environ))
+    if ros_is_sourced(os.environ):
+        os.environ["PYTHONPATH"] = sourced_python_path(os.environ)
+
+
 def _stop_on(problem: str | None) -> None:
     if problem:
         raise SystemExit(f"\n{problem}\n")
@@ -92,7 +119,7 @@ def build_wheel(
     wheel_directory: str, config_settings: Settings = None, metadata_directory: str | None = None
 ) -> str:
     """Build the wheel (PEP 517)."""
-    _stop_on(missing_tools() or missing_ros(os.environ))
+    _prepare()
     name: str = skbuild.build_wheel(wheel_directory, config_settings, metadata_directory)
     return name
 
@@ -101,6 +128,6 @@ def build_editable(
     wheel_directory: str, config_settings: Settings = None, metadata_directory: str | None = None
 ) -> str:
     """Build an editable wheel (PEP 660): Python from the checkout, the native part as built now."""
-    _stop_on(missing_tools() or missing_ros(os.environ))
+    _prepare()
     name: str = skbuild.build_editable(wheel_directory, config_settings, metadata_directory)
     return name

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from play_launch.doctor.finding import Finding, fail, ok, warn
+from play_launch.native.allocator import FIX
 
 if TYPE_CHECKING:
     from play_launch.doctor.facts import ContainerFacts, PythonFacts, RosFacts
@@ -91,7 +92,7 @@ def judge_container(facts: ContainerFacts, own_version: str) -> list[Finding]:
                 "glibc's malloc, which has locks that all nodes of a container share",
                 "a node that dies while it allocates can freeze its isolated container, "
                 "which is then started anew",
-                facts.allocator_problem or "apt install libmimalloc2.0",
+                facts.allocator_problem or FIX,
             )
         )
     return findings

@@ -2,7 +2,8 @@
 
 The processes of such a container share one heap. A process that dies inside of glibc's malloc may
 leave an arena locked, and whoever uses that arena next waits for ever. mimalloc and jemalloc give
-each thread a heap of its own, so they are preloaded where they are to be found.
+each thread a heap of its own, so they are preloaded where they are to be found: mimalloc as the
+Python package cmeel-mimalloc first, then what the distribution has.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import os
 import re
 import shutil
+import site
 import subprocess
 import sys
 import sysconfig
@@ -22,12 +24,19 @@ if TYPE_CHECKING:
 
 ALLOCATOR_VARIABLE: Final = "PLAY_LAUNCH_ALLOCATOR"
 """Environment variable that names the library to preload."""
-LIBRARIES: Final = ("libmimalloc.so.2", "libjemalloc.so.2")
-"""What is looked for, best first."""
+WHEEL_LIBRARY: Final = Path("cmeel.prefix", "lib", "libmimalloc.so.3")
+"""Where cmeel-mimalloc has it, below a folder of Python packages."""
+LIBRARIES: Final = ("libmimalloc.so.2", "libmimalloc.so.3", "libjemalloc.so.2")
+"""What is looked for in the system, best first: its mimalloc 3 may be a preliminary version."""
+FIX: Final = (
+    "pip install cmeel-mimalloc (found by itself), or install your distribution's mimalloc, or set "
+    f"{ALLOCATOR_VARIABLE}=/path/to/libmimalloc.so"
+)
+"""What to do where there is none."""
 ADVICE: Final = (
     "isolated containers run with glibc's malloc, whose locks a crashing node can leave locked: "
     "its container may then freeze, and is killed and started again with all of its nodes. "
-    f"Way out: apt install libmimalloc2.0, or {ALLOCATOR_VARIABLE}=/path/to/libmimalloc.so.2"
+    f"Fix: {FIX}"
 )
 TUNABLES_VARIABLE: Final = "GLIBC_TUNABLES"
 """Settings of glibc, `name=value` with colons between them."""
@@ -58,13 +67,15 @@ def find_allocator(
     *,
     listing: Callable[[], str] | None = None,
     folders: Iterable[Path] | None = None,
+    packages: Iterable[Path] | None = None,
 ) -> Allocator:
     """Find the allocator; runs ldconfig and reads the beginnings of files.
 
     Args:
         environ: The environment; None for our own.
         listing: Gives what `ldconfig -p` prints; None for the real one.
-        folders: Where else to look; None for the usual places.
+        folders: Where else to look for the system's; None for the usual places.
+        packages: The folders of Python packages; None for those of this interpreter.
     """
     environ = os.environ if environ is None else environ
     named = environ.get(ALLOCATOR_VARIABLE, "")
@@ -74,6 +85,9 @@ def find_allocator(
             return Allocator(library)
         problem = f"{ALLOCATOR_VARIABLE} names {named}, which is no library for this machine"
         return Allocator(None, f"{problem}; {ADVICE}")
+    for folder in _package_folders() if packages is None else packages:
+        if _is_ours(folder / WHEEL_LIBRARY):
+            return Allocator(folder / WHEEL_LIBRARY)
     listed = (listing or _ldconfig)()
     folders = tuple(_usual_folders() if folders is None else folders)
     for name in LIBRARIES:
@@ -91,9 +105,17 @@ def for_isolation(environment: Mapping[str, str], library: Path | None) -> dict[
 def preloading(environment: Mapping[str, str], library: Path) -> dict[str, str]:
     """Add the library to what is preloaded, unless such an allocator is preloaded already."""
     changed = dict(environment)
-    preloaded = [name for name in re.split(r"[: ]+", changed.get("LD_PRELOAD", "")) if name]
-    if not any(_NAME.match(Path(name).name) for name in preloaded):
-        changed["LD_PRELOAD"] = ":".join([os.fspath(library), *preloaded])
+    preloaded = [name for name in re.split(r"[: ]", changed.get("LD_PRELOAD", "")) if name]
+    if any(_NAME.match(Path(name).name) for name in preloaded):
+        return changed
+    entry = os.fspath(library)
+    if " " in entry:
+        # LD_PRELOAD ends there, but a virtual environment may be in such a folder. A name without
+        # a slash is searched for.
+        searched = [os.fspath(library.parent), *filter(None, [changed.get("LD_LIBRARY_PATH")])]
+        changed["LD_LIBRARY_PATH"] = os.pathsep.join(searched)
+        entry = library.name
+    changed["LD_PRELOAD"] = ":".join([entry, *preloaded])
     return changed
 
 
@@ -131,6 +153,11 @@ def _ldconfig() -> str:
     except (OSError, subprocess.TimeoutExpired):
         return ""
     return os.fsdecode(result.stdout)
+
+
+def _package_folders() -> list[Path]:
+    own = site.getusersitepackages() if site.ENABLE_USER_SITE else None
+    return [Path(folder) for folder in (*site.getsitepackages(), own) if folder]
 
 
 def _usual_folders() -> list[Path]:

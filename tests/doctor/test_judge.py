@@ -109,7 +109,7 @@ CASES: list[tuple[MachineFacts, str, Level, str]] = [
         WARN,
         "by process: Linux is 5.10",
     ),
-    (container(allocator=""), "allocator", WARN, "libmimalloc2.0"),
+    (container(allocator=""), "allocator", WARN, "cmeel-mimalloc"),
     (container(allocator="", allocator_problem="it is a text"), "allocator", WARN, "it is a text"),
     (kernel(has_pidfd=False), "kernel", FAIL, "5.3 or newer"),
     (kernel(cgroup=""), "control groups", OK, "not mounted"),

@@ -367,7 +367,7 @@ def test_without_an_allocator_it_works_and_warns_once(
         if event["event"] == "log" and "PLAY_LAUNCH_ALLOCATOR names" in event["message"]
     ]
     assert len(warnings) == 1
-    assert "apt install libmimalloc2.0" in warnings[0]
+    assert "pip install cmeel-mimalloc" in warnings[0]
 
 
 def test_no_isolated_node_outlives_a_supervisor_that_is_killed(tmp_path: Path) -> None:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import re
 import shutil
+import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
 from play_launch.native.allocator import Allocator, find_allocator, for_isolation, preloading
+from play_launch.native.locate import RosSource, ros_installation
 
 PYTHON = Path(sys.executable).resolve()
 
@@ -22,7 +25,7 @@ def library(path: Path) -> Path:
 
 
 def found(environ: dict[str, str], listing: str = "", *folders: Path) -> Allocator:
-    return find_allocator(environ, listing=lambda: listing, folders=folders)
+    return find_allocator(environ, listing=lambda: listing, folders=folders, packages=())
 
 
 def test_the_variable_wins(tmp_path: Path) -> None:
@@ -47,6 +50,49 @@ def test_mimalloc_is_taken_before_jemalloc(tmp_path: Path) -> None:
     assert found({}, listing, mimalloc.parent) == Allocator(mimalloc)
 
 
+def test_the_packages_mimalloc_is_taken_before_the_systems(tmp_path: Path) -> None:
+    packages = [tmp_path / "own", tmp_path / "systems"]
+    wheels = [library(folder / "cmeel.prefix/lib/libmimalloc.so.3") for folder in packages]
+    system = library(tmp_path / "lib" / "libmimalloc.so.2")
+    own = library(tmp_path / "own.so")
+
+    def answer(environ: dict[str, str]) -> Allocator:
+        return find_allocator(
+            environ, listing=lambda: "", folders=[system.parent], packages=packages
+        )
+
+    assert answer({"PLAY_LAUNCH_ALLOCATOR": str(own)}) == Allocator(own)
+    for expected in wheels:
+        assert answer({}) == Allocator(expected)
+        expected.unlink()
+    assert answer({}) == Allocator(system)
+
+
+def test_the_extra_brings_the_allocator_that_is_found_by_itself() -> None:
+    if ros_installation().source is not RosSource.WHEELS:
+        pytest.skip("ROS is not from wheels")
+    answer = find_allocator({})
+    assert answer.library is not None
+    assert answer.library.is_relative_to(sys.prefix)
+    assert answer.library.name == "libmimalloc.so.3"
+
+
+def test_a_library_in_a_folder_with_a_space_is_loaded(tmp_path: Path) -> None:
+    maps = Path("/proc/self/maps").read_text()
+    any_library = re.search(r"/\S*/libm\.so\.\S+", maps)
+    assert any_library
+    copy = tmp_path / "a folder" / "libcopy.so"
+    copy.parent.mkdir()
+    shutil.copy(any_library[0], copy)
+    environment = preloading({"LD_LIBRARY_PATH": "/nowhere"}, copy)
+    assert environment["LD_LIBRARY_PATH"] == f"{copy.parent}:/nowhere"
+    loaded = subprocess.run(
+        ["cat", "/proc/self/maps"], check=True, capture_output=True, text=True, env=environment
+    )
+    assert str(copy) in loaded.stdout
+    assert not loaded.stderr
+
+
 def test_a_library_for_another_machine_is_passed_over(tmp_path: Path) -> None:
     foreign = library(tmp_path / "32" / "libmimalloc.so.2")
     content = bytearray(foreign.read_bytes())
@@ -62,7 +108,7 @@ def test_none_is_told_with_its_price_and_the_way_out(tmp_path: Path) -> None:
     assert answer.library is None
     assert "neither mimalloc nor jemalloc" in answer.problem
     assert "freeze" in answer.problem
-    assert "apt install libmimalloc2.0" in answer.problem
+    assert "pip install cmeel-mimalloc" in answer.problem
 
 
 @pytest.mark.skipif(

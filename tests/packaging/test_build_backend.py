@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import os
 import subprocess
 import sys
 import sysconfig
@@ -79,6 +80,77 @@ def test_a_missing_ros_is_one_sentence(
     message = str(stop.value).strip()
     assert "no ROS 2" in message
     assert "\n" not in message
+
+
+ASKS_FOR_AMENT = """
+cmake_minimum_required(VERSION 3.22)
+project(stand_in NONE)
+execute_process(
+  COMMAND "${Python_EXECUTABLE}" -c "import ament_package; print(ament_package.WHOSE)"
+  OUTPUT_FILE "${CMAKE_CURRENT_SOURCE_DIR}/answer"
+  COMMAND_ERROR_IS_FATAL ANY)
+"""
+STAND_IN_PROJECT = """
+[build-system]
+requires = ["scikit-build-core"]
+build-backend = "play_launch_build"
+[project]
+name = "stand-in"
+version = "1"
+[tool.scikit-build]
+wheel.packages = []
+"""
+
+
+@pytest.mark.parametrize("place", ["lib/{}/site-packages", "local/lib/{}/dist-packages"])
+@pytest.mark.parametrize("hook", ["build_wheel", "build_editable"])
+def test_cmake_finds_the_python_packages_of_a_sourced_ros_that_pip_hides(
+    tmp_path: Path, hook: str, place: str
+) -> None:
+    """What the build runs with when pip isolates it: PYTHONPATH has pip's own folders only."""
+    project, ros, pips = (tmp_path / name for name in ("project", "ros", "pips"))
+    for folder in (project, pips, ros / "share" / "rcl"):
+        folder.mkdir(parents=True)
+    (project / "CMakeLists.txt").write_text(ASKS_FOR_AMENT)
+    (project / "pyproject.toml").write_text(STAND_IN_PROJECT)
+    version = f"python{sys.version_info.major}.{sys.version_info.minor}"
+    package = ros / place.format(version) / "ament_package"
+    package.mkdir(parents=True)
+    (package / "__init__.py").write_text("WHOSE = 'the sourced one'\n")
+    tools = Path(sys.executable).parent
+    environment = {
+        **os.environ,
+        "AMENT_PREFIX_PATH": os.pathsep.join([str(tmp_path / "overlay"), str(ros)]),
+        "PATH": os.pathsep.join([str(tools), os.environ["PATH"]]),
+        "PYTHONPATH": str(pips),
+    }
+    call = (
+        "import sys; sys.path.insert(0, sys.argv[2]); import play_launch_build as backend; "
+        f"backend.{hook}(sys.argv[1])"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", call, tmp_path, BACKEND.parent],
+        check=False,
+        capture_output=True,
+        text=True,
+        cwd=project,
+        env=environment,
+    )
+    assert result.returncode == 0, result.stdout + result.stderr
+    assert (project / "answer").read_text() == "the sourced one\n"
+
+
+def test_a_sourced_prefix_comes_behind_what_is_in_pythonpath(
+    backend: ModuleType, tmp_path: Path
+) -> None:
+    version = f"python{sys.version_info.major}.{sys.version_info.minor}"
+    folder = tmp_path / "lib" / version / "site-packages"
+    folder.mkdir(parents=True)
+    environment = {"AMENT_PREFIX_PATH": f"/missing::{tmp_path}", "PYTHONPATH": "/pips"}
+    path = f"/pips:{folder}"
+    assert backend.sourced_python_path(environment) == path
+    assert backend.sourced_python_path({**environment, "PYTHONPATH": path}) == path
+    assert not backend.sourced_python_path({})
 
 
 def test_cmake_says_in_one_sentence_that_ros_is_missing(tmp_path: Path) -> None:

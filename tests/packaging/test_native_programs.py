@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+from play_launch.native.allocator import find_allocator
 from play_launch.native.environment import child_environment
 from play_launch.native.locate import ros_installation
 
@@ -35,6 +36,7 @@ def test_the_cpp_tests_build_without_warnings_and_pass(tmp_path: Path) -> None:
         f"-DCMAKE_MAKE_PROGRAM={TOOLS / 'ninja'}",
         f"-DCMAKE_PREFIX_PATH={sys.prefix}",
         "-DPLAY_LAUNCH_WARNINGS_ARE_ERRORS=ON",
+        f"-DPLAY_LAUNCH_ALLOCATOR={find_allocator().library or ''}",
         "-B",
         tmp_path,
         "-S",

@@ -87,7 +87,7 @@ void test_other_allocator() {
   facts.allocator.clear();
   const Gate gate = choose_mechanism(MechanismChoice::automatic, facts);
   CHECK(gate.mechanism == Mechanism::shared_memory);
-  CHECK(gate.notes.size() == 1 && contains(gate.notes[0], "libmimalloc2.0"));
+  CHECK(gate.notes.size() == 1 && contains(gate.notes[0], "cmeel-mimalloc"));
 }
 
 void test_this_machine() {

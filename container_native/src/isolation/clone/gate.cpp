@@ -114,8 +114,9 @@ Gate choose_mechanism(MechanismChoice choice, const Facts& facts) {
   if (facts.allocator.empty()) {
     gate.notes.push_back(
         "malloc is neither mimalloc nor jemalloc: a node that dies while it allocates can freeze "
-        "its whole container, which is then restarted; install mimalloc (apt install "
-        "libmimalloc2.0) or set PLAY_LAUNCH_ALLOCATOR to the path of its library");
+        "its whole container, which is then restarted; the supervisor preloads mimalloc where it "
+        "finds it (pip install cmeel-mimalloc, or your distribution's); without a supervisor, "
+        "start the container with LD_PRELOAD=/path/to/libmimalloc.so");
   }
   return gate;
 }
