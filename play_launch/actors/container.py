@@ -410,8 +410,10 @@ class ContainerActor:
         for action in actions:
             match action:
                 case ContainerAction.LOSE_NODES:
-                    blame = self._death_reason if self._blames_loads else ""
-                    self._nodes.container_lost(f"its container: {reason}", blame)
+                    self._nodes.container_lost(f"its container: {reason}")
+                    if said is ContainerInput.DIED_RESTART:
+                        blame = self._death_reason if self._blames_loads else ""
+                        self._nodes.container_comes_back(blame)
                 case ContainerAction.KILL:
                     _log.error("%s is killed: %s", self._name, reason)
                     self._kill(reason)

@@ -103,6 +103,7 @@ class ContainerNodes:
         self._silence = silence
         self._send: Callable[[Outgoing], None] | None = None
         self._stopping = False
+        self._lost_loading: list[int] = []
         self._query_id = 0
         self._questions: dict[int, tuple[Asked, ...]] = {}
         self._to_ask: dict[int, MirroredNode] = {}
@@ -134,20 +135,22 @@ class ContainerNodes:
         for node in self._nodes:
             node.reload_at = None
 
-    def container_lost(self, reason: str, blame: str) -> None:
-        """The container process is gone, and with it all nodes.
-
-        ``blame`` says how it ended where a load may be the cause, else it is empty.
-        """
-        under_way = self._under_way()
+    def container_lost(self, reason: str) -> None:
+        """The container process is gone, and with it all nodes."""
+        self._lost_loading = self._under_way()
         self._send = None
         self._questions.clear()
         self._to_ask.clear()
         for node in self._nodes:
             node.reload_at = None
             self._apply(node, NodeInput.CONTAINER_LOST, Facts(reason=reason))
-        if not self._stopping:
-            self.suspects.container_died(under_way if blame else (), blame)
+
+    def container_comes_back(self, blame: str) -> None:
+        """The lost container is going to be started again.
+
+        ``blame`` says how it ended where a load may be the cause, else it is empty.
+        """
+        self.suspects.container_died(self._lost_loading if blame else (), blame)
 
     def wait_for_probe(self, index: int) -> None:
         """Report that the library of a node is loaded in a scratch process first."""

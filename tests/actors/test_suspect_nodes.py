@@ -352,3 +352,16 @@ def test_so_many_are_probed_at_the_same_time_and_no_more() -> None:
 
     run(main())
     assert most == 3
+
+
+def test_nobody_is_probed_for_a_container_that_is_given_up() -> None:
+    async def main() -> Running:
+        fakes = FakeLauncher(makers={"/c": [Dies]}, on_probe=poison)
+        async with running(system(container("c", "bad", max_restarts=0)), fakes) as sys:
+            await sys.until_state("/c", ContainerState.GAVE_UP)
+        return sys
+
+    sys = run(main())
+    assert not sys.launcher.probes
+    assert sys.outcome is not None
+    assert sys.outcome.exit_code == 1
