@@ -77,10 +77,11 @@ def facts_of_status(asked: Asked, listed: NodeStatus | None) -> Facts:
         return Facts(attempt=asked.attempt, unique_id=asked.unique_id, reason=reason)
     elapsed, cpu = listed.elapsed_ns / 1e9, listed.cpu_time_ns / 1e9
     slow = f"its constructor runs for {elapsed:.1f} s in pid {listed.pid}, {cpu:.1f} s of it on CPU"
+    waits = f"{listed.note} ({elapsed:.1f} s so far)" if listed.note else ""
     return Facts(
         attempt=listed.attempt,
         unique_id=listed.unique_id,
-        reason=listed.note or (slow if listed.state == 0 else ""),
+        reason=waits or (slow if listed.state == 0 else ""),
         pid=listed.pid,
         start_time=listed.start_time,
         cpu_time_ns=listed.cpu_time_ns,

@@ -202,6 +202,7 @@ _NODE_FIELDS = (
     "elapsed_ns",
     "cpu_time_ns",
     "silence_ns",
+    "note",
 )
 
 

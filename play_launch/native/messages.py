@@ -96,7 +96,8 @@ class NodeStatus:
     `elapsed_ns` is the time in this state and `cpu_time_ns` what its constructor used up (0 once
     loaded), in nanoseconds; `start_time` is in clock ticks after boot. `silence_ns` is the time
     since the node's executor last came round between two callbacks, or -1 where that is not known.
-    `note` says in words what there is to say besides; it is not on the wire.
+    `note` says in words what there is to say besides: what a node waits for whose constructor has
+    not begun.
     """
 
     unique_id: int

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import asyncio
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from play_launch.core.events import (
@@ -10,6 +12,7 @@ from play_launch.core.events import (
 from play_launch.native.messages import (
     Accepted,
     Load,
+    NodeStatus,
     Query,
     Rejected,
     Status,
@@ -222,3 +225,26 @@ def test_a_rejected_load_fails_with_its_reason() -> None:
     assert sys.view.failed[0].reason == "no such plugin"
     assert sys.outcome is not None
     assert sys.outcome.exit_code == 1
+
+
+def test_a_node_that_waits_for_the_loader_is_waited_for_and_the_reason_is_reported() -> None:
+    note = "waits for the dynamic loader, which is opening /x/libslow.so"
+
+    class Waits(FakeContainer):
+        def construct(self, held: Held) -> None:
+            asyncio.get_running_loop().call_later(100.0, super().construct, held)
+
+        def status(self, held: Held) -> NodeStatus:
+            return replace(super().status(held), note="" if held.loaded else note)
+
+    async def main() -> Running:
+        async with running(system(container("c", "a", "b")), launcher(Waits)) as sys:
+            await sys.until_loaded(2)
+        return sys
+
+    sys = run(main())
+    assert len(sys.launcher.containers["/c"]) == 1
+    assert len(loads(sys.launcher.containers["/c"][0])) == 2
+    assert f"{note} (10.0 s so far)" in sys.node_events("/a", NodeState.LOADING)[1].reason
+    assert sys.outcome is not None
+    assert sys.outcome.exit_code == 0

@@ -81,6 +81,7 @@ NODE_STATUS = st.builds(
     elapsed_ns=I64,
     cpu_time_ns=I64,
     silence_ns=I64,
+    note=TEXT,
 )
 MESSAGES: st.SearchStrategy[Message] = st.one_of(
     st.builds(
