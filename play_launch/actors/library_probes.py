@@ -110,8 +110,14 @@ class LibraryProbes:
         """Wait for the end; False when it does not come in time."""
         loop = asyncio.get_running_loop()
         began = loop.time()
-        while (took := loop.time() - began) < self._limits.load:
-            if took:
+        left = self._limits.load
+        while left > 0:
+            try:
+                async with asyncio.timeout(min(left, self._limits.report_interval)):
+                    await process.wait()
+            except TimeoutError:
+                took = loop.time() - began
+                left = self._limits.load - took
                 _log.warning(
                     "%s: its library has been loading in a scratch process (pid %d) for %.0f s, "
                     "of at most %.0f s",
@@ -120,13 +126,8 @@ class LibraryProbes:
                     took,
                     self._limits.load,
                 )
-            pause = min(self._limits.report_interval, self._limits.load - took)
-            try:
-                async with asyncio.timeout(pause):
-                    await process.wait()
-            except TimeoutError:
-                continue
-            return True
+            else:
+                return True
         return False
 
     async def _gone(self, process: ManagedProcess) -> None:

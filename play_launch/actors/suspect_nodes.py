@@ -11,6 +11,7 @@ from collections import defaultdict
 from typing import TYPE_CHECKING, Protocol
 
 from play_launch.actors.deadline import first_of
+from play_launch.actors.node_facts import telling_frame
 from play_launch.core.suspects import Suspects
 
 if TYPE_CHECKING:
@@ -134,7 +135,7 @@ class SuspectNodes:
         if finding is not None and not loads:
             reason = finding.error
             if finding.backtrace:
-                reason += f" at {finding.backtrace[0]}"
+                reason += f" at {telling_frame(finding.backtrace)}"
             where = (
                 f"in a scratch process, tried because {self._name} ended while it loaded the node"
             )
