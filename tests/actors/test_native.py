@@ -127,14 +127,18 @@ def test_a_killed_container_comes_back_with_its_nodes() -> None:
     asyncio.run(main())
 
 
-def test_a_container_that_always_crashes_is_given_up() -> None:
+def test_a_constructor_that_always_takes_its_container_down_is_found_out() -> None:
     async def main() -> None:
         crasher = node("c", "Crasher", how="segv", in_constructor=True)
-        async with running_natively(system(container("bad", crasher, node("a", "Talker")))) as sys:
-            await sys.stop.requested.wait()
-        assert sys.process_events("/bad").count(ProcessEventKind.STARTED) == 3
-        assert sys.process_events("/bad")[-1] is ProcessEventKind.GAVE_UP
-        assert "signal 11" in sys.view.containers["/bad"].reason
+        config = container("bad", crasher, node("a", "Talker"))
+        config = replace(config, restart=replace(QUICK, max_restarts=5))
+        async with running_natively(system(config)) as sys:
+            await sys.until(lambda: bool(sys.view.failed))
+            await sys.until_loaded(1)
+        assert sys.process_events("/bad").count(ProcessEventKind.STARTED) <= 4
+        (failed,) = sys.node_events("/c", NodeState.LOAD_FAILED)
+        assert "it took the container down" in failed.reason
+        assert "signal 11" in failed.reason
         assert sys.outcome is not None
         assert sys.outcome.exit_code == 1
 
