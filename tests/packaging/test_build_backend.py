@@ -153,6 +153,39 @@ def test_a_sourced_prefix_comes_behind_what_is_in_pythonpath(
     assert not backend.sourced_python_path({})
 
 
+ASKS_FOR_INTERFACES = """
+include("{cmake}/RosPackages.cmake")
+include("{cmake}/CompositionInterfaces.cmake")
+ros_has_composition_interfaces(found)
+message("found: ${{found}}")
+"""
+
+
+@pytest.mark.parametrize("whose", ["ours", "ros", "nobody"])
+def test_composition_interfaces_that_we_installed_ourselves_do_not_count(
+    tmp_path: Path, whose: str
+) -> None:
+    """The next installation removes them."""
+    native = ROOT / "container_native"
+    manifest = (native / "interfaces" / "composition_interfaces" / "package.xml").read_text()
+    if whose == "ros":
+        manifest = manifest.replace("<built_by>play_launch_container</built_by>", "")
+    folder = tmp_path / "share" / "composition_interfaces"
+    folder.mkdir(parents=True)
+    if whose != "nobody":
+        (folder / "package.xml").write_text(manifest)
+    script = tmp_path / "ask.cmake"
+    script.write_text(ASKS_FOR_INTERFACES.format(cmake=native / "cmake"))
+    result = subprocess.run(
+        [Path(sys.executable).parent / "cmake", f"-DROS_PREFIX={tmp_path}", "-P", script],
+        check=True,
+        capture_output=True,
+        text=True,
+        env={name: value for name, value in os.environ.items() if name != "AMENT_PREFIX_PATH"},
+    )
+    assert result.stderr.strip() == f"found: {'ON' if whose == 'ros' else 'OFF'}"
+
+
 def test_cmake_says_in_one_sentence_that_ros_is_missing(tmp_path: Path) -> None:
     cmake = Path(sys.executable).parent / "cmake"
     result = subprocess.run(
