@@ -3,6 +3,7 @@
 # Builds a shared library of components for play-launch's container and registers it: the container
 # finds `package: <project name>, plugin: <Class>` through the ament resource
 # `play_launch_components`. PLUGINS are the names given to PLAY_LAUNCH_REGISTER_COMPONENT.
+# May be called once for each library of a package: the index has the classes of all of them.
 # Install prefix: where ROS, or an overlay named in AMENT_PREFIX_PATH, is.
 
 function(play_launch_add_components library)
@@ -25,14 +26,23 @@ function(play_launch_add_components library)
   endforeach()
   ros_install_rpath(${library} "")
 
-  set(lines "")
-  foreach(plugin IN LISTS arg_PLUGINS)
-    string(APPEND lines "${plugin};lib/lib${library}.so\n")
-  endforeach()
-  set(index "share/ament_index/resource_index")
-  file(WRITE "${CMAKE_CURRENT_BINARY_DIR}/${index}/play_launch_components/${arg_PACKAGE}"
-       "${lines}")
-  file(WRITE "${CMAKE_CURRENT_BINARY_DIR}/${index}/packages/${arg_PACKAGE}" "")
   install(TARGETS ${library} LIBRARY DESTINATION lib)
-  install(DIRECTORY "${CMAKE_CURRENT_BINARY_DIR}/${index}" DESTINATION share/ament_index)
+  foreach(plugin IN LISTS arg_PLUGINS)
+    _play_launch_add_to_index("${arg_PACKAGE}" "${plugin};lib/lib${library}.so")
+  endforeach()
+endfunction()
+
+# Adds a line to the package's entry in the index, which the first line of this build creates.
+function(_play_launch_add_to_index package line)
+  set(property _play_launch_components_of_${package})
+  get_property(entry GLOBAL PROPERTY ${property})
+  if(NOT entry)
+    set(index "${CMAKE_CURRENT_BINARY_DIR}/share/ament_index/resource_index")
+    set(entry "${index}/play_launch_components/${package}")
+    set_property(GLOBAL PROPERTY ${property} "${entry}")
+    file(WRITE "${entry}" "")
+    file(WRITE "${index}/packages/${package}" "")
+    install(DIRECTORY "${index}" DESTINATION share/ament_index)
+  endif()
+  file(APPEND "${entry}" "${line}\n")
 endfunction()

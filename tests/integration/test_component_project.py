@@ -53,6 +53,33 @@ def test_the_guide_shows_the_example_as_it_is() -> None:
     assert len([line for line in cmake.splitlines() if line.strip()]) == 5
 
 
+TWO_LIBRARIES = """
+cmake_minimum_required(VERSION 3.22)
+project(two_libraries LANGUAGES CXX)
+find_package(play_launch_container REQUIRED)
+play_launch_add_components(first_components node.cpp PLUGINS two::A two::B)
+add_subdirectory(more)
+"""
+ONE_MORE = "play_launch_add_components(second_components ../node.cpp PLUGINS two::C)\n"
+
+
+def test_the_libraries_of_a_package_add_up_in_the_index(tmp_path: Path) -> None:
+    source = tmp_path / "two_libraries"
+    (source / "more").mkdir(parents=True)
+    (source / "CMakeLists.txt").write_text(TWO_LIBRARIES)
+    (source / "more" / "CMakeLists.txt").write_text(ONE_MORE)
+    (source / "node.cpp").touch()
+    for _ in range(2):  # configured again, nothing is there twice
+        install = build(source, tmp_path)
+        index = install / "share" / "ament_index" / "resource_index"
+        assert (index / "play_launch_components" / "two_libraries").read_text().splitlines() == [
+            "two::A;lib/libfirst_components.so",
+            "two::B;lib/libfirst_components.so",
+            "two::C;lib/libsecond_components.so",
+        ]
+        assert (index / "packages" / "two_libraries").is_file()
+
+
 def test_a_component_built_outside_the_tree_runs(tmp_path: Path) -> None:
     source = tmp_path / "my_robot"
     shutil.copytree(EXAMPLE, source)
