@@ -42,7 +42,7 @@ endfunction()
 
 # A program that is not Python but uses librcl: the wheels' librcl drags in libraries for Python.
 # Their functions are bound when called, which never happens; the two data symbols they want are in
-# python_symbols.c.
+# python_symbols.c, which takes them back once the program has started.
 function(ros_program target)
   if(ROS_FROM_WHEELS)
     target_sources(

@@ -94,3 +94,7 @@ def test_nodes_start_programs_without_our_signals(container: Container) -> None:
     pipe = 1 << (13 - 1)
     assert not ignored & pipe
     assert int(status["SigCgt"], 16) & pipe
+
+
+def test_a_component_that_brings_libpython_gets_its_symbols(container: Container) -> None:
+    container.loaded("PythonUser")
