@@ -84,6 +84,30 @@ def test_a_crash_is_told(spawn: StartContainer, how: str, number: int) -> None:
         assert container.status().crashes == 1
 
 
+def test_a_helper_that_outlives_its_node_does_not_hide_the_crash(spawn: StartContainer) -> None:
+    """It holds the node's end of the channel open."""
+    container = start(spawn)
+    with survives(container), Probe() as probe:
+        forker = container.loaded("Forker")
+        (helper,) = children(container) - {forker.pid}
+        handle = os.pidfd_open(helper)
+        try:
+            order = probe.node.create_publisher(String, "/crash", 1)
+            probe.spin_until(
+                lambda: order.get_subscription_count() > 0, PATIENCE, "the node's subscription"
+            )
+            order.publish(String())
+            crashed = container.event(CRASHED, unique_id=forker.unique_id)
+            assert (crashed.pid, crashed.exit_code) == (forker.pid, 3)
+            assert not select.select([handle], [], [], 0)[0], "the helper did not outlive its node"
+        finally:
+            signal.pidfd_send_signal(handle, signal.SIGKILL)
+            ended, _, _ = select.select([handle], [], [], PATIENCE)
+            os.close(handle)
+        assert ended
+        assert only_these_remain(container)
+
+
 def test_what_fails_while_loading(spawn: StartContainer) -> None:
     container = start(spawn)
     with survives(container):

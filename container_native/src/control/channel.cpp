@@ -45,6 +45,8 @@ void Channel::open_gate() {
   ring(wake_reader_.get());
 }
 
+void Channel::expect_no_more() { ::shutdown(socket_.get(), SHUT_RD); }
+
 void Channel::stop() {
   {
     const std::lock_guard lock(mutex_);

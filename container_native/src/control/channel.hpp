@@ -57,6 +57,10 @@ class Channel {
   /// gone.
   bool flush(std::chrono::steady_clock::time_point deadline);
 
+  /// The peer has sent its last frame. What is in the socket is still handled, and then comes
+  /// on_closed(), even if another process holds the peer's end open. Any thread.
+  void expect_no_more();
+
   /// Frames that send() dropped since the start.
   std::uint64_t dropped() const { return dropped_.load(std::memory_order_relaxed); }
 

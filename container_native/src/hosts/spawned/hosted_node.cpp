@@ -63,6 +63,11 @@ HostedNode::HostedNode(std::uint64_t unique_id, const std::vector<std::string>& 
 
 HostedNode::~HostedNode() { channel_->stop(); }
 
+std::string HostedNode::full_name() const {
+  const std::lock_guard lock(mutex_);
+  return loaded_ ? loaded_->full_node_name : std::string();
+}
+
 void HostedNode::ask_to_leave() {
   msg::ControlShutdown shutdown;
   shutdown.reason = "unloaded";
@@ -116,7 +121,10 @@ void HostedNode::tell(NodeHostObserver& observer, IsolationTotals& totals) {
     ::clock_getcpuclockid(process_->identity().pid, &cpu_clock);
     observer.on_constructing(unique_id(), process_->identity(), cpu_clock);
   }
-  dead_ = dead_ || process_->reap();
+  if (!dead_ && process_->reap()) {
+    dead_ = true;
+    channel_->expect_no_more();
+  }
   std::unique_lock lock(mutex_);
   if (!told_loaded_ && loaded_) {
     const ComponentEvent loaded = *loaded_;
@@ -138,8 +146,7 @@ void HostedNode::tell(NodeHostObserver& observer, IsolationTotals& totals) {
 
 void HostedNode::tell_loaded(NodeHostObserver& observer, const ComponentEvent& loaded) {
   told_loaded_ = true;
-  full_name_ = loaded.full_node_name;
-  if (observer.on_constructed(unique_id(), full_name_)) {
+  if (observer.on_constructed(unique_id(), loaded.full_node_name)) {
     observer.on_loaded(unique_id());
   } else {
     leave();

@@ -31,7 +31,7 @@ class HostedNode final : public IsolatedNode, private control::ChannelHandler {
 
   bool is_dead() const override { return dead_; }
   const LoadRequest& request() const override { return request_; }
-  std::string full_name() const override { return full_name_; }
+  std::string full_name() const override;
   void ask_to_leave() override;
   void signal(int number) override { process_->signal(number); }
 
@@ -46,14 +46,13 @@ class HostedNode final : public IsolatedNode, private control::ChannelHandler {
   std::optional<HostedProcess> process_;
   std::optional<control::Channel> channel_;
 
-  std::mutex mutex_;  // guards what its container has told
+  mutable std::mutex mutex_;  // guards what its container has told
   std::optional<ComponentEvent> loaded_;
   std::optional<ComponentEvent> failed_;
   bool unloaded_ = false;
   bool closed_ = false;
 
   // The monitor's.
-  std::string full_name_;
   bool told_constructing_ = false;
   bool told_loaded_ = false;
   bool dead_ = false;
