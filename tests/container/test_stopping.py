@@ -25,6 +25,13 @@ def catches(container: Container, number: signal.Signals) -> bool:
     return bool(mask & 1 << (number - 1))
 
 
+def pending(container: Container, number: signal.Signals) -> bool:
+    """Whether that signal waits for one of the container's threads to take it."""
+    status = Path(f"/proc/{container.process.pid}/status").read_text()
+    masks = [int(line.split()[1], 16) for line in status.splitlines() if "Pnd:" in line]
+    return any(mask & 1 << (number - 1) for mask in masks)
+
+
 def segments(container: Container) -> set[Path]:
     """The container's segments in /dev/shm, by the lock files it holds.
 
@@ -123,6 +130,24 @@ def test_a_second_signal_hurries(spawn: StartContainer) -> None:
     container.event(UNLOADED, unique_id=talker.unique_id)
     container.process.send_signal(signal.SIGINT)
     assert container.wait() == 0
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_third_signal_ends_it_at_once_and_leaves_no_shared_memory(
+    spawn: StartContainer, number: signal.Signals
+) -> None:
+    container = spawn("--stop_timeout", "3600", failpoints="container.during_stop=hang")
+    container.loaded("Talker")
+    own = segments(container)
+    assert own
+    for _ in range(2):
+        container.process.send_signal(number)
+        # One that is still pending would swallow the next one.
+        while pending(container, number):
+            assert container.process.poll() is None
+    container.process.send_signal(number)
+    assert container.wait() == 128 + number
+    assert not any(path.exists() for path in own)
 
 
 def test_a_hanging_unload_is_left(spawn: StartContainer) -> None:

@@ -5,8 +5,8 @@
 
 #include <algorithm>
 #include <array>
+#include <charconv>
 #include <cstddef>
-#include <cstdio>
 #include <string_view>
 
 namespace play_launch::container {
@@ -21,14 +21,37 @@ constexpr std::string_view kFolder = "/dev/shm/";
 constexpr std::size_t kPathSize = 256;
 constexpr rlim_t kMostDescriptors = 65536;
 
-// No memory is allocated here, and no stdio stream used: the locks of both may be held by a thread
-// that will never go on.
-void unlink_formatted(const char* format, std::string_view name) noexcept {
-  std::array<char, kPathSize> path{};
-  const int length =
-      std::snprintf(path.data(), path.size(), format, static_cast<int>(name.size()), name.data());
-  if (length > 0 && static_cast<std::size_t>(length) < path.size()) {
-    ::unlink(path.data());
+/// A path in memory of its own. No memory is allocated here, and nothing of stdio used: the locks
+/// of both may be held by a thread that will never go on.
+class Path {
+ public:
+  Path& operator<<(std::string_view text) noexcept {
+    const std::size_t size = std::min(text.size(), kPathSize - 1 - size_);
+    is_whole_ = is_whole_ && size == text.size();
+    std::ranges::copy(text.substr(0, size), text_.begin() + static_cast<std::ptrdiff_t>(size_));
+    size_ += size;
+    return *this;
+  }
+  Path& operator<<(int number) noexcept {
+    std::array<char, 12> digits{};
+    const auto end = std::to_chars(digits.begin(), digits.end(), number).ptr;
+    return *this << std::string_view(digits.begin(), end);
+  }
+  bool is_whole() const noexcept { return is_whole_; }
+  const char* c_str() const noexcept { return text_.data(); }
+
+ private:
+  std::array<char, kPathSize> text_{};
+  std::size_t size_ = 0;
+  bool is_whole_ = true;
+};
+
+void unlink_in_folder(std::string_view before, std::string_view name,
+                      std::string_view after) noexcept {
+  Path path;
+  path << kFolder << before << name << after;
+  if (path.is_whole()) {
+    ::unlink(path.c_str());
   }
 }
 
@@ -41,10 +64,10 @@ void unlink_own_segments() noexcept {
   }
   const int end = static_cast<int>(std::min(limit.rlim_cur, kMostDescriptors));
   for (int fd = 0; fd < end; ++fd) {
-    std::array<char, kPathSize> link{};
+    Path link;
+    link << "/proc/self/fd/" << fd;
     std::array<char, kPathSize> target{};
-    std::snprintf(link.data(), link.size(), "/proc/self/fd/%d", fd);
-    const ssize_t length = ::readlink(link.data(), target.data(), target.size());
+    const ssize_t length = ::readlink(link.c_str(), target.data(), target.size());
     if (length <= 0 || static_cast<std::size_t>(length) >= target.size()) {
       continue;
     }
@@ -54,10 +77,10 @@ void unlink_own_segments() noexcept {
     }
     std::string_view name = lock.substr(kFolder.size());
     name.remove_suffix(kLockSuffix.size());
-    unlink_formatted("/dev/shm/%.*s", name);
-    unlink_formatted("/dev/shm/%.*s_sl", name);
-    unlink_formatted("/dev/shm/sem.%.*s_mutex", name);
-    unlink_formatted("/dev/shm/%.*s_el", name);
+    unlink_in_folder("", name, "");
+    unlink_in_folder("", name, "_sl");
+    unlink_in_folder("sem.", name, "_mutex");
+    unlink_in_folder("", name, "_el");
   }
 }
 

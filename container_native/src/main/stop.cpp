@@ -27,7 +27,7 @@ static_assert(std::atomic<int>::is_always_lock_free);
 extern "C" void on_stop_signal(int number) {
   const int error = errno;
   if (signals.fetch_add(1) + 1 >= kSignalsToLeaveAtOnce) {
-    ::_exit(kSignalExitBase + number);
+    leave_now(kSignalExitBase + number);
   }
   ring(signal_event_fd);
   errno = error;

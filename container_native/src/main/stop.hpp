@@ -73,6 +73,7 @@ class Watchdog {
 
 /// Ends the process at once with this status, without destructors and handlers, but not without
 /// taking its shared memory segments out of the file system, which would stay there for ever.
+/// Async-signal-safe.
 [[noreturn]] void leave_now(int exit_code) noexcept;
 
 }  // namespace play_launch::container
