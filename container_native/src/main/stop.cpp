@@ -21,12 +21,17 @@ constexpr int kSignalExitBase = 128;
 
 // What a signal handler may touch.
 volatile sig_atomic_t signal_event_fd = -1;
+volatile pid_t container_pid = 0;
 std::atomic<int> signals{0};
 static_assert(std::atomic<int>::is_always_lock_free);
 
 extern "C" void on_stop_signal(int number) {
   const int error = errno;
   if (signals.fetch_add(1) + 1 >= kSignalsToLeaveAtOnce) {
+    if (::getpid() != container_pid) {
+      // A helper that a node forked without exec: the segments are the container's.
+      ::_exit(kSignalExitBase + number);
+    }
     leave_now(kSignalExitBase + number);
   }
   ring(signal_event_fd);
@@ -55,6 +60,7 @@ StopRequests::StopRequests() : event_(make_doorbell()) {}
 
 void StopRequests::handle_signals() {
   signal_event_fd = event_.get();
+  container_pid = ::getpid();
   set_handler(SIGINT, on_stop_signal);
   set_handler(SIGTERM, on_stop_signal);
   if (!is_ignored(SIGHUP)) {
