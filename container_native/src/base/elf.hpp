@@ -54,6 +54,16 @@ class DynamicSymbols {
     }
   }
 
+  /// Calls `visit` with the mangled name of each symbol that the library takes from others.
+  template <class Visit>
+  void for_each_undefined(Visit visit) const {
+    for (std::size_t i = 1; symbols_ != nullptr && names_ != nullptr && i < count_; ++i) {
+      if (symbols_[i].st_shndx == SHN_UNDEF) {
+        visit(names_ + symbols_[i].st_name);
+      }
+    }
+  }
+
  private:
   template <class Better>
       const ElfW(Sym) * best(Better better) const noexcept;

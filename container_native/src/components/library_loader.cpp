@@ -1,10 +1,12 @@
 #include "components/library_loader.hpp"
 
+#include <dlfcn.h>
 #include <pthread.h>
 
 #include <algorithm>
 
 #include "components/opening_guard.hpp"
+#include "isolation/overrides/type_supports.hpp"
 
 namespace play_launch::container {
 
@@ -80,6 +82,10 @@ void LibraryLoader::carry_out(Order& order) {
   try {
     const OpeningGuard guard(order.node, order.path);
     std::unique_ptr<ComponentLibrary> library = order.backend.open(order.path);
+    if (void* const handle = ::dlopen(order.path.c_str(), RTLD_LAZY | RTLD_NOLOAD)) {
+      isolation::look_up_type_supports(handle);
+      ::dlclose(handle);
+    }
     const std::lock_guard lock(mutex_);
     open_.emplace(Key(&order.backend, order.path), std::move(library));
   } catch (...) {

@@ -4,6 +4,7 @@
 #include <rmw/error_handling.h>
 #include <rmw/rmw.h>
 #include <rmw/serialized_message.h>
+#include <rosidl_runtime_c/message_type_support_struct.h>
 
 #include <exception>
 #include <stdexcept>
@@ -43,6 +44,25 @@ class SerializedMessage {
 };
 
 }  // namespace
+
+const rosidl_message_type_support_t* direct_type_support(
+    const rosidl_message_type_support_t* type_support, const void* example) {
+  // Tried out instead of known for each middleware: Fast DDS takes the first, CycloneDDS the
+  // second.
+  for (const char* const identifier :
+       {"rosidl_typesupport_fastrtps_cpp", "rosidl_typesupport_introspection_cpp"}) {
+    const rosidl_message_type_support_t* const direct =
+        get_message_typesupport_handle(type_support, identifier);
+    SerializedMessage serialized;
+    const bool works =
+        direct != nullptr && rmw_serialize(example, direct, serialized.get()) == RMW_RET_OK;
+    rmw_reset_error();  // also what finding the handle left
+    if (works) {
+      return direct;
+    }
+  }
+  return type_support;
+}
 
 std::vector<std::uint8_t> serialize_message(const void* message,
                                             const rosidl_message_type_support_t* type_support) {

@@ -103,6 +103,9 @@ UniqueFd take_control_socket() {
 ControlInterface::ControlInterface(UniqueFd socket, StopRequests& stop,
                                    std::function<void()> on_lost)
     : stop_(stop), on_lost_(std::move(on_lost)), channel_(std::move(socket)) {
+  control::prepare_messages<msg::ControlHello, msg::ControlLoad, msg::ControlAccepted,
+                            msg::ControlRejected, msg::ControlQuery, msg::ControlStatus,
+                            msg::ControlCancel, msg::ControlUnload, ComponentEvent>();
   channel_.start(*this);
 }
 

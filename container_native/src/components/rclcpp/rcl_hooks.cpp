@@ -2,7 +2,6 @@
 // program: like exit() in exit_guard.cpp, they come before those of the library. They do the same,
 // and tell the HandleLedger of the calling thread, if there is one.
 
-#include <dlfcn.h>
 #include <rcl/client.h>
 #include <rcl/logging_rosout.h>
 #include <rcl/node.h>
@@ -11,19 +10,34 @@
 #include <rcl/service.h>
 #include <rcl/subscription.h>
 
+#include "base/next_function.hpp"
 #include "components/rclcpp/handle_ledger.hpp"
 
 namespace {
 
+using play_launch::NextFunction;
 using play_launch::rclcpp_backend::finalise_discarded_nodes;
 using play_launch::rclcpp_backend::HandleKind;
 using play_launch::rclcpp_backend::HandleLedger;
 
-/// The library's function of that name.
-template <class Function>
-Function* next(Function*, const char* name) {
-  return reinterpret_cast<Function*>(::dlsym(RTLD_NEXT, name));
-}
+const NextFunction<"rcl_node_init", decltype(rcl_node_init)> next_rcl_node_init;
+const NextFunction<"rcl_node_fini", decltype(rcl_node_fini)> next_rcl_node_fini;
+const NextFunction<"rcl_publisher_init", decltype(rcl_publisher_init)> next_rcl_publisher_init;
+const NextFunction<"rcl_publisher_fini", decltype(rcl_publisher_fini)> next_rcl_publisher_fini;
+const NextFunction<"rcl_subscription_init", decltype(rcl_subscription_init)>
+    next_rcl_subscription_init;
+const NextFunction<"rcl_subscription_fini", decltype(rcl_subscription_fini)>
+    next_rcl_subscription_fini;
+const NextFunction<"rcl_service_init", decltype(rcl_service_init)> next_rcl_service_init;
+const NextFunction<"rcl_node_type_description_service_init",
+                   decltype(rcl_node_type_description_service_init)>
+    next_rcl_node_type_description_service_init;
+const NextFunction<"rcl_service_fini", decltype(rcl_service_fini)> next_rcl_service_fini;
+const NextFunction<"rcl_client_init", decltype(rcl_client_init)> next_rcl_client_init;
+const NextFunction<"rcl_client_fini", decltype(rcl_client_fini)> next_rcl_client_fini;
+const NextFunction<"rcl_logging_rosout_init_publisher_for_node",
+                   decltype(rcl_logging_rosout_init_publisher_for_node)>
+    next_rcl_logging_rosout_init_publisher_for_node;
 
 rcl_ret_t opened(rcl_ret_t result, HandleKind kind, void* handle, const rcl_node_t* node) {
   HandleLedger* const ledger = HandleLedger::current();
@@ -45,12 +59,12 @@ extern "C" {
 
 rcl_ret_t rcl_node_init(rcl_node_t* node, const char* name, const char* name_space,
                         rcl_context_t* context, const rcl_node_options_t* options) {
-  static const auto init = next(&rcl_node_init, "rcl_node_init");
+  const auto init = next_rcl_node_init.get();
   return opened(init(node, name, name_space, context, options), HandleKind::node, node, node);
 }
 
 rcl_ret_t rcl_node_fini(rcl_node_t* node) {
-  static const auto fini = next(&rcl_node_fini, "rcl_node_fini");
+  const auto fini = next_rcl_node_fini.get();
   closing(node);
   return fini(node);
 }
@@ -58,13 +72,13 @@ rcl_ret_t rcl_node_fini(rcl_node_t* node) {
 rcl_ret_t rcl_publisher_init(rcl_publisher_t* publisher, const rcl_node_t* node,
                              const rosidl_message_type_support_t* type, const char* topic,
                              const rcl_publisher_options_t* options) {
-  static const auto init = next(&rcl_publisher_init, "rcl_publisher_init");
+  const auto init = next_rcl_publisher_init.get();
   return opened(init(publisher, node, type, topic, options), HandleKind::publisher, publisher,
                 node);
 }
 
 rcl_ret_t rcl_publisher_fini(rcl_publisher_t* publisher, rcl_node_t* node) {
-  static const auto fini = next(&rcl_publisher_fini, "rcl_publisher_fini");
+  const auto fini = next_rcl_publisher_fini.get();
   closing(publisher);
   return fini(publisher, node);
 }
@@ -72,13 +86,13 @@ rcl_ret_t rcl_publisher_fini(rcl_publisher_t* publisher, rcl_node_t* node) {
 rcl_ret_t rcl_subscription_init(rcl_subscription_t* subscription, const rcl_node_t* node,
                                 const rosidl_message_type_support_t* type, const char* topic,
                                 const rcl_subscription_options_t* options) {
-  static const auto init = next(&rcl_subscription_init, "rcl_subscription_init");
+  const auto init = next_rcl_subscription_init.get();
   return opened(init(subscription, node, type, topic, options), HandleKind::subscription,
                 subscription, node);
 }
 
 rcl_ret_t rcl_subscription_fini(rcl_subscription_t* subscription, rcl_node_t* node) {
-  static const auto fini = next(&rcl_subscription_fini, "rcl_subscription_fini");
+  const auto fini = next_rcl_subscription_fini.get();
   closing(subscription);
   return fini(subscription, node);
 }
@@ -86,18 +100,17 @@ rcl_ret_t rcl_subscription_fini(rcl_subscription_t* subscription, rcl_node_t* no
 rcl_ret_t rcl_service_init(rcl_service_t* service, const rcl_node_t* node,
                            const rosidl_service_type_support_t* type, const char* name,
                            const rcl_service_options_t* options) {
-  static const auto init = next(&rcl_service_init, "rcl_service_init");
+  const auto init = next_rcl_service_init.get();
   return opened(init(service, node, type, name, options), HandleKind::service, service, node);
 }
 
 rcl_ret_t rcl_node_type_description_service_init(rcl_service_t* service, const rcl_node_t* node) {
-  static const auto init =
-      next(&rcl_node_type_description_service_init, "rcl_node_type_description_service_init");
+  const auto init = next_rcl_node_type_description_service_init.get();
   return opened(init(service, node), HandleKind::service, service, node);
 }
 
 rcl_ret_t rcl_service_fini(rcl_service_t* service, rcl_node_t* node) {
-  static const auto fini = next(&rcl_service_fini, "rcl_service_fini");
+  const auto fini = next_rcl_service_fini.get();
   closing(service);
   return fini(service, node);
 }
@@ -105,12 +118,12 @@ rcl_ret_t rcl_service_fini(rcl_service_t* service, rcl_node_t* node) {
 rcl_ret_t rcl_client_init(rcl_client_t* client, const rcl_node_t* node,
                           const rosidl_service_type_support_t* type, const char* name,
                           const rcl_client_options_t* options) {
-  static const auto init = next(&rcl_client_init, "rcl_client_init");
+  const auto init = next_rcl_client_init.get();
   return opened(init(client, node, type, name, options), HandleKind::client, client, node);
 }
 
 rcl_ret_t rcl_client_fini(rcl_client_t* client, rcl_node_t* node) {
-  static const auto fini = next(&rcl_client_fini, "rcl_client_fini");
+  const auto fini = next_rcl_client_fini.get();
   closing(client);
   return fini(client, node);
 }
@@ -118,8 +131,7 @@ rcl_ret_t rcl_client_fini(rcl_client_t* client, rcl_node_t* node) {
 // Called with rclcpp's lock for logging.
 
 rcl_ret_t rcl_logging_rosout_init_publisher_for_node(rcl_node_t* node) {
-  static const auto init = next(&rcl_logging_rosout_init_publisher_for_node,
-                                "rcl_logging_rosout_init_publisher_for_node");
+  const auto init = next_rcl_logging_rosout_init_publisher_for_node.get();
   const HandleLedger::Pause pause;  // the publisher is the table's
   finalise_discarded_nodes();
   return init(node);

@@ -4,10 +4,13 @@
 
 namespace play_launch::isolation {
 
-ThreadDone allocator_thread_done() {
-  static const auto function =
-      reinterpret_cast<ThreadDone>(::dlsym(RTLD_DEFAULT, "mi_thread_done"));
-  return function;
-}
+namespace {
+
+// Found when the program starts: later, that could wait for the initialisers of a node's library.
+const auto function = reinterpret_cast<ThreadDone>(::dlsym(RTLD_DEFAULT, "mi_thread_done"));
+
+}  // namespace
+
+ThreadDone allocator_thread_done() { return function; }
 
 }  // namespace play_launch::isolation

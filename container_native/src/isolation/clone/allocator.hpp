@@ -5,7 +5,7 @@ namespace play_launch::isolation {
 using ThreadDone = void (*)();
 
 /// mimalloc's function that gives the calling thread's memory to those who live on; null with
-/// another allocator. Looked up by the first call.
+/// another allocator. Async-signal-safe.
 ThreadDone allocator_thread_done();
 
 }  // namespace play_launch::isolation

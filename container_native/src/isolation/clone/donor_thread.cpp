@@ -51,7 +51,6 @@ DonorThread::DonorThread(const std::string& name, std::function<void()> body,
                          std::size_t stack_size)
     : body_(std::move(body)), name_(name.substr(0, 15)) {
   prepare_clone();
-  allocator_thread_done();
   // A stack of our own, because it also holds the thread's record in the C library: that of a
   // tainted thread must not be used for another one.
   const std::size_t usable = stack_size != 0 ? stack_size : default_stack_size();

@@ -1,21 +1,18 @@
 #include "isolation/crash/throw_site.hpp"
 
 #include <cxxabi.h>
-#include <dlfcn.h>
 #include <execinfo.h>
 
 #include <algorithm>
-#include <atomic>
 #include <cstdlib>
 
+#include "base/next_function.hpp"
 #include "isolation/record/child_record.hpp"
 
 namespace play_launch::isolation {
 namespace {
 
-using Throw = void (*)(void*, std::type_info*, void (*)(void*));
-
-std::atomic<Throw> throw_of_library{nullptr};
+const NextFunction<"__cxa_throw", void(void*, std::type_info*, void (*)(void*))> next_throw;
 
 struct Site {
   const void* exception = nullptr;
@@ -25,8 +22,6 @@ struct Site {
 
 thread_local constinit Site last_site;
 
-Throw find_throw() noexcept { return reinterpret_cast<Throw>(::dlsym(RTLD_NEXT, "__cxa_throw")); }
-
 void note_site(const void* exception) noexcept {
   last_site.exception = exception;
   last_site.count = ::backtrace(last_site.frames.data(), static_cast<int>(last_site.frames.size()));
@@ -35,7 +30,6 @@ void note_site(const void* exception) noexcept {
 }  // namespace
 
 void prepare_throw_sites() noexcept {
-  throw_of_library = find_throw();
   void* frame = nullptr;
   ::backtrace(&frame, 1);  // loads what it needs
 }
@@ -64,11 +58,7 @@ extern "C" [[noreturn, gnu::visibility("default")]] void __cxa_throw(void* excep
   if (isolation::current_child() != nullptr) {
     isolation::note_site(exception);
   }
-  isolation::Throw next = isolation::throw_of_library;
-  if (next == nullptr) {
-    next = isolation::find_throw();
-  }
-  next(exception, type, destroy);
+  isolation::next_throw.get()(exception, type, destroy);
   std::abort();
 }
 

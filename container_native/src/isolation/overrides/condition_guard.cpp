@@ -3,15 +3,19 @@
 // dead child never do. So a child that cleans up after a dead one does not destroy condition
 // variables; they own nothing.
 
-#include <dlfcn.h>
 #include <pthread.h>
 
+#include "base/next_function.hpp"
 #include "isolation/record/child_record.hpp"
+
+namespace {
+
+const play_launch::NextFunction<"pthread_cond_destroy", int(pthread_cond_t*)> next_destroy;
+
+}  // namespace
 
 extern "C" [[gnu::visibility("default")]] int pthread_cond_destroy(
     pthread_cond_t* condition) noexcept {
-  using Destroy = int (*)(pthread_cond_t*);
-  static const auto destroy = reinterpret_cast<Destroy>(::dlsym(RTLD_NEXT, "pthread_cond_destroy"));
   const auto* const child = play_launch::isolation::current_child();
-  return child != nullptr && child->after_death ? 0 : destroy(condition);
+  return child != nullptr && child->after_death ? 0 : next_destroy.get()(condition);
 }

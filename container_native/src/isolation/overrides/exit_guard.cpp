@@ -7,6 +7,7 @@
 
 #include <cstdlib>
 
+#include "base/next_function.hpp"
 #include "isolation/crash/crash_handler.hpp"
 #include "isolation/quiesce/quiesce.hpp"
 #include "isolation/record/child_record.hpp"
@@ -28,10 +29,9 @@ namespace {
   }
 }
 
-template <class Function>
-Function next(const char* name) {
-  return reinterpret_cast<Function>(::dlsym(RTLD_NEXT, name));
-}
+const NextFunction<"exit", void(int)> next_exit;
+const NextFunction<"quick_exit", void(int)> next_quick_exit;
+const NextFunction<"pthread_exit", void(void*)> next_pthread_exit;
 
 }  // namespace
 
@@ -44,7 +44,9 @@ bool exit_guard_is_effective() noexcept {
 using play_launch::isolation::ChildRecord;
 using play_launch::isolation::current_child;
 using play_launch::isolation::end_child;
-using play_launch::isolation::next;
+using play_launch::isolation::next_exit;
+using play_launch::isolation::next_pthread_exit;
+using play_launch::isolation::next_quick_exit;
 
 extern "C" {
 
@@ -52,7 +54,7 @@ extern "C" {
   if (ChildRecord* const child = current_child()) {
     end_child(*child, status);
   }
-  next<void (*)(int)>("exit")(status);
+  next_exit.get()(status);
   std::abort();
 }
 
@@ -60,7 +62,7 @@ extern "C" {
   if (ChildRecord* const child = current_child()) {
     end_child(*child, status);
   }
-  next<void (*)(int)>("quick_exit")(status);
+  next_quick_exit.get()(status);
   std::abort();
 }
 
@@ -70,7 +72,7 @@ extern "C" {
   if (child != nullptr && ::gettid() == ::getpid()) {
     end_child(*child, 0);
   }
-  next<void (*)(void*)>("pthread_exit")(result);
+  next_pthread_exit.get()(result);
   std::abort();
 }
 

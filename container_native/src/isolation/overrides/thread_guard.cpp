@@ -2,12 +2,12 @@
 // a child starts are listed in its record and get a stack for crash handlers. Without one, a thread
 // whose stack overflows is killed by the kernel before any handler runs.
 
-#include <dlfcn.h>
 #include <pthread.h>
 
 #include <cerrno>
 #include <new>
 
+#include "base/next_function.hpp"
 #include "isolation/record/child_record.hpp"
 
 namespace {
@@ -17,7 +17,9 @@ using play_launch::isolation::ChildThreads;
 using play_launch::isolation::current_child;
 
 using Routine = void* (*)(void*);
-using Create = int (*)(pthread_t*, const pthread_attr_t*, Routine, void*);
+const play_launch::NextFunction<"pthread_create",
+                                int(pthread_t*, const pthread_attr_t*, Routine, void*)>
+    next_create;
 
 struct Start {
   ChildRecord* child;
@@ -38,16 +40,15 @@ extern "C" [[gnu::visibility("default")]] int pthread_create(pthread_t* thread,
                                                              const pthread_attr_t* attributes,
                                                              Routine routine,
                                                              void* argument) noexcept {
-  static const auto create = reinterpret_cast<Create>(::dlsym(RTLD_NEXT, "pthread_create"));
   ChildRecord* const child = current_child();
   if (child == nullptr) {
-    return create(thread, attributes, routine, argument);
+    return next_create.get()(thread, attributes, routine, argument);
   }
   auto* const start = new (std::nothrow) Start{child, routine, argument};
   if (start == nullptr) {
     return EAGAIN;
   }
-  const int error = create(thread, attributes, run, start);
+  const int error = next_create.get()(thread, attributes, run, start);
   if (error != 0) {
     delete start;
   }
