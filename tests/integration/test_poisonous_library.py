@@ -126,6 +126,14 @@ def test_the_recording_has_it_all(poisoned: Replay) -> None:
         assert event.signal == signal.SIGSEGV
         assert "libplay_launch_demo_crashing.so" in event.error_message
         assert any("crash_while_opening" in frame for frame in event.backtrace)
+        # What the container wrote before its own end: library, node and signal.
+        last_words = next(
+            log.msg
+            for log in found["rcl_interfaces/msg/Log"]
+            if log.name == f"/{kind}" and f"for node /{kind}_bad" in log.msg
+        )
+        assert "libplay_launch_demo_crashing.so" in last_words
+        assert "SIGSEGV" in last_words
 
 
 def test_a_person_reads_why(tmp_path: Path) -> None:
