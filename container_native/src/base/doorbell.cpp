@@ -7,14 +7,16 @@
 #include <cstdint>
 #include <system_error>
 
+#include "base/protected_descriptors.hpp"
+
 namespace play_launch {
 
 UniqueFd make_doorbell() {
-  UniqueFd fd(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
-  if (!fd) {
+  const int fd = ::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK);
+  if (fd < 0) {
     throw std::system_error(errno, std::generic_category(), "eventfd");
   }
-  return fd;
+  return UniqueFd(move_out_of_reach(fd));
 }
 
 void ring(int doorbell) noexcept {

@@ -2,6 +2,8 @@
 
 #include <utility>
 
+#include "base/early_code.hpp"
+#include "base/protected_descriptors.hpp"
 #include "hosts/cloned/cloned_node.hpp"
 #include "isolation/crash/crash_handler.hpp"
 
@@ -11,6 +13,9 @@ CloneIsolatedHost::CloneIsolatedHost(std::vector<std::unique_ptr<ComponentBacken
                                      const ExecutorChoice& choice, bool core_dumps)
     : IsolatedHost(std::move(backends)), choice_(choice), core_dumps_(core_dumps) {
   isolation::prepare_crash_handling();
+  // Before any library of a node is loaded: what is there now belongs to the container.
+  note_early_code();
+  protect_open_descriptors();
 }
 
 std::shared_ptr<IsolatedNode> CloneIsolatedHost::start(std::uint64_t unique_id, LoadRequest request,

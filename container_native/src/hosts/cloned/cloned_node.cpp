@@ -87,6 +87,7 @@ void ClonedNode::tell(NodeHostObserver& observer, IsolationTotals& totals) {
   if (!backtrace_ && slot_.traced) {
     backtrace_ = isolation::symbolise(slot_);  // while the process still dies
   }
+  tell_refusal();
   tell_progress(observer, program_.stage());
   if (dead && !told_end_) {
     told_end_ = true;
@@ -102,6 +103,14 @@ void ClonedNode::tell(NodeHostObserver& observer, IsolationTotals& totals) {
 
 std::optional<std::chrono::nanoseconds> ClonedNode::silence() const {
   return dead_ ? std::nullopt : program_.silence();
+}
+
+void ClonedNode::tell_refusal() {
+  if (!told_refusal_ && slot_.refused_call != nullptr) {
+    told_refusal_ = true;
+    report(label() + " " + isolation::describe_refusal(slot_) +
+           "; the call had no effect, and further ones are not reported");
+  }
 }
 
 void ClonedNode::tell_progress(NodeHostObserver& observer, NodeStage stage) {

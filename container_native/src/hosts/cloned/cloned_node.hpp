@@ -37,6 +37,7 @@ class ClonedNode final : public IsolatedNode {
   void signal(int number) override { isolation::send_signal(slot_, number); }
 
   void donate() noexcept;
+  void tell_refusal();
   void tell_progress(NodeHostObserver& observer, NodeStage stage);
   void tell_end(NodeHostObserver& observer, IsolationTotals& totals);
   NodeDeath death();
@@ -60,6 +61,7 @@ class ClonedNode final : public IsolatedNode {
   // The monitor's.
   NodeStage told_ = NodeStage::preparing;
   bool told_end_ = false;
+  bool told_refusal_ = false;
   std::optional<std::vector<std::string>> backtrace_;
   bool told_burial_ = false;
 

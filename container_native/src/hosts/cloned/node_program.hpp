@@ -38,6 +38,7 @@ class NodeProgram final : public isolation::ChildProgram {
   int run() override;
   void cancel() noexcept override { stop_->set(); }
   void crashed() noexcept override;
+  void noted() noexcept override { crashed(); }
 
   NodeStage stage() const { return stage_.load(); }
   NodeOutcome outcome() const { return outcome_.load(); }

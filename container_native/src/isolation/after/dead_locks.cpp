@@ -13,7 +13,8 @@
 #include <cstring>
 #include <system_error>
 
-#include "base/thread_list.hpp"
+#include "base/number_list.hpp"
+#include "base/protected_descriptors.hpp"
 #include "isolation/record/registry.hpp"
 
 namespace play_launch::isolation {
@@ -54,7 +55,7 @@ template <class Visit>
 void for_each_thread(pid_t process, Visit visit) noexcept {
   std::array<char, 64> path{};
   std::snprintf(path.data(), path.size(), "/proc/%d/task", process);
-  ThreadList(path.data()).for_each(visit);
+  NumberList(path.data()).for_each(visit);
 }
 
 std::array<char, 16> name_of(pid_t process, pid_t thread) noexcept {
@@ -118,6 +119,9 @@ std::string describe(const DeadLock& lock) {
 DeadLockSearch::DeadLockSearch() {
   if (::pipe2(pipe_.data(), O_CLOEXEC | O_NONBLOCK) != 0) {
     throw std::system_error(errno, std::generic_category(), "pipe");
+  }
+  for (int& end : pipe_) {
+    end = move_out_of_reach(end);
   }
 }
 

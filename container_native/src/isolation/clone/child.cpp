@@ -138,6 +138,9 @@ void CrashSlot::reset() {
   resting_thread_count = 0;
   exit_called = false;
   exit_status = 0;
+  other_program = {};
+  refused_descriptor = -1;
+  refused_call = nullptr;
 }
 
 ChildEnd run_in_child(ChildProgram& program, CrashSlot& slot,

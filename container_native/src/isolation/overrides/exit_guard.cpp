@@ -13,7 +13,6 @@
 #include "isolation/record/child_record.hpp"
 
 namespace play_launch::isolation {
-namespace {
 
 [[noreturn]] void end_child(ChildRecord& child, int status) noexcept {
   claim_end(child);
@@ -28,6 +27,8 @@ namespace {
     ::syscall(SYS_exit_group, status);
   }
 }
+
+namespace {
 
 const NextFunction<"exit", void(int)> next_exit;
 const NextFunction<"quick_exit", void(int)> next_quick_exit;

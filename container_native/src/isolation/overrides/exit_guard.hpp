@@ -1,5 +1,7 @@
 #pragma once
 
+#include "isolation/record/child_record.hpp"
+
 namespace play_launch::isolation {
 
 /// exit_guard.cpp defines exit(), quick_exit() and pthread_exit() for the whole program: the
@@ -11,5 +13,8 @@ namespace play_launch::isolation {
 /// True when calls from libraries really arrive there (the program was linked with its symbols
 /// exported).
 bool exit_guard_is_effective() noexcept;
+
+/// Ends the child alone, with its threads at rest as after a crash. Async-signal-safe.
+[[noreturn]] void end_child(ChildRecord& child, int status) noexcept;
 
 }  // namespace play_launch::isolation

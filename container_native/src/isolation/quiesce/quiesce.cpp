@@ -13,7 +13,7 @@
 #include <cstdint>
 #include <ctime>
 
-#include "base/thread_list.hpp"
+#include "base/number_list.hpp"
 #include "isolation/quiesce/code_map.hpp"
 #include "isolation/record/own_signals.hpp"
 #include "isolation/record/survive.hpp"
@@ -47,7 +47,7 @@ bool is_parked(const ChildRecord& child, pid_t thread) noexcept {
 
 constexpr const char* kOwnThreads = "/proc/self/task";
 
-std::uint32_t count_others(ThreadList& threads) noexcept {
+std::uint32_t count_others(NumberList& threads) noexcept {
   const pid_t self = ::gettid();
   std::uint32_t count = 0;
   const bool listed = threads.for_each([&](pid_t thread) { count += thread == self ? 0 : 1; });
@@ -55,7 +55,7 @@ std::uint32_t count_others(ThreadList& threads) noexcept {
 }
 
 /// Interrupts the threads that are left, and counts them.
-std::uint32_t ask_to_park(ChildRecord& child, ThreadList& threads) noexcept {
+std::uint32_t ask_to_park(ChildRecord& child, NumberList& threads) noexcept {
   const pid_t process = ::getpid();
   const pid_t self = ::gettid();
   std::uint32_t left = 0;
@@ -131,7 +131,7 @@ void park(ChildRecord& child, bool at_rest) noexcept {
 }
 
 void quiesce(ChildRecord& child) noexcept {
-  ThreadList threads(kOwnThreads);
+  NumberList threads(kOwnThreads);
   if (child.options.dies_abruptly) {
     child.slot->threads_not_parked = count_others(threads);
     return;

@@ -32,6 +32,10 @@ class ChildProgram {
   /// Called in a signal handler of the child when the slot tells of its crash (CrashSlot::traced is
   /// set), some time before the death: whoever wants to look the backtrace up can begin.
   virtual void crashed() noexcept {}
+
+  /// Called in the child, in any of its threads, when the slot tells of something else that is
+  /// worth a line (CrashSlot::refused_call). Async-signal-safe functions only.
+  virtual void noted() noexcept {}
 };
 
 struct ChildOptions {

@@ -79,6 +79,14 @@ struct CrashSlot {
   // exit() or quick_exit() was called in the child.
   bool exit_called = false;
   int exit_status = 0;
+
+  /// The program that the child wanted to replace itself by, or that runs in its place.
+  std::array<char, 256> other_program{};
+
+  /// The first of the container's descriptors that the child tried to close, or where a range that
+  /// holds some begins, and with which function; -1: it did not. The function follows the number.
+  std::atomic<int> refused_descriptor{-1};
+  std::atomic<const char*> refused_call{nullptr};
 };
 
 /// The fault is that the program counter points to no code.

@@ -3,28 +3,28 @@
 #include <dirent.h>
 #include <fcntl.h>
 #include <sys/syscall.h>
-#include <sys/types.h>
 #include <unistd.h>
 
 #include <array>
 
 namespace play_launch {
 
-/// The threads of a process, without the allocator that opendir() needs.
-class ThreadList {
+/// The numbers that a folder of /proc lists: the threads in task, the descriptors in fd. Without
+/// the allocator that opendir() needs; async-signal-safe.
+class NumberList {
  public:
-  /// `folder` is /proc/<pid>/task.
-  explicit ThreadList(const char* folder) noexcept
+  /// `folder` is /proc/<pid>/task or /proc/<pid>/fd.
+  explicit NumberList(const char* folder) noexcept
       : fd_(::open(folder, O_RDONLY | O_DIRECTORY | O_CLOEXEC)) {}
-  ~ThreadList() {
+  ~NumberList() {
     if (fd_ >= 0) {
       ::close(fd_);
     }
   }
-  ThreadList(const ThreadList&) = delete;
-  ThreadList& operator=(const ThreadList&) = delete;
+  NumberList(const NumberList&) = delete;
+  NumberList& operator=(const NumberList&) = delete;
 
-  /// Calls visit(tid) for each. False when there is no list to be had.
+  /// Calls visit(number) for each. False when there is no list to be had.
   template <class Visit>
   bool for_each(Visit visit) noexcept {
     if (fd_ < 0 || ::lseek(fd_, 0, SEEK_SET) != 0) {
@@ -38,19 +38,22 @@ class ThreadList {
       }
       for (long offset = 0; offset < size;) {
         const auto* const entry = reinterpret_cast<const Entry*>(buffer.data() + offset);
-        if (const pid_t thread = number(entry->d_name)) {
-          visit(thread);
+        if (entry->d_name[0] != '.') {
+          visit(number(entry->d_name));
         }
         offset += entry->d_reclen;
       }
     }
   }
 
+  /// Its own descriptor, which is in the list when that is of the own process's descriptors.
+  int descriptor() const { return fd_; }
+
  private:
   using Entry = dirent64;
 
-  static pid_t number(const char* text) noexcept {
-    pid_t value = 0;
+  static int number(const char* text) noexcept {
+    int value = 0;
     for (; *text >= '0' && *text <= '9'; ++text) {
       value = value * 10 + (*text - '0');
     }

@@ -1,0 +1,63 @@
+"""What a node does to the descriptors that it shares with its container and its neighbours."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+from play_launch_msgs.msg import ComponentEvent
+from std_msgs.msg import String
+
+from tests.support.isolated import MODES, only_these_remain, start_isolated, survives
+from tests.support.ros import Probe
+
+if TYPE_CHECKING:
+    from tests.support.control_peer import Container, StartContainer
+
+CRASHED, LOAD_FAILED = ComponentEvent.CRASHED, ComponentEvent.LOAD_FAILED
+
+both_modes = pytest.mark.parametrize("mode", MODES)
+
+NAMED = re.compile(r"^component_container: /vandal \(.*\) called (\w+)\(", re.MULTILINE)
+"""The line that blames the node, with the function that it called."""
+
+REFUSED = {
+    "close_range": "close_range",
+    "closefrom": "closefrom",
+    "close_low": "close",
+    "close_all": "close",
+    "dup2": "dup2",
+}
+"""Ways that the container refuses, and the first call that it names."""
+
+
+def open_files(container: Container) -> dict[str, str]:
+    """What the container has open, by descriptor."""
+    folder = Path(f"/proc/{container.process.pid}/fd")
+    return {entry.name: os.readlink(entry) for entry in folder.iterdir()}
+
+
+@both_modes
+@pytest.mark.parametrize("how", [*REFUSED, "garbage"])
+def test_a_node_cannot_spoil_the_container_s_descriptors(
+    spawn: StartContainer, mode: str, how: str
+) -> None:
+    container = start_isolated(spawn, mode)
+    with survives(container), Probe() as probe:
+        container.loaded("Talker", parameters={"rate": 100.0})
+        probe.collect(String, "/chatter", 5)
+        before = open_files(container)
+        vandal = container.loaded("Vandal", parameters={"how": how})
+        probe.collect(String, "/vandal", 5)  # it has done it, and goes on
+        assert before.items() <= open_files(container).items()
+        probe.collect(String, "/chatter", 5)
+        container.loaded("Talker", node_name="another")
+        assert not container.status().dead_locks
+        expected = [REFUSED[how]] if how in REFUSED else []
+        assert NAMED.findall(container.log.read_text(errors="replace")) == expected
+        os.kill(vandal.pid, 15)
+        crashed = container.event(CRASHED, unique_id=vandal.unique_id)
+        assert ("of its container" in crashed.error_message) == (how in REFUSED)
