@@ -72,7 +72,7 @@ def spawn(tmp_path: Path) -> Iterator[StartContainer]:
                 )
             container = Container(process, ours, log)
             if theirs is not None:
-                container.control_fd = theirs.fileno()
+                container.control_socket = f"socket:[{os.fstat(theirs.fileno()).st_ino}]"
                 theirs.close()
             stack.callback(_end, container)
             if control and greet:

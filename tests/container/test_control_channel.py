@@ -191,7 +191,13 @@ def test_a_wrong_descriptor_is_named(spawn: StartContainer, value: str) -> None:
 
 
 def test_the_descriptor_is_kept_from_programs_that_nodes_start(container: Container) -> None:
-    info = Path(f"/proc/{container.process.pid}/fdinfo/{container.control_fd}").read_text()
+    proc = Path(f"/proc/{container.process.pid}")
+    (number,) = (
+        link.name
+        for link in (proc / "fd").iterdir()
+        if str(link.readlink()) == container.control_socket
+    )
+    info = (proc / "fdinfo" / number).read_text()
     assert int(info.split("flags:")[1].split()[0], 8) & os.O_CLOEXEC
 
 

@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import os
 import re
+import time
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from play_launch_msgs.msg import ComponentEvent
+from play_launch_msgs.msg import ComponentEvent, ControlQuery
 from std_msgs.msg import String
 
-from tests.support.isolated import MODES, only_these_remain, start_isolated, survives
+from tests.support.isolated import MODES, start_isolated, survives
 from tests.support.ros import Probe
 
 if TYPE_CHECKING:
     from tests.support.control_peer import Container, StartContainer
 
-CRASHED, LOAD_FAILED = ComponentEvent.CRASHED, ComponentEvent.LOAD_FAILED
+CRASHED = ComponentEvent.CRASHED
 
 both_modes = pytest.mark.parametrize("mode", MODES)
 
@@ -36,8 +38,11 @@ REFUSED = {
 
 def open_files(container: Container) -> dict[str, str]:
     """What the container has open, by descriptor."""
-    folder = Path(f"/proc/{container.process.pid}/fd")
-    return {entry.name: os.readlink(entry) for entry in folder.iterdir()}
+    files = {}
+    for entry in Path(f"/proc/{container.process.pid}/fd").iterdir():
+        with suppress(FileNotFoundError):  # some are open for a moment only
+            files[entry.name] = str(entry.readlink())
+    return files
 
 
 @both_modes
@@ -61,3 +66,15 @@ def test_a_node_cannot_spoil_the_container_s_descriptors(
         os.kill(vandal.pid, 15)
         crashed = container.event(CRASHED, unique_id=vandal.unique_id)
         assert ("of its container" in crashed.error_message) == (how in REFUSED)
+
+
+def test_a_channel_that_is_closed_from_within_is_called_that(spawn: StartContainer) -> None:
+    container = start_isolated(spawn)
+    vandal = container.loaded("Vandal", parameters={"how": "close_by_system_calls"})
+    while Path(f"/proc/{vandal.pid}/fd/7").exists():
+        time.sleep(0.01)
+    container.send(ControlQuery(query_id=1))  # wakes who waits for the closed socket
+    assert container.wait() == 0
+    log = container.log.read_text()
+    assert "the control channel's descriptor was closed or replaced within this process" in log
+    assert "supervisor is gone" not in log

@@ -103,7 +103,7 @@ def test_the_channel_may_end_before_the_hello(spawn: StartContainer) -> None:
     assert container.peer is not None
     container.peer.close()
     assert container.wait(timeout=5.0) == 0
-    assert "supervisor is gone" in container.log.read_text()
+    assert "the channel to the supervisor has ended" in container.log.read_text()
 
 
 def test_a_constructor_that_does_not_return_is_named_and_left(spawn: StartContainer) -> None:

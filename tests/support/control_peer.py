@@ -78,7 +78,7 @@ class Container:
         self.process = process
         self.peer = peer
         self.log = log
-        self.control_fd = -1
+        self.control_socket = ""  # the container's end, as /proc names it
         self.seen: list[Any] = []
         self._attempt = 0
         self._buffer = b""

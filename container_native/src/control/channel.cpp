@@ -3,6 +3,7 @@
 #include <poll.h>
 #include <pthread.h>
 #include <sys/socket.h>
+#include <sys/stat.h>
 
 #include <array>
 #include <cerrno>
@@ -18,15 +19,26 @@ namespace {
 
 constexpr std::size_t kReadSize = 64 * 1024;  // bytes
 
+/// 0: it is not open.
+ino_t inode_of(int fd) noexcept {
+  struct stat status{};
+  return ::fstat(fd, &status) == 0 ? status.st_ino : 0;
+}
+
 }  // namespace
 
 Channel::Channel(UniqueFd socket, std::size_t queue_capacity)
     : socket_(std::move(socket)),
+      socket_inode_(inode_of(socket_.get())),
       wake_reader_(make_doorbell()),
       wake_writer_(make_doorbell()),
       capacity_(queue_capacity) {}
 
 Channel::~Channel() { stop(); }
+
+bool Channel::has_its_socket() const noexcept {
+  return socket_inode_ != 0 && inode_of(socket_.get()) == socket_inode_;
+}
 
 void Channel::start(ChannelHandler& handler) {
   handler_ = &handler;

@@ -1,5 +1,7 @@
 #pragma once
 
+#include <sys/types.h>
+
 #include <atomic>
 #include <chrono>
 #include <condition_variable>
@@ -61,6 +63,11 @@ class Channel {
   /// on_closed(), even if another process holds the peer's end open. Any thread.
   void expect_no_more();
 
+  /// Whether its socket is still the one that it was made with: somebody in this process may have
+  /// closed the descriptor, or put another file in its place. Then on_closed() says nothing about
+  /// the peer.
+  bool has_its_socket() const noexcept;
+
   /// Frames that send() dropped since the start.
   std::uint64_t dropped() const { return dropped_.load(std::memory_order_relaxed); }
 
@@ -75,6 +82,7 @@ class Channel {
   bool write_all(std::span<const std::uint8_t> bytes);
 
   const UniqueFd socket_;
+  const ino_t socket_inode_;
   const UniqueFd wake_reader_;
   const UniqueFd wake_writer_;
   const std::size_t capacity_;

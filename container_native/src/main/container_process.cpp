@@ -59,8 +59,9 @@ ContainerProcess::ContainerProcess(const Options& options, int argc, const char*
   stop_.handle_signals();
   if (control_socket) {
     control_.emplace(std::move(control_socket), stop_, [this] {
-      watchdog_.arm(Clock::now() + kOrphanLifeLimit, kExitOk,
-                    "the supervisor is gone, and stopping takes too long: leaving");
+      watchdog_.arm(
+          Clock::now() + kOrphanLifeLimit, kExitOk,
+          "the channel to the supervisor has ended, and stopping takes too long: leaving");
     });
   }
   start(argc, argv);

@@ -16,7 +16,7 @@ namespace play_launch::container {
 class ControlInterface final : public EventSink, public control::ChannelHandler {
  public:
   /// Notices the end of the channel from now on. `on_lost` is called, in the channel's thread,
-  /// before the stop is asked for when the supervisor is gone.
+  /// before the stop is asked for when the channel has ended.
   ControlInterface(UniqueFd socket, StopRequests& stop, std::function<void()> on_lost);
 
   /// Says hello and begins to obey. `manager` must outlive close().

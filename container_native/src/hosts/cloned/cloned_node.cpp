@@ -1,5 +1,7 @@
 #include "hosts/cloned/cloned_node.hpp"
 
+#include <signal.h>
+
 #include <algorithm>
 #include <chrono>
 #include <cstring>
@@ -8,7 +10,9 @@
 #include <vector>
 
 #include "base/doorbell.hpp"
+#include "base/executable.hpp"
 #include "base/failpoints.hpp"
+#include "base/process_identity.hpp"
 #include "base/report.hpp"
 #include "isolation/clone/inheritance.hpp"
 #include "isolation/crash/symbolise.hpp"
@@ -19,6 +23,9 @@ namespace {
 /// For cleaning up after a dead node.
 constexpr std::chrono::milliseconds kBurialLimit{1000};
 constexpr std::size_t kThreadNameLength = 15;
+/// After so long without a sign of its executor, a node may have replaced itself by another program
+/// without our knowing.
+constexpr std::chrono::seconds kSuspicious{2};
 
 /// What `ps` shows: the node's name, or its class's as long as that is all there is.
 std::string process_name(const LoadRequest& request) {
@@ -89,6 +96,9 @@ void ClonedNode::tell(NodeHostObserver& observer, IsolationTotals& totals) {
   }
   tell_refusal();
   tell_progress(observer, program_.stage());
+  if (!dead) {
+    end_if_replaced();
+  }
   if (dead && !told_end_) {
     told_end_ = true;
     tell_end(observer, totals);
@@ -102,7 +112,33 @@ void ClonedNode::tell(NodeHostObserver& observer, IsolationTotals& totals) {
 }
 
 std::optional<std::chrono::nanoseconds> ClonedNode::silence() const {
-  return dead_ ? std::nullopt : program_.silence();
+  if (dead_) {
+    return std::nullopt;
+  }
+  const auto silence = program_.silence();
+  if (silence.value_or(kSuspicious) >= kSuspicious) {
+    ring(doorbell());  // the monitor looks whether it is still there
+  }
+  return silence;
+}
+
+void ClonedNode::end_if_replaced() {
+  if (replaced_ || told_ < NodeStage::constructing) {
+    return;
+  }
+  const auto now = std::chrono::steady_clock::now();
+  if (program_.silence().value_or(now - constructing_since_) < kSuspicious) {
+    return;
+  }
+  const std::optional<std::string> other = other_program_of(slot_.pid);
+  // The number may belong to another process by now.
+  if (other && identity_of(slot_.pid).start_time == slot_.start_time) {
+    replaced_ = true;
+    // The child does not write into the slot any more: the memory is not its own now.
+    const std::size_t length = std::min(other->size(), slot_.other_program.size() - 1);
+    std::copy_n(other->data(), length, slot_.other_program.data());
+    signal(SIGKILL);
+  }
 }
 
 void ClonedNode::tell_refusal() {
@@ -116,6 +152,7 @@ void ClonedNode::tell_refusal() {
 void ClonedNode::tell_progress(NodeHostObserver& observer, NodeStage stage) {
   if (told_ < NodeStage::constructing && stage >= NodeStage::constructing) {
     told_ = NodeStage::constructing;
+    constructing_since_ = std::chrono::steady_clock::now();
     clockid_t cpu_clock = CLOCK_THREAD_CPUTIME_ID;
     ::clock_getcpuclockid(slot_.pid, &cpu_clock);
     observer.on_constructing(unique_id(), {slot_.pid, slot_.start_time}, cpu_clock);

@@ -38,6 +38,7 @@ class ClonedNode final : public IsolatedNode {
 
   void donate() noexcept;
   void tell_refusal();
+  void end_if_replaced();
   void tell_progress(NodeHostObserver& observer, NodeStage stage);
   void tell_end(NodeHostObserver& observer, IsolationTotals& totals);
   NodeDeath death();
@@ -62,6 +63,8 @@ class ClonedNode final : public IsolatedNode {
   NodeStage told_ = NodeStage::preparing;
   bool told_end_ = false;
   bool told_refusal_ = false;
+  bool replaced_ = false;
+  std::chrono::steady_clock::time_point constructing_since_;
   std::optional<std::vector<std::string>> backtrace_;
   bool told_burial_ = false;
 
