@@ -8,7 +8,6 @@
 // node may close what it likes: descriptors of the middleware are opened and closed by whatever
 // thread comes along.
 
-#include <dlfcn.h>
 #include <linux/close_range.h>
 #include <sys/syscall.h>
 #include <unistd.h>
@@ -16,6 +15,7 @@
 #include <cerrno>
 
 #include "base/early_code.hpp"
+#include "base/next_function.hpp"
 #include "base/protected_descriptors.hpp"
 #include "isolation/record/child_record.hpp"
 
@@ -25,21 +25,11 @@ using namespace play_launch;
 using isolation::ChildRecord;
 using isolation::CrashSlot;
 
-using Close = int (*)(int);
-using CloseFrom = void (*)(int);
-using Dup2 = int (*)(int, int);
-
-/// The C library's, for what differs from the system call: close() is a place where threads can be
-/// cancelled. Looked up before main(), as children must not: the loader's lock.
-Close close_of_library = nullptr;
-CloseFrom closefrom_of_library = nullptr;
-Dup2 dup2_of_library = nullptr;
-
-[[gnu::constructor]] void find_functions_of_library() {
-  close_of_library = reinterpret_cast<Close>(::dlsym(RTLD_NEXT, "close"));
-  closefrom_of_library = reinterpret_cast<CloseFrom>(::dlsym(RTLD_NEXT, "closefrom"));
-  dup2_of_library = reinterpret_cast<Dup2>(::dlsym(RTLD_NEXT, "dup2"));
-}
+// The C library's, for what differs from the system call: close() is a place where threads can be
+// cancelled.
+const NextFunction<"close", int(int)> next_close;
+const NextFunction<"closefrom", void(int)> next_closefrom;
+const NextFunction<"dup2", int(int, int)> next_dup2;
 
 void note_refusal(const ChildRecord& child, const char* call, int fd) noexcept {
   CrashSlot& slot = *child.slot;
@@ -86,8 +76,7 @@ extern "C" {
   if (!may_close(fd, "close", __builtin_return_address(0))) {
     return -1;
   }
-  return close_of_library != nullptr ? close_of_library(fd)
-                                     : static_cast<int>(::syscall(SYS_close, fd));
+  return next_close.get()(fd);
 }
 
 [[gnu::visibility("default")]] int close_range(unsigned first, unsigned last, int flags) noexcept {
@@ -100,9 +89,8 @@ extern "C" {
 
 [[gnu::visibility("default")]] void closefrom(int first) noexcept {
   const auto from = static_cast<unsigned>(first < 0 ? 0 : first);
-  if (may_close_range(from, ~0U, "closefrom", __builtin_return_address(0)) &&
-      closefrom_of_library != nullptr) {
-    closefrom_of_library(first);
+  if (may_close_range(from, ~0U, "closefrom", __builtin_return_address(0))) {
+    next_closefrom.get()(first);
   }
 }
 
@@ -110,9 +98,7 @@ extern "C" {
   if (from != to && !may_close(to, "dup2", __builtin_return_address(0))) {
     return -1;
   }
-  // Before main() there is no child yet, and nobody duplicates a descriptor onto itself.
-  return dup2_of_library != nullptr ? dup2_of_library(from, to)
-                                    : static_cast<int>(::syscall(SYS_dup3, from, to, 0));
+  return next_dup2.get()(from, to);
 }
 
 [[gnu::visibility("default")]] int dup3(int from, int to, int flags) noexcept {

@@ -4,7 +4,6 @@
 // be executed fails as always. A process that a node forked is no child, and does as it likes.
 
 #include <alloca.h>
-#include <dlfcn.h>
 #include <fcntl.h>
 #include <unistd.h>
 
@@ -17,6 +16,7 @@
 #include <cstdlib>
 #include <string_view>
 
+#include "base/next_function.hpp"
 #include "isolation/crash/crash_handler.hpp"
 #include "isolation/overrides/exit_guard.hpp"
 #include "isolation/record/child_record.hpp"
@@ -28,27 +28,11 @@ using namespace play_launch::isolation;
 using Arguments = char* const*;
 using Path = std::array<char, 256>;
 
-struct Library {
-  int (*execve)(const char*, Arguments, Arguments) = nullptr;
-  int (*execvpe)(const char*, Arguments, Arguments) = nullptr;
-  int (*fexecve)(int, Arguments, Arguments) = nullptr;
-  int (*execveat)(int, const char*, Arguments, Arguments, int) = nullptr;
-};
-
-/// Looked up before main(): who forked may not take the loader's lock any more.
-Library library;
-
-template <class Function>
-void find(Function*& function, const char* name) {
-  function = reinterpret_cast<Function*>(::dlsym(RTLD_NEXT, name));
-}
-
-[[gnu::constructor]] void find_functions_of_library() {
-  find(library.execve, "execve");
-  find(library.execvpe, "execvpe");
-  find(library.fexecve, "fexecve");
-  find(library.execveat, "execveat");
-}
+const play_launch::NextFunction<"execve", int(const char*, Arguments, Arguments)> next_execve;
+const play_launch::NextFunction<"execvpe", int(const char*, Arguments, Arguments)> next_execvpe;
+const play_launch::NextFunction<"fexecve", int(int, Arguments, Arguments)> next_fexecve;
+const play_launch::NextFunction<"execveat", int(int, const char*, Arguments, Arguments, int)>
+    next_execveat;
 
 [[noreturn]] void end_for(ChildRecord& child, const char* program) noexcept {
   claim_end(child);
@@ -127,7 +111,7 @@ extern "C" {
 [[gnu::visibility("default")]] int execve(const char* program, Arguments arguments,
                                           Arguments environment) noexcept {
   end_if_child(AT_FDCWD, program, 0);
-  return library.execve(program, arguments, environment);
+  return next_execve.get()(program, arguments, environment);
 }
 
 [[gnu::visibility("default")]] int execv(const char* program, Arguments arguments) noexcept {
@@ -137,7 +121,7 @@ extern "C" {
 [[gnu::visibility("default")]] int execvpe(const char* program, Arguments arguments,
                                            Arguments environment) noexcept {
   end_if_child_finds(program);
-  return library.execvpe(program, arguments, environment);
+  return next_execvpe.get()(program, arguments, environment);
 }
 
 [[gnu::visibility("default")]] int execvp(const char* program, Arguments arguments) noexcept {
@@ -166,7 +150,7 @@ extern "C" {
 [[gnu::visibility("default")]] int fexecve(int fd, Arguments arguments,
                                            Arguments environment) noexcept {
   end_if_child(fd);
-  return library.fexecve(fd, arguments, environment);
+  return next_fexecve.get()(fd, arguments, environment);
 }
 
 [[gnu::visibility("default")]] int execveat(int folder, const char* program, Arguments arguments,
@@ -176,7 +160,7 @@ extern "C" {
   } else {
     end_if_child(folder, program, 0);
   }
-  return library.execveat(folder, program, arguments, environment, flags);
+  return next_execveat.get()(folder, program, arguments, environment, flags);
 }
 
 }  // extern "C"
