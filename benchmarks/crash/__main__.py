@@ -6,8 +6,9 @@
 A container with a node that dies again and again, and two neighbours with 1 kHz timers that hear
 it by pointer; the supervisor is the real one, without pauses before reloads. Kinds are way/place:
 segv, abrt, exception, kill (SIGKILL to itself) in a callback, the constructor, a thread of its own,
-or a callback while other threads allocate (malloc). For segv and kill, `outside` is from another
-process at a random instant, and `dds` the same while a thread publishes over DDS without a pause.
+or a callback while other threads allocate (malloc). segv/publishing is in a callback while another
+thread publishes over DDS without a pause. For segv and kill, `outside` is from another process at a
+random instant, and `dds` the same while a thread publishes like that.
 """
 
 from __future__ import annotations

@@ -16,8 +16,9 @@ class Kind:
     """A way to die, and where.
 
     `where`: in a callback, in the constructor, in a thread of the node's own, in a callback while
-    other threads of the node allocate (malloc), or by a signal from outside at a random instant,
-    with or without (outside) a thread of the node that publishes over DDS all the time (dds).
+    other threads of the node allocate (malloc) or another thread of the node publishes over DDS
+    all the time (publishing), or by a signal from outside at a random instant, with (dds) or without
+    (outside) such a thread.
     The kind none/nowhere does not die at all: what the neighbours notice then is the machine's.
     """
 
@@ -39,6 +40,11 @@ class Kind:
         return self.where in {"outside", "dds"}
 
     @property
+    def publishes(self) -> bool:
+        """Whether a thread of the node is in the middleware nearly always."""
+        return self.where in {"publishing", "dds"}
+
+    @property
     def is_crash(self) -> bool:
         return self != QUIET
 
@@ -46,6 +52,7 @@ class Kind:
 QUIET = Kind("none", "nowhere")
 KINDS = (
     *(Kind(how, where) for where in _PLACES for how in _WAYS),
+    Kind("segv", "publishing"),
     Kind("segv", "outside"),
     Kind("kill", "outside"),
     Kind("segv", "dds"),
@@ -111,4 +118,4 @@ def plan(
         for kind in unquiesced:
             # SIGKILL leaves no time for quiescing in any case.
             if not kind.is_kill:
-                yield Case(mode, kind, fewest if kind.where == "dds" else few, quiesced=False)
+                yield Case(mode, kind, fewest if kind.publishes else few, quiesced=False)

@@ -72,12 +72,12 @@ def configuration(case: Case, figures: Figures) -> ReplayConfig:
         "delay": _DELAY,
         "spread": _SPREAD,
         "allocating_threads": 2 if kind.where == "malloc" else 0,
-        "publishing_threads": 1 if kind.where == "dds" else 0,
+        "publishing_threads": 1 if kind.publishes else 0,
     }
     environment = dict(figures.environment)
     if not case.quiesced:
         environment["PLAY_LAUNCH_FAILPOINTS"] = "container.abrupt_deaths=always"
-    by_pointer = kind.where != "dds"
+    by_pointer = not kind.publishes
     nodes = [
         *(
             Node(name.removeprefix("/"), "Metronome", {"figures": place}, by_pointer)
