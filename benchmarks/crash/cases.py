@@ -17,8 +17,8 @@ class Kind:
 
     `where`: in a callback, in the constructor, in a thread of the node's own, in a callback while
     other threads of the node allocate (malloc) or another thread of the node publishes over DDS
-    all the time (publishing), or by a signal from outside at a random instant, with (dds) or without
-    (outside) such a thread.
+    all the time (publishing), or by a signal from outside at a random instant, with (dds) or
+    without (outside) such a thread.
     The kind none/nowhere does not die at all: what the neighbours notice then is the machine's.
     """
 

@@ -54,6 +54,19 @@ std::uintptr_t a_system_call() {
   return 0;
 }
 
+void test_names_of_libraries() {
+  for (const char* const name :
+       {"libfastrtps.so.2.14", "libfastcdr.so.2", "librmw_fastrtps_cpp.so", "librcl.so",
+        "librclcpp.so", "libcomponent_manager.so", "libplay_launch_component.so",
+        "libstd_msgs__rosidl_typesupport_cpp.so", "libmimalloc.so.3", "ld-linux-x86-64.so.2"}) {
+    CHECK(is_shared_library(name));
+  }
+  for (const char* const name : {"libfast_gicp.so", "libcomponent_nodes.so", "libopencv_core.so",
+                                 "libplay_launch_demo.so", "libtalker_component.so"}) {
+    CHECK(!is_shared_library(name));
+  }
+}
+
 void test_who_called_decides() {
   for (const Caution caution : {Caution::careful, Caution::lenient}) {
     CHECK(judge(stack_of({play_launch_test_function_of_a_node}), caution).harmless);
@@ -104,6 +117,7 @@ void test_before_a_wake() {
 
 int main() {
   prepare_code_map();
+  test_names_of_libraries();
   test_who_called_decides();
   test_functions_without_a_name_at_the_end_of_unlocking();
   test_functions_without_a_name_of_a_node();

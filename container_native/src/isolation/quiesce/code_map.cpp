@@ -31,12 +31,14 @@ struct Range {
   bool contains(std::uintptr_t address) const { return begin <= address && address < end; }
 };
 
-/// Libraries whose name begins so have locks that all nodes share.
+/// Libraries whose name begins so have locks that all nodes share. No shorter than needed: a node's
+/// own library that is taken for one of them, such as libfast_gicp, is never parked in.
 constexpr std::array kShared{
-    "libfast"sv,         "librmw"sv,
+    "libfastrtps"sv,     "libfastcdr"sv,
+    "libfastdds"sv,      "librmw"sv,
     "librcl"sv,          "librosidl"sv,
     "librcutils"sv,      "librcpputils"sv,
-    "libplay_launch_"sv, "libcomponent_"sv,
+    "libplay_launch_"sv, "libcomponent_manager."sv,
     "libclass_loader"sv, "libament_"sv,
     "libtracetools"sv,   "liblttng"sv,
     "libspdlog"sv,       "libyaml"sv,
@@ -189,8 +191,7 @@ Place place_of(const CallStack& stack, std::size_t frame, Caution caution) {
   if (begins_with_any(name, kCppRuntime)) {
     return Place::neutral;
   }
-  if (name.find(kGeneratedCode) != std::string_view::npos ||
-      (begins_with_any(name, kShared) && !begins_with_any(name, kNotShared))) {
+  if (is_shared_library(name)) {
     return Place::inside;
   }
   if (innermost && in_call_stub(address)) {
@@ -208,6 +209,11 @@ Place place_of(const CallStack& stack, std::size_t frame, Caution caution) {
 }
 
 }  // namespace
+
+bool is_shared_library(std::string_view name) noexcept {
+  return name.find(kGeneratedCode) != std::string_view::npos ||
+         (begins_with_any(name, kShared) && !begins_with_any(name, kNotShared));
+}
 
 void prepare_code_map() {
   if (void* const library = ::dlopen("libc.so.6", RTLD_NOW | RTLD_NOLOAD)) {

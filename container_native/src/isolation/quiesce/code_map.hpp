@@ -2,6 +2,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <string_view>
 
 #include "isolation/quiesce/call_stack.hpp"
 
@@ -20,6 +21,10 @@ struct Judgement {
   /// If it is not: the first frame where it would be; the number of frames when there is none.
   std::size_t way_out = 0;
 };
+
+/// Whether the library, such as librcl.so, has locks that all nodes share: the middleware, an
+/// allocator or the loader; C and C++ libraries aside. Async-signal-safe.
+bool is_shared_library(std::string_view name) noexcept;
 
 /// Looks up the places in the C library that matter. Once, before the first child.
 void prepare_code_map();

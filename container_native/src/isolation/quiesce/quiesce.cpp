@@ -30,8 +30,9 @@ constexpr nanoseconds kRetry = 100us;
 /// How often to look carefully at one thread. If it was never in a place that is known to be
 /// harmless, it hardly ever is: its code has no exported names, and more looks tell no more.
 constexpr int kCarefulLooks = 5;
-/// How long to look carefully at threads that had no processor to be looked at on.
-constexpr nanoseconds kCareful = 10ms;
+/// How many times the limit to wait for threads that had no processor to be looked at on: nothing
+/// is known of them, and on a loaded machine they may be in the middle of anything.
+constexpr int kPatience = 4;
 
 nanoseconds now() noexcept {
   timespec time{};
@@ -87,12 +88,15 @@ extern "C" void on_park_signal(int, siginfo_t* info, void* context) {
   ChildRecord* const child = current_child();
   if (child != nullptr && info->si_pid == ::getpid() && is_ending(*child)) {
     const CallStack stack = interrupted_call_stack(context);
-    const bool lenient = child->impatient || ++looks > kCarefulLooks;
+    const bool first = looks++ == 0;
+    const bool lenient = looks > kCarefulLooks;
     Judgement judgement{.harmless = false, .way_out = stack.count};
     survive([&] { judgement = judge(stack, lenient ? Caution::lenient : Caution::careful); });
     if (judgement.harmless) {
+      child->seen_inside -= first ? 0 : 1;
       park(*child);
     }
+    child->seen_inside += first ? 1 : 0;
     if (judgement.way_out < stack.count) {
       park_on_return_to(stack.frames[judgement.way_out]);
     }
@@ -146,10 +150,10 @@ void quiesce(ChildRecord& child) noexcept {
     const std::uint32_t seen = child.parked_count;
     left = ask_to_park(child, threads);
     const nanoseconds passed = now() - begin;
-    if (left == 0 || passed >= limit) {
+    const bool all_seen = left <= child.seen_inside;
+    if (left == 0 || passed >= (all_seen ? limit : limit * kPatience)) {
       break;
     }
-    child.impatient = passed >= std::min(limit / 2, kCareful);
     wait_for_change(child.parked_count, seen);
   }
   child.slot->threads_parked = child.parked_count;

@@ -46,7 +46,8 @@ struct ChildOptions {
   /// From a signal that asks the child to leave (SIGTERM, SIGINT, or any crash signal that another
   /// process sent) to its death of that signal, should run() not return.
   std::chrono::milliseconds leave_limit{1000};
-  /// For bringing the other threads to a harmless place before the child dies of a fault.
+  /// For bringing the other threads to a harmless place before the child dies of a fault; up to
+  /// four times as long when some of them get no processor.
   std::chrono::milliseconds quiesce_limit{50};
   /// Every signal that it handles ends it at once, with its other threads wherever they are. For
   /// measuring what the care above is worth.
@@ -74,8 +75,8 @@ struct ChildRecord {
   bool after_death = false;
   /// The thread that ends the child: the first to crash, to call exit() or to return from run().
   std::atomic<pid_t> ender{0};
-  /// The time for careful looks is over.
-  std::atomic<bool> impatient{false};
+  /// How many threads were asked to park at a bad moment, and have not parked since.
+  std::atomic<std::uint32_t> seen_inside{0};
   /// Threads that were parked, in order of arrival.
   std::array<std::atomic<pid_t>, kMaxParked> parked{};
   std::atomic<std::uint32_t> parked_count{0};
