@@ -1,11 +1,14 @@
 // A child is a complete process of C and C++: what the libraries offer works in it and, whatever it
 // did, on its donor's next child.
 
+#include <dlfcn.h>
 #include <locale.h>
 #include <pthread.h>
 #include <sched.h>
 #include <signal.h>
 #include <sys/wait.h>
+#include <threads.h>
+#include <unistd.h>
 
 #include <array>
 #include <cerrno>
@@ -170,6 +173,28 @@ void test_robust_mutex() {
   CHECK(::pthread_mutex_unlock(&robust.mutex) == 0);
 }
 
+void cancel_from_another_thread() {
+  const pthread_t first = ::pthread_self();
+  std::thread([first] { ::pthread_cancel(first); }).detach();
+  while (true) {
+    ::pause();
+  }
+}
+
+/// A library that finds the C library's pthread_cancel() first reaches the thread, which must not
+/// unwind into the donor's frames.
+void test_cancel_past_the_guard() {
+  const auto cancel = reinterpret_cast<int (*)(pthread_t)>(::dlsym(RTLD_NEXT, "pthread_cancel"));
+  Outcome outcome;
+  run(outcome, [cancel](Program&) {
+    const pthread_t first = ::pthread_self();
+    CHECK(cancel != nullptr && cancel(first) == 0);
+    ::pthread_testcancel();
+    return 0;
+  });
+  CHECK(outcome.end.clean());
+}
+
 void test_exits() {
   CHECK(exit_guard_is_effective());
   static bool handler_ran = false;
@@ -177,14 +202,17 @@ void test_exits() {
   struct Way {
     void (*leave)();
     int status;
-    bool noted;
+    const char* noted;
   };
   const std::array ways{
-      Way{[] { std::exit(3); }, 3, true},
-      Way{[] { std::quick_exit(4); }, 4, true},
-      Way{[] { std::_Exit(5); }, 5, false},
-      Way{[] { std::thread([] { std::exit(6); }).join(); }, 6, true},
-      Way{[] { ::pthread_exit(nullptr); }, 0, true},
+      Way{[] { std::exit(3); }, 3, "exit()"},
+      Way{[] { std::quick_exit(4); }, 4, "quick_exit()"},
+      Way{[] { std::_Exit(5); }, 5, nullptr},
+      Way{[] { std::thread([] { std::exit(6); }).join(); }, 6, "exit()"},
+      Way{[] { ::pthread_exit(nullptr); }, 0, "pthread_exit()"},
+      Way{[] { ::thrd_exit(1); }, 0, "thrd_exit()"},
+      Way{[] { ::pthread_cancel(::pthread_self()); }, 0, "pthread_cancel()"},
+      Way{cancel_from_another_thread, 0, "pthread_cancel()"},
   };
   for (const Way& way : ways) {
     Outcome outcome;
@@ -194,8 +222,9 @@ void test_exits() {
     });
     CHECK(outcome.end.signal == 0 && outcome.end.exit_code == way.status);
     CHECK(!outcome.end.returned && !outcome.end.clean());
-    CHECK(outcome.slot.exit_called == way.noted);
-    CHECK(!way.noted || outcome.slot.exit_status == way.status);
+    CHECK((outcome.slot.end_call != nullptr) == (way.noted != nullptr));
+    CHECK(way.noted == nullptr || outcome.slot.exit_status == way.status);
+    CHECK(way.noted == nullptr || contains(outcome.text(), way.noted));
     CHECK(contains(outcome.text(), "exit status " + std::to_string(way.status)));
   }
   CHECK(!handler_ran);
@@ -294,6 +323,7 @@ int main() {
   test_mutexes();
   test_robust_mutex();
   test_exits();
+  test_cancel_past_the_guard();
   test_processes_of_a_child();
   test_own_signal_handler();
   test_signal_actions_and_mask();

@@ -136,7 +136,7 @@ void CrashSlot::reset() {
   threads_parked = 0;
   threads_not_parked = 0;
   resting_thread_count = 0;
-  exit_called = false;
+  end_call = nullptr;
   exit_status = 0;
   other_program = {};
   refused_descriptor = -1;
@@ -152,6 +152,7 @@ ChildEnd run_in_child(ChildProgram& program, CrashSlot& slot,
   record.slot = &slot;
   record.options = options;
   record.after_death = donor_is_tainted();
+  record.first_thread = ::pthread_self();
   Registration registration(record);
   AlternateStack alternate_stack;
   if (!registration || !alternate_stack) {

@@ -202,8 +202,8 @@ std::string describe_end(const ChildEnd& end, const CrashSlot& slot) {
     text = describe_signal(end, slot);
   } else {
     text = "exit status " + std::to_string(end.exit_code);
-    if (slot.exit_called && slot.other_program[0] == '\0') {
-      text += " (exit() was called)";
+    if (slot.end_call != nullptr && slot.other_program[0] == '\0') {
+      text += std::string(" (") + slot.end_call + " was called)";
     }
   }
   if (slot.other_program[0] != '\0') {

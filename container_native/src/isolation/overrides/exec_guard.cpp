@@ -39,7 +39,7 @@ const play_launch::NextFunction<"execveat", int(int, const char*, Arguments, Arg
   const std::string_view text = program;
   Path& noted = child.slot->other_program;
   std::copy_n(text.data(), std::min(text.size(), noted.size() - 1), noted.data());
-  end_child(child, 0);
+  end_child(child, 0, "execve()");
 }
 
 /// Ends the child that calls this, if there is one and the program can be executed.

@@ -3,6 +3,7 @@
 #include <dlfcn.h>
 #include <pthread.h>
 #include <sys/syscall.h>
+#include <threads.h>
 #include <unistd.h>
 
 #include <cstdlib>
@@ -14,10 +15,10 @@
 
 namespace play_launch::isolation {
 
-[[noreturn]] void end_child(ChildRecord& child, int status) noexcept {
+[[noreturn]] void end_child(ChildRecord& child, int status, const char* call) noexcept {
   claim_end(child);
   CrashSlot& slot = *child.slot;
-  slot.exit_called = true;
+  slot.end_call = call;
   slot.exit_status = status;
   slot.phase = ChildPhase::exiting;
   quiesce(child);
@@ -33,6 +34,16 @@ namespace {
 const NextFunction<"exit", void(int)> next_exit;
 const NextFunction<"quick_exit", void(int)> next_quick_exit;
 const NextFunction<"pthread_exit", void(void*)> next_pthread_exit;
+const NextFunction<"thrd_exit", void(int)> next_thrd_exit;
+const NextFunction<"pthread_cancel", int(pthread_t)> next_pthread_cancel;
+
+/// The first thread only lends its name to a thread of the container, which must not end here.
+void end_with_first_thread(const char* call) noexcept {
+  ChildRecord* const child = current_child();
+  if (child != nullptr && ::gettid() == ::getpid()) {
+    end_child(*child, 0, call);
+  }
+}
 
 }  // namespace
 
@@ -45,15 +56,18 @@ bool exit_guard_is_effective() noexcept {
 using play_launch::isolation::ChildRecord;
 using play_launch::isolation::current_child;
 using play_launch::isolation::end_child;
+using play_launch::isolation::end_with_first_thread;
 using play_launch::isolation::next_exit;
+using play_launch::isolation::next_pthread_cancel;
 using play_launch::isolation::next_pthread_exit;
 using play_launch::isolation::next_quick_exit;
+using play_launch::isolation::next_thrd_exit;
 
 extern "C" {
 
 [[noreturn, gnu::visibility("default")]] void exit(int status) noexcept {
   if (ChildRecord* const child = current_child()) {
-    end_child(*child, status);
+    end_child(*child, status, "exit()");
   }
   next_exit.get()(status);
   std::abort();
@@ -61,20 +75,30 @@ extern "C" {
 
 [[noreturn, gnu::visibility("default")]] void quick_exit(int status) noexcept {
   if (ChildRecord* const child = current_child()) {
-    end_child(*child, status);
+    end_child(*child, status, "quick_exit()");
   }
   next_quick_exit.get()(status);
   std::abort();
 }
 
 [[noreturn, gnu::visibility("default")]] void pthread_exit(void* result) {
-  ChildRecord* const child = current_child();
-  // The first thread only lends its name to a thread of the container, which must not end here.
-  if (child != nullptr && ::gettid() == ::getpid()) {
-    end_child(*child, 0);
-  }
+  end_with_first_thread("pthread_exit() in the first thread");
   next_pthread_exit.get()(result);
   std::abort();
+}
+
+[[noreturn, gnu::visibility("default")]] void thrd_exit(int result) {
+  end_with_first_thread("thrd_exit() in the first thread");
+  next_thrd_exit.get()(result);
+  std::abort();
+}
+
+[[gnu::visibility("default")]] int pthread_cancel(pthread_t thread) {
+  ChildRecord* const child = current_child();
+  if (child != nullptr && ::pthread_equal(thread, child->first_thread) != 0) {
+    end_child(*child, 0, "pthread_cancel() of the first thread");
+  }
+  return next_pthread_cancel.get()(thread);
 }
 
 }  // extern "C"

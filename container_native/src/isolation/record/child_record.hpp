@@ -1,5 +1,7 @@
 #pragma once
 
+#include <pthread.h>
+
 #include <array>
 #include <atomic>
 #include <chrono>
@@ -71,6 +73,8 @@ struct ChildRecord {
   ChildProgram* program = nullptr;
   CrashSlot* slot = nullptr;
   ChildOptions options;
+  /// As the C library knows it: the donor.
+  pthread_t first_thread{};
   /// A child before it on the same donor did not return: this one cleans up after it.
   bool after_death = false;
   /// The thread that ends the child: the first to crash, to call exit() or to return from run().

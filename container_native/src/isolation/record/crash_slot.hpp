@@ -76,8 +76,8 @@ struct CrashSlot {
   std::array<std::uintptr_t, kMaxFrames> resting_threads{};
   std::uint32_t resting_thread_count = 0;
 
-  // exit() or quick_exit() was called in the child.
-  bool exit_called = false;
+  // The child called something that ended it.
+  const char* end_call = nullptr;  // what, such as "exit()"; null: nothing of the kind
   int exit_status = 0;
 
   /// The program that the child wanted to replace itself by, or that runs in its place.
