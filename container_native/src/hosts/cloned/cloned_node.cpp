@@ -20,8 +20,10 @@
 namespace play_launch::container {
 namespace {
 
-/// For cleaning up after a dead node.
-constexpr std::chrono::milliseconds kBurialLimit{1000};
+/// For cleaning up after a dead node. Mostly of CPU time: who is killed while it waits for a
+/// processor may be amidst the middleware.
+constexpr std::chrono::milliseconds kBurialCpuLimit{1000};
+constexpr std::chrono::milliseconds kBurialLimit{3000};
 constexpr std::size_t kThreadNameLength = 15;
 /// After so long without a sign of its executor, a node may have replaced itself by another program
 /// without our knowing.
@@ -54,14 +56,12 @@ ClonedNode::ClonedNode(std::uint64_t unique_id, const BackendList& backends,
       lock_watch_(lock_watch),
       core_dumps_(core_dumps),
       program_(backends, choice, std::move(request), doorbell),
-      donor_(process_name_, [this] { donate(); }) {}
+      donor_(process_name_, [this] { donate(); }, [this] { donated(); }) {}
 
 void ClonedNode::donate() noexcept {
   if (!program_.prepare(unique_id())) {
     end_.returned = true;
     dead_ = true;
-    buried_ = true;
-    ring(doorbell());
     return;
   }
   // From here on nothing may use the allocator: the child may leave it in any state.
@@ -80,9 +80,13 @@ void ClonedNode::donate() noexcept {
     options.name = "undertaker";
     options.dies_abruptly = false;
     options.time_limit = kBurialLimit;
+    options.cpu_limit = kBurialCpuLimit;
     options.expendable = true;
     burial_end_ = isolation::run_in_child(burial_, burial_slot_, options);
   }
+}
+
+void ClonedNode::donated() noexcept {
   buried_ = true;
   ring(doorbell());
 }

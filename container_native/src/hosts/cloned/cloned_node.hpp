@@ -1,5 +1,7 @@
 #pragma once
 
+#include <signal.h>
+
 #include <atomic>
 #include <chrono>
 #include <cstdint>
@@ -35,10 +37,12 @@ class ClonedNode final : public IsolatedNode {
   std::string full_name() const override;
   void ask_to_leave() override { program_.cancel(); }
   void signal(int number) override { isolation::send_signal(slot_, number); }
+  void abandon() override { isolation::send_signal(burial_slot_, SIGKILL); }
 
   void donate() noexcept;
   void tell_refusal();
   void end_if_replaced();
+  void donated() noexcept;
   void tell_progress(NodeHostObserver& observer, NodeStage stage);
   void tell_end(NodeHostObserver& observer, IsolationTotals& totals);
   NodeDeath death();
@@ -57,7 +61,7 @@ class ClonedNode final : public IsolatedNode {
   isolation::ChildEnd burial_end_;
   bool gave_back_ = false;           // the memory of its threads
   std::atomic<bool> dead_{false};    // end_ is valid
-  std::atomic<bool> buried_{false};  // burial_end_ is valid, and no process is left
+  std::atomic<bool> buried_{false};  // burial_end_ is valid, no process is left, and the donor ends
 
   // The monitor's.
   NodeStage told_ = NodeStage::preparing;

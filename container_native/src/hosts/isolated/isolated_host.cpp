@@ -99,7 +99,7 @@ IsolatedHost::Time IsolatedHost::look_after(Nodes& nodes, Time end) {
         next = Time::min();
       }
       lock.unlock();
-      node.reset();  // joins its donor
+      node.reset();  // joins its donor, which is over
     }
   }
   return next;

@@ -14,6 +14,10 @@ void IsolatedNode::leave() noexcept {
 
 IsolatedNode::Time IsolatedNode::press(Time now, Time end) {
   if (is_dead()) {
+    if (now < end) {
+      return end;
+    }
+    abandon();
     return Time::max();
   }
   // When all must end, so must a node that nobody can ask yet, because it constructs.

@@ -59,6 +59,8 @@ class IsolatedNode {
   virtual std::string full_name() const = 0;
   virtual void ask_to_leave() = 0;
   virtual void signal(int number) = 0;
+  /// It is dead, and there is no time left for what is done about it.
+  virtual void abandon() {}
 
   std::uint64_t unique_id() const { return unique_id_; }
   int doorbell() const { return doorbell_; }

@@ -9,9 +9,11 @@
 #include <algorithm>
 #include <array>
 #include <cerrno>
+#include <chrono>
 
 #include "base/core_limit.hpp"
 #include "base/process_identity.hpp"
+#include "isolation/clone/thread_destructors.hpp"
 #include "isolation/clone/vm_clone.hpp"
 #include "isolation/crash/crash_handler.hpp"
 #include "isolation/quiesce/quiesce.hpp"
@@ -32,6 +34,8 @@ struct Launch {
 };
 
 constexpr int kExitOrphaned = 125;
+/// Times the limit: in between, a core may be written.
+constexpr int kLastLimit = 10;
 constexpr int kExitStatusMask = 0xff;
 
 /// The child has a copy of the container's actions, which would act on the container's memory.
@@ -71,8 +75,27 @@ void enter(const Launch& launch) noexcept {
   if (record.options.time_limit.count() > 0) {
     signal_self_after(record.options.time_limit, SIGKILL);
   }
+  if (record.options.cpu_limit.count() > 0) {
+    signal_self_after(record.options.cpu_limit, SIGKILL, nullptr, CLOCK_PROCESS_CPUTIME_ID);
+  }
   slot.phase = ChildPhase::running;
   unblock_all_signals();
+}
+
+/// Of the first thread. Its handlers are in place, and its other threads may still run.
+void run_destructors(ChildRecord& record) noexcept {
+  ThreadDestructors* const destructors = ThreadDestructors::of_donor();
+  if (destructors == nullptr || record.after_death) {
+    return;
+  }
+  record.slot->in_destructors = true;
+  {
+    const auto limit = record.options.leave_limit;
+    const SelfSignal deadline(limit, SIGTERM, &record);
+    const SelfSignal last(limit * kLastLimit, SIGKILL);  // it may ignore the first
+    destructors->run();
+  }
+  record.slot->in_destructors = false;
 }
 
 int run_program(void* argument) {
@@ -80,6 +103,7 @@ int run_program(void* argument) {
   enter(launch);
   ChildRecord& record = launch.record;
   const int status = record.program->run();
+  run_destructors(record);
   // Threads that the program left behind are about to be killed, too.
   claim_end(record);
   record.slot->phase = ChildPhase::returned;
@@ -136,6 +160,7 @@ void CrashSlot::reset() {
   threads_parked = 0;
   threads_not_parked = 0;
   resting_thread_count = 0;
+  in_destructors = false;
   end_call = nullptr;
   exit_status = 0;
   other_program = {};

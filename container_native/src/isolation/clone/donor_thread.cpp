@@ -8,10 +8,12 @@
 
 #include <cerrno>
 #include <chrono>
+#include <cstdlib>
 #include <system_error>
 #include <utility>
 
 #include "isolation/clone/allocator.hpp"
+#include "isolation/clone/thread_destructors.hpp"
 #include "isolation/clone/vm_clone.hpp"
 #include "isolation/record/own_signals.hpp"
 
@@ -48,8 +50,8 @@ int give_back_memory(void* function) {
 }  // namespace
 
 DonorThread::DonorThread(const std::string& name, std::function<void()> body,
-                         std::size_t stack_size)
-    : body_(std::move(body)), name_(name.substr(0, 15)) {
+                         std::function<void()> ended, std::size_t stack_size)
+    : body_(std::move(body)), ended_(std::move(ended)), name_(name.substr(0, 15)) {
   prepare_clone();
   // A stack of our own, because it also holds the thread's record in the C library: that of a
   // tainted thread must not be used for another one.
@@ -92,11 +94,20 @@ void* DonorThread::start(void* self) {
   ::pthread_setname_np(::pthread_self(), donor.name_.c_str());
   // Should a child manage to cancel the thread, it must not be the donor that ends.
   ::pthread_setcancelstate(PTHREAD_CANCEL_DISABLE, nullptr);
+  // What the allocator keeps for the thread is the donor's, not the child's.
+  void* volatile first = std::malloc(1);
+  std::free(first);
+  const ThreadDestructors destructors;
   donor.body_();
-  if (donor_is_tainted()) {
-    if (const ThreadDone done = allocator_thread_done()) {
-      clone_and_wait(give_back_memory, reinterpret_cast<void*>(done));
-    }
+  const bool like_others = !donor_is_tainted() && ThreadDestructors::can_run();
+  const ThreadDone done = allocator_thread_done();
+  if (!like_others && done != nullptr) {
+    clone_and_wait(give_back_memory, reinterpret_cast<void*>(done));
+  }
+  if (donor.ended_) {
+    donor.ended_();
+  }
+  if (!like_others) {
     // Past the C library's end of a thread, with its destructors. The kernel tells join().
     ::syscall(SYS_exit, 0);
   }

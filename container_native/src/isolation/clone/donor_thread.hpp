@@ -17,13 +17,15 @@ namespace play_launch::isolation {
 ///
 /// When the body returns after such a child, the thread ends without running any destructor of
 /// thread-local storage; what the allocator keeps for the thread is given back by one more
-/// short-lived child, or lost if even that fails.
+/// short-lived child, or lost if even that fails. So does each where ThreadDestructors cannot run.
 class DonorThread {
  public:
   /// Starts the thread. `name` as for ChildOptions; `stack_size` in bytes is what the child has in
-  /// its first thread, 0 = as other threads (RLIMIT_STACK, else 8 MiB). The body must not throw.
-  /// Throws std::system_error.
-  DonorThread(const std::string& name, std::function<void()> body, std::size_t stack_size = 0);
+  /// its first thread, 0 = as other threads (RLIMIT_STACK, else 8 MiB). `ended` is called on the
+  /// thread when nothing is left that takes time: join() returns soon then. Neither must throw, and
+  /// what holds for the body after a child holds for `ended`. Throws std::system_error.
+  DonorThread(const std::string& name, std::function<void()> body,
+              std::function<void()> ended = nullptr, std::size_t stack_size = 0);
   DonorThread(const DonorThread&) = delete;
   DonorThread& operator=(const DonorThread&) = delete;
   /// Joins.
@@ -36,6 +38,7 @@ class DonorThread {
   static void* start(void* self);
 
   std::function<void()> body_;
+  std::function<void()> ended_;
   std::string name_;
   void* mapping_ = nullptr;
   std::size_t mapping_size_ = 0;

@@ -10,6 +10,7 @@
 
 #include "isolation/clone/clone_syscall.hpp"
 #include "isolation/clone/donor_state.hpp"
+#include "isolation/clone/thread_destructors.hpp"
 #include "isolation/record/own_signals.hpp"
 
 namespace play_launch::isolation {
@@ -96,6 +97,7 @@ bool donor_is_tainted() noexcept { return tainted; }
 const char* prepare_clone() {
   static const char* const obstacle = [] {
     install_cancel_handler();
+    ThreadDestructors::prepare();
     return DonorState::prepare();
   }();
   return obstacle;

@@ -116,7 +116,8 @@ constexpr std::array kCodes{
 
 std::string describe_fault(const CrashSlot& slot) {
   if (slot.code == SI_TIMER) {
-    return "it did not leave in time after the signal";
+    return slot.in_destructors ? "a destructor of a thread-local object did not end in time"
+                               : "it did not leave in time after the signal";
   }
   if (slot.exception_type[0] != '\0') {
     const std::string text = slot.exception_text.data();
@@ -155,6 +156,9 @@ std::string describe_signal(const ChildEnd& end, const CrashSlot& slot) {
   std::string text = signal_name(end.signal);
   if (slot.thread != 0 && slot.signal == end.signal) {
     text += " (" + describe_fault(slot) + ") in thread '" + slot.thread_name.data() + "'";
+    if (slot.in_destructors) {
+      text += ", while its thread-local objects were being destroyed";
+    }
   } else if (slot.stop_signal == end.signal) {
     text += " (sent by process " + std::to_string(slot.stop_sender) + ")";
   }

@@ -43,10 +43,12 @@ class ChildProgram {
 struct ChildOptions {
   /// What `ps` and `top` show; cut after 15 bytes.
   std::string_view name = "node";
-  /// SIGKILL after so long. Zero: no limit.
+  /// SIGKILL after so long, and after so much CPU time of all its threads. Zero: no limit.
   std::chrono::milliseconds time_limit{0};
+  std::chrono::milliseconds cpu_limit{0};
   /// From a signal that asks the child to leave (SIGTERM, SIGINT, or any crash signal that another
-  /// process sent) to its death of that signal, should run() not return.
+  /// process sent) to its death of that signal, should run() not return. Destructors of the first
+  /// thread's thread-local objects get as long, asked or not.
   std::chrono::milliseconds leave_limit{1000};
   /// For bringing the other threads to a harmless place before the child dies of a fault; up to
   /// four times as long when some of them get no processor.

@@ -76,6 +76,9 @@ struct CrashSlot {
   std::array<std::uintptr_t, kMaxFrames> resting_threads{};
   std::uint32_t resting_thread_count = 0;
 
+  /// Its program had returned, and destructors of its first thread's thread-local objects ran.
+  bool in_destructors = false;
+
   // The child called something that ended it.
   const char* end_call = nullptr;  // what, such as "exit()"; null: nothing of the kind
   int exit_status = 0;

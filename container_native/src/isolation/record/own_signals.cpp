@@ -16,21 +16,38 @@ std::uint64_t exchange_signal_mask(std::uint64_t mask) noexcept {
 void block_all_signals() noexcept { exchange_signal_mask(~std::uint64_t{0}); }
 void unblock_all_signals() noexcept { exchange_signal_mask(0); }
 
-bool signal_self_after(std::chrono::milliseconds limit, int signal, void* cookie) noexcept {
+SelfSignal::SelfSignal(std::chrono::milliseconds limit, int signal, void* cookie,
+                       clockid_t clock) noexcept {
   // Not through the C library, whose timer_create() may allocate.
   sigevent event{};
   event.sigev_notify = SIGEV_SIGNAL;
   event.sigev_signo = signal;
   event.sigev_value.sival_ptr = cookie;
   int timer = 0;
-  if (::syscall(SYS_timer_create, CLOCK_MONOTONIC, &event, &timer) != 0) {
-    return false;
+  if (::syscall(SYS_timer_create, clock, &event, &timer) != 0) {
+    return;
   }
   const auto seconds = std::chrono::duration_cast<std::chrono::seconds>(limit);
   itimerspec time{};
   time.it_value.tv_sec = seconds.count();
   time.it_value.tv_nsec = std::chrono::nanoseconds(limit - seconds).count();
-  return ::syscall(SYS_timer_settime, timer, 0, &time, nullptr) == 0;
+  if (::syscall(SYS_timer_settime, timer, 0, &time, nullptr) == 0) {
+    timer_ = timer;
+  }
+}
+
+SelfSignal::~SelfSignal() {
+  if (timer_ >= 0) {
+    ::syscall(SYS_timer_delete, timer_);
+  }
+}
+
+bool signal_self_after(std::chrono::milliseconds limit, int signal, void* cookie,
+                       clockid_t clock) noexcept {
+  SelfSignal later(limit, signal, cookie, clock);
+  const bool armed = static_cast<bool>(later);
+  later.keep();
+  return armed;
 }
 
 void die_of(int signal) noexcept {

@@ -1,5 +1,7 @@
 #pragma once
 
+#include <time.h>
+
 #include <chrono>
 #include <cstdint>
 
@@ -15,10 +17,29 @@ std::uint64_t exchange_signal_mask(std::uint64_t mask) noexcept;
 void block_all_signals() noexcept;
 void unblock_all_signals() noexcept;
 
-/// In a child: a signal to it after so long; for a handler, si_code is SI_TIMER then, and si_ptr
-/// the cookie. False with errno when there is no timer to be had. Async-signal-safe.
-bool signal_self_after(std::chrono::milliseconds limit, int signal,
-                       void* cookie = nullptr) noexcept;
+/// A signal to the calling process after so long, unless this is destroyed before. For a handler,
+/// si_code is SI_TIMER then, and si_ptr the cookie. The clock is one of timer_create()'s, such as
+/// CLOCK_PROCESS_CPUTIME_ID. Async-signal-safe.
+class SelfSignal {
+ public:
+  SelfSignal(std::chrono::milliseconds limit, int signal, void* cookie = nullptr,
+             clockid_t clock = CLOCK_MONOTONIC) noexcept;
+  ~SelfSignal();
+  SelfSignal(const SelfSignal&) = delete;
+  SelfSignal& operator=(const SelfSignal&) = delete;
+
+  /// False: there is no timer to be had, see errno.
+  explicit operator bool() const { return timer_ >= 0; }
+  /// It comes whether this is destroyed or not.
+  void keep() noexcept { timer_ = -1; }
+
+ private:
+  int timer_ = -1;
+};
+
+/// In a child: such a signal that always comes. False with errno when there is no timer.
+bool signal_self_after(std::chrono::milliseconds limit, int signal, void* cookie = nullptr,
+                       clockid_t clock = CLOCK_MONOTONIC) noexcept;
 
 /// In a child: ends it by that signal's default action.
 [[noreturn]] void die_of(int signal) noexcept;

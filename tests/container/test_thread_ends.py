@@ -1,0 +1,96 @@
+"""What a node leaves with its first thread is destroyed in the node, and nowhere else."""
+
+from __future__ import annotations
+
+import os
+from signal import SIGABRT, SIGSEGV, SIGTERM, Signals
+from typing import TYPE_CHECKING
+
+import pytest
+from play_launch_msgs.msg import ComponentEvent, ControlUnload
+from std_msgs.msg import String
+
+from tests.support.isolated import MODES, only_these_remain, start_isolated, survives
+from tests.support.ros import Probe
+
+if TYPE_CHECKING:
+    from tests.support.control_peer import Container, StartContainer
+
+UNLOADED, CRASHED = ComponentEvent.UNLOADED, ComponentEvent.CRASHED
+LEFTOVERS = ("object", "value")
+"""A thread_local object, and a value of a pthread key."""
+DEEDS = {
+    "fault": (SIGSEGV, "no memory at address 0x0"),
+    "throw": (SIGABRT, "thrown by a destructor on purpose"),
+    "loop": (SIGTERM, "a destructor of a thread-local object did not end in time"),
+}
+
+both_modes = pytest.mark.parametrize("mode", MODES)
+
+
+def unload(container: Container, unique_id: int) -> ComponentEvent:
+    container.send(ControlUnload(unique_id=unique_id))
+    return container.event(UNLOADED, unique_id=unique_id)
+
+
+def assert_told(event: ComponentEvent, deed: str) -> None:
+    number, reason = DEEDS[deed]
+    assert event.signal == number
+    assert Signals(number).name in event.error_message
+    assert reason in event.error_message
+    assert any("play_launch_demo::" in line for line in event.backtrace), event.backtrace
+
+
+@both_modes
+@pytest.mark.parametrize("leftover", LEFTOVERS)
+@pytest.mark.parametrize("deed", DEEDS)
+def test_a_destructor_of_an_unloaded_node_ends_that_node_only(
+    spawn: StartContainer, mode: str, leftover: str, deed: str
+) -> None:
+    container = start_isolated(spawn, mode)
+    with survives(container), Probe() as probe:
+        neighbour = container.loaded("Talker")
+        node = container.loaded("Leftovers", parameters={leftover: deed})
+        assert_told(unload(container, node.unique_id), deed)
+        # The same name again, in the same container.
+        again = container.loaded("Leftovers", parameters={leftover: "nothing"})
+        event = unload(container, again.unique_id)
+        assert (event.signal, event.error_message) == (0, "")
+        probe.collect(String, "/chatter", 3)
+        assert only_these_remain(container, neighbour.pid)
+
+
+@both_modes
+@pytest.mark.parametrize("deed", ["nothing", "fault"])
+def test_a_signal_from_outside(spawn: StartContainer, mode: str, deed: str) -> None:
+    container = start_isolated(spawn, mode)
+    with survives(container):
+        node = container.loaded("Leftovers", parameters={"object": deed, "value": deed})
+        os.kill(node.pid, SIGTERM)
+        event = container.event(CRASHED, unique_id=node.unique_id)
+        assert event.signal == (SIGTERM if deed == "nothing" else SIGSEGV)
+        assert only_these_remain(container)
+
+
+@both_modes
+@pytest.mark.parametrize("deed", DEEDS)
+def test_a_stop_of_the_container(spawn: StartContainer, mode: str, deed: str) -> None:
+    container = start_isolated(spawn, mode)
+    with survives(container):
+        for leftover in LEFTOVERS:
+            container.loaded("Leftovers", node_name=leftover, parameters={leftover: deed})
+        container.loaded("Talker")
+
+
+@pytest.mark.parametrize("who", ["self", "other"])
+def test_a_cancelled_first_thread_is_the_end_of_its_node(spawn: StartContainer, who: str) -> None:
+    container = start_isolated(spawn)
+    with survives(container), Probe() as probe:
+        neighbour = container.loaded("Talker")
+        for _ in range(2):
+            node = container.loaded("Leftovers", parameters={"cancel": who})
+            event = container.event(CRASHED, unique_id=node.unique_id)
+            assert (event.signal, event.exit_code) == (0, 0)
+            assert "pthread_cancel() of the first thread was called" in event.error_message
+        probe.collect(String, "/chatter", 3)
+        assert only_these_remain(container, neighbour.pid)
