@@ -1,6 +1,5 @@
 #include "main/shared_memory.hpp"
 
-#include <sys/resource.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -8,6 +7,8 @@
 #include <charconv>
 #include <cstddef>
 #include <string_view>
+
+#include "base/number_list.hpp"
 
 namespace play_launch::container {
 namespace {
@@ -19,7 +20,6 @@ constexpr std::string_view kLockSuffix = "_el";
 constexpr std::string_view kFolder = "/dev/shm/";
 
 constexpr std::size_t kPathSize = 256;
-constexpr rlim_t kMostDescriptors = 65536;
 
 /// A path in memory of its own. No memory is allocated here, and nothing of stdio used: the locks
 /// of both may be held by a thread that will never go on.
@@ -58,22 +58,17 @@ void unlink_in_folder(std::string_view before, std::string_view name,
 }  // namespace
 
 void unlink_own_segments() noexcept {
-  rlimit limit{};
-  if (::getrlimit(RLIMIT_NOFILE, &limit) != 0) {
-    return;
-  }
-  const int end = static_cast<int>(std::min(limit.rlim_cur, kMostDescriptors));
-  for (int fd = 0; fd < end; ++fd) {
+  NumberList("/proc/self/fd").for_each([](int fd) {
     Path link;
     link << "/proc/self/fd/" << fd;
     std::array<char, kPathSize> target{};
     const ssize_t length = ::readlink(link.c_str(), target.data(), target.size());
     if (length <= 0 || static_cast<std::size_t>(length) >= target.size()) {
-      continue;
+      return;
     }
     const std::string_view lock(target.data(), static_cast<std::size_t>(length));
     if (!lock.starts_with(kPrefix) || !lock.ends_with(kLockSuffix)) {
-      continue;
+      return;
     }
     std::string_view name = lock.substr(kFolder.size());
     name.remove_suffix(kLockSuffix.size());
@@ -81,7 +76,7 @@ void unlink_own_segments() noexcept {
     unlink_in_folder("", name, "_sl");
     unlink_in_folder("sem.", name, "_mutex");
     unlink_in_folder("", name, "_el");
-  }
+  });
 }
 
 }  // namespace play_launch::container

@@ -2,7 +2,12 @@
 
 #include "isolation/clone/gate.hpp"
 
+#include <sys/prctl.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
 #include <cerrno>
+#include <cstdlib>
 
 #include "../container/check.hpp"
 
@@ -13,7 +18,7 @@ using namespace play_launch::isolation;
 Facts good_machine() {
   Facts facts;
   facts.kernel_release = "6.8.0-generic";
-  facts.probe = {true, 0, true, true};
+  facts.probe = {true, 0, true, true, 0};
   facts.allocator = "mimalloc";
   return facts;
 }
@@ -54,13 +59,13 @@ void test_crash_that_spreads() {
 
 void test_no_clone() {
   Facts facts = good_machine();
-  facts.probe = {false, EPERM, false, true};
+  facts.probe = {false, EPERM, false, true, 0};
   check_falls_back(facts, "Operation not permitted");
 }
 
 void test_no_waitid() {
   Facts facts = good_machine();
-  facts.probe = {false, 0, false, true};
+  facts.probe = {false, 0, false, true, 0};
   check_falls_back(facts, "cannot be waited for");
 }
 
@@ -80,6 +85,32 @@ void test_no_descriptors_of_processes() {
     const std::string refusal = CHECK_THROWS(choose_mechanism(choice, facts), MechanismUnavailable);
     CHECK(contains(refusal, "pidfd_open") && contains(refusal, "4.18.0"));
   }
+}
+
+void test_waits_that_cannot_be_read() {
+  Facts facts = good_machine();
+  facts.probe.syscall_error = EPERM;
+  const Gate gate = choose_mechanism(MechanismChoice::automatic, facts);
+  CHECK(gate.mechanism == Mechanism::shared_memory && gate.notes.size() == 1);
+  CHECK(contains(gate.notes[0], "syscall: Operation not permitted") &&
+        contains(gate.notes[0], "ptrace_scope"));
+  CHECK(choose_mechanism(MechanismChoice::process, facts).notes.empty());
+}
+
+/// A process that may not be looked into, as with a program file that may not be read.
+void test_hidden_process() {
+  CHECK(look_at_machine().probe.syscall_error == 0);
+  const pid_t pid = ::fork();
+  CHECK(pid >= 0);
+  if (pid == 0) {
+    // The superuser may look into everything.
+    CHECK(::geteuid() != 0 ||
+          (::setresgid(1000, 1000, 1000) == 0 && ::setresuid(1000, 1000, 1000) == 0));
+    CHECK(::prctl(PR_SET_DUMPABLE, 0) == 0);
+    std::_Exit(look_at_machine().probe.syscall_error != 0 ? 0 : 1);
+  }
+  int status = -1;
+  CHECK(::waitpid(pid, &status, 0) == pid && status == 0);
 }
 
 void test_other_allocator() {
@@ -109,7 +140,9 @@ int main() {
   test_no_waitid();
   test_other_c_library();
   test_no_descriptors_of_processes();
+  test_waits_that_cannot_be_read();
   test_other_allocator();
   test_this_machine();
+  test_hidden_process();
   return 0;
 }

@@ -10,7 +10,7 @@
 namespace play_launch::container {
 namespace {
 
-constexpr int kInterval = 500;  // milliseconds
+using Clock = std::chrono::steady_clock;
 
 }  // namespace
 
@@ -45,12 +45,27 @@ void LockWatch::watch() noexcept {
   std::array<pollfd, 2> rung{{{done_.get(), POLLIN, 0}, {begun_.get(), POLLIN, 0}}};
   while (::poll(rung.data(), rung.size(), -1) < 0) {
   }
+  hush(begun_.get());
+  Clock::time_point last_death = Clock::now();
+  Clock::time_point last_look = last_death;
   Found before;
-  while (::poll(rung.data(), 1, kInterval) <= 0) {
-    Found now;
-    now.count = search_.look(now.locks);
-    compare(before, now);
-    before = now;
+  while (true) {
+    const Clock::time_point now = Clock::now();
+    const auto left = std::chrono::ceil<std::chrono::milliseconds>(
+        last_look + look_interval(now - last_death) - now);
+    if (::poll(rung.data(), rung.size(), std::max(static_cast<int>(left.count()), 0)) > 0) {
+      if (rung[0].revents != 0) {
+        return;
+      }
+      hush(begun_.get());
+      last_death = Clock::now();
+    } else if (left.count() <= 0) {
+      last_look = Clock::now();
+      Found found;
+      found.count = search_.look(found.locks);
+      compare(before, found);
+      before = found;
+    }
   }
 }
 

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <array>
+#include <chrono>
 #include <cstddef>
 #include <mutex>
 #include <string>
@@ -12,9 +13,15 @@
 
 namespace play_launch::container {
 
-/// Looks, from the first death of a node on, twice a second for threads that wait for a lock which
-/// a dead one holds. In a thread of its own, which neither allocates nor takes a lock that nodes
-/// could hold.
+/// How long to wait between two looks, when the last death of a node was so long ago.
+constexpr std::chrono::milliseconds look_interval(std::chrono::nanoseconds since_death) {
+  using namespace std::chrono_literals;
+  return since_death < 1min ? 500ms : 2000ms;
+}
+
+/// Looks, from the first death of a node on, for threads that wait for a lock which a dead one
+/// holds: twice a second, and every 2 s when no node has died for a minute. In a thread of its own,
+/// which neither allocates nor takes a lock that nodes could hold.
 class LockWatch {
  public:
   /// Throws std::system_error.

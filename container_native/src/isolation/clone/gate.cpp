@@ -111,6 +111,14 @@ Gate choose_mechanism(MechanismChoice choice, const Facts& facts) {
   }
   Gate gate;
   gate.mechanism = Mechanism::shared_memory;
+  if (facts.probe.syscall_error != 0) {
+    gate.notes.push_back(
+        std::string("what threads of nodes wait for cannot be read here "
+                    "(/proc/<pid>/task/<tid>/syscall: ") +
+        std::strerror(facts.probe.syscall_error) +
+        "): a lock that a killed node held is not found, and only reloads that hang show it; set "
+        "kernel.yama.ptrace_scope to 0 or 1, and mount /proc without hidepid");
+  }
   if (facts.allocator.empty()) {
     gate.notes.push_back(
         "malloc is neither mimalloc nor jemalloc: a node that dies while it allocates can freeze "

@@ -8,8 +8,10 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <array>
 #include <cerrno>
 #include <chrono>
+#include <cstdio>
 
 #include "base/unique_fd.hpp"
 #include "isolation/clone/vm_clone.hpp"
@@ -39,9 +41,12 @@ void tell(int fd, int result) noexcept {
 }
 
 /// The forked process: the errno of making a child that ends in order, then 0 after one that
-/// crashed, as far as it gets.
-[[noreturn]] void try_out(int fd) noexcept {
+/// crashed, as far as it gets. Begins when the other end of `go` is closed.
+[[noreturn]] void try_out(int fd, int go) noexcept {
   signal_self_after(kLimit, SIGKILL);
+  char byte = 0;
+  while (::read(go, &byte, 1) < 0 && errno == EINTR) {
+  }
   write_no_cores();
   const ChildEnd orderly = clone_and_wait([](void*) { return 0; }, nullptr);
   tell(fd, orderly.error);
@@ -58,6 +63,15 @@ bool hear(int fd, int& result) noexcept {
     size = ::read(fd, &result, sizeof result);
   } while (size < 0 && errno == EINTR);
   return size == sizeof result;
+}
+
+/// 0, or an errno.
+int try_reading_syscall(pid_t pid) noexcept {
+  std::array<char, 64> path{};
+  std::snprintf(path.data(), path.size(), "/proc/%d/task/%d/syscall", pid, pid);
+  const UniqueFd file(::open(path.data(), O_RDONLY | O_CLOEXEC));
+  char byte = 0;
+  return file && ::read(file.get(), &byte, 1) >= 0 ? 0 : errno;
 }
 
 /// Whether it could be done by descriptor.
@@ -83,19 +97,29 @@ bool reap(pid_t pid) noexcept {
 Probe probe_machine() noexcept {
   Probe probe;
   int ends[2] = {-1, -1};
+  int start[2] = {-1, -1};
   if (::pipe2(ends, O_CLOEXEC) != 0) {
     probe.clone_error = errno;
     return probe;
   }
   const UniqueFd reading(ends[0]);
   UniqueFd writing(ends[1]);
+  if (::pipe2(start, O_CLOEXEC) != 0) {
+    probe.clone_error = errno;
+    return probe;
+  }
+  UniqueFd waiting(start[0]);
+  UniqueFd go(start[1]);
   const pid_t pid = ::fork();
   if (pid == 0) {
-    try_out(writing.get());
+    go.reset();
+    try_out(writing.get(), waiting.get());
   }
   probe.clone_error = pid < 0 ? errno : 0;
   writing.reset();
   if (pid > 0) {
+    probe.syscall_error = try_reading_syscall(pid);
+    go.reset();
     int result = 0;
     if (hear(reading.get(), probe.clone_error)) {
       probe.shares_memory = probe.clone_error == 0;

@@ -13,6 +13,9 @@ struct Probe {
   bool survives_crash = false;
   /// It could be waited for by a descriptor (pidfd_open, Linux 5.4).
   bool waits_by_descriptor = false;
+  /// 0, or the errno of reading what it sleeps in, which DeadLockSearch needs of every node:
+  /// /proc/<pid>/task/<tid>/syscall.
+  int syscall_error = 0;
 };
 
 /// Forks that process, and waits for it: milliseconds, at most seconds. No core is written.

@@ -41,7 +41,10 @@ void rise(pid_t thread) noexcept {
   const std::size_t end = used();
   for (std::size_t i = 0; i < end; ++i) {
     pid_t expected = thread;
-    places[i].thread.compare_exchange_strong(expected, 0);
+    // Each thread of a node looks when it begins; hardly one of them is in the list.
+    if (places[i].thread.load(std::memory_order_relaxed) == thread) {
+      places[i].thread.compare_exchange_strong(expected, 0);
+    }
   }
 }
 
