@@ -12,7 +12,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from play_launch.process.shm import sweep
+from play_launch.fastdds.shared_memory import sweep
 
 # For `tests.…`; at the end, so that `play_launch` is the installed package.
 sys.path.append(str(Path(__file__).resolve().parents[1]))

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Final
 from play_launch.actors.ports import StartError
 from play_launch.actors.stock_container import StockContainers
 from play_launch.config.model import ContainerType, Isolation
+from play_launch.fastdds.shared_memory import sweep_shared_memory
 from play_launch.native.allocator import find_allocator, for_isolation
 from play_launch.native.argv import (
     ExecutableNotFoundError,
@@ -40,7 +41,6 @@ from play_launch.native.messages import Hello
 from play_launch.native.parameters import ParameterFileError, write_parameter_file
 from play_launch.process.child import SpawnError, spawn
 from play_launch.process.identity import read_stat
-from play_launch.process.shm import sweep_shared_memory
 from play_launch.process.stop import StopPolicy, stop
 
 if TYPE_CHECKING:

@@ -134,7 +134,7 @@ def run(idle_timeout: _IdleTimeout = "0s") -> None:
     import logging  # noqa: PLC0415
 
     from play_launch.graph_daemon.control import PortHeldError, acquire  # noqa: PLC0415
-    from play_launch.graph_daemon.daemon import WARM, Daemon, prepare_environment  # noqa: PLC0415
+    from play_launch.graph_daemon.daemon import WARM, Daemon  # noqa: PLC0415
 
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(message)s")
     try:
@@ -148,7 +148,7 @@ def run(idle_timeout: _IdleTimeout = "0s") -> None:
         )
     for message in port.messages:
         say(message)
-    daemon = Daemon(address, prepare_environment(), idle_timeout=seconds)
+    daemon = Daemon(address, idle_timeout=seconds)
 
     def report(what: str) -> None:
         if what == WARM:
@@ -197,13 +197,15 @@ def _facts(status: Mapping[str, Any]) -> list[str]:
         state = f"settled, unchanged for {number.get('unchanged_for', 0):.1f} s"
     else:
         state = f"changing, {number.get('changes_per_second', 0):.1f} times a second"
-    transports = status.get("transports") or "default"
+    middleware = str(status.get("rmw", ""))
     reason = status.get("transports_reason", "")
+    if reason:  # which only Fast DDS has
+        middleware += f", transports {status.get('transports') or 'default'} ({reason})"
     cached = number.get("cached_replies", 0)
     return [
         f"  graph       {number.get('nodes', 0)} nodes, {state}",
         f"  generation  {number.get('generation', 0)}, after {number.get('age', 0):.0f} s",
-        f"  middleware  {status.get('rmw', '')}, transports {transports} ({reason})",
+        f"  middleware  {middleware}",
         f"  requests    {number.get('requests', 0)}, {cached} of them from the cache",
         f"  clients     {number.get('connections', 0)}",
     ]

@@ -29,6 +29,7 @@ from play_launch.doctor.facts import (
     RosFacts,
     SharedMemoryFacts,
 )
+from play_launch.fastdds.shared_memory import SHARED_MEMORY
 from play_launch.native.argv import ExecutableNotFoundError, find_executable
 from play_launch.native.environment import child_environment
 from play_launch.native.locate import (
@@ -38,7 +39,6 @@ from play_launch.native.locate import (
     ament_prefixes,
     ros_installation,
 )
-from play_launch.process.shm import SHARED_MEMORY
 from play_launch.recording.facts import versions
 from play_launch.recording.session import default_log_folder
 

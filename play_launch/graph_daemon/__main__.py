@@ -10,7 +10,7 @@ import os
 import socket
 
 from play_launch.graph_daemon.address import DOMAIN_VARIABLE, DaemonAddress
-from play_launch.graph_daemon.daemon import WARM, Daemon, prepare_environment
+from play_launch.graph_daemon.daemon import WARM, Daemon
 
 
 def main() -> None:
@@ -24,7 +24,7 @@ def main() -> None:
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s")
     address = DaemonAddress(options.domain)
     os.environ[DOMAIN_VARIABLE] = str(address.domain)
-    daemon = Daemon(address, prepare_environment(), idle_timeout=options.idle_timeout)
+    daemon = Daemon(address, idle_timeout=options.idle_timeout)
     with open(options.ready, "w", encoding="ascii") as ready:  # noqa: PTH123 - a descriptor
 
         def report(what: str) -> None:

@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Final
 
-from play_launch.ros.fastdds_profiles import PROFILE_FILES
+from play_launch.fastdds.profiles import PROFILE_FILES
 
 if TYPE_CHECKING:
     import socket

@@ -10,19 +10,16 @@ import signal
 import time
 from typing import TYPE_CHECKING, Final
 
+from play_launch.fastdds.profiles import files_here
+from play_launch.fastdds.transports import VARIABLE as TRANSPORTS
+from play_launch.fastdds.transports import choose_transports
 from play_launch.graph_daemon.interfaces import InterfaceWatch
 from play_launch.graph_daemon.participants import participants_here
 from play_launch.graph_daemon.replacement import Replacer
 from play_launch.graph_daemon.server import Limits, Server
 from play_launch.graph_daemon.service import GraphService
-from play_launch.graph_daemon.settings import (
-    TRANSPORTS,
-    Transports,
-    choose_transports,
-    compared_settings,
-)
+from play_launch.graph_daemon.settings import compared_settings
 from play_launch.graph_daemon.status import DaemonStatus
-from play_launch.ros.fastdds_profiles import files_here
 
 if TYPE_CHECKING:
     import socket
@@ -39,19 +36,11 @@ _MOST_IDLE_CHECK: Final = 60.0
 _log = logging.getLogger(__name__)
 
 
-def prepare_environment() -> Transports:
-    """Decide about the transports of this process; before rclpy makes its first node."""
-    transports = choose_transports(os.environ, files_here())
-    os.environ.update(transports.variables)
-    return transports
-
-
 class Daemon:
     """One daemon of one domain.
 
     Args:
         address: Where it serves, for its domain.
-        transports: What `prepare_environment` decided.
         idle_timeout: Seconds without a request after which it ends; 0 for never.
         limits: What clients may take.
     """
@@ -59,13 +48,11 @@ class Daemon:
     def __init__(
         self,
         address: DaemonAddress,
-        transports: Transports,
         *,
         idle_timeout: float = IDLE_TIMEOUT,
         limits: Limits | None = None,
     ) -> None:
         self._address = address
-        self._transports = transports
         self._idle_timeout = idle_timeout
         self._limits = limits
         self._started = time.monotonic()
@@ -85,6 +72,10 @@ class Daemon:
         )
 
         self._rmw = rmw_implementation()
+        # Before the first node is made.
+        self._transports = choose_transports(os.environ, files_here(), self._rmw)
+        if self._transports is not None:
+            os.environ.update(self._transports.variables)
         self._end = asyncio.Event()
         self._service = GraphService(
             graph_functions(lambda: self._service.graph),
@@ -119,6 +110,7 @@ class Daemon:
         known = service.completeness()
         own = service.graph.name
         pulse = service.pulse
+        chosen = self._transports
         return DaemonStatus(
             pid=os.getpid(),
             domain=self._address.domain,
@@ -139,8 +131,8 @@ class Daemon:
             connections=server.connections,
             resets=server.resets,
             idle_timeout=self._idle_timeout,
-            transports=os.environ.get(TRANSPORTS, ""),
-            transports_reason=self._transports.reason,
+            transports="" if chosen is None else os.environ.get(TRANSPORTS, ""),
+            transports_reason="" if chosen is None else chosen.reason,
             settings=compared_settings(os.environ, self._rmw),
         )
 

@@ -25,10 +25,10 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from play_launch.fastdds.announcement import quick_announcement
 from play_launch.graph_daemon.address import NODE_PREFIX
 from play_launch.graph_daemon.methods import GRAPH_METHODS
 from play_launch.graph_daemon.ros_values import to_wire
-from play_launch.ros.announcement import quick_announcement
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -87,7 +87,7 @@ class RosGraph:
         self._context = Context()
         rclpy.init(args=[], context=self._context)
         try:
-            with quick_announcement(os.environ):
+            with quick_announcement(os.environ, rmw_implementation()):
                 self._node = Node(
                     f"{NODE_PREFIX}{domain}_{uuid4().hex}",
                     context=self._context,

@@ -6,19 +6,15 @@ compare.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
+from play_launch.fastdds.profiles import PROFILE_VARIABLES
 from play_launch.graph_daemon.address import DOMAIN_VARIABLE
-from play_launch.ros.fastdds_profiles import PROFILE_VARIABLES, profile_in_use
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Mapping
 
-TRANSPORTS: Final = "FASTDDS_BUILTIN_TRANSPORTS"
-_OURS: Final = "UDPv4"
 _RANGE: Final = "ROS_AUTOMATIC_DISCOVERY_RANGE"
-_LOCALHOST: Final = "LOCALHOST"
 COMPARED: Final = (
     DOMAIN_VARIABLE,
     "RMW_IMPLEMENTATION",
@@ -42,36 +38,6 @@ _DEFAULTS: Final = {
     "ROS_LOCALHOST_ONLY": "0",
     "ROS_SECURITY_ENABLE": "false",
 }
-
-
-@dataclass(frozen=True, slots=True)
-class Transports:
-    """What the daemon does about the transports of Fast DDS, and why."""
-
-    variables: Mapping[str, str]
-    """To be added to the environment of the daemon's process."""
-    reason: str
-
-
-def choose_transports(environment: Mapping[str, str], files: Iterable[str]) -> Transports:
-    """Decide about the transports of Fast DDS in the daemon's own process.
-
-    Shared-memory discovery stalls under load and on what crashed processes left in `/dev/shm`; UDP
-    does not. Whoever configured Fast DDS is believed to know better.
-
-    Args:
-        environment: That of the daemon.
-        files: Names of the files in its working directory.
-    """
-    if environment.get(_RANGE) == _LOCALHOST or environment.get("ROS_LOCALHOST_ONLY") == "1":
-        # It is not built in: rmw_fastrtps adds a shared-memory and a UDP transport of its own then.
-        return Transports({}, f"rmw_fastrtps chooses its own for {_LOCALHOST}")
-    if TRANSPORTS in environment:
-        return Transports({}, f"{TRANSPORTS} is set")
-    profile = profile_in_use(environment, files)
-    if profile is not None:
-        return Transports({}, profile)
-    return Transports({TRANSPORTS: _OURS}, "no profile is set")
 
 
 def compared_settings(environment: Mapping[str, str], rmw: str = "") -> dict[str, str]:

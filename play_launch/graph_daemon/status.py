@@ -52,6 +52,7 @@ class DaemonStatus:
     transports: str
     """Value of FASTDDS_BUILTIN_TRANSPORTS in the daemon, empty when it is not set."""
     transports_reason: str
+    """Why; empty with another middleware than Fast DDS, where the variable means nothing."""
     settings: dict[str, str] = field(default_factory=dict)
     """The settings that decide whom it meets, by environment variable."""
 

@@ -14,7 +14,7 @@ from collections import deque
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
-from play_launch.ros.announcement import quick_announcement
+from play_launch.fastdds.announcement import quick_announcement
 from play_launch.ros.graph import GraphEvents, GraphEventsUnavailableError
 
 if TYPE_CHECKING:
@@ -167,7 +167,8 @@ class RosThread:
             domain_id=self._domain_id,
             signal_handler_options=SignalHandlerOptions.NO,
         )
-        with quick_announcement(os.environ):
+        self.rmw_implementation = get_rmw_implementation_identifier()
+        with quick_announcement(os.environ, self.rmw_implementation):
             node = Node(
                 self.name,
                 context=context,
@@ -180,7 +181,6 @@ class RosThread:
         guard = node.create_guard_condition(lambda: None)
         self._wake = guard.trigger
         self.domain_id = context.get_domain_id()
-        self.rmw_implementation = get_rmw_implementation_identifier()
         return context, node, executor
 
     def _watch_graph(self, node: Node) -> float | None:

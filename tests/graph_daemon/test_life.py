@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 
+from play_launch.fastdds.shared_memory import sweep
 from play_launch.graph_daemon.address import DaemonAddress
 from play_launch.graph_daemon.background import StartError, log_path, spawn
 from play_launch.graph_daemon.control import PortHeldError, Started, start_daemon, stop_daemon
@@ -23,7 +24,6 @@ from play_launch.graph_daemon.methods import STATUS_METHOD
 from play_launch.graph_daemon.port import is_free, listen
 from play_launch.graph_daemon.sockets import holder_of
 from play_launch.graph_daemon.takeover import Kind, look
-from play_launch.process.shm import sweep
 from tests.graph_daemon.occupants import occupied
 from tests.graph_daemon.waiting import until
 from tests.graph_daemon.wire import ask

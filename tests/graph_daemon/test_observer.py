@@ -120,7 +120,7 @@ def test_a_daemon_that_dies_is_told_once(
 ) -> None:
     import signal
 
-    from play_launch.process.shm import sweep
+    from play_launch.fastdds.shared_memory import sweep
 
     caplog.set_level(logging.WARNING)
 

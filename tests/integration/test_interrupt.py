@@ -15,7 +15,7 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 from rosbags.highlevel import AnyReader
 
-from play_launch.process.shm import sweep
+from play_launch.fastdds.shared_memory import sweep
 from tests.support.replay import COMMAND
 
 CONFIG = """

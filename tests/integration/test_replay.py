@@ -16,7 +16,7 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 from std_msgs.msg import String
 
-from play_launch.process.shm import sweep
+from play_launch.fastdds.shared_memory import sweep
 from tests.support.replay import COMMAND, Replay, alive, replaying
 from tests.support.ros import Probe
 

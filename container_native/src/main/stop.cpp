@@ -11,7 +11,7 @@
 
 #include "base/doorbell.hpp"
 #include "base/report.hpp"
-#include "main/shared_memory.hpp"
+#include "main/fastdds.hpp"
 
 namespace play_launch::container {
 namespace {

@@ -12,11 +12,12 @@ from pathlib import Path
 
 import pytest
 
-from play_launch.ros.announcement import PROFILE, quick_announcement
-from play_launch.ros.fastdds_profiles import profile_in_use
+from play_launch.fastdds.announcement import PROFILE, quick_announcement
+from play_launch.fastdds.profiles import profile_in_use
 
 PATIENCE = 60.0
 VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
+FASTDDS = "rmw_fastrtps_cpp"
 FIRST = 6
 """Announcements that come in quick succession anyhow."""
 
@@ -63,7 +64,7 @@ def test_a_participant_of_ours_announces_itself_often(ros_domain: int) -> None:
 
 def test_children_do_not_get_our_profile() -> None:
     before = dict(os.environ)
-    with quick_announcement(os.environ):
+    with quick_announcement(os.environ, FASTDDS):
         assert dict(os.environ) == before
         given = subprocess.run(
             ["/usr/bin/env"], env=os.environ, check=True, capture_output=True, text=True
@@ -76,7 +77,7 @@ def test_children_do_not_get_our_profile() -> None:
 
 @pytest.mark.parametrize("variable", [VARIABLE, "FASTDDS_DEFAULT_PROFILES_FILE"])
 def test_a_profile_of_the_user_is_left_alone(variable: str) -> None:
-    with quick_announcement({variable: "/robot.xml"}):
+    with quick_announcement({variable: "/robot.xml"}, FASTDDS):
         assert str(PROFILE) not in seen_by_children()
 
 
@@ -85,10 +86,15 @@ def test_a_profile_in_the_working_directory_is_left_alone(
 ) -> None:
     (tmp_path / "DEFAULT_FASTRTPS_PROFILES.xml").write_text("<dds/>")
     monkeypatch.chdir(tmp_path)
-    with quick_announcement({}):
+    with quick_announcement({}, FASTDDS):
         assert str(PROFILE) not in seen_by_children()
-    with quick_announcement({"SKIP_DEFAULT_XML_FILE": "1"}):
+    with quick_announcement({"SKIP_DEFAULT_XML_FILE": "1"}, FASTDDS):
         assert str(PROFILE) in seen_by_children()
+
+
+def test_other_middlewares_get_nothing() -> None:
+    with quick_announcement({}, "rmw_cyclonedds_cpp"):
+        assert str(PROFILE) not in seen_by_children()
 
 
 def test_it_is_said_where_a_profile_is() -> None:

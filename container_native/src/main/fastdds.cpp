@@ -1,4 +1,4 @@
-#include "main/shared_memory.hpp"
+#include "main/fastdds.hpp"
 
 #include <unistd.h>
 

@@ -16,8 +16,8 @@ from pathlib import Path
 import pytest
 
 from play_launch.core.events import Stream
+from play_launch.fastdds.shared_memory import SHARED_MEMORY, SweepReport, sweep, sweep_shared_memory
 from play_launch.process.child import Child, spawn
-from play_launch.process.shm import SHARED_MEMORY, SweepReport, sweep, sweep_shared_memory
 from tests.process.programs import Output, python
 
 pytestmark = pytest.mark.anyio

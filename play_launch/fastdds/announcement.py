@@ -15,7 +15,8 @@ import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from play_launch.ros.fastdds_profiles import files_here, profile_in_use
+from play_launch.fastdds.middleware import is_fastdds
+from play_launch.fastdds.profiles import files_here, profile_in_use
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -26,20 +27,21 @@ _lock = threading.Lock()
 
 
 @contextlib.contextmanager
-def quick_announcement(environment: Mapping[str, str]) -> Iterator[None]:
+def quick_announcement(environment: Mapping[str, str], rmw: str) -> Iterator[None]:
     """Participants that are made in the block announce themselves often.
 
     Fast DDS reads profiles once, when a process makes its first participant; so this is to be
-    around the first one. Nothing happens where somebody has configured Fast DDS, and other
-    middlewares do not look at it.
+    around the first one. Nothing happens with another middleware, and where somebody has
+    configured Fast DDS.
 
     The variable is set past ``os.environ``: children are started with what stands there, and must
     not get our profile.
 
     Args:
         environment: That of this process.
+        rmw: The middleware in use.
     """
-    if profile_in_use(environment, files_here()) is not None:
+    if not is_fastdds(rmw) or profile_in_use(environment, files_here()) is not None:
         yield
         return
     libc = ctypes.CDLL(None)
