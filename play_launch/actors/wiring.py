@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Final
 from play_launch.actors.ports import StartError
 from play_launch.actors.stock_container import StockContainers
 from play_launch.config.model import ContainerType, Isolation
+from play_launch.fastdds.middleware import asks_for_fastdds
 from play_launch.fastdds.shared_memory import sweep_shared_memory
 from play_launch.native.allocator import find_allocator, for_isolation
 from play_launch.native.argv import (
@@ -122,10 +123,12 @@ class NativeLauncher:
         parameters: ParameterFiles,
         stock: StockContainers,
         allocator: Path | None = None,
+        uses_fastdds: bool = True,
     ) -> None:
         """Take the facts about this machine, see `of`."""
         self._stock = stock
         self._allocator = allocator
+        self._uses_fastdds = uses_fastdds
         self._ros = ros
         self._container = container
         self._guard = guard
@@ -160,6 +163,7 @@ class NativeLauncher:
             parameters=ParameterFiles(config.nodes),
             stock=StockContainers.of(config),
             allocator=_allocator(config),
+            uses_fastdds=_uses_fastdds(config),
         )
 
     def hello(self) -> Hello:
@@ -237,7 +241,9 @@ class NativeLauncher:
         return self._spawn(argv, environment, on_output)
 
     async def clean_up(self) -> None:
-        """Remove the shared memory that killed processes left behind."""
+        """Remove the shared memory that killed processes left behind, where Fast DDS is in use."""
+        if not self._uses_fastdds:
+            return
         async with self._cleaning:
             try:
                 report = await sweep_shared_memory()
@@ -313,6 +319,11 @@ def _write(config: ProcessConfig, folder: Path) -> Path | ParameterFileError:
 
 def _shares_memory(config: ContainerConfig) -> bool:
     return config.container_type.is_isolated and config.isolation is not Isolation.PROCESS
+
+
+def _uses_fastdds(config: ReplayConfig) -> bool:
+    processes = (*config.containers, *config.nodes)
+    return any(asks_for_fastdds({**os.environ, **each.environment}) for each in processes)
 
 
 def _allocator(config: ReplayConfig) -> Path | None:

@@ -246,6 +246,20 @@ def _seconds(text: str) -> float:
 
 
 def _require_ros() -> None:
+    from play_launch.native.locate import (  # noqa: PLC0415
+        MixedInstallationError,
+        NotInstalledError,
+        ros_installation,
+    )
+    from play_launch.native.middleware import middleware_problem  # noqa: PLC0415
+
+    # Before rcl is loaded: it ends the process that asks for a middleware which is not there.
+    try:
+        problem = middleware_problem(ros_installation())
+    except (NotInstalledError, MixedInstallationError) as error:
+        fail(str(error))
+    if problem is not None:
+        fail(problem)
     try:
         import rclpy  # noqa: F401, PLC0415
     except ImportError as error:

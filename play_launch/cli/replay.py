@@ -89,10 +89,10 @@ def _require_ros() -> None:
         MixedInstallationError,
         NotInstalledError,
         component_container,
-        middleware_problem,
         ros_installation,
         spawn_guard,
     )
+    from play_launch.native.middleware import middleware_problem  # noqa: PLC0415
 
     problem = domain_problem(os.environ.get("ROS_DOMAIN_ID", ""))
     if problem is not None:

@@ -36,6 +36,8 @@ class RosFacts:
     rmw_in_use: str = ""
     rmw_asked_for: str = ""
     """``RMW_IMPLEMENTATION``."""
+    middleware_problem: str = ""
+    """Why that one cannot be had."""
     stock_container: str = ""
     """The program of rclcpp_components."""
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 import platform
@@ -29,7 +28,7 @@ from play_launch.doctor.facts import (
     RosFacts,
     SharedMemoryFacts,
 )
-from play_launch.fastdds.shared_memory import SHARED_MEMORY
+from play_launch.fastdds.shared_memory import SHARED_MEMORY, count_files
 from play_launch.native.argv import ExecutableNotFoundError, find_executable
 from play_launch.native.environment import child_environment
 from play_launch.native.locate import (
@@ -39,6 +38,7 @@ from play_launch.native.locate import (
     ament_prefixes,
     ros_installation,
 )
+from play_launch.native.middleware import middleware_problem
 from play_launch.recording.facts import versions
 from play_launch.recording.session import default_log_folder
 
@@ -127,6 +127,7 @@ def _ros(
         import_errors=errors,
         rmw_in_use=in_use,
         rmw_asked_for=asked_for,
+        middleware_problem=middleware_problem(installation, environ) or "",
         stock_container=stock,
     )
 
@@ -216,34 +217,16 @@ def _limit(which: int) -> Limit:
 def _shared_memory(folder: Path = SHARED_MEMORY) -> SharedMemoryFacts:
     try:
         usage = shutil.disk_usage(folder)
-        names = [path.name for path in folder.iterdir()]
+        count = count_files(folder)
     except OSError:
         return SharedMemoryFacts(total=None, free=None, is_writable=False)
-    segments = [name for name in names if "fastrtps" in name]
-    locks = [name for name in segments if name.endswith(("_el", "_sl"))]
     return SharedMemoryFacts(
         total=usage.total,
         free=usage.free,
         is_writable=os.access(folder, os.W_OK | os.X_OK),
-        segments=len(segments),
-        leftovers=sum(_is_left(folder / name) for name in locks),
+        segments=count.files,
+        leftovers=count.leftovers,
     )
-
-
-def _is_left(lock: Path) -> bool:
-    """Whether nobody holds the lock that the owner of a segment holds for all of its life."""
-    try:
-        descriptor = os.open(lock, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW)
-    except OSError:
-        return False
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except OSError:
-        return False
-    finally:
-        os.close(descriptor)
-    # A receiver that shares its port holds the other lock with others, so that ours is no proof.
-    return lock.name.endswith("_el") and not lock.with_name(f"{lock.name[:-3]}_sl").exists()
 
 
 def _network(environ: Mapping[str, str]) -> NetworkFacts:

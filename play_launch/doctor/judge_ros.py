@@ -110,12 +110,11 @@ def _rmw(facts: RosFacts) -> Finding:
     in_use, asked = facts.rmw_in_use or "unknown", facts.rmw_asked_for
     if asked in {"", in_use}:
         return ok("middleware", in_use)
-    also = ": ROS from wheels brings one only" if facts.source == "wheels" else ""
     return fail(
         "middleware",
-        f"RMW_IMPLEMENTATION is {asked}, but there is {in_use}{also}",
-        "every program with ROS ends at its start (rcl exits with status 102)",
-        "unset RMW_IMPLEMENTATION, or use a ROS installation that has that middleware",
+        facts.middleware_problem or f"RMW_IMPLEMENTATION is {asked}, but {asked} does not load",
+        f"every program with ROS ends at its start; {in_use} would be used otherwise",
+        "as it says" if facts.middleware_problem else "unset RMW_IMPLEMENTATION, or install it",
     )
 
 

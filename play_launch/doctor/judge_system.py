@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from play_launch.doctor.finding import Finding, fail, ok, warn
+from play_launch.fastdds.middleware import is_fastdds
 
 if TYPE_CHECKING:
     from play_launch.doctor.facts import (
@@ -78,8 +79,15 @@ def judge_limits(facts: LimitFacts) -> list[Finding]:
     return findings
 
 
-def judge_shared_memory(facts: SharedMemoryFacts) -> list[Finding]:
-    """Judge ``/dev/shm``."""
+def judge_shared_memory(facts: SharedMemoryFacts, rmw: str = "") -> list[Finding]:
+    """Judge ``/dev/shm``, by what Fast DDS needs of it.
+
+    Args:
+        facts: What was found.
+        rmw: The middleware in use; empty where it is not known.
+    """
+    if rmw and not is_fastdds(rmw):
+        return [ok("shared memory", f"not judged: {rmw} is in use, and it is Fast DDS's matter")]
     if not facts.is_writable or facts.total is None or facts.free is None:
         return [
             warn(

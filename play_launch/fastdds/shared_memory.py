@@ -59,6 +59,26 @@ class SweepReport:
     failed: dict[str, str] = field(default_factory=dict)
 
 
+@dataclass(frozen=True, slots=True)
+class FileCount:
+    """How many files there are.
+
+    Attributes:
+        files: Of the living and of the dead.
+        leftovers: Lock files whose owner is dead.
+    """
+
+    files: int
+    leftovers: int
+
+
+def count_files(folder: Path = SHARED_MEMORY) -> FileCount:
+    """Count without changing anything; raises OSError where the folder cannot be read."""
+    names = [path.name for path in folder.iterdir() if "fastrtps" in path.name]
+    locks = [name for name in names if name.endswith(("_el", "_sl"))]
+    return FileCount(len(names), sum(_is_left(folder / name) for name in locks))
+
+
 async def sweep_shared_memory() -> SweepReport:
     """Run `sweep` in a thread."""
     return await asyncio.to_thread(sweep)
@@ -278,3 +298,19 @@ def _remove(name: str, report: SweepReport) -> None:
         report.failed[name] = error.strerror or str(error)
     else:
         report.removed.append(name)
+
+
+def _is_left(lock: Path) -> bool:
+    """Whether nobody holds the lock that the owner of a segment holds for all of its life."""
+    try:
+        descriptor = os.open(lock, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    finally:
+        os.close(descriptor)
+    # A receiver that shares its port holds the other lock with others, so that ours is no proof.
+    return lock.name.endswith("_el") and not lock.with_name(f"{lock.name[:-3]}_sl").exists()

@@ -18,8 +18,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-WHEELS_MIDDLEWARE = "rmw_fastrtps_cpp"
-"""The middleware that rcl of the wheels is linked to."""
 _PROGRAMS = Path("lib") / "play_launch_container"
 _MARKER = Path("share") / "rcl" / "package.xml"
 
@@ -104,25 +102,6 @@ def ros_installation(
     raise NotInstalledError(
         "there is no ROS 2: source an installation (source /opt/ros/jazzy/setup.sh), or install "
         "the wheels into this environment (pip install 'play-launch-py[jazzy]')"
-    )
-
-
-def middleware_problem(
-    ros: RosInstallation, environ: Mapping[str, str] | None = None
-) -> str | None:
-    """Say why ROS would end every process that loads it, in a sentence; None when it would not.
-
-    rcl compares RMW_IMPLEMENTATION with the middleware that it was linked to while it is being
-    loaded, and ends the process when they differ. The wheels' rcl is linked to one only; an
-    installation has a library that switches.
-    """
-    environ = os.environ if environ is None else environ
-    asked_for = environ.get("RMW_IMPLEMENTATION", "")
-    if ros.source is not RosSource.WHEELS or asked_for in {"", WHEELS_MIDDLEWARE}:
-        return None
-    return (
-        f"RMW_IMPLEMENTATION is {asked_for}, but the ROS wheels have {WHEELS_MIDDLEWARE} only: "
-        "unset it, or source a ROS installation that has that middleware"
     )
 
 

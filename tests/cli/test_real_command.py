@@ -81,5 +81,5 @@ def test_a_middleware_that_is_not_there_is_told_before_anything_starts(tmp_path:
     assert "rmw_nowhere_cpp" in result.stdout + result.stderr
     if ros.source is RosSource.WHEELS:
         assert result.returncode == 2
-        assert "rmw_fastrtps_cpp only: unset it" in result.stderr
+        assert "is linked to rmw_fastrtps_cpp: unset RMW_IMPLEMENTATION" in result.stderr
         assert not (tmp_path / "logs").exists()

@@ -11,10 +11,8 @@ import pytest
 from play_launch.native.locate import (
     MixedInstallationError,
     NotInstalledError,
-    RosInstallation,
     RosSource,
     component_container,
-    middleware_problem,
     ros_installation,
     spawn_guard,
 )
@@ -101,22 +99,3 @@ def test_this_environment_has_all() -> None:
     assert ros_installation().prefix == Path(sys.prefix)
     assert os.access(component_container(), os.X_OK)
     assert os.access(spawn_guard(), os.X_OK)
-
-
-@pytest.mark.parametrize(
-    ("source", "asked_for", "is_a_problem"),
-    [
-        (RosSource.WHEELS, None, False),
-        (RosSource.WHEELS, "", False),
-        (RosSource.WHEELS, "rmw_fastrtps_cpp", False),
-        (RosSource.WHEELS, "rmw_cyclonedds_cpp", True),
-        (RosSource.SYSTEM, "rmw_cyclonedds_cpp", False),
-    ],
-)
-def test_wheels_have_one_middleware(
-    source: RosSource, asked_for: str | None, is_a_problem: bool, prefix: Path
-) -> None:
-    environ = {} if asked_for is None else {"RMW_IMPLEMENTATION": asked_for}
-    problem = middleware_problem(RosInstallation(source, prefix, ()), environ)
-    assert (problem is not None) is is_a_problem
-    assert problem is None or (asked_for is not None and asked_for in problem)
