@@ -322,8 +322,11 @@ def _shares_memory(config: ContainerConfig) -> bool:
 
 
 def _uses_fastdds(config: ReplayConfig) -> bool:
-    processes = (*config.containers, *config.nodes)
-    return any(asks_for_fastdds({**os.environ, **each.environment}) for each in processes)
+    declared = (
+        *(each.environment for each in config.containers),
+        *(each.environment for each in config.nodes),
+    )
+    return any(asks_for_fastdds({**os.environ, **each}) for each in declared)
 
 
 def _allocator(config: ReplayConfig) -> Path | None:

@@ -110,6 +110,8 @@ class NetworkFacts:
     """``ROS_AUTOMATIC_DISCOVERY_RANGE``."""
     localhost_only: str = ""
     """``ROS_LOCALHOST_ONLY``, which the other one has replaced."""
+    cyclone_uri: str = ""
+    """``CYCLONEDDS_URI``, the configuration of Cyclone DDS."""
     domain_id: str = ""
     """``ROS_DOMAIN_ID``."""
     ephemeral_ports: tuple[int, int] | None = None

@@ -242,6 +242,7 @@ def _network(environ: Mapping[str, str]) -> NetworkFacts:
         loopback_has_multicast=None if flags is None else bool(flags & _IFF_MULTICAST),
         discovery_range=environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", ""),
         localhost_only=environ.get("ROS_LOCALHOST_ONLY", ""),
+        cyclone_uri=environ.get("CYCLONEDDS_URI", ""),
         domain_id=environ.get("ROS_DOMAIN_ID", ""),
         ephemeral_ports=ports,
     )

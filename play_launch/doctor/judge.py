@@ -27,6 +27,6 @@ def judge(facts: MachineFacts) -> list[Finding]:
         *judge_kernel(facts.kernel),
         *judge_limits(facts.limits),
         *judge_shared_memory(facts.shared_memory, facts.ros.rmw_in_use),
-        *judge_network(facts.network),
+        *judge_network(facts.network, facts.ros.rmw_in_use),
         *judge_recording(facts.recording),
     ]

@@ -26,7 +26,11 @@ ENOUGH_SHARED_MEMORY: Final = 256 * 1024**2
 ENOUGH_DISK: Final = 1024**3
 SHARED_MEMORY: Final = "/dev/shm"  # noqa: S108 - where Linux keeps shared memory
 PARTICIPANTS: Final = 32
-"""Fast DDS looks for that many on one machine when discovery does not leave it."""
+"""Fast DDS looks for that many on one machine when discovery does not leave it.
+
+Cyclone DDS, as rmw_cyclonedds sets it up, has places for that many and no more.
+"""
+_CYCLONE: Final = "rmw_cyclonedds_cpp"
 HIGHEST_DOMAIN: Final = 232
 _DDS_PORT: Final = 7400
 _PORTS_PER_DOMAIN: Final = 250
@@ -123,9 +127,9 @@ def judge_shared_memory(facts: SharedMemoryFacts, rmw: str = "") -> list[Finding
     return findings
 
 
-def judge_network(facts: NetworkFacts) -> list[Finding]:
+def judge_network(facts: NetworkFacts, rmw: str = "") -> list[Finding]:
     """Judge loopback, discovery and the domain."""
-    return [_loopback(facts), _discovery(facts), _domain(facts)]
+    return [_loopback(facts), _discovery(facts, rmw), _domain(facts)]
 
 
 def judge_recording(facts: RecordingFacts) -> list[Finding]:
@@ -178,7 +182,7 @@ def _loopback(facts: NetworkFacts) -> Finding:
     return ok("loopback", "works")
 
 
-def _discovery(facts: NetworkFacts) -> Finding:
+def _discovery(facts: NetworkFacts, rmw: str) -> Finding:
     reach = facts.discovery_range.upper()
     if facts.localhost_only == "1" and not reach:
         reach = "LOCALHOST"
@@ -189,20 +193,31 @@ def _discovery(facts: NetworkFacts) -> Finding:
             "no process finds another one; container_type stock cannot be used",
             "unset it, or LOCALHOST",
         )
-    if reach == "LOCALHOST":
+    if rmw == _CYCLONE and reach != "SYSTEM_DEFAULT" and not facts.cyclone_uri:
+        return warn(
+            "discovery",
+            f"{reach or 'SUBNET, the default'}, with {rmw}",
+            f"after {PARTICIPANTS} processes with ROS in a domain of this machine, further ones "
+            "cannot create nodes",
+            "ROS_AUTOMATIC_DISCOVERY_RANGE=SYSTEM_DEFAULT, or a higher "
+            "Discovery/MaxAutoParticipantIndex in CYCLONEDDS_URI",
+        )
+    if reach == "LOCALHOST" and rmw != _CYCLONE:
         return warn(
             "discovery",
             "on this machine only",
             f"the first {PARTICIPANTS} processes with ROS find one another, further ones do not",
             "SUBNET, or a network namespace of its own, for more",
         )
-    if reach not in {"", "SUBNET", "SYSTEM_DEFAULT"}:
+    if reach not in {"", "SUBNET", "LOCALHOST", "SYSTEM_DEFAULT"}:
         return warn(
             "discovery",
             f"ROS_AUTOMATIC_DISCOVERY_RANGE is {facts.discovery_range}",
             "ROS does not know that value and takes its default",
             "OFF, LOCALHOST, SUBNET or SYSTEM_DEFAULT",
         )
+    if reach == "LOCALHOST":
+        return ok("discovery", "on this machine only")
     return ok("discovery", f"{reach or 'SUBNET, the default'}: everybody in this network")
 
 

@@ -83,3 +83,19 @@ def test_a_middleware_that_is_not_there_is_told_before_anything_starts(tmp_path:
         assert result.returncode == 2
         assert "is linked to rmw_fastrtps_cpp: unset RMW_IMPLEMENTATION" in result.stderr
         assert not (tmp_path / "logs").exists()
+
+
+def test_the_daemon_refuses_a_middleware_that_is_not_there(ros_domain: int) -> None:
+    result = subprocess.run(
+        [COMMAND, "daemon", "start"],
+        check=False,
+        capture_output=True,
+        text=True,
+        env={
+            **os.environ,
+            "RMW_IMPLEMENTATION": "rmw_nowhere_cpp",
+            "ROS_DOMAIN_ID": str(ros_domain),
+        },
+    )
+    assert result.returncode == 2
+    assert "rmw_nowhere_cpp" in result.stderr

@@ -71,6 +71,14 @@ def recording(**changes: Any) -> MachineFacts:
     return replace(MACHINE, recording=replace(RECORDING, **changes))
 
 
+def cyclone(discovery_range: str = "SYSTEM_DEFAULT", **changes: Any) -> MachineFacts:
+    rmw = "rmw_cyclonedds_cpp"
+    return replace(
+        network(discovery_range=discovery_range, **changes),
+        ros=replace(ROS, rmw_in_use=rmw, rmw_asked_for=rmw),
+    )
+
+
 SMALL = Limit(soft=1024, hard=4096)
 NONE = Limit(soft=0, hard=0)
 
@@ -97,18 +105,12 @@ CASES: list[tuple[MachineFacts, str, Level, str]] = [
         FAIL,
         "rmw_x is not installed",
     ),
-    (
-        ros(rmw_in_use="rmw_cyclonedds_cpp", rmw_asked_for="rmw_cyclonedds_cpp"),
-        "middleware",
-        OK,
-        "rmw_cyclonedds_cpp",
-    ),
-    (
-        ros(rmw_in_use="rmw_cyclonedds_cpp", rmw_asked_for="rmw_cyclonedds_cpp"),
-        "shared memory",
-        OK,
-        "rmw_cyclonedds_cpp is in use",
-    ),
+    (cyclone(), "middleware", OK, "rmw_cyclonedds_cpp"),
+    (cyclone(), "shared memory", OK, "rmw_cyclonedds_cpp is in use"),
+    (cyclone(""), "discovery", WARN, "MaxAutoParticipantIndex"),
+    (cyclone("LOCALHOST"), "discovery", WARN, "after 32 processes"),
+    (cyclone(), "discovery", OK, "SYSTEM_DEFAULT"),
+    (cyclone("LOCALHOST", cyclone_uri="x"), "discovery", OK, "this machine only"),
     (ros(source="wheels", rmw_asked_for="rmw_fastrtps_cpp"), "middleware", OK, "fastrtps"),
     (ros(stock_container=""), "stock containers", WARN, "rclcpp-components"),
     (container(problem="there is none", program=""), "container", FAIL, "there is none"),
