@@ -36,7 +36,7 @@ class ClonedNode final : public IsolatedNode {
   const LoadRequest& request() const override { return program_.request(); }
   std::string full_name() const override;
   void ask_to_leave() override { program_.cancel(); }
-  void signal(int number) override { isolation::send_signal(slot_, number); }
+  bool signal(int number) override { return isolation::send_signal(slot_, number); }
   void abandon() override { isolation::send_signal(burial_slot_, SIGKILL); }
 
   void donate() noexcept;

@@ -31,12 +31,14 @@ IsolatedNode::Time IsolatedNode::press(Time now, Time end) {
       ask_to_leave();
       break;
     case LeavePressure::Action::terminate:
-      report(label() + " does not leave: sending it SIGTERM");
-      signal(SIGTERM);
+      if (signal(SIGTERM)) {
+        report(label() + " does not leave: sending it SIGTERM");
+      }
       break;
     case LeavePressure::Action::kill:
-      report(label() + " still does not leave: killing it");
-      signal(SIGKILL);
+      if (signal(SIGKILL)) {
+        report(label() + " still does not leave: killing it");
+      }
       break;
   }
   return pressure_.due(end);

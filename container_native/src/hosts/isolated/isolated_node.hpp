@@ -58,7 +58,8 @@ class IsolatedNode {
   /// Full name; empty while it is not known.
   virtual std::string full_name() const = 0;
   virtual void ask_to_leave() = 0;
-  virtual void signal(int number) = 0;
+  /// False: it has no process, as long as its library is being opened.
+  virtual bool signal(int number) = 0;
   /// It is dead, and there is no time left for what is done about it.
   virtual void abandon() {}
 

@@ -33,7 +33,10 @@ class HostedNode final : public IsolatedNode, private control::ChannelHandler {
   const LoadRequest& request() const override { return request_; }
   std::string full_name() const override;
   void ask_to_leave() override;
-  void signal(int number) override { process_->signal(number); }
+  bool signal(int number) override {
+    process_->signal(number);
+    return true;
+  }
 
   void on_frame(const control::Frame& frame) override;
   void on_closed() override;
