@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 
 from tests.support.replay import Replay, replaying
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 TYPES = ("standard", "mt", "isolated", "isolated_mt")
 OPENING = 6.0

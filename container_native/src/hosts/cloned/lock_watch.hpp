@@ -21,7 +21,8 @@ constexpr std::chrono::milliseconds look_interval(std::chrono::nanoseconds since
 
 /// Looks, from the first death of a node on, for threads that wait for a lock which a dead one
 /// holds: twice a second, and every 2 s when no node has died for a minute. In a thread of its own,
-/// which neither allocates nor takes a lock that nodes could hold.
+/// which neither allocates nor takes a lock that nodes could hold; which ones these are, and what
+/// becomes of them, is listed in docs/isolation.md.
 class LockWatch {
  public:
   /// Throws std::system_error.

@@ -204,7 +204,7 @@ Place place_of(const CallStack& stack, std::size_t frame, Caution caution) {
   if (begins_with_any(function, kCppHeaders)) {
     return begins_with_any(function, kCallers) ? Place::harmless : Place::header;
   }
-  // This program is no node's; its own locks that children take are listed in docs/isolation.md.
+  // This program is no node's; children take none of its locks but those in docs/isolation.md.
   return !is_program && begins_with_any(function, kTemplates) ? Place::inside : Place::harmless;
 }
 
