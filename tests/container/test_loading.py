@@ -98,3 +98,8 @@ def test_nodes_start_programs_without_our_signals(container: Container) -> None:
 
 def test_a_component_that_brings_libpython_gets_its_symbols(container: Container) -> None:
     container.loaded("PythonUser")
+
+
+def test_a_component_that_is_linked_against_a_python_half_loads(container: Container) -> None:
+    container.loaded("Overlinked")
+    container.loaded("PythonUser")  # the symbols that were lent are withdrawn again

@@ -83,3 +83,8 @@ def test_what_cannot_be_found_or_opened(package: str, plugin: str, error: str) -
 
 def test_both_names_are_needed() -> None:
     assert probe("play_launch_demo") == (USAGE, "")
+
+
+def test_a_library_that_is_linked_against_a_python_half() -> None:
+    status, line = probe("play_launch_demo", "play_launch_demo::Overlinked")
+    assert (status, json.loads(line)["error"]) == (0, "")

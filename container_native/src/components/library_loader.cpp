@@ -5,6 +5,7 @@
 
 #include <algorithm>
 
+#include "components/open_library.hpp"
 #include "components/opening_guard.hpp"
 #include "isolation/overrides/type_supports.hpp"
 
@@ -81,7 +82,7 @@ void LibraryLoader::work() {
 void LibraryLoader::carry_out(Order& order) {
   try {
     const OpeningGuard guard(order.node, order.path);
-    std::unique_ptr<ComponentLibrary> library = order.backend.open(order.path);
+    std::unique_ptr<ComponentLibrary> library = open_library(order.backend, order.path);
     if (void* const handle = ::dlopen(order.path.c_str(), RTLD_LAZY | RTLD_NOLOAD)) {
       isolation::look_up_type_supports(handle);
       ::dlclose(handle);

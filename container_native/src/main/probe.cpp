@@ -14,6 +14,7 @@
 
 #include "base/unique_fd.hpp"
 #include "components/backend_list.hpp"
+#include "components/open_library.hpp"
 #include "isolation/clone/child.hpp"
 #include "isolation/clone/donor_thread.hpp"
 #include "isolation/crash/crash_handler.hpp"
@@ -73,7 +74,7 @@ class Opening final : public isolation::ChildProgram {
 
   int run() override {
     try {
-      library_ = backend_.open(place_.library);
+      library_ = open_library(backend_, place_.library);
       library_->find(plugin_);
     } catch (...) {
       failure_ = describe_current_exception();

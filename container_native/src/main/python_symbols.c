@@ -46,27 +46,47 @@ static int find_segment(struct dl_phdr_info* object, size_t size, void* argument
   return 1;
 }
 
-static void withdraw(const void* address) {
-  Dl_info place;
-  void* entry = NULL;
-  if (dladdr1(address, &place, &entry, RTLD_DL_SYMENT) == 0 || entry == NULL) {
-    return; /* not exported */
-  }
-  struct segment segment = {(uintptr_t)entry, PROT_NONE};
+/* One of the symbols: its entry in the program's table, and the value that it was linked with. */
+struct stand_in {
+  const void* const address;
+  ElfW(Sym)* entry;
+  ElfW(Addr) value;
+};
+
+static struct stand_in stand_ins[] = {{&PyExc_RuntimeError, NULL, 0}, {_Py_TrueStruct, NULL, 0}};
+
+static void set_value(const struct stand_in* symbol, ElfW(Addr) value) {
+  struct segment segment = {(uintptr_t)symbol->entry, PROT_NONE};
   dl_iterate_phdr(find_segment, &segment);
   if (segment.protection == PROT_NONE) {
     return;
   }
   const uintptr_t page_size = (uintptr_t)sysconf(_SC_PAGESIZE);
-  const uintptr_t begin = (uintptr_t)entry & ~(page_size - 1);
-  const size_t size = (uintptr_t)entry + sizeof(ElfW(Sym)) - begin;
+  const uintptr_t begin = (uintptr_t)symbol->entry & ~(page_size - 1);
+  const size_t size = (uintptr_t)symbol->entry + sizeof(ElfW(Sym)) - begin;
   if (mprotect((void*)begin, size, segment.protection | PROT_WRITE) == 0) {
-    ((ElfW(Sym)*)entry)->st_value = 0;
+    symbol->entry->st_value = value;
     mprotect((void*)begin, size, segment.protection);
   }
 }
 
+/* Used by library_loader.cpp for a library that wants the symbols and brings no libpython. */
+__attribute__((visibility("hidden"))) void play_launch_stand_in_for_python(int active) {
+  for (size_t i = 0; i < sizeof stand_ins / sizeof stand_ins[0]; ++i) {
+    if (stand_ins[i].entry != NULL) {
+      set_value(&stand_ins[i], active ? stand_ins[i].value : 0);
+    }
+  }
+}
+
 __attribute__((constructor)) static void withdraw_symbols(void) {
-  withdraw(&PyExc_RuntimeError);
-  withdraw(_Py_TrueStruct);
+  for (size_t i = 0; i < sizeof stand_ins / sizeof stand_ins[0]; ++i) {
+    Dl_info place;
+    void* entry = NULL;
+    if (dladdr1(stand_ins[i].address, &place, &entry, RTLD_DL_SYMENT) != 0 && entry != NULL) {
+      stand_ins[i].entry = entry;
+      stand_ins[i].value = stand_ins[i].entry->st_value;
+    }
+  }
+  play_launch_stand_in_for_python(0);
 }
