@@ -49,7 +49,7 @@ static int find_segment(struct dl_phdr_info* object, size_t size, void* argument
 /* One of the symbols: its entry in the program's table, and the value that it was linked with. */
 struct stand_in {
   const void* const address;
-  ElfW(Sym)* entry;
+  ElfW(Sym) * entry;
   ElfW(Addr) value;
 };
 
