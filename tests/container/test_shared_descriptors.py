@@ -13,6 +13,7 @@ import pytest
 from play_launch_msgs.msg import ComponentEvent, ControlQuery
 from std_msgs.msg import String
 
+from play_launch.process.shm import sweep
 from tests.support.isolated import MODES, start_isolated, survives
 from tests.support.ros import Probe
 
@@ -75,6 +76,7 @@ def test_a_channel_that_is_closed_from_within_is_called_that(spawn: StartContain
         time.sleep(0.01)
     container.send(ControlQuery(query_id=1))  # wakes who waits for the closed socket
     assert container.wait() == 0
+    sweep()  # the lock files by which the container finds its segments are closed as well
     log = container.log.read_text()
     assert "the control channel's descriptor was closed or replaced within this process" in log
     assert "supervisor is gone" not in log
