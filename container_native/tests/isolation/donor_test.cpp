@@ -5,6 +5,8 @@
 #include <signal.h>
 #include <unistd.h>
 
+#include <atomic>
+#include <chrono>
 #include <cstdlib>
 #include <fstream>
 #include <memory>
@@ -172,6 +174,62 @@ void test_children_die_with_their_container() {
   ::close(ends[0]);
 }
 
+/// What a child may use is time of the processor, so that waiting for one costs it nothing.
+void test_limit_of_cpu_time() {
+  constexpr std::chrono::milliseconds kLimit{50};
+  ChildOptions options;
+  options.cpu_limit = kLimit;
+  Outcome busy;
+  run(
+      busy,
+      [](Program&) -> int {
+        std::thread([] {
+          while (true) {
+            asm volatile("");
+          }
+        }).join();
+        return 0;
+      },
+      options);
+  CHECK(busy.end.signal == SIGKILL);
+  Outcome waiting;
+  run(
+      waiting,
+      [&](Program&) {
+        std::this_thread::sleep_for(4 * kLimit);
+        return 0;
+      },
+      options);
+  CHECK(waiting.end.clean());
+}
+
+/// Whoever joins then does not wait for what is still to be given back.
+void test_the_end_of_a_donor_is_announced() {
+  for (const bool crashes : {false, true}) {
+    std::atomic<bool> body_is_over{false};
+    Event ended;
+    Program program([crashes](Program&) {
+      if (crashes) {
+        std::abort();
+      }
+      return 0;
+    });
+    CrashSlot slot;
+    DonorThread donor(
+        "donor",
+        [&] {
+          run_in_child(program, slot);
+          body_is_over = true;
+        },
+        [&] {
+          CHECK(body_is_over);
+          ended.set();
+        });
+    ended.wait();
+    donor.join();
+  }
+}
+
 }  // namespace
 
 int main() {
@@ -180,5 +238,7 @@ int main() {
   test_growth(true);
   test_thread_local_objects();
   test_children_die_with_their_container();
+  test_limit_of_cpu_time();
+  test_the_end_of_a_donor_is_announced();
   return 0;
 }
