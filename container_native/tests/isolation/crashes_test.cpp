@@ -250,8 +250,8 @@ void check_outcome(const Kind& kind, const Outcome& outcome, bool in_main_thread
   }
   CHECK((outcome.slot.thread == outcome.end.pid) == in_main_thread);
   CHECK(outcome.slot.phase == ChildPhase::dying);
-  CHECK(outcome.slot.threads_not_parked == 0);
-  CHECK(!outcome.slot.inside);
+  CHECK(outcome.slot.report.threads_not_parked == 0);
+  CHECK(!outcome.slot.report.inside);
   const std::string backtrace = joined(outcome.slot);
   if (!contains(backtrace, kind.function)) {
     std::fprintf(stderr, "%s\n", backtrace.c_str());
@@ -291,7 +291,7 @@ void test_crashes(const Kind& kind, std::vector<std::unique_ptr<Neighbour>>& nei
       });
     }
     const std::uint64_t death =
-        kind.function != nullptr ? outcome.slot.crash_time_ns : kill_time_ns.load();
+        kind.function != nullptr ? outcome.slot.report.crash_time_ns : kill_time_ns.load();
     detection.push_back(outcome.awake_ns - death);
     check_outcome(kind, outcome, true);
     CHECK(second.clean());
@@ -322,7 +322,7 @@ void test_program_that_faults_in_handlers() {
   DonorThread donor("donor", [&] { outcome.end = run_in_child(program, outcome.slot); });
   donor.join();
   CHECK(outcome.end.signal == SIGABRT);
-  CHECK(outcome.slot.signal == SIGABRT && outcome.slot.phase == ChildPhase::dying);
+  CHECK(outcome.slot.report.signal == SIGABRT && outcome.slot.phase == ChildPhase::dying);
   CHECK(contains(joined(outcome.slot), "Damaged::run"));
 }
 

@@ -114,8 +114,9 @@ void test_case(const Case& subject) {
   for (int round = 0; round < subject.rounds; ++round) {
     Outcome outcome;
     crash_beside(outcome, kThreads, subject.work);
-    CHECK(!outcome.slot.inside);
-    CHECK(outcome.slot.threads_parked == kThreads && outcome.slot.threads_not_parked == 0);
+    CHECK(!outcome.slot.report.inside);
+    CHECK(outcome.slot.report.threads_parked == kThreads &&
+          outcome.slot.report.threads_not_parked == 0);
     CHECK(!contains(outcome.text(), "could not be stopped"));
     CHECK(stand_in::locks_are_free());
     std::free(std::malloc(1000));
@@ -138,7 +139,7 @@ void test_thread_that_cannot_be_parked() {
   });
   run(outcome, program, {.quiesce_limit = 20ms});
   CHECK(outcome.end.signal == SIGABRT);
-  CHECK(outcome.slot.threads_parked == 0 && outcome.slot.threads_not_parked == 1);
+  CHECK(outcome.slot.report.threads_parked == 0 && outcome.slot.report.threads_not_parked == 1);
   CHECK(contains(outcome.text(), "1 of its threads could not be stopped"));
   CHECK(!stand_in::locks_are_free());
   stand_in::renew_locks();
@@ -151,7 +152,7 @@ void test_crash_inside_the_middleware() {
     stand_in::crash();
     return 0;
   });
-  CHECK(outcome.slot.inside);
+  CHECK(outcome.slot.report.inside);
   CHECK(contains(outcome.text(), "died inside the middleware"));
   CHECK(!stand_in::locks_are_free());
   stand_in::renew_locks();
@@ -165,7 +166,7 @@ void test_first_thread_joins() {
     return 0;
   });
   CHECK(outcome.end.signal == SIGABRT);
-  CHECK(outcome.slot.threads_parked == 1 && outcome.slot.threads_not_parked == 0);
+  CHECK(outcome.slot.report.threads_parked == 1 && outcome.slot.report.threads_not_parked == 0);
 }
 
 /// A thread that comes out of spin() after a crash elsewhere must not begin to destroy things.
@@ -184,7 +185,7 @@ void test_cancelled_threads_park() {
   });
   CHECK(outcome.end.signal == SIGABRT);
   CHECK(!destroyed);
-  CHECK(outcome.slot.threads_parked == 1);
+  CHECK(outcome.slot.report.threads_parked == 1);
 }
 
 void test_several_crash_at_once() {
@@ -204,7 +205,7 @@ void test_several_crash_at_once() {
       return 0;
     });
     CHECK(outcome.end.signal == SIGABRT);
-    CHECK(outcome.slot.threads_parked == 2);
+    CHECK(outcome.slot.report.threads_parked == 2);
   }
 }
 
@@ -228,7 +229,7 @@ void test_other_ends() {
         return 1;
       });
       CHECK(outcome.end.exit_code == 1);
-      CHECK(outcome.slot.threads_parked == 1 && outcome.slot.threads_not_parked == 0);
+      CHECK(outcome.slot.report.threads_parked == 1 && outcome.slot.report.threads_not_parked == 0);
       CHECK(stand_in::locks_are_free());
     }
   }

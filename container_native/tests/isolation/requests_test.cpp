@@ -109,7 +109,7 @@ void test_limits_of_the_kernel() {
     }
     return 0;
   });
-  CHECK(outcome.end.signal == SIGXCPU && outcome.slot.signal == SIGXCPU);
+  CHECK(outcome.end.signal == SIGXCPU && outcome.slot.report.signal == SIGXCPU);
   CHECK(contains(outcome.text(), "limit of processor time"));
 }
 
@@ -133,7 +133,7 @@ void test_crash_while_leaving() {
         return 0;
       },
       {}, [](Outcome& running) { CHECK(send_signal(running.slot, SIGTERM)); });
-  CHECK(outcome.end.signal == SIGSEGV && outcome.slot.signal == SIGSEGV);
+  CHECK(outcome.end.signal == SIGSEGV && outcome.slot.report.signal == SIGSEGV);
 }
 
 void test_time_limit() {

@@ -222,8 +222,8 @@ void test_exits() {
     });
     CHECK(outcome.end.signal == 0 && outcome.end.exit_code == way.status);
     CHECK(!outcome.end.returned && !outcome.end.clean());
-    CHECK((outcome.slot.end_call != nullptr) == (way.noted != nullptr));
-    CHECK(way.noted == nullptr || outcome.slot.exit_status == way.status);
+    CHECK((outcome.slot.report.end_call != nullptr) == (way.noted != nullptr));
+    CHECK(way.noted == nullptr || outcome.slot.report.exit_status == way.status);
     CHECK(way.noted == nullptr || contains(outcome.text(), way.noted));
     CHECK(contains(outcome.text(), "exit status " + std::to_string(way.status)));
   }

@@ -139,8 +139,8 @@ void ClonedNode::end_if_replaced() {
   if (other && identity_of(slot_.pid).start_time == slot_.start_time) {
     replaced_ = true;
     // The child does not write into the slot any more: the memory is not its own now.
-    const std::size_t length = std::min(other->size(), slot_.other_program.size() - 1);
-    std::copy_n(other->data(), length, slot_.other_program.data());
+    const std::size_t length = std::min(other->size(), slot_.report.other_program.size() - 1);
+    std::copy_n(other->data(), length, slot_.report.other_program.data());
     signal(SIGKILL);
   }
 }
@@ -192,7 +192,7 @@ void ClonedNode::tell_end(NodeHostObserver& observer, IsolationTotals& totals) {
   }
   ++totals.crashes;
   const bool quiesced = slot_.phase == isolation::ChildPhase::dying || outcome != NodeOutcome::none;
-  if (!quiesced || slot_.inside || slot_.threads_not_parked > 0) {
+  if (!quiesced || slot_.report.inside || slot_.report.threads_not_parked > 0) {
     ++totals.unquiesced;
   }
   if (outcome != NodeOutcome::none) {
@@ -218,7 +218,7 @@ NodeDeath ClonedNode::death() {
   death.backtrace = std::move(*backtrace_);
   if (slot_.thread != 0) {
     death.when =
-        std::chrono::steady_clock::time_point(std::chrono::nanoseconds(slot_.crash_time_ns));
+        std::chrono::steady_clock::time_point(std::chrono::nanoseconds(slot_.report.crash_time_ns));
   }
   return death;
 }

@@ -88,14 +88,14 @@ void run_destructors(ChildRecord& record) noexcept {
   if (destructors == nullptr || record.after_death) {
     return;
   }
-  record.slot->in_destructors = true;
+  record.slot->report.in_destructors = true;
   {
     const auto limit = record.options.leave_limit;
     const SelfSignal deadline(limit, SIGTERM, &record);
     const SelfSignal last(limit * kLastLimit, SIGKILL);  // it may ignore the first
     destructors->run();
   }
-  record.slot->in_destructors = false;
+  record.slot->report.in_destructors = false;
 }
 
 int run_program(void* argument) {
@@ -122,8 +122,8 @@ void before_reaping(void* argument) noexcept {
   }
   launch.record.threads.bury([&](pid_t thread, std::uintptr_t pointer) {
     bury(thread, pid, launch.name.data());
-    if (pointer != 0 && slot.resting_thread_count < slot.resting_threads.size()) {
-      slot.resting_threads[slot.resting_thread_count++] = pointer;
+    if (pointer != 0 && slot.report.resting_thread_count < slot.report.resting_threads.size()) {
+      slot.report.resting_threads[slot.report.resting_thread_count++] = pointer;
     }
   });
   slot.alive = false;
@@ -144,28 +144,9 @@ void CrashSlot::reset() {
   stop_sender = 0;
   thread = 0;
   traced = false;
-  thread_name = {};
-  crash_time_ns = 0;
-  crash_wall_time_ns = 0;
-  signal = 0;
-  code = 0;
-  sender = 0;
-  fault_address = 0;
-  program_counter = 0;
-  frame_count = 0;
-  exception_type = {};
-  exception_text = {};
-  throw_frame_count = 0;
-  inside = false;
-  threads_parked = 0;
-  threads_not_parked = 0;
-  resting_thread_count = 0;
-  in_destructors = false;
-  end_call = nullptr;
-  exit_status = 0;
-  other_program = {};
   refused_descriptor = -1;
   refused_call = nullptr;
+  report = {};
 }
 
 ChildEnd run_in_child(ChildProgram& program, CrashSlot& slot,

@@ -46,8 +46,8 @@ int give_back(void* argument) {
   signal_self_after(kLimit, SIGKILL);
   const auto& slot = *static_cast<const CrashSlot*>(argument);
   const ThreadDone done = allocator_thread_done();
-  for (std::uint32_t i = 0; i < slot.resting_thread_count; ++i) {
-    call_as(slot.resting_threads[i], done);
+  for (std::uint32_t i = 0; i < slot.report.resting_thread_count; ++i) {
+    call_as(slot.report.resting_threads[i], done);
   }
   return 0;
 }
@@ -55,7 +55,7 @@ int give_back(void* argument) {
 }  // namespace
 
 bool give_back_heaps(const CrashSlot& slot) noexcept {
-  if (slot.resting_thread_count == 0 || allocator_thread_done() == nullptr) {
+  if (slot.report.resting_thread_count == 0 || allocator_thread_done() == nullptr) {
     return true;
   }
   return clone_and_wait(give_back, const_cast<CrashSlot*>(&slot)).clean();

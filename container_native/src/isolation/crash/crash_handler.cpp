@@ -88,30 +88,30 @@ void leave(ChildRecord& child, int signal, const siginfo_t& info) noexcept {
 
 /// Without a look at the stack, which may be what is damaged.
 void describe(CrashSlot& slot, int signal, const siginfo_t& info, void* context) noexcept {
-  slot.crash_time_ns = time_ns(CLOCK_MONOTONIC);
-  slot.crash_wall_time_ns = time_ns(CLOCK_REALTIME);
-  slot.signal = signal;
-  slot.code = info.si_code;
+  slot.report.crash_time_ns = time_ns(CLOCK_MONOTONIC);
+  slot.report.crash_wall_time_ns = time_ns(CLOCK_REALTIME);
+  slot.report.signal = signal;
+  slot.report.code = info.si_code;
   if (was_sent(info)) {
-    slot.sender = info.si_code == SI_TIMER ? 0 : info.si_pid;
+    slot.report.sender = info.si_code == SI_TIMER ? 0 : info.si_pid;
   } else {
-    slot.fault_address = reinterpret_cast<std::uintptr_t>(info.si_addr);
+    slot.report.fault_address = reinterpret_cast<std::uintptr_t>(info.si_addr);
   }
-  ::prctl(PR_GET_NAME, slot.thread_name.data());
-  slot.program_counter = interrupted_place(context);
-  slot.frames[0] = slot.program_counter;
-  slot.frame_count = 1;
+  ::prctl(PR_GET_NAME, slot.report.thread_name.data());
+  slot.report.program_counter = interrupted_place(context);
+  slot.report.frames[0] = slot.report.program_counter;
+  slot.report.frame_count = 1;
   slot.thread = ::gettid();
 }
 
 void trace(CrashSlot& slot, void* context) noexcept {
-  const CallStack stack = interrupted_call_stack(context, is_jump_to_no_code(slot));
-  std::transform(stack.frames.begin(), stack.frames.begin() + stack.count, slot.frames.begin(),
-                 [](const Frame& frame) { return frame.address; });
-  slot.frame_count = static_cast<std::uint32_t>(stack.count);
+  const CallStack stack = interrupted_call_stack(context, is_jump_to_no_code(slot.report));
+  std::transform(stack.frames.begin(), stack.frames.begin() + stack.count,
+                 slot.report.frames.begin(), [](const Frame& frame) { return frame.address; });
+  slot.report.frame_count = static_cast<std::uint32_t>(stack.count);
   bool harmless = false;
   survive([&] { harmless = judge(stack, Caution::lenient).harmless; });
-  slot.inside = !harmless;
+  slot.report.inside = !harmless;
   slot.traced = true;
 }
 
@@ -143,7 +143,7 @@ void crash(ChildRecord& child, int signal, const siginfo_t& info, void* context)
   trace(slot, context);
   survive([&] { child.program->crashed(); });
   quiesce(child);
-  if (!slot.inside) {
+  if (!slot.report.inside) {
     child.threads.rest();
   }
   slot.phase = ChildPhase::dying;
@@ -182,15 +182,15 @@ void note_exception(CrashSlot& slot) {
   int status = 0;
   const std::unique_ptr<char, decltype(&std::free)> name(
       abi::__cxa_demangle(type->name(), nullptr, nullptr, &status), &std::free);
-  copy_text(slot.exception_type, status == 0 ? name.get() : type->name());
+  copy_text(slot.report.exception_type, status == 0 ? name.get() : type->name());
   const std::exception_ptr exception = std::current_exception();
   // What it points to is the object, in this C++ library and in LLVM's.
   const void* const object = *reinterpret_cast<void* const*>(&exception);
-  slot.throw_frame_count = throw_site(object, slot.throw_frames);
+  slot.report.throw_frame_count = throw_site(object, slot.report.throw_frames);
   try {
     throw;
   } catch (const std::exception& error) {
-    copy_text(slot.exception_text, error.what());
+    copy_text(slot.report.exception_text, error.what());
   } catch (...) {
   }
 }
@@ -209,14 +209,14 @@ iovec piece(const char* text) { return {const_cast<char*>(text), std::strlen(tex
     note_exception(slot);
     std::array<char, 16> name{};
     ::prctl(PR_GET_NAME, name.data());
-    const bool thrown = slot.exception_type[0] != '\0';
+    const bool thrown = slot.report.exception_type[0] != '\0';
     const std::array<iovec, 7> line{
         piece(name.data()),
         piece(": std::terminate() was called"),
         piece(thrown ? " for an exception of type " : ""),
-        piece(slot.exception_type.data()),
-        piece(slot.exception_text[0] != '\0' ? ": " : ""),
-        piece(slot.exception_text.data()),
+        piece(slot.report.exception_type.data()),
+        piece(slot.report.exception_text[0] != '\0' ? ": " : ""),
+        piece(slot.report.exception_text.data()),
         piece("\n"),
     };
     [[maybe_unused]] const ssize_t written =

@@ -114,25 +114,25 @@ constexpr std::array kCodes{
     CodeText{SIGSYS, kBySeccomp, "system call that is not allowed"},
 };
 
-std::string describe_fault(const CrashSlot& slot) {
-  if (slot.code == SI_TIMER) {
-    return slot.in_destructors ? "a destructor of a thread-local object did not end in time"
-                               : "it did not leave in time after the signal";
+std::string describe_fault(const CrashReport& report) {
+  if (report.code == SI_TIMER) {
+    return report.in_destructors ? "a destructor of a thread-local object did not end in time"
+                                 : "it did not leave in time after the signal";
   }
-  if (slot.exception_type[0] != '\0') {
-    const std::string text = slot.exception_text.data();
-    return "uncaught exception " + std::string(slot.exception_type.data()) +
+  if (report.exception_type[0] != '\0') {
+    const std::string text = report.exception_text.data();
+    return "uncaught exception " + std::string(report.exception_type.data()) +
            (text.empty() ? "" : ": " + text);
   }
-  if (slot.code <= 0) {
-    return slot.signal == SIGABRT ? "abort() was called" : "the node sent it to itself";
+  if (report.code <= 0) {
+    return report.signal == SIGABRT ? "abort() was called" : "the node sent it to itself";
   }
-  if (slot.code == SI_KERNEL) {
-    switch (slot.signal) {
+  if (report.code == SI_KERNEL) {
+    switch (report.signal) {
       case SIGSEGV:
         return "access to an address that no memory can have";
       case SIGTRAP:
-        return "breakpoint at address " + hex(slot.program_counter);
+        return "breakpoint at address " + hex(report.program_counter);
       case SIGXCPU:
         return "its limit of processor time is exceeded";
       case SIGXFSZ:
@@ -141,22 +141,23 @@ std::string describe_fault(const CrashSlot& slot) {
         break;
     }
   }
-  if (is_jump_to_no_code(slot)) {
-    return "jump to address " + hex(slot.fault_address) + ", where no code is";
+  if (is_jump_to_no_code(report)) {
+    return "jump to address " + hex(report.fault_address) + ", where no code is";
   }
   for (const CodeText& known : kCodes) {
-    if (known.signal == slot.signal && known.code == slot.code) {
-      return std::string(known.text) + " at address " + hex(slot.fault_address);
+    if (known.signal == report.signal && known.code == report.code) {
+      return std::string(known.text) + " at address " + hex(report.fault_address);
     }
   }
-  return "code " + std::to_string(slot.code) + " at address " + hex(slot.fault_address);
+  return "code " + std::to_string(report.code) + " at address " + hex(report.fault_address);
 }
 
 std::string describe_signal(const ChildEnd& end, const CrashSlot& slot) {
   std::string text = signal_name(end.signal);
-  if (slot.thread != 0 && slot.signal == end.signal) {
-    text += " (" + describe_fault(slot) + ") in thread '" + slot.thread_name.data() + "'";
-    if (slot.in_destructors) {
+  if (slot.thread != 0 && slot.report.signal == end.signal) {
+    text +=
+        " (" + describe_fault(slot.report) + ") in thread '" + slot.report.thread_name.data() + "'";
+    if (slot.report.in_destructors) {
       text += ", while its thread-local objects were being destroyed";
     }
   } else if (slot.stop_signal == end.signal) {
@@ -173,9 +174,9 @@ std::vector<std::string> symbolise(const CrashSlot& slot) {
     return lines;
   }
   static Memory memory;
-  const bool thrown = slot.throw_frame_count > 0;
-  const auto& frames = thrown ? slot.throw_frames : slot.frames;
-  const std::uint32_t count = thrown ? slot.throw_frame_count : slot.frame_count;
+  const bool thrown = slot.report.throw_frame_count > 0;
+  const auto& frames = thrown ? slot.report.throw_frames : slot.report.frames;
+  const std::uint32_t count = thrown ? slot.report.throw_frame_count : slot.report.frame_count;
   for (std::uint32_t i = 0; i < count; ++i) {
     const bool is_return_address = thrown || i > 0;
     lines.push_back("#" + std::to_string(i) + " " + memory.describe(frames[i], is_return_address));
@@ -206,22 +207,22 @@ std::string describe_end(const ChildEnd& end, const CrashSlot& slot) {
     text = describe_signal(end, slot);
   } else {
     text = "exit status " + std::to_string(end.exit_code);
-    if (slot.end_call != nullptr && slot.other_program[0] == '\0') {
-      text += std::string(" (") + slot.end_call + " was called)";
+    if (slot.report.end_call != nullptr && slot.report.other_program[0] == '\0') {
+      text += std::string(" (") + slot.report.end_call + " was called)";
     }
   }
-  if (slot.other_program[0] != '\0') {
-    text += ": it replaced itself by " + std::string(slot.other_program.data()) +
+  if (slot.report.other_program[0] != '\0') {
+    text += ": it replaced itself by " + std::string(slot.report.other_program.data()) +
             " (execve), which ends a node";
   }
   if (slot.refused_call != nullptr) {
     text += "; before that it " + describe_refusal(slot);
   }
-  if (slot.inside) {
+  if (slot.report.inside) {
     text += "; it died inside the middleware or the allocator, and may hold a lock there";
   }
-  if (slot.threads_not_parked > 0) {
-    text += "; " + std::to_string(slot.threads_not_parked) +
+  if (slot.report.threads_not_parked > 0) {
+    text += "; " + std::to_string(slot.report.threads_not_parked) +
             " of its threads could not be stopped in a harmless place";
   }
   return text;

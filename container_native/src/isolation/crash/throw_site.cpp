@@ -16,7 +16,7 @@ const NextFunction<"__cxa_throw", void(void*, std::type_info*, void (*)(void*))>
 
 struct Site {
   const void* exception = nullptr;
-  std::array<void*, CrashSlot::kMaxFrames + 1> frames{};
+  std::array<void*, CrashReport::kMaxFrames + 1> frames{};
   int count = 0;
 };
 
@@ -35,7 +35,7 @@ void prepare_throw_sites() noexcept {
 }
 
 std::uint32_t throw_site(const void* exception,
-                         std::array<std::uintptr_t, CrashSlot::kMaxFrames>& frames) noexcept {
+                         std::array<std::uintptr_t, CrashReport::kMaxFrames>& frames) noexcept {
   if (exception == nullptr || last_site.exception != exception) {
     return 0;
   }

@@ -18,6 +18,6 @@ void prepare_throw_sites() noexcept;
 /// Copies the call stack of the calling thread's last throw to `frames`, innermost first, if it was
 /// of that exception object; returns how many. 0: not known.
 std::uint32_t throw_site(const void* exception,
-                         std::array<std::uintptr_t, CrashSlot::kMaxFrames>& frames) noexcept;
+                         std::array<std::uintptr_t, CrashReport::kMaxFrames>& frames) noexcept;
 
 }  // namespace play_launch::isolation

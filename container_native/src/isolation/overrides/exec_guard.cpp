@@ -37,7 +37,7 @@ const play_launch::NextFunction<"execveat", int(int, const char*, Arguments, Arg
 [[noreturn]] void end_for(ChildRecord& child, const char* program) noexcept {
   claim_end(child);
   const std::string_view text = program;
-  Path& noted = child.slot->other_program;
+  Path& noted = child.slot->report.other_program;
   std::copy_n(text.data(), std::min(text.size(), noted.size() - 1), noted.data());
   end_child(child, 0, "execve()");
 }

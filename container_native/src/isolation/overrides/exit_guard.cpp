@@ -18,8 +18,8 @@ namespace play_launch::isolation {
 [[noreturn]] void end_child(ChildRecord& child, int status, const char* call) noexcept {
   claim_end(child);
   CrashSlot& slot = *child.slot;
-  slot.end_call = call;
-  slot.exit_status = status;
+  slot.report.end_call = call;
+  slot.report.exit_status = status;
   slot.phase = ChildPhase::exiting;
   quiesce(child);
   child.threads.rest();

@@ -137,7 +137,7 @@ void park(ChildRecord& child, bool at_rest) noexcept {
 void quiesce(ChildRecord& child) noexcept {
   NumberList threads(kOwnThreads);
   if (child.options.dies_abruptly) {
-    child.slot->threads_not_parked = count_others(threads);
+    child.slot->report.threads_not_parked = count_others(threads);
     return;
   }
   if (child.slot->phase != ChildPhase::returned) {
@@ -156,8 +156,8 @@ void quiesce(ChildRecord& child) noexcept {
     }
     wait_for_change(child.parked_count, seen);
   }
-  child.slot->threads_parked = child.parked_count;
-  child.slot->threads_not_parked = left;
+  child.slot->report.threads_parked = child.parked_count;
+  child.slot->report.threads_not_parked = left;
 }
 
 void park_if_dying() noexcept {

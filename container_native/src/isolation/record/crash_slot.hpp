@@ -21,31 +21,12 @@ enum class ChildPhase : std::uint32_t {
   returned,  // its program returned
 };
 
-/// What a child leaves behind about itself: written by the child and by its signal handlers, read
-/// by the container while it runs (the atomics only) and after its death (everything). Lives in
-/// ordinary memory of the container, as the child shares it. Holds nothing that must be destroyed.
-struct CrashSlot {
+/// How a child ended, as its signal handlers and exit() saw it. Plain: a child may be killed amidst
+/// writing it.
+struct CrashReport {
   static constexpr std::size_t kMaxFrames = 64;
 
-  /// As it is before a child. run_in_child() does it.
-  void reset();
-
-  // Set by the child before anything else, pid first.
-  std::atomic<pid_t> pid{0};
-  std::atomic<std::uint64_t> start_time{0};  // clock ticks after boot, /proc/<pid>/stat field 22
-  std::atomic<bool> alive{false};            // from then until just before the pid is free again
-  std::atomic<int> senders{0};               // see send_signal()
-  std::atomic<ChildPhase> phase{ChildPhase::none};
-
-  // A signal asked the child to leave.
-  std::atomic<int> stop_signal{0};
-  std::atomic<pid_t> stop_sender{0};
-
-  // A fault, an abort(), or a signal that the child did not obey in time. `thread` is 0 when none
-  // was caught; the rest is only valid otherwise, frames but for the first one and `inside` only
-  // when `traced` is set or the child is dead.
-  std::atomic<pid_t> thread{0};
-  std::atomic<bool> traced{false};
+  // A fault, an abort(), or a signal that the child did not obey in time; see CrashSlot::thread.
   std::array<char, 16> thread_name{};
   std::uint64_t crash_time_ns = 0;       // CLOCK_MONOTONIC
   std::uint64_t crash_wall_time_ns = 0;  // CLOCK_REALTIME
@@ -85,17 +66,44 @@ struct CrashSlot {
 
   /// The program that the child wanted to replace itself by, or that runs in its place.
   std::array<char, 256> other_program{};
+};
+
+/// What a child tells about itself: written by the child and by its signal handlers, read by the
+/// container. Lives in ordinary memory of the container, as the child shares it. Holds nothing that
+/// must be destroyed.
+struct CrashSlot {
+  /// As it is before a child. run_in_child() does it.
+  void reset();
+
+  // Set by the child before anything else, pid first.
+  std::atomic<pid_t> pid{0};
+  std::atomic<std::uint64_t> start_time{0};  // clock ticks after boot, /proc/<pid>/stat field 22
+  std::atomic<bool> alive{false};            // from then until just before the pid is free again
+  std::atomic<int> senders{0};               // see send_signal()
+  std::atomic<ChildPhase> phase{ChildPhase::none};
+
+  // A signal asked the child to leave.
+  std::atomic<int> stop_signal{0};
+  std::atomic<pid_t> stop_sender{0};
+
+  /// The thread that crashed; 0: no crash was caught. Signal, place and first frame are in the
+  /// report by then, the other frames and `inside` when `traced` is set.
+  std::atomic<pid_t> thread{0};
+  std::atomic<bool> traced{false};
 
   /// The first of the container's descriptors that the child tried to close, or where a range that
   /// holds some begins, and with which function; -1: it did not. The function follows the number.
   std::atomic<int> refused_descriptor{-1};
   std::atomic<const char*> refused_call{nullptr};
+
+  /// Whole when the child is dead.
+  CrashReport report;
 };
 
 /// The fault is that the program counter points to no code.
-inline bool is_jump_to_no_code(const CrashSlot& slot) {
-  return (slot.signal == SIGSEGV || slot.signal == SIGBUS) && slot.code > 0 &&
-         slot.fault_address == slot.program_counter;
+inline bool is_jump_to_no_code(const CrashReport& report) {
+  return (report.signal == SIGSEGV || report.signal == SIGBUS) && report.code > 0 &&
+         report.fault_address == report.program_counter;
 }
 
 }  // namespace play_launch::isolation
