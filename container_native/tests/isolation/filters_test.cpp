@@ -32,17 +32,19 @@ constexpr sock_filter answer(int error) {
 }
 
 /// From now on clone3 fails with ENOSYS, as the filters of container runtimes have it, and if asked
-/// for, clone with EPERM, but for threads. (With any other error for clone3, the C library starts
-/// no threads either.)
+/// for, clone with EPERM where memory is shared, but for threads. (With any other error for clone3,
+/// the C library starts no threads either.)
 void refuse_clone3(bool clone_too) {
+  constexpr std::uint32_t kMemory = 0x00000100;  // CLONE_VM
   constexpr std::uint32_t kThread = 0x00010000;  // CLONE_THREAD
-  const std::array<sock_filter, 8> program{
+  const std::array<sock_filter, 9> program{
       load(offsetof(seccomp_data, nr)),
       BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, SYS_clone3, 0, 1),
       answer(ENOSYS),
-      BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, SYS_clone, 0, 3),
+      BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, SYS_clone, 0, 4),
       load(offsetof(seccomp_data, args[0])),
-      BPF_JUMP(BPF_JMP | BPF_JSET | BPF_K, clone_too ? kThread : 0xffffffff, 1, 0),
+      BPF_JUMP(BPF_JMP | BPF_JSET | BPF_K, clone_too ? kMemory : 0, 0, 2),
+      BPF_JUMP(BPF_JMP | BPF_JSET | BPF_K, kThread, 1, 0),
       answer(EPERM),
       BPF_STMT(BPF_RET | BPF_K, SECCOMP_RET_ALLOW),
   };
@@ -57,7 +59,7 @@ void test_nodes_run_by_clone() {
   refuse_clone3(false);
   CHECK(::syscall(SYS_clone3, nullptr, 0) == -1 && errno == ENOSYS);
   const Facts facts = look_at_machine();
-  CHECK(facts.clone_error == 0);
+  CHECK(facts.probe.clone_error == 0);
   CHECK(choose_mechanism(MechanismChoice::automatic, facts).mechanism == Mechanism::shared_memory);
 
   for (int i = 0; i < 20; ++i) {
@@ -87,7 +89,7 @@ void test_nodes_run_by_clone() {
 void test_both_are_refused() {
   refuse_clone3(true);
   const Facts facts = look_at_machine();
-  CHECK(facts.clone_error == EPERM);
+  CHECK(facts.probe.clone_error == EPERM);
   const Gate gate = choose_mechanism(MechanismChoice::automatic, facts);
   CHECK(gate.mechanism == Mechanism::process);
   CHECK(contains(gate.notes.at(0), "Operation not permitted"));
