@@ -30,6 +30,7 @@ NAMED = re.compile(r"^component_container: /vandal \(.*\) called (\w+)\(", re.MU
 REFUSED = {
     "close_range": "close_range",
     "closefrom": "closefrom",
+    "closefrom_at_the_end": "closefrom",
     "close_low": "close",
     "close_all": "close",
     "dup2": "dup2",

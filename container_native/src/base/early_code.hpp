@@ -2,7 +2,8 @@
 
 namespace play_launch {
 
-/// Remembers which code is loaded: the program, the middleware and what they need. Once, in the
+/// Remembers which code is loaded: the middleware and what it needs, without the program and the
+/// libraries that call code of nodes. Once, in the
 /// container, before the first library of a node is loaded. Takes the loader's lock.
 void note_early_code() noexcept;
 

@@ -1,5 +1,7 @@
 #include "rcl_stand_in.hpp"
 
+#include <unistd.h>
+
 #include <cstdlib>
 
 #include "busy.hpp"
@@ -24,6 +26,12 @@ void stay_inside(const std::function<void()>& tell) {
   const std::lock_guard guard(lock);
   tell();
   busy_for_ever();
+}
+
+int close_file(int fd) {
+  const int result = ::close(fd);
+  busy(1);  // the call is not the last of the function
+  return result;
 }
 
 void crash() {

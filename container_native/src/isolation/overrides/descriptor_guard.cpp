@@ -4,8 +4,8 @@
 // (protected_descriptors.hpp). Such an attempt fails with EBADF, as with a number that is not open;
 // a range that includes such descriptors is left alone as a whole, and the call says that it has
 // worked: programs that call it mean to close what they do not know, which here is their
-// neighbours', and on an error many go on number by number. Code that was loaded before the first
-// node may close what it likes: descriptors of the middleware are opened and closed by whatever
+// neighbours', and on an error many go on number by number. The middleware
+// (early_code.hpp) may close what it likes: its descriptors are opened and closed by whatever
 // thread comes along.
 
 #include <linux/close_range.h>
