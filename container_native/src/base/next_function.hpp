@@ -41,4 +41,10 @@ class NextFunction {
   static inline constinit std::atomic<Function*> function_{nullptr};
 };
 
+/// The one behind a function that has the same type.
+template <FixedText name, class Result, class... Arguments>
+NextFunction<name, Result(Arguments...)> next_function(Result (*)(Arguments...)) noexcept {
+  return {};
+}
+
 }  // namespace play_launch

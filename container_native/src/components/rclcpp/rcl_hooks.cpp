@@ -15,29 +15,29 @@
 
 namespace {
 
-using play_launch::NextFunction;
+using play_launch::next_function;
 using play_launch::rclcpp_backend::finalise_discarded_nodes;
 using play_launch::rclcpp_backend::HandleKind;
 using play_launch::rclcpp_backend::HandleLedger;
 
-const NextFunction<"rcl_node_init", decltype(rcl_node_init)> next_rcl_node_init;
-const NextFunction<"rcl_node_fini", decltype(rcl_node_fini)> next_rcl_node_fini;
-const NextFunction<"rcl_publisher_init", decltype(rcl_publisher_init)> next_rcl_publisher_init;
-const NextFunction<"rcl_publisher_fini", decltype(rcl_publisher_fini)> next_rcl_publisher_fini;
-const NextFunction<"rcl_subscription_init", decltype(rcl_subscription_init)>
-    next_rcl_subscription_init;
-const NextFunction<"rcl_subscription_fini", decltype(rcl_subscription_fini)>
-    next_rcl_subscription_fini;
-const NextFunction<"rcl_service_init", decltype(rcl_service_init)> next_rcl_service_init;
-const NextFunction<"rcl_node_type_description_service_init",
-                   decltype(rcl_node_type_description_service_init)>
-    next_rcl_node_type_description_service_init;
-const NextFunction<"rcl_service_fini", decltype(rcl_service_fini)> next_rcl_service_fini;
-const NextFunction<"rcl_client_init", decltype(rcl_client_init)> next_rcl_client_init;
-const NextFunction<"rcl_client_fini", decltype(rcl_client_fini)> next_rcl_client_fini;
-const NextFunction<"rcl_logging_rosout_init_publisher_for_node",
-                   decltype(rcl_logging_rosout_init_publisher_for_node)>
-    next_rcl_logging_rosout_init_publisher_for_node;
+const auto next_rcl_node_init = next_function<"rcl_node_init">(&rcl_node_init);
+const auto next_rcl_node_fini = next_function<"rcl_node_fini">(&rcl_node_fini);
+const auto next_rcl_publisher_init = next_function<"rcl_publisher_init">(&rcl_publisher_init);
+const auto next_rcl_publisher_fini = next_function<"rcl_publisher_fini">(&rcl_publisher_fini);
+const auto next_rcl_subscription_init =
+    next_function<"rcl_subscription_init">(&rcl_subscription_init);
+const auto next_rcl_subscription_fini =
+    next_function<"rcl_subscription_fini">(&rcl_subscription_fini);
+const auto next_rcl_service_init = next_function<"rcl_service_init">(&rcl_service_init);
+const auto next_rcl_node_type_description_service_init =
+    next_function<"rcl_node_type_description_service_init">(
+        &rcl_node_type_description_service_init);
+const auto next_rcl_service_fini = next_function<"rcl_service_fini">(&rcl_service_fini);
+const auto next_rcl_client_init = next_function<"rcl_client_init">(&rcl_client_init);
+const auto next_rcl_client_fini = next_function<"rcl_client_fini">(&rcl_client_fini);
+const auto next_rcl_logging_rosout_init_publisher_for_node =
+    next_function<"rcl_logging_rosout_init_publisher_for_node">(
+        &rcl_logging_rosout_init_publisher_for_node);
 
 rcl_ret_t opened(rcl_ret_t result, HandleKind kind, void* handle, const rcl_node_t* node) {
   HandleLedger* const ledger = HandleLedger::current();
