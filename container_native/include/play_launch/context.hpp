@@ -2,6 +2,7 @@
 
 #include <rcl/context.h>
 
+#include <functional>
 #include <memory>
 #include <mutex>
 #include <vector>
@@ -38,8 +39,18 @@ class Context {
   [[nodiscard]] bool ok() const noexcept;
 
   /// Cancels every executor that ever held a node of this context and invalidates the context
-  /// (a borrowed one stays valid: shutting it down is its owner's business). Idempotent.
+  /// (a borrowed one stays valid: shutting it down is its owner's business). Idempotent. In a
+  /// container, where the context is everybody's, it is a request that the container decides on:
+  /// an isolated node ends alone, any other one ends the container; the context stays valid.
   void shutdown();
+
+  /// For the owner of a context that nodes share: decides on their calls of shutdown(). It is given
+  /// the address that the call returns to, and answers whether the context is shut down. Before
+  /// the first node; none: nobody decides.
+  using ShutdownGuard = std::function<bool(const void* caller)>;
+  void guard_shutdown(ShutdownGuard guard);
+  /// Asks the guard, for a shutdown that does not come through shutdown().
+  [[nodiscard]] bool may_shut_down(const void* caller);
 
   /// Where publishers and subscriptions of this context meet without the middleware.
   [[nodiscard]] IntraProcessHub& intra_process() noexcept { return *hub_; }
@@ -50,12 +61,15 @@ class Context {
  private:
   Context();
 
+  void end();
+
   rcl_context_t own_;
   rcl_context_t* context_ = nullptr;
   bool owns_logging_ = false;
   std::unique_ptr<IntraProcessHub> hub_;
   std::mutex mutex_;
   bool shut_down_ = false;
+  ShutdownGuard guard_;
   std::vector<std::weak_ptr<detail::StopFlag>> stops_;
 };
 

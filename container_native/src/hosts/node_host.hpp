@@ -49,8 +49,8 @@ class NodeHostObserver {
   virtual void on_load_failed(std::uint64_t unique_id, const std::string& reason) = 0;
   /// The process that was to hold the node died before on_loaded.
   virtual void on_load_crashed(std::uint64_t unique_id, const NodeDeath& death) = 0;
-  /// The node is destroyed.
-  virtual void on_gone(std::uint64_t unique_id) = 0;
+  /// The node is destroyed. `why` when it ended by itself; empty: somebody wanted it.
+  virtual void on_gone(std::uint64_t unique_id, const std::string& why) = 0;
   /// The process that held the node died after on_loaded, also while it was being unloaded.
   virtual void on_crashed(std::uint64_t unique_id, const NodeDeath& death) = 0;
 };

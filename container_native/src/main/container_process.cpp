@@ -40,7 +40,10 @@ bool is_orphaned(StopCause cause) {
   return cause == StopCause::closed || cause == StopCause::protocol_error;
 }
 
-int exit_code(StopCause cause) {
+int exit_code(StopCause cause, bool hosted) {
+  if (cause == StopCause::context) {
+    return hosted ? kExitOk : kExitFailed;  // in a process of its own, the node may end itself
+  }
   return cause == StopCause::protocol_error ? kExitProtocol : kExitOk;
 }
 
@@ -72,6 +75,7 @@ ContainerProcess::~ContainerProcess() = default;
 void ContainerProcess::start(int argc, const char* const* argv) {
   std::vector<std::unique_ptr<ComponentBackend>> backends = make_backends(argc, argv);
   context_ = backends.front()->context();
+  context_guard_.emplace(context_, [this](const std::string& who) { on_context_shutdown(who); });
   // The first node of the context, and the last to go: the participant and its threads come with
   // it, and must not depend on what becomes of a component.
   if (!options_.hosted) {
@@ -134,7 +138,7 @@ int ContainerProcess::run() {
     stop_.wait();
   }
   stop_nodes();
-  const int status = exit_code(stop_.cause());
+  const int status = exit_code(stop_.cause(), options_.hosted);
   const bool all_gone = manager_->empty();
   if (!all_gone) {
     report_remaining();
@@ -151,8 +155,17 @@ int ContainerProcess::run() {
   }
   host_.reset();
   manager_.reset();
+  context_guard_.reset();
   context_.reset();
   return status;
+}
+
+void ContainerProcess::on_context_shutdown(const std::string& who) {
+  std::call_once(shut_down_by_node_, [&] {
+    why_stopping_ = who + " shut the ROS context down";
+    report(why_stopping_ + ", which is everybody's in this container: stopping");
+    stop_.request(StopCause::context);
+  });
 }
 
 void ContainerProcess::stop_nodes() {
@@ -164,17 +177,18 @@ void ContainerProcess::stop_nodes() {
   }
   SteadyTime deadline = Clock::now() + limit;
   const std::string too_long = "taking the container apart takes too long: leaving";
-  watchdog_.arm(deadline + kTeardownLimit, exit_code(cause), too_long);
+  const int status = exit_code(cause, options_.hosted);
+  watchdog_.arm(deadline + kTeardownLimit, status, too_long);
   hit(Failpoint::during_stop);
   host_->hurry(deadline);
   host_->stop_spinning();
-  manager_->begin_stop([this] { stop_.wake(); });
+  manager_->begin_stop([this] { stop_.wake(); }, cause == StopCause::context ? why_stopping_ : "");
   while (!manager_->empty() && Clock::now() < deadline) {
     stop_.wait(deadline);
     if (stop_.times_asked() > asked) {
       deadline = std::min<SteadyTime>(deadline, Clock::now() + kHurriedStopLimit);
       host_->hurry(deadline);
-      watchdog_.arm(deadline + kTeardownLimit, exit_code(cause), too_long);
+      watchdog_.arm(deadline + kTeardownLimit, status, too_long);
     }
   }
 }

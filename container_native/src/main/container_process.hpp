@@ -1,12 +1,14 @@
 #pragma once
 
 #include <memory>
+#include <mutex>
 #include <optional>
 #include <play_launch/context.hpp>
 #include <play_launch/node.hpp>
 #include <string>
 #include <vector>
 
+#include "main/context_guard.hpp"
 #include "main/control_interface.hpp"
 #include "main/options.hpp"
 #include "main/ros_interface.hpp"
@@ -33,6 +35,7 @@ class ContainerProcess {
   std::size_t choose_threads();
   play_launch_msgs::msg::ControlHello hello(std::size_t threads,
                                             std::vector<std::string> backends) const;
+  void on_context_shutdown(const std::string& who);
   void stop_nodes();
   void report_remaining() const;
 
@@ -41,7 +44,10 @@ class ContainerProcess {
   StopRequests stop_;
   Watchdog watchdog_;
   std::optional<ControlInterface> control_;
+  std::once_flag shut_down_by_node_;
+  std::string why_stopping_;  // set before the stop is requested; empty: somebody asked for it
   std::shared_ptr<Context> context_;
+  std::optional<ContextGuard> context_guard_;
   std::shared_ptr<Node> node_;
   std::unique_ptr<NodeHost> host_;
   std::unique_ptr<ObservableComponentManager> manager_;

@@ -14,7 +14,8 @@ namespace play_launch::container {
 using SteadyTime = std::chrono::steady_clock::time_point;
 
 /// Why the container stops.
-enum class StopCause { none, signal, shutdown, closed, protocol_error };
+/// `context`: code of a node shut the ROS context down.
+enum class StopCause { none, signal, shutdown, closed, protocol_error, context };
 
 /// Collects what asks the container to stop, and lets one thread wait for it. There is one object,
 /// because signal handlers have no other way to find it.

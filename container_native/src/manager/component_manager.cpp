@@ -209,7 +209,8 @@ void ObservableComponentManager::refuse_loads() {
   stopping_ = true;
 }
 
-void ObservableComponentManager::begin_stop(std::function<void()> on_empty) {
+void ObservableComponentManager::begin_stop(std::function<void()> on_empty,
+                                            const std::string& why) {
   const std::lock_guard lock(mutex_);
   stopping_ = true;
   on_empty_ = std::move(on_empty);
@@ -220,7 +221,7 @@ void ObservableComponentManager::begin_stop(std::function<void()> on_empty) {
   for (const std::uint64_t unique_id : unique_ids) {
     const bool constructing = table_.find(unique_id)->state == NodeState::constructing;
     std::string why_not;
-    if (table_.retire(unique_id, constructing ? kCancelled : "", Clock::now()) ==
+    if (table_.retire(unique_id, constructing && why.empty() ? kCancelled : why, Clock::now()) ==
         NodeTable::Retirement::unload_now) {
       start_unloading(unique_id, why_not);  // if not, the end of the stop reports the node
     }
@@ -291,14 +292,14 @@ void ObservableComponentManager::load_failed(std::uint64_t unique_id, const std:
   after_removal();
 }
 
-void ObservableComponentManager::on_gone(std::uint64_t unique_id) {
+void ObservableComponentManager::on_gone(std::uint64_t unique_id, const std::string& why) {
   const std::lock_guard lock(mutex_);
   const std::optional<NodeEntry> entry = table_.remove(unique_id);
   if (!entry) {
     return;
   }
   emit(*entry, entry->refused ? ComponentEvent::LOAD_FAILED : ComponentEvent::UNLOADED,
-       entry->verdict);
+       entry->verdict.empty() ? why : entry->verdict);
   after_removal();
 }
 

@@ -72,8 +72,9 @@ class ObservableComponentManager final : public NodeHostObserver {
   void refuse_loads();
 
   /// Takes up no load any more and begins to unload all nodes. `on_empty` is called (once, with the
-  /// manager locked) when none is left.
-  void begin_stop(std::function<void()> on_empty);
+  /// manager locked) when none is left. `why` is told with the end of each node; empty: somebody
+  /// asked for the stop.
+  void begin_stop(std::function<void()> on_empty, const std::string& why = "");
   bool empty() const;
 
   /// See NodeHost::totals().
@@ -87,7 +88,7 @@ class ObservableComponentManager final : public NodeHostObserver {
   void on_loaded(std::uint64_t unique_id) override;
   void on_load_failed(std::uint64_t unique_id, const std::string& reason) override;
   void on_load_crashed(std::uint64_t unique_id, const NodeDeath& death) override;
-  void on_gone(std::uint64_t unique_id) override;
+  void on_gone(std::uint64_t unique_id, const std::string& why) override;
   void on_crashed(std::uint64_t unique_id, const NodeDeath& death) override;
 
  private:

@@ -7,6 +7,7 @@
 #include <play_launch/detail/stop_flag.hpp>
 #include <play_launch/error.hpp>
 #include <play_launch/intra_process.hpp>
+#include <utility>
 
 namespace play_launch {
 namespace {
@@ -73,7 +74,7 @@ std::shared_ptr<Context> Context::borrow(rcl_context_t* context) {
 }
 
 Context::~Context() {
-  shutdown();
+  end();
   if (context_ == &own_ && rcl_context_fini(&own_) != RCL_RET_OK) rcl_reset_error();
   if (owns_logging_) end_logging();
 }
@@ -81,6 +82,24 @@ Context::~Context() {
 bool Context::ok() const noexcept { return context_ != nullptr && rcl_context_is_valid(context_); }
 
 void Context::shutdown() {
+  if (may_shut_down(__builtin_return_address(0))) end();
+}
+
+void Context::guard_shutdown(ShutdownGuard guard) {
+  const std::lock_guard lock(mutex_);
+  guard_ = std::move(guard);
+}
+
+bool Context::may_shut_down(const void* caller) {
+  ShutdownGuard guard;
+  {
+    const std::lock_guard lock(mutex_);
+    guard = guard_;
+  }
+  return !guard || guard(caller);
+}
+
+void Context::end() {
   std::vector<std::weak_ptr<detail::StopFlag>> stops;
   {
     const std::lock_guard lock(mutex_);

@@ -6,6 +6,7 @@
 #include <play_launch/callback_group.hpp>
 #include <play_launch/context.hpp>
 #include <play_launch/detail/forget.hpp>
+#include <play_launch/detail/running_node.hpp>
 #include <play_launch/executor.hpp>
 #include <play_launch/node.hpp>
 #include <stdexcept>
@@ -56,6 +57,7 @@ Work take_or_report(Waitable& waitable) {
 }
 
 void call_user(Work& work, const Waitable& waitable) {
+  const detail::RunningNode running(waitable.logger().name().c_str());
   try {
     work();
   } catch (const std::exception& error) {

@@ -32,7 +32,7 @@ class FakeHost final : public NodeHost {
     if (observer->on_constructed(unique_id, name)) {
       observer->on_loaded(unique_id);
     } else {
-      observer->on_gone(unique_id);
+      observer->on_gone(unique_id, "");
     }
   }
   void refuse() {
@@ -109,7 +109,7 @@ void test_load_and_unload() {
   CHECK(bench.host.unloads == std::vector{unique_id});
   CHECK(!bench.manager.unload(unique_id));  // is under way already
   CHECK(bench.host.unloads.size() == 1);
-  bench.host.observer->on_gone(unique_id);
+  bench.host.observer->on_gone(unique_id, "");
   CHECK((bench.recorder.types() == Types{kLoading, kLoaded, kUnloaded}));
   CHECK(bench.recorder.last().error_message.empty());
   CHECK(bench.manager.unload(unique_id).has_value());
@@ -168,12 +168,12 @@ void test_cancel() {
   CHECK(bench.host.unloads.empty());
   bench.host.observer->on_loaded(late);
   CHECK(bench.host.unloads == std::vector{late});
-  bench.host.observer->on_gone(late);
+  bench.host.observer->on_gone(late, "");
   CHECK(bench.recorder.last().event_type == kUnloaded);
 
   const std::uint64_t loaded = bench.loaded("a");
   CHECK(!bench.manager.cancel(loaded));
-  bench.host.observer->on_gone(loaded);
+  bench.host.observer->on_gone(loaded, "");
   CHECK(bench.recorder.last().error_message == "cancelled");
 }
 
@@ -220,7 +220,7 @@ void test_stop() {
   LoadRequest request;
   CHECK(bench.manager.load(request, [](std::uint64_t) {}).has_value());
   CHECK(bench.host.unloads == std::vector{loaded});
-  bench.host.observer->on_gone(loaded);
+  bench.host.observer->on_gone(loaded, "");
   CHECK(bench.recorder.last().error_message.empty() && empty == 0);
   bench.host.finish(constructing, "/b");
   CHECK(bench.recorder.last().error_message == "cancelled" && empty == 1);

@@ -6,9 +6,12 @@
 #include <chrono>
 #include <memory>
 #include <play_launch/detail/forget.hpp>
+#include <play_launch/detail/running_node.hpp>
 #include <rclcpp/executor_options.hpp>
 #include <rclcpp/utilities.hpp>
 #include <utility>
+
+#include "components/rclcpp/runtime.hpp"
 
 namespace play_launch::rclcpp_backend {
 namespace {
@@ -77,7 +80,11 @@ bool NodeExecutor::may_run() const { return !stop_->is_set() && rclcpp::ok(conte
 void NodeExecutor::run(Worker& worker) noexcept {
   while (may_run()) {
     if (take(worker)) {
-      execute(*worker.work);
+      try {
+        execute(*worker.work);
+      } catch (const ContextIsShared&) {
+        // The callback has ended its node, and stop_ is set.
+      }
     }
     finish(worker);
   }
@@ -100,6 +107,8 @@ bool NodeExecutor::take(Worker& worker) {
 }
 
 void NodeExecutor::execute(rclcpp::AnyExecutable& work) {
+  const detail::RunningNode running(
+      work.node_base != nullptr ? work.node_base->get_fully_qualified_name() : nullptr);
   if (work.timer) {
     execute_timer(unshared(work.timer), work.data);
   }

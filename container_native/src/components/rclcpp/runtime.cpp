@@ -2,18 +2,21 @@
 
 #include <rcl/error_handling.h>
 #include <rcl/init.h>
-#include <signal.h>
 #include <unistd.h>
 
+#include <atomic>
 #include <new>
 #include <rclcpp/contexts/default_context.hpp>
 #include <rclcpp/graph_listener.hpp>
 #include <rclcpp/init_options.hpp>
 #include <rclcpp/utilities.hpp>
-#include <stdexcept>
+#include <string>
 
 namespace play_launch::rclcpp_backend {
 namespace {
+
+/// The default context as the SDK sees it; null before initialise() and after its end.
+std::atomic<Context*> shared_context{nullptr};
 
 /// rclcpp between its initialisation and its shutdown.
 class Runtime {
@@ -29,8 +32,10 @@ class Runtime {
     graph_listener_ = context_->get_sub_context<rclcpp::graph_listener::GraphListener>(context_);
     graph_listener_->start_if_not_started();
     borrowed_ = Context::borrow(context_->get_rcl_context().get());
+    shared_context = borrowed_.get();
   }
   ~Runtime() {
+    shared_context = nullptr;
     borrowed_.reset();
     graph_listener_->shutdown(std::nothrow);
     // Not rclcpp's shutdown(): it would call back into components that are destroyed by now.
@@ -44,14 +49,12 @@ class Runtime {
   Context* borrowed() const { return borrowed_.get(); }
 
  private:
+  /// For Context::shutdown(), which cannot be kept from its work in another way: what is thrown
+  /// here comes out of the component's call. rclcpp::shutdown() does not get here.
   void on_shutdown_by_a_component() const {
-    if (::getpid() != container_) {
-      // The context is everybody's. What is thrown here comes out of the component's call.
-      throw std::runtime_error(
-          "rclcpp::shutdown() was called in an isolated node, and would shut down all nodes of the "
-          "container; end the node instead, for example with exit(0)");
+    if (!borrowed_->may_shut_down(nullptr) && ::getpid() != container_) {
+      throw ContextIsShared();
     }
-    ::kill(container_, SIGTERM);  // as the end of spin() ends any other program
   }
 
   const pid_t container_;
@@ -68,3 +71,18 @@ std::shared_ptr<Context> initialise(int argc, const char* const* argv) {
 }
 
 }  // namespace play_launch::rclcpp_backend
+
+/// Instead of librclcpp's, for the whole program: the executable exports its symbols, so libraries
+/// of components find this one first. There are no signal handlers of rclcpp to be taken back.
+bool rclcpp::shutdown(rclcpp::Context::SharedPtr context, const std::string& reason) {
+  const rclcpp::Context::SharedPtr everybodys = rclcpp::contexts::get_global_default_context();
+  if (context == nullptr) {
+    context = everybodys;
+  }
+  play_launch::Context* const shared = play_launch::rclcpp_backend::shared_context;
+  if (context == everybodys && shared != nullptr &&
+      !shared->may_shut_down(__builtin_return_address(0))) {
+    return true;
+  }
+  return context->shutdown(reason);
+}

@@ -2,8 +2,17 @@
 
 #include <memory>
 #include <play_launch/context.hpp>
+#include <stdexcept>
 
 namespace play_launch::rclcpp_backend {
+
+/// Comes out of a component's call of rclcpp::Context::shutdown() in an isolated node, which is
+/// leaving by then. rclcpp::shutdown() throws nothing.
+class ContextIsShared : public std::runtime_error {
+ public:
+  ContextIsShared()
+      : std::runtime_error("the ROS context is everybody's in a container: this node ends alone") {}
+};
 
 /// Initialises rclcpp for this process, with the default context that components expect to find,
 /// and returns that context for the SDK: both kinds of nodes share one participant. Signals stay

@@ -28,6 +28,7 @@ constexpr std::size_t kThreadNameLength = 15;
 /// After so long without a sign of its executor, a node may have replaced itself by another program
 /// without our knowing.
 constexpr std::chrono::seconds kSuspicious{2};
+constexpr const char* kEndedItself = "the node ended itself: it shut the ROS context down";
 
 /// What `ps` shows: the node's name, or its class's as long as that is all there is.
 std::string process_name(const LoadRequest& request) {
@@ -102,6 +103,9 @@ void ClonedNode::tell(NodeHostObserver& observer, IsolationTotals& totals) {
   tell_progress(observer, program_.stage());
   if (!dead) {
     end_if_replaced();
+    if (program_.ends_itself()) {
+      leave();
+    }
   }
   if (dead && !told_end_) {
     told_end_ = true;
@@ -187,7 +191,7 @@ void ClonedNode::tell_end(NodeHostObserver& observer, IsolationTotals& totals) {
     return;
   }
   if (end_.clean() && outcome == NodeOutcome::left) {
-    observer.on_gone(unique_id());
+    observer.on_gone(unique_id(), program_.ends_itself() ? kEndedItself : "");
     return;
   }
   ++totals.crashes;

@@ -111,6 +111,12 @@ void NodeProgram::take_apart() {
 
 void NodeProgram::crashed() noexcept { ring(doorbell_); }
 
+void NodeProgram::end_itself() noexcept {
+  ends_itself_ = true;
+  stop_->set();
+  ring(doorbell_);  // it leaves under the same pressure as one that is unloaded
+}
+
 void NodeProgram::reach(NodeStage stage) noexcept {
   stage_ = stage;
   ring(doorbell_);

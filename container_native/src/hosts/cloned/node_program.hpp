@@ -39,11 +39,14 @@ class NodeProgram final : public isolation::ChildProgram {
   void cancel() noexcept override { stop_->set(); }
   void crashed() noexcept override;
   void noted() noexcept override { crashed(); }
+  void end_itself() noexcept override;
 
   NodeStage stage() const { return stage_.load(); }
   NodeOutcome outcome() const { return outcome_.load(); }
   /// How long its executor has not come round; nothing: before it spins, or when it cannot tell.
   std::optional<std::chrono::nanoseconds> silence() const;
+  /// Its own code asked for its end.
+  bool ends_itself() const { return ends_itself_.load(); }
   /// Name of the node; from NodeStage::constructed on.
   const std::string& full_name() const { return full_name_; }
   /// Why loading failed; with NodeOutcome::failed.
@@ -80,6 +83,7 @@ class NodeProgram final : public isolation::ChildProgram {
   std::string full_name_;
   std::string failure_;
   std::atomic<NodeStage> stage_{NodeStage::preparing};
+  std::atomic<bool> ends_itself_{false};
   std::atomic<NodeOutcome> outcome_{NodeOutcome::none};
   std::atomic<Verdict> verdict_{Verdict::none};
   Beat beat_;

@@ -8,8 +8,9 @@
 namespace play_launch::container {
 
 void IsolatedNode::leave() noexcept {
-  leaving_ = true;
-  ring(doorbell_);
+  if (!leaving_.exchange(true)) {
+    ring(doorbell_);
+  }
 }
 
 IsolatedNode::Time IsolatedNode::press(Time now, Time end) {

@@ -3,6 +3,7 @@
 #include <pthread.h>
 #include <unistd.h>
 
+#include <play_launch/detail/running_node.hpp>
 #include <string>
 #include <utility>
 
@@ -61,6 +62,8 @@ void SharedExecutorHost::construct(std::uint64_t unique_id, const LoadRequest& r
   hit(Failpoint::before_construct);
   Node node;
   try {
+    const std::optional<std::string> name = backends_.expected_full_name(request);
+    const detail::RunningNode running(name ? name->c_str() : nullptr);
     const BackendList::Found found = backends_.find(unique_id, request);
     node.executor = spinners_[found.backend].executor.get();
     node.component = found.component_class->create(request, nullptr);
@@ -71,7 +74,7 @@ void SharedExecutorHost::construct(std::uint64_t unique_id, const LoadRequest& r
   hit(Failpoint::after_construct);
   if (!observer_->on_constructed(unique_id, node.component->full_name())) {
     node.component.reset();
-    observer_->on_gone(unique_id);
+    observer_->on_gone(unique_id, "");
     return;
   }
   Component& component = *node.component;
@@ -106,9 +109,11 @@ void SharedExecutorHost::destroy(std::uint64_t unique_id) {
     }
     node = std::move(handle.mapped());
   }
+  const std::string name = node.component->full_name();
+  const detail::RunningNode running(name.c_str());
   node.executor->remove(*node.component);
   node.component.reset();
-  observer_->on_gone(unique_id);
+  observer_->on_gone(unique_id, "");
 }
 
 }  // namespace play_launch::container

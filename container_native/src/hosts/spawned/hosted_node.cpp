@@ -94,7 +94,7 @@ void HostedNode::on_frame(const control::Frame& frame) {
         failed_ = std::move(event);
         break;
       case ComponentEvent::UNLOADED:
-        unloaded_ = true;
+        unloaded_ = event;
         break;
       default:
         return;
@@ -161,7 +161,7 @@ void HostedNode::tell_end(NodeHostObserver& observer, IsolationTotals& totals) {
     return;
   }
   if (in_order && unloaded_) {
-    observer.on_gone(unique_id());
+    observer.on_gone(unique_id(), unloaded_->error_message);
     return;
   }
   ++totals.crashes;

@@ -52,7 +52,7 @@ class HostedNode final : public IsolatedNode, private control::ChannelHandler {
   mutable std::mutex mutex_;  // guards what its container has told
   std::optional<ComponentEvent> loaded_;
   std::optional<ComponentEvent> failed_;
-  bool unloaded_ = false;
+  std::optional<ComponentEvent> unloaded_;
   bool closed_ = false;
 
   // The monitor's.

@@ -38,6 +38,10 @@ class ChildProgram {
   /// Called in the child, in any of its threads, when the slot tells of something else that is
   /// worth a line (CrashSlot::refused_call). Async-signal-safe functions only.
   virtual void noted() noexcept {}
+
+  /// Called in the child, in any of its threads, when its code asks for the end of more than the
+  /// child: the child alone is to end, in order.
+  virtual void end_itself() noexcept {}
 };
 
 struct ChildOptions {

@@ -1,0 +1,77 @@
+#include "main/context_guard.hpp"
+
+#include <dlfcn.h>
+#include <link.h>
+#include <rcl/init.h>
+#include <unistd.h>
+
+#include <atomic>
+#include <play_launch/detail/running_node.hpp>
+#include <utility>
+
+#include "base/next_function.hpp"
+#include "isolation/record/child_record.hpp"
+
+namespace play_launch::container {
+namespace {
+
+/// The context that is guarded; null: none is.
+std::atomic<Context*> guarded{nullptr};
+
+const NextFunction<"rcl_shutdown", decltype(rcl_shutdown)> next_rcl_shutdown;
+
+/// The library that the code belongs to, without the loader's lock.
+std::string library_of(const void* code) {
+  dl_find_object found{};
+  if (::_dl_find_object(const_cast<void*>(code), &found) != 0 || found.dlfo_link_map == nullptr) {
+    return "a thread that no executor knows";
+  }
+  const std::string path = found.dlfo_link_map->l_name;
+  // The last call of a function leaves nothing of it on the stack: then it is who starts threads.
+  const bool tells = !path.empty() && path.find("/libstdc++.so") == std::string::npos &&
+                     path.find("/libc.so") == std::string::npos;
+  return tells ? "a thread in " + path : "a thread that no executor knows";
+}
+
+bool decide(pid_t container, const ContextGuard::OnShutdown& on_shutdown, const void* caller) {
+  if (const isolation::ChildRecord* const child = isolation::current_child()) {
+    child->program->end_itself();
+    return false;
+  }
+  if (::getpid() != container) {
+    return true;  // forked: the context is a copy of its own
+  }
+  const std::string node = detail::RunningNode::full_name();
+  on_shutdown(node.empty() ? library_of(caller) : node);
+  return false;
+}
+
+}  // namespace
+
+ContextGuard::ContextGuard(std::shared_ptr<Context> context, OnShutdown on_shutdown)
+    : context_(std::move(context)) {
+  context_->guard_shutdown(
+      [container = ::getpid(), on_shutdown = std::move(on_shutdown)](const void* caller) {
+        return decide(container, on_shutdown, caller);
+      });
+  guarded = context_.get();
+}
+
+ContextGuard::~ContextGuard() {
+  guarded = nullptr;
+  context_->guard_shutdown(nullptr);
+}
+
+}  // namespace play_launch::container
+
+/// Instead of librcl's, for the whole program: the executable exports its symbols, so libraries
+/// find this one first.
+extern "C" [[gnu::visibility("default")]] rcl_ret_t rcl_shutdown(rcl_context_t* context) {
+  using namespace play_launch::container;
+  play_launch::Context* const ours = guarded;
+  if (ours != nullptr && ours->rcl() == context &&
+      !ours->may_shut_down(__builtin_return_address(0))) {
+    return RCL_RET_OK;
+  }
+  return next_rcl_shutdown.get()(context);
+}
