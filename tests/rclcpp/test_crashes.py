@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from tests.support.ros import Probe
 
 CRASHED, LOAD_FAILED = ComponentEvent.CRASHED, ComponentEvent.LOAD_FAILED
+UNLOADED = ComponentEvent.UNLOADED
 WAYS = {
     "segv": SIGSEGV,
     "abrt": SIGABRT,
@@ -166,27 +167,49 @@ def test_a_signal_from_outside(
 
 
 @both_modes
+@pytest.mark.parametrize("in_constructor", [False, True], ids=["callback", "constructor"])
 def test_a_node_that_shuts_rclcpp_down_ends_alone(
-    spawn: StartContainer, components: str, mode: str, probe: Probe
+    spawn: StartContainer, components: str, mode: str, in_constructor: bool, probe: Probe
 ) -> None:
     container = start(spawn, mode)
     with survives(container):
         container.loaded("Talker", package=components)
-        crasher = container.loaded(
-            "Crasher", package=components, parameters={"how": "shutdown", "after": 0.001}
-        )
-        crashed = container.event(CRASHED, unique_id=crasher.unique_id)
-        assert "rclcpp::shutdown()" in crashed.error_message
+        parameters = {"how": "shutdown", "after": 0.001, "in_constructor": in_constructor}
+        crasher = container.loaded("Crasher", package=components, parameters=parameters)
+        event = container.event(UNLOADED, unique_id=crasher.unique_id)
+        assert "ended itself" in event.error_message
         probe.collect(String, "/chatter", 5, timeout=30.0)
-        assert_cleaned_up(container, crashes=1)
+        assert container.status().crashes == 0
 
 
+@both_modes
+def test_a_node_that_shuts_its_context_down_ends_alone(
+    spawn: StartContainer, components: str, mode: str, probe: Probe
+) -> None:
+    how = {"how": "shutdown_context"}
+    container = start(spawn, mode)
+    with survives(container):
+        container.loaded("Talker", package=components)
+        crasher = container.loaded("Crasher", package=components, parameters={**how, "after": 0.0})
+        event = container.event(UNLOADED, unique_id=crasher.unique_id)
+        assert "ended itself" in event.error_message
+        # rclcpp cannot be kept from its work there but by an exception.
+        container.load("Crasher", package=components, parameters={**how, "in_constructor": True})
+        assert "ends alone" in container.event(LOAD_FAILED).error_message
+        probe.collect(String, "/chatter", 5, timeout=30.0)
+        assert container.status().crashes == 0
+
+
+@pytest.mark.parametrize("how", ["shutdown", "shutdown_context"])
 def test_a_node_that_shuts_rclcpp_down_ends_a_shared_container(
-    spawn: StartContainer, components: str
+    spawn: StartContainer, components: str, how: str
 ) -> None:
     container = start(spawn, "standard")
-    container.load("Crasher", package=components, parameters={"how": "shutdown", "after": 0.001})
-    assert container.wait() == 0, container.log.read_text()
+    talker = container.loaded("Talker", package=components)
+    container.load("Crasher", package=components, parameters={"how": how, "after": 0.001})
+    event = container.event(UNLOADED, unique_id=talker.unique_id)
+    assert "/crasher shut the ROS context down" in event.error_message
+    assert container.wait() == 1, container.log.read_text()
 
 
 @both_modes

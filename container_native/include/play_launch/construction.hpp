@@ -28,9 +28,13 @@ class Construction {
     Construction& construction_;
   };
 
-  /// Takes the nodes, publishers, subscriptions and services that are known off the middleware and
-  /// off delivery by pointer. The objects stay, as nothing more than memory; their thread must be
-  /// gone for good.
+  /// Whether the calling thread is watched.
+  [[nodiscard]] static bool is_watched() noexcept;
+
+  /// First of all, ends the watch of the calling thread: who cleans up after a process that died in
+  /// a constructor runs on the thread that it ran on. Takes the nodes, publishers, subscriptions
+  /// and services that are known off the middleware and off delivery by pointer. The objects stay,
+  /// as nothing more than memory; their thread must be gone for good.
   void discard() noexcept;
 
  private:

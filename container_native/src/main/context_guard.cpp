@@ -18,7 +18,7 @@ namespace {
 /// The context that is guarded; null: none is.
 std::atomic<Context*> guarded{nullptr};
 
-const NextFunction<"rcl_shutdown", decltype(rcl_shutdown)> next_rcl_shutdown;
+const NextFunction<"rcl_shutdown", rcl_ret_t(rcl_context_t*)> next_rcl_shutdown;
 
 /// The library that the code belongs to, without the loader's lock.
 std::string library_of(const void* code) {

@@ -31,7 +31,10 @@ Construction::Watch::~Watch() {
   construction_.ledger_->entries.clear();
 }
 
+bool Construction::is_watched() noexcept { return current_ledger != nullptr; }
+
 void Construction::discard() noexcept {
+  current_ledger = nullptr;
   std::vector<Discardable*> entries;
   {
     const std::lock_guard lock(ledger_->mutex);

@@ -55,6 +55,23 @@ void test_discarding(const std::shared_ptr<Context>& context) {
   node.reset();
 }
 
+/// Who discards may do so in the very thread that was watched, and make nodes there.
+void test_discarding_where_it_was_constructed(const std::shared_ptr<Context>& context) {
+  Construction construction;
+  static_cast<void>(new Construction::Watch(construction));  // never destroyed
+  const auto half = std::make_unique<Node>("half_built", by_pointer(context));
+  CHECK(Construction::is_watched());
+  construction.discard();
+  CHECK(!Construction::is_watched());
+  const Node later("later", by_pointer(context));
+  Node neighbour("neighbour", by_pointer(context));
+  const auto publisher = neighbour.create_publisher<String>("in");
+  const auto subscription = neighbour.create_subscription<String>("in", 10, [](const String&) {});
+  CHECK(eventually([&] { return publisher->subscription_count() == 1; }));
+  construction.discard();  // which has nothing of these
+  CHECK(publisher->subscription_count() == 1);
+}
+
 void test_a_constructor_that_ends(const std::shared_ptr<Context>& context) {
   Construction construction;
   std::unique_ptr<Node> node;
@@ -78,4 +95,5 @@ int main() {
   const auto context = make_context();
   test_a_constructor_that_ends(context);
   test_discarding(context);
+  test_discarding_where_it_was_constructed(context);
 }

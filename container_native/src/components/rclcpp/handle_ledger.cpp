@@ -88,7 +88,11 @@ HandleLedger::HandleLedger() { current_ledger = this; }
 
 HandleLedger::~HandleLedger() { current_ledger = nullptr; }
 
-HandleLedger* HandleLedger::current() noexcept { return current_ledger; }
+// The ledger is on the stack of the constructor. Should the process die there, nobody takes its
+// address back, but Construction::discard() has ended the watch before it finalises anything.
+HandleLedger* HandleLedger::current() noexcept {
+  return Construction::is_watched() ? current_ledger : nullptr;
+}
 
 void HandleLedger::opened(HandleKind kind, void* handle, const rcl_node_t* node) {
   closed(handle);  // some of rcl's functions call others of them

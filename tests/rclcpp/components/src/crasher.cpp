@@ -33,6 +33,8 @@ namespace test_components {
     std::exit(3);
   } else if (how == "shutdown") {
     rclcpp::shutdown();
+  } else if (how == "shutdown_context") {
+    rclcpp::contexts::get_default_context()->shutdown("as asked for");
   }
 }
 
