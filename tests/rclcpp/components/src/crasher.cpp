@@ -34,7 +34,7 @@ namespace test_components {
   } else if (how == "shutdown") {
     rclcpp::shutdown();
   } else if (how == "shutdown_context") {
-    rclcpp::contexts::get_default_context()->shutdown("as asked for");
+    rclcpp::contexts::get_global_default_context()->shutdown("as asked for");
   }
 }
 
