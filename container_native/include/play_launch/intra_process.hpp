@@ -10,7 +10,7 @@
 #include <map>
 #include <memory>
 #include <mutex>
-#include <play_launch/construction.hpp>
+#include <play_launch/detail/construction.hpp>
 #include <string>
 #include <typeindex>
 #include <utility>

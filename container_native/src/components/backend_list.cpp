@@ -1,5 +1,7 @@
 #include "components/backend_list.hpp"
 
+#include "components/component_options.hpp"
+
 namespace play_launch::container {
 
 std::size_t BackendList::of_package(const std::string& package) const {
@@ -30,19 +32,6 @@ BackendList::Found BackendList::find(std::uint64_t unique_id, const LoadRequest&
 std::string BackendList::wait_of(std::uint64_t unique_id) const {
   const std::string library = loader_->opening_for(unique_id);
   return library.empty() ? "" : "waits for the dynamic loader, which is opening " + library;
-}
-
-std::optional<std::string> BackendList::expected_full_name(const LoadRequest& request) const {
-  // Which backend it will be is found out by whoever constructs, as that reads files.
-  std::optional<std::string> name;
-  for (const std::unique_ptr<ComponentBackend>& backend : backends_) {
-    const std::optional<std::string> expected = backend->expected_full_name(request);
-    if (!expected || (name && *name != *expected)) {
-      return std::nullopt;
-    }
-    name = expected;
-  }
-  return name;
 }
 
 }  // namespace play_launch::container

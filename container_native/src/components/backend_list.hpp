@@ -41,9 +41,6 @@ class BackendList {
   /// What a node waits for while find() does; empty when it does not.
   std::string wait_of(std::uint64_t unique_id) const;
 
-  /// Full name that the node will have, as far as all backends agree on it.
-  std::optional<std::string> expected_full_name(const LoadRequest& request) const;
-
  private:
   std::size_t of_package(const std::string& package) const;
 

@@ -5,8 +5,8 @@
 #include <cstdint>
 #include <memory>
 #include <optional>
-#include <play_launch/construction.hpp>
 #include <play_launch/context.hpp>
+#include <play_launch/detail/construction.hpp>
 #include <play_launch/detail/stop_flag.hpp>
 #include <string>
 #include <string_view>
@@ -103,9 +103,6 @@ class ComponentBackend {
   virtual std::shared_ptr<Context> context() = 0;
 
   virtual const ComponentIndex& index() const = 0;
-
-  /// See container::expected_full_name().
-  virtual std::optional<std::string> expected_full_name(const LoadRequest& request) const = 0;
 
   /// Opens a library. Its initialisers run in the calling thread, with the dynamic loader's lock.
   /// Once for each library, see LibraryLoader. Throws LoadError.

@@ -116,10 +116,6 @@ class NativeLibrary final : public ComponentLibrary {
 
 NativeBackend::NativeBackend(std::shared_ptr<Context> context) : context_(std::move(context)) {}
 
-std::optional<std::string> NativeBackend::expected_full_name(const LoadRequest& request) const {
-  return container::expected_full_name(request);
-}
-
 std::unique_ptr<ComponentLibrary> NativeBackend::open(const std::string& path) {
   // What its static initialisers throw ends the process; it cannot pass the loader.
   if (::dlopen(path.c_str(), RTLD_NOW | RTLD_LOCAL) == nullptr) {

@@ -17,7 +17,6 @@ class NativeBackend final : public ComponentBackend {
   std::string_view name() const override { return "native"; }
   std::shared_ptr<Context> context() override { return context_; }
   const ComponentIndex& index() const override { return index_; }
-  std::optional<std::string> expected_full_name(const LoadRequest& request) const override;
   std::unique_ptr<ComponentLibrary> open(const std::string& path) override;
   std::unique_ptr<ComponentExecutor> create_executor(
       const ExecutorChoice& choice, std::shared_ptr<detail::StopFlag> stop) override;

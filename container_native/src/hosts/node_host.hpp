@@ -67,8 +67,6 @@ class NodeHost {
   /// Before the first load; the observer must outlive the host's last node.
   virtual void set_observer(NodeHostObserver& observer) = 0;
 
-  virtual std::optional<std::string> expected_full_name(const LoadRequest& request) const = 0;
-
   /// Begins to load. Throws std::exception when not even that works; then no call follows.
   virtual void load(std::uint64_t unique_id, LoadRequest request) = 0;
 

@@ -227,9 +227,7 @@ void ControlInterface::handle_load(const Frame& frame) {
     reject(0, 0, "a load needs an attempt number other than 0");
     return;
   }
-  LoadRequest request = load_request_from(message);
-  request.attempt = message.attempt;
-  const auto refusal = manager_->load(request, [this, &message](std::uint64_t unique_id) {
+  const auto refusal = manager_->load(message, [this, &message](std::uint64_t unique_id) {
     if (hit(Failpoint::drop_accepted)) {
       return;
     }

@@ -19,6 +19,19 @@ bool ends_the_node(const ComponentEvent& event) {
   return ends_the_load(event) && event.event_type != ComponentEvent::LOADED;
 }
 
+LoadRequest request_of(const composition_interfaces::srv::LoadNode::Request& message) {
+  LoadRequest request;
+  request.package_name = message.package_name;
+  request.plugin_name = message.plugin_name;
+  request.node_name = message.node_name;
+  request.node_namespace = message.node_namespace;
+  request.log_level = message.log_level;
+  request.remap_rules = message.remap_rules;
+  request.parameters = message.parameters;
+  request.extra_arguments = message.extra_arguments;
+  return request;
+}
+
 /// A client that went away, or a context that was shut down, must not end the container.
 template <class Action>
 void try_to(const Logger& logger, const char* what, Action action) {
@@ -69,11 +82,11 @@ RosInterface::~RosInterface() {
 }
 
 void RosInterface::load(PendingLoad pending) {
-  const auto refusal = manager_.load(load_request_from(pending->request()),
-                                     [this, &pending](std::uint64_t unique_id) {
-                                       const std::lock_guard lock(mutex_);
-                                       loads_.emplace(unique_id, pending);
-                                     });
+  const auto refusal =
+      manager_.load(request_of(pending->request()), [this, &pending](std::uint64_t unique_id) {
+        const std::lock_guard lock(mutex_);
+        loads_.emplace(unique_id, pending);
+      });
   if (refusal) {
     LoadNode::Response response;
     response.success = false;

@@ -7,6 +7,7 @@
 
 #include "base/failpoints.hpp"
 #include "base/report.hpp"
+#include "components/component_options.hpp"
 
 namespace play_launch::container {
 namespace {
@@ -81,7 +82,7 @@ void ObservableComponentManager::remove_sink(EventSink& sink) {
 std::optional<std::string> ObservableComponentManager::load(const LoadRequest& request,
                                                             const OnAccepted& on_accepted) {
   NodeTable::Wish wish{request.attempt, request.package_name, request.plugin_name,
-                       host_.expected_full_name(request).value_or("")};
+                       expected_full_name(request).value_or("")};
   const std::lock_guard lock(mutex_);
   if (stopping_) {
     return "the container is stopping";

@@ -1,6 +1,6 @@
 #include <algorithm>
 #include <mutex>
-#include <play_launch/construction.hpp>
+#include <play_launch/detail/construction.hpp>
 #include <utility>
 #include <vector>
 

@@ -7,7 +7,7 @@
 
 #include <memory>
 #include <mutex>
-#include <play_launch/construction.hpp>
+#include <play_launch/detail/construction.hpp>
 #include <string>
 
 namespace play_launch {

@@ -15,9 +15,6 @@ namespace {
 class FakeHost final : public NodeHost {
  public:
   void set_observer(NodeHostObserver& given) override { observer = &given; }
-  std::optional<std::string> expected_full_name(const LoadRequest& request) const override {
-    return request.node_name.empty() ? std::nullopt : std::optional("/" + request.node_name);
-  }
   void load(std::uint64_t unique_id, LoadRequest) override {
     refuse();
     loads.push_back(unique_id);

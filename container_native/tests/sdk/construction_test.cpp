@@ -2,7 +2,7 @@
 #include <std_msgs/msg/string.hpp>
 #include <std_srvs/srv/trigger.hpp>
 
-#include <play_launch/construction.hpp>
+#include <play_launch/detail/construction.hpp>
 
 #include "check.hpp"
 

@@ -127,10 +127,6 @@ class RclcppLibrary final : public container::ComponentLibrary {
 
 RclcppBackend::RclcppBackend(std::shared_ptr<Context> context) : context_(std::move(context)) {}
 
-std::optional<std::string> RclcppBackend::expected_full_name(const LoadRequest& request) const {
-  return container::expected_full_name(request);
-}
-
 std::unique_ptr<container::ComponentLibrary> RclcppBackend::open(const std::string& path) {
   return std::make_unique<RclcppLibrary>(path);
 }

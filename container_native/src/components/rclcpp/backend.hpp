@@ -18,8 +18,6 @@ class RclcppBackend final : public container::ComponentBackend {
   std::string_view name() const override { return "rclcpp"; }
   std::shared_ptr<Context> context() override { return context_; }
   const container::ComponentIndex& index() const override { return index_; }
-  std::optional<std::string> expected_full_name(
-      const container::LoadRequest& request) const override;
   std::unique_ptr<container::ComponentLibrary> open(const std::string& path) override;
   std::unique_ptr<container::ComponentExecutor> create_executor(
       const container::ExecutorChoice& choice, std::shared_ptr<detail::StopFlag> stop) override;

@@ -3,7 +3,7 @@
 #include <rcl/node.h>
 
 #include <memory>
-#include <play_launch/construction.hpp>
+#include <play_launch/detail/construction.hpp>
 #include <vector>
 
 namespace play_launch::rclcpp_backend {

@@ -24,9 +24,6 @@ namespace play_launch::container {
 class IsolatedHost : public NodeHost {
  public:
   void set_observer(NodeHostObserver& observer) override { observer_ = &observer; }
-  std::optional<std::string> expected_full_name(const LoadRequest& request) const override {
-    return backends_.expected_full_name(request);
-  }
   void load(std::uint64_t unique_id, LoadRequest request) override;
   void unload(std::uint64_t unique_id) override;
   void stop_spinning() override;

@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "base/failpoints.hpp"
+#include "components/component_options.hpp"
 
 namespace play_launch::container {
 
@@ -34,11 +35,6 @@ SharedExecutorHost::~SharedExecutorHost() {
   }
 }
 
-std::optional<std::string> SharedExecutorHost::expected_full_name(
-    const LoadRequest& request) const {
-  return backends_.expected_full_name(request);
-}
-
 void SharedExecutorHost::load(std::uint64_t unique_id, LoadRequest request) {
   tasks_.run("load-" + std::to_string(unique_id),
              [this, unique_id, request = std::move(request)] { construct(unique_id, request); });
@@ -62,7 +58,7 @@ void SharedExecutorHost::construct(std::uint64_t unique_id, const LoadRequest& r
   hit(Failpoint::before_construct);
   Node node;
   try {
-    const std::optional<std::string> name = backends_.expected_full_name(request);
+    const std::optional<std::string> name = expected_full_name(request);
     const detail::RunningNode running(name ? name->c_str() : nullptr);
     const BackendList::Found found = backends_.find(unique_id, request);
     node.executor = spinners_[found.backend].executor.get();

@@ -22,7 +22,6 @@ class SharedExecutorHost final : public NodeHost {
   ~SharedExecutorHost() override;
 
   void set_observer(NodeHostObserver& observer) override { observer_ = &observer; }
-  std::optional<std::string> expected_full_name(const LoadRequest& request) const override;
   void load(std::uint64_t unique_id, LoadRequest request) override;
   void unload(std::uint64_t unique_id) override;
   void stop_spinning() override;

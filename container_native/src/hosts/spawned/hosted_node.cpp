@@ -29,18 +29,10 @@ std::pair<UniqueFd, UniqueFd> socket_pair() {
   return {UniqueFd(fds[0]), UniqueFd(fds[1])};
 }
 
-msg::ControlLoad load_message(const LoadRequest& request) {
-  msg::ControlLoad load;
-  load.attempt = 1;
-  load.package_name = request.package_name;
-  load.plugin_name = request.plugin_name;
-  load.node_name = request.node_name;
-  load.node_namespace = request.node_namespace;
-  load.log_level = request.log_level;
-  load.remap_rules = request.remap_rules;
-  load.parameters = request.parameters;
-  load.extra_arguments = request.extra_arguments;
-  return load;
+/// The only load of that process.
+LoadRequest first_attempt(LoadRequest request) {
+  request.attempt = 1;
+  return request;
 }
 
 std::string describe(const ProcessEnd& end) {
@@ -56,7 +48,7 @@ HostedNode::HostedNode(std::uint64_t unique_id, const std::vector<std::string>& 
   auto [ours, theirs] = socket_pair();
   process_.emplace(arguments, theirs);
   channel_.emplace(std::move(ours));
-  channel_->send(FrameKind::load, control::encode(load_message(request_)));
+  channel_->send(FrameKind::load, control::encode(first_attempt(request_)));
   channel_->start(*this);
   channel_->open_gate();
 }
