@@ -1,12 +1,11 @@
 #include "components/rclcpp/missing_symbols.hpp"
 
-#include <cxxabi.h>
 #include <dlfcn.h>
 #include <link.h>
 
-#include <cstdlib>
 #include <memory>
 
+#include "base/demangle.hpp"
 #include "base/elf.hpp"
 
 namespace play_launch::rclcpp_backend {
@@ -21,13 +20,6 @@ bool is_there(void* library, const char* name) {
   return ::dlsym(RTLD_DEFAULT, name) != nullptr || ::dlsym(library, name) != nullptr;
 }
 
-std::string readable(const char* name) {
-  int status = 0;
-  const std::unique_ptr<char, decltype(&std::free)> text(
-      abi::__cxa_demangle(name, nullptr, nullptr, &status), &std::free);
-  return status == 0 ? text.get() : name;
-}
-
 }  // namespace
 
 std::vector<std::string> missing_functions(const std::string& library) {
@@ -39,7 +31,7 @@ std::vector<std::string> missing_functions(const std::string& library) {
   }
   DynamicSymbols(*map).for_each_import([&](const char* name) {
     if (!is_there(handle.get(), name)) {
-      missing.push_back(readable(name));
+      missing.push_back(demangled(name));
     }
   });
   return missing;

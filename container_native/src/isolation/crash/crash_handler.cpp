@@ -17,9 +17,9 @@
 #include <cstdlib>
 #include <cstring>
 #include <exception>
-#include <memory>
 #include <typeinfo>
 
+#include "base/demangle.hpp"
 #include "isolation/crash/throw_site.hpp"
 #include "isolation/quiesce/call_stack.hpp"
 #include "isolation/quiesce/code_map.hpp"
@@ -179,10 +179,7 @@ void note_exception(CrashSlot& slot) {
   if (type == nullptr) {
     return;
   }
-  int status = 0;
-  const std::unique_ptr<char, decltype(&std::free)> name(
-      abi::__cxa_demangle(type->name(), nullptr, nullptr, &status), &std::free);
-  copy_text(slot.report.exception_type, status == 0 ? name.get() : type->name());
+  copy_text(slot.report.exception_type, demangled(type->name()).c_str());
   const std::exception_ptr exception = std::current_exception();
   // What it points to is the object, in this C++ library and in LLVM's.
   const void* const object = *reinterpret_cast<void* const*>(&exception);

@@ -1,18 +1,16 @@
 #include "isolation/crash/symbolise.hpp"
 
-#include <cxxabi.h>
 #include <signal.h>
 #include <string.h>
 
 #include <array>
 #include <cstdio>
-#include <cstdlib>
 #include <map>
-#include <memory>
 #include <mutex>
 #include <optional>
 #include <utility>
 
+#include "base/demangle.hpp"
 #include "base/elf.hpp"
 
 namespace play_launch::isolation {
@@ -22,13 +20,6 @@ std::string hex(std::uintptr_t value) {
   std::array<char, 2 + 16 + 1> text{};
   std::snprintf(text.data(), text.size(), "0x%lx", static_cast<unsigned long>(value));
   return text.data();
-}
-
-std::string demangled(const char* name) {
-  int status = 0;
-  const std::unique_ptr<char, decltype(&std::free)> text(
-      abi::__cxa_demangle(name, nullptr, nullptr, &status), &std::free);
-  return status == 0 ? text.get() : name;
 }
 
 std::string base_name(const std::string& path) { return path.substr(path.rfind('/') + 1); }
