@@ -29,7 +29,7 @@ from play_launch.core.events import (
     ProcessEventKind,
 )
 from play_launch.core.lifecycle import Patience
-from play_launch.core.restart import PERMANENT_EXIT_CODES, GiveUp
+from play_launch.core.restart import CONTEXT_EXIT_CODE, PERMANENT_EXIT_CODES, GiveUp
 from play_launch.native.control import (
     ChannelClosedError,
     ControlError,
@@ -57,6 +57,7 @@ class _Death:
 
     reason: str
     permanent: bool = False
+    by_itself: bool = False
     lived: float = 0.0
 
 
@@ -374,6 +375,8 @@ class ContainerActor:
             again = PERMANENT_EXIT_CODES.get(exit_.code, "")
             reason = f"{exit_}: {again}" if again else str(exit_)
             return _Death(f"{because}{reason}", permanent=bool(again))
+        if exit_.code == CONTEXT_EXIT_CODE:
+            return _Death("a node shut its ROS context down", by_itself=True)
         return _Death(f"{because}{exit_}", lived=self._loop.time() - self._ready_at)
 
     def _immortal(self, process: ManagedProcess) -> _Death:
@@ -389,6 +392,9 @@ class ContainerActor:
             return self._apply(ContainerInput.DIED_FOR_GOOD, death.reason)
         if death.permanent:
             return self._apply(ContainerInput.DIED_FOR_GOOD, death.reason)
+        if death.by_itself:
+            _told.warning("%s: stopped, and is not started again: %s", self._name, death.reason)
+            return self._apply(ContainerInput.ENDED_ITSELF, death.reason)
         verdict = self._restarter.decide(now=self._loop.time(), lived=death.lived)
         if isinstance(verdict, GiveUp):
             reason = f"{death.reason}; {verdict.reason}"

@@ -32,6 +32,8 @@ class ContainerInput(StrEnum):
     """The process is gone, or could not be started; a restart is within the bounds."""
     DIED_FOR_GOOD = auto()
     """The same, but without a restart."""
+    ENDED_ITSELF = auto()
+    """The process ended in order because one of its nodes wanted that: no failure, no restart."""
     RESTART_DUE = auto()
     STOP_REQUESTED = auto()
 
@@ -79,7 +81,7 @@ _TALK: Final = (
     Said.CHANNEL_BROKEN,
     Said.FROZEN,
 )
-_DEATH: Final = (Said.DIED_RESTART, Said.DIED_FOR_GOOD)
+_DEATH: Final = (Said.DIED_RESTART, Said.DIED_FOR_GOOD, Said.ENDED_ITSELF)
 
 TABLE: Final[Mapping[ContainerState, Mapping[ContainerInput, ContainerTransition]]] = {
     State.STOPPED: _row(
@@ -98,6 +100,7 @@ TABLE: Final[Mapping[ContainerState, Mapping[ContainerInput, ContainerTransition
             Said.CHANNEL_BROKEN: (State.STARTING, Do.KILL),
             Said.DIED_RESTART: (State.BACKOFF, Do.WAIT_FOR_RESTART),
             Said.DIED_FOR_GOOD: (State.GAVE_UP, Do.REPORT_GAVE_UP),
+            Said.ENDED_ITSELF: (State.STOPPED,),
             Said.STOP_REQUESTED: (State.STOPPING, Do.STOP_PROCESS),
         },
         # Its silence is measured by HELLO_OVERDUE.
@@ -110,6 +113,7 @@ TABLE: Final[Mapping[ContainerState, Mapping[ContainerInput, ContainerTransition
             Said.FROZEN: (State.RUNNING, Do.KILL),
             Said.DIED_RESTART: (State.BACKOFF, Do.LOSE_NODES, Do.WAIT_FOR_RESTART),
             Said.DIED_FOR_GOOD: (State.GAVE_UP, Do.LOSE_NODES, Do.REPORT_GAVE_UP),
+            Said.ENDED_ITSELF: (State.STOPPED, Do.LOSE_NODES),
             Said.STOP_REQUESTED: (State.STOPPING, Do.STOP_PROCESS),
         },
         {
@@ -140,6 +144,7 @@ TABLE: Final[Mapping[ContainerState, Mapping[ContainerInput, ContainerTransition
         {
             Said.DIED_RESTART: (State.STOPPED, Do.LOSE_NODES),
             Said.DIED_FOR_GOOD: (State.STOPPED, Do.LOSE_NODES),
+            Said.ENDED_ITSELF: (State.STOPPED, Do.LOSE_NODES),
         },
         {Said.START_REQUESTED, Said.STOP_REQUESTED, Said.RESTART_DUE, *_TALK},
     ),

@@ -77,3 +77,40 @@ def test_a_container_that_somebody_else_ends_in_order(tmp_path: Path) -> None:
     assert (exited["exit_code"], exited["signal"]) == (0, 0)
     (container,) = replay.seen[-1]["containers"]
     assert container["state"] == "backoff"
+
+
+def with_quitter(kind: str) -> str:
+    return CONFIG.format(kind=kind).replace("Listener", "Quitter")
+
+
+def test_an_isolated_node_that_shuts_the_ros_context_down(tmp_path: Path) -> None:
+    config = tmp_path / "c.yaml"
+    config.write_text(with_quitter("isolated"), encoding="utf-8")
+    with replaying(config, tmp_path / "logs") as replay:
+        replay.read_all()
+    assert replay.seen[-1]["exit_code"] == replay.process.returncode == 3
+    assert "context" in unloaded(replay, "/listener")["reason"]
+    (container,) = replay.seen[-1]["containers"]
+    assert (container["loaded"], container["unloaded"]) == (1, ["/listener"])
+
+
+@pytest.mark.parametrize("kind", ["standard", "mt"])
+def test_a_node_that_shuts_the_ros_context_of_all_down(tmp_path: Path, kind: str) -> None:
+    config = tmp_path / "c.yaml"
+    config.write_text(with_quitter(kind), encoding="utf-8")
+    with replaying(config, tmp_path / "logs") as replay:
+        replay.read_all()
+    assert replay.seen[-1]["exit_code"] == replay.process.returncode == 3
+    starts = [each for each in replay.seen if each.get("kind") == "started"]
+    assert len(starts) == 1, "it was started again"
+    reasons = [each["error_message"] for each in replay.seen if each.get("kind") == "unloaded"]
+    assert reasons
+    assert all("/listener shut the ROS context down" in reason for reason in reasons)
+    (container,) = replay.seen[-1]["containers"]
+    assert container["state"] == "stopped"
+    stops = [
+        each
+        for each in replay.seen
+        if each["event"] == "container" and each.get("state") == "stopped"
+    ]
+    assert "a node shut its ROS context down" in stops[-1]["reason"]

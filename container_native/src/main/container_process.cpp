@@ -42,7 +42,7 @@ bool is_orphaned(StopCause cause) {
 
 int exit_code(StopCause cause, bool hosted) {
   if (cause == StopCause::context) {
-    return hosted ? kExitOk : kExitFailed;  // in a process of its own, the node may end itself
+    return hosted ? kExitOk : kExitContext;  // in a process of its own, the node may end itself
   }
   return cause == StopCause::protocol_error ? kExitProtocol : kExitOk;
 }

@@ -7,5 +7,7 @@ inline constexpr int kExitOk = 0;
 inline constexpr int kExitFailed = 1;
 inline constexpr int kExitUsage = 64;
 inline constexpr int kExitProtocol = 70;
+/// A node shut down the ROS context that it shares with the others.
+inline constexpr int kExitContext = 79;
 
 }  // namespace play_launch::container
