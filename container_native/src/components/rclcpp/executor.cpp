@@ -80,11 +80,7 @@ bool NodeExecutor::may_run() const { return !stop_->is_set() && rclcpp::ok(conte
 void NodeExecutor::run(Worker& worker) noexcept {
   while (may_run()) {
     if (take(worker)) {
-      try {
-        execute(*worker.work);
-      } catch (const ContextIsShared&) {
-        // The callback has ended its node, and stop_ is set.
-      }
+      execute(*worker.work);
     }
     finish(worker);
   }
@@ -106,7 +102,9 @@ bool NodeExecutor::take(Worker& worker) {
   return true;
 }
 
-void NodeExecutor::execute(rclcpp::AnyExecutable& work) {
+// Not part of run(): what is thrown and not caught here is to meet a function there that catches
+// nothing at all, so that std::terminate() knows the exception and is called where it was thrown.
+[[gnu::noinline]] void NodeExecutor::execute(rclcpp::AnyExecutable& work) try {
   const detail::RunningNode running(
       work.node_base != nullptr ? work.node_base->get_fully_qualified_name() : nullptr);
   if (work.timer) {
@@ -124,6 +122,8 @@ void NodeExecutor::execute(rclcpp::AnyExecutable& work) {
   if (work.waitable) {
     work.waitable->execute(std::as_const(work.data));
   }
+} catch (const ContextIsShared&) {
+  // The callback has ended its node, and stop_ is set.
 }
 
 void NodeExecutor::finish(Worker& worker) {
