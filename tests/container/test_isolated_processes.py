@@ -11,6 +11,7 @@ import pytest
 from play_launch_msgs.msg import ComponentEvent, ControlCancel, ControlUnload
 from std_msgs.msg import String
 
+from play_launch.fastdds.shared_memory import sweep
 from tests.support.control_peer import PATIENCE
 from tests.support.isolated import (
     MODES,
@@ -82,6 +83,7 @@ def test_a_crash_is_told(spawn: StartContainer, how: str, number: int) -> None:
         probe.collect(String, "/chatter", 3)
         assert only_these_remain(container, talker.pid)
         assert container.status().crashes == 1
+    sweep()  # as the supervisor does: the dead node's participant was its own
 
 
 def test_a_helper_that_outlives_its_node_does_not_hide_the_crash(spawn: StartContainer) -> None:

@@ -12,6 +12,7 @@ import pytest
 from play_launch_msgs.msg import ComponentEvent
 from std_msgs.msg import String
 
+from play_launch.fastdds.shared_memory import sweep
 from tests.rclcpp.modes import start
 from tests.support.isolated import MODES, is_gone, only_these_remain, survives
 
@@ -265,3 +266,4 @@ def test_nodes_with_memory_of_their_own(
         crashed = container.event(CRASHED, unique_id=crasher.unique_id)
         assert crashed.signal == SIGSEGV
         probe.collect(String, "/chatter", 5, timeout=30.0)
+    sweep()  # as the supervisor does: the dead node's participant was its own
