@@ -6,9 +6,9 @@ import asyncio
 import logging
 import random
 from contextlib import ExitStack
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
+from play_launch.actors.container_death import STOPPED_EARLY, Death, death_of
 from play_launch.actors.container_limits import LIMITS, Limits
 from play_launch.actors.container_nodes import AttemptNumbers, ContainerNodes
 from play_launch.actors.container_watch import ContainerWatch
@@ -29,7 +29,7 @@ from play_launch.core.events import (
     ProcessEventKind,
 )
 from play_launch.core.lifecycle import Patience
-from play_launch.core.restart import CONTEXT_EXIT_CODE, PERMANENT_EXIT_CODES, GiveUp
+from play_launch.core.restart import GiveUp
 from play_launch.native.control import (
     ChannelClosedError,
     ControlError,
@@ -45,23 +45,9 @@ if TYPE_CHECKING:
     from play_launch.actors.publisher import Publisher
     from play_launch.actors.stop_requests import StopRequests
     from play_launch.config.model import ContainerConfig
-    from play_launch.process.exit import Exit
 
 _log = logging.getLogger(__name__)
 _told = logging.getLogger(TOLD_LOGGER)
-
-
-@dataclass(frozen=True, slots=True)
-class _Death:
-    """The end of a container process, or that it could not be started."""
-
-    reason: str
-    permanent: bool = False
-    by_itself: bool = False
-    lived: float = 0.0
-
-
-_STOPPED_EARLY: Final = _Death("it was stopped before it was started")
 
 
 class ContainerActor:
@@ -189,18 +175,18 @@ class ContainerActor:
                 actions = self._apply(ContainerInput.RESTART_DUE)
         await self._gone()
 
-    async def _live(self) -> _Death:
+    async def _live(self) -> Death:
         """Run one process from its start to its end."""
         with ExitStack() as starting:
             if not await self._may_start(starting):
                 self._apply(ContainerInput.STOP_REQUESTED)
-                return _STOPPED_EARLY
+                return STOPPED_EARLY
             try:
                 process, link = self._launcher.start_container(
                     self._config, self._reports.on_output
                 )
             except StartError as error:
-                return _Death(str(error), permanent=error.permanent)
+                return Death(str(error), permanent=error.permanent)
             self._process, self._link = process, link
             try:
                 self._started(process)
@@ -227,7 +213,7 @@ class ContainerActor:
 
     async def _accompany(
         self, process: ManagedProcess, link: ControlLink, starting: ExitStack
-    ) -> _Death:
+    ) -> Death:
         said_everything = asyncio.Event()
         async with asyncio.TaskGroup() as tasks:
             talking = tasks.create_task(self._listen(link, starting, said_everything))
@@ -249,7 +235,11 @@ class ContainerActor:
             if self._state is ContainerState.STOPPING:
                 await stopping
             stopping.cancel()
-        return self._immortal(process) if immortal else self._death(ending.result())
+        return (
+            self._immortal(process)
+            if immortal
+            else death_of(ending.result(), self._killed_because, self._lived())
+        )
 
     async def _listen(
         self, link: ControlLink, starting: ExitStack, said_everything: asyncio.Event
@@ -369,23 +359,17 @@ class ContainerActor:
         self._nodes.container_ready(link.send)
         self._deadlines_changed.set()
 
-    def _death(self, exit_: Exit) -> _Death:
-        because = f"{self._killed_because}; " if self._killed_because else ""
-        if self._ready_at is None:
-            again = PERMANENT_EXIT_CODES.get(exit_.code, "")
-            reason = f"{exit_}: {again}" if again else str(exit_)
-            return _Death(f"{because}{reason}", permanent=bool(again))
-        if exit_.code == CONTEXT_EXIT_CODE:
-            return _Death("a node shut its ROS context down", by_itself=True)
-        return _Death(f"{because}{exit_}", lived=self._loop.time() - self._ready_at)
+    def _lived(self) -> float | None:
+        """Give the seconds since the hello; None: it did not come to that."""
+        return None if self._ready_at is None else self._loop.time() - self._ready_at
 
-    def _immortal(self, process: ManagedProcess) -> _Death:
+    def _immortal(self, process: ManagedProcess) -> Death:
         reason = "does not die, not even of SIGKILL"
         _log.error("%s (pid %d) %s", self._name, process.pid, reason)
         self._process = None
-        return _Death(reason, permanent=True)
+        return Death(reason, permanent=True)
 
-    def _die(self, death: _Death) -> tuple[ContainerAction, ...]:
+    def _die(self, death: Death) -> tuple[ContainerAction, ...]:
         """Decide what follows from the end of the process."""
         self._death_reason = death.reason
         if self._state in {ContainerState.STOPPING, ContainerState.GAVE_UP}:

@@ -21,7 +21,7 @@ PERMANENT_EXIT_CODES: Final = {
 """Exit codes (sysexits, shells, spawn_guard) that the next start would only repeat."""
 
 CONTEXT_EXIT_CODE: Final = 79
-"""Of a container that shares one process among its nodes, one of which shut the ROS context down."""
+"""Of a container whose nodes share one process, when one of them shut the ROS context down."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
