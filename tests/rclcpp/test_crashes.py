@@ -201,15 +201,16 @@ def test_a_node_that_shuts_its_context_down_ends_alone(
         assert container.status().crashes == 0
 
 
+@pytest.mark.parametrize("mode", ["standard", "mt"])
 @pytest.mark.parametrize("how", ["shutdown", "shutdown_context"])
 def test_a_node_that_shuts_rclcpp_down_ends_a_shared_container(
-    spawn: StartContainer, components: str, how: str
+    spawn: StartContainer, components: str, mode: str, how: str
 ) -> None:
-    container = start(spawn, "standard")
+    container = start(spawn, mode)
     talker = container.loaded("Talker", package=components)
     container.load("Crasher", package=components, parameters={"how": how, "after": 0.001})
     event = container.event(UNLOADED, unique_id=talker.unique_id)
-    assert "shut the ROS context down" in event.error_message
+    assert "/crasher shut the ROS context down" in event.error_message
     assert container.wait() == 79, container.log.read_text()
 
 

@@ -43,7 +43,7 @@ class RclcppExecutor final : public ComponentExecutor {
   RclcppExecutor(std::size_t threads, std::shared_ptr<detail::StopFlag> stop)
       : executor_(threads, std::move(stop)) {}
   void spin() override { executor_.spin(); }
-  void add(Component& component) override { executor_.add_node(node_of(component)); }
+  void add(Component& component) override { executor_.put_in(node_of(component)); }
   void remove(Component& component) override { executor_.take_out(node_of(component)); }
   void abandon() override { executor_.abandon(); }
   void beat_into(std::atomic<std::int64_t>& beat) override { executor_.beat_into(beat); }

@@ -23,6 +23,20 @@ std::shared_ptr<T> unshared(const std::shared_ptr<T>& owner) {
   return {std::shared_ptr<void>(), owner.get()};
 }
 
+/// rclcpp does not note whose callback it is. All nodes are looked through for that, so only when
+/// somebody asks.
+class RunningCallback final : public detail::RunningNode {
+ public:
+  RunningCallback(const NodeExecutor& executor, const rclcpp::CallbackGroup::SharedPtr& group)
+      : executor_(executor), group_(group) {}
+
+ private:
+  std::string name() const override { return executor_.name_of(group_); }
+
+  const NodeExecutor& executor_;
+  const rclcpp::CallbackGroup::SharedPtr& group_;
+};
+
 }  // namespace
 
 NodeExecutor::NodeExecutor(std::size_t threads, std::shared_ptr<detail::StopFlag> stop)
@@ -105,8 +119,7 @@ bool NodeExecutor::take(Worker& worker) {
 // Not part of run(): what is thrown and not caught here is to meet a function there that catches
 // nothing at all, so that std::terminate() knows the exception and is called where it was thrown.
 [[gnu::noinline]] void NodeExecutor::execute(rclcpp::AnyExecutable& work) try {
-  const detail::RunningNode running(
-      work.node_base != nullptr ? work.node_base->get_fully_qualified_name() : nullptr);
+  const RunningCallback running(*this, work.callback_group);
   if (work.timer) {
     execute_timer(unshared(work.timer), work.data);
   }
@@ -141,6 +154,24 @@ void NodeExecutor::finish(Worker& worker) {
   }
 }
 
+void NodeExecutor::put_in(const Node::SharedPtr& node) {
+  const std::lock_guard lock(nodes_mutex_);  // a first callback may ask for the name
+  nodes_.push_back(node);
+  try {
+    add_node(node);
+  } catch (...) {
+    nodes_.pop_back();
+    throw;
+  }
+}
+
+std::string NodeExecutor::name_of(const rclcpp::CallbackGroup::SharedPtr& group) const {
+  const std::lock_guard lock(nodes_mutex_);
+  const auto found = std::ranges::find_if(
+      nodes_, [&group](const auto& node) { return node->callback_group_in_node(group); });
+  return found != nodes_.end() ? (*found)->get_fully_qualified_name() : "";
+}
+
 void NodeExecutor::take_out(const Node::SharedPtr& node) {
   std::vector<const rclcpp::CallbackGroup*> groups;
   {
@@ -160,6 +191,8 @@ void NodeExecutor::take_out(const Node::SharedPtr& node) {
       [&groups](const rclcpp::CallbackGroup::SharedPtr& group) { groups.push_back(group.get()); });
   std::unique_lock runs(runs_mutex_);
   run_finished_.wait(runs, [&] { return !runs_any_of(groups); });
+  const std::lock_guard lock(nodes_mutex_);
+  std::erase(nodes_, node);
 }
 
 bool NodeExecutor::runs_any_of(const std::vector<const rclcpp::CallbackGroup*>& groups) const {
@@ -179,6 +212,7 @@ void NodeExecutor::abandon() {
   detail::forget(mutex_);  // rclcpp's own
   detail::forget(take_mutex_);
   detail::forget(runs_mutex_);
+  detail::forget(nodes_mutex_);
   detail::forget(removed_);
   detail::forget(run_finished_);
   removals_ = 0;

@@ -10,6 +10,7 @@
 #include <optional>
 #include <play_launch/detail/stop_flag.hpp>
 #include <rclcpp/executor.hpp>
+#include <string>
 #include <thread>
 #include <vector>
 
@@ -40,8 +41,14 @@ class NodeExecutor final : public rclcpp::Executor {
   /// whenever a thread looks for work, and at least once a second unless all are in callbacks.
   void beat_into(std::atomic<std::int64_t>& beat) noexcept;
 
+  /// Adds the node; throws what add_node() throws.
+  void put_in(const Node::SharedPtr& node);
+
   /// Removes the node, and returns when no callback of it runs any more. Not for a callback.
   void take_out(const Node::SharedPtr& node);
+
+  /// Full name of the node that has the group, of those that were put in; empty: none has.
+  std::string name_of(const rclcpp::CallbackGroup::SharedPtr& group) const;
 
   /// Lets go of what callbacks held whose process has died in spin().
   void abandon();
@@ -73,6 +80,9 @@ class NodeExecutor final : public rclcpp::Executor {
 
   std::mutex runs_mutex_;
   std::condition_variable run_finished_;
+
+  mutable std::mutex nodes_mutex_;
+  std::vector<Node::SharedPtr> nodes_;
 
   std::thread interrupter_;  // last: it uses the above
 };
