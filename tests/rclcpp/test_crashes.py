@@ -45,6 +45,8 @@ def assert_death(event: ComponentEvent, how: str) -> None:
     assert event.exit_code == (3 if how == "exit" else 0)
     if how in TRACED:
         assert any("test_components::die" in line for line in event.backtrace), event.backtrace
+    if how == "exception":
+        assert "std::runtime_error: as asked for" in event.error_message
 
 
 def assert_cleaned_up(
