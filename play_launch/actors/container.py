@@ -379,7 +379,8 @@ class ContainerActor:
         if death.by_itself:
             _told.warning("%s: stopped, and is not started again: %s", self._name, death.reason)
             return self._apply(ContainerInput.ENDED_ITSELF, death.reason)
-        verdict = self._restarter.decide(now=self._loop.time(), lived=death.lived)
+        counts = not (self._blames_loads and self._nodes.suspects.excuse_death())
+        verdict = self._restarter.decide(now=self._loop.time(), lived=death.lived, counts=counts)
         if isinstance(verdict, GiveUp):
             reason = f"{death.reason}; {verdict.reason}"
             return self._apply(ContainerInput.DIED_FOR_GOOD, reason)

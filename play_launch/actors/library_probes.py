@@ -27,9 +27,6 @@ _log = logging.getLogger(__name__)
 class ProbeLimits:
     """Seconds."""
 
-    load: float = 60.0
-    """For one library. Large ones with their thread pools and GPU kernels take several; one that
-    takes longer than this has most likely hung, as it did in the container."""
     report_interval: float = 10.0
     """Between two reports of a library that is still being loaded."""
     gone: float = 10.0
@@ -97,34 +94,36 @@ class LibraryProbes:
                 _log.warning("%s: its library is not probed: %s", node.declared_full_name, error)
                 return None
             try:
-                in_time = await self._wait(process, node.declared_full_name)
+                in_time = await self._wait(
+                    process, node.declared_full_name, container.probe_timeout
+                )
             finally:
                 process.kill()
                 await self._gone(process)
         if not in_time:
-            return overdue(self._limits.load)
+            return overdue(container.probe_timeout)
         exit_ = await process.wait()
         return read_probe(output.result, exit_code=exit_.code, signal=exit_.signal)
 
-    async def _wait(self, process: ManagedProcess, name: str) -> bool:
-        """Wait for the end; False when it does not come in time."""
+    async def _wait(self, process: ManagedProcess, name: str, limit: float) -> bool:
+        """Wait for the end; False when it does not come within ``limit`` seconds."""
         loop = asyncio.get_running_loop()
         began = loop.time()
-        left = self._limits.load
+        left = limit
         while left > 0:
             try:
                 async with asyncio.timeout(min(left, self._limits.report_interval)):
                     await process.wait()
             except TimeoutError:
                 took = loop.time() - began
-                left = self._limits.load - took
+                left = limit - took
                 _log.warning(
                     "%s: its library has been loading in a scratch process (pid %d) for %.0f s, "
                     "of at most %.0f s",
                     name,
                     process.pid,
                     took,
-                    self._limits.load,
+                    limit,
                 )
             else:
                 return True

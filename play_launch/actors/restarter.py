@@ -28,10 +28,15 @@ class Restarter:
         """Restarts so far."""
         return self._history.total
 
-    def decide(self, *, now: float, lived: float) -> Restart | GiveUp:
+    def decide(self, *, now: float, lived: float, counts: bool = True) -> Restart | GiveUp:
         """Decide about a death now, after that many seconds of life; see `core.restart`."""
         self._history, verdict = decide(
-            self._history, self._bounds, now=now, lived=lived, jitter=self._jitter()
+            self._history,
+            self._bounds,
+            now=now,
+            lived=lived,
+            jitter=self._jitter(),
+            counts=counts,
         )
         return verdict
 

@@ -75,6 +75,10 @@ class SuspectNodes:
         if probe:
             self._to_probe.put_nowait(probe)
 
+    def excuse_death(self) -> bool:
+        """Return whether a death now costs the container no restart: a suspect was being loaded."""
+        return self._suspects.excuse_death()
+
     def survived(self, index: int) -> None:
         """The load of a node has come to an end, and its container lives."""
         self._suspects.survived(index)

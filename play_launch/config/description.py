@@ -61,6 +61,7 @@ def _container(container: ContainerConfig) -> dict[str, object]:
         "ros_arguments": list(container.ros_arguments),
         "restart": _restart(container.restart),
         "loading_timeout": container.loading_timeout,
+        "probe_timeout": container.probe_timeout,
         "composable_nodes": [_composable_node(one) for one in container.composable_nodes],
     }
 

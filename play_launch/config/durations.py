@@ -40,7 +40,7 @@ def parse_duration(value: object) -> float:
     # Not turned into a float yet: integers can be larger than any double.
     number = _parse_text(value) if isinstance(value, str) else value
     if number > LONGEST_DURATION or math.isnan(number):
-        raise ValueError(f"is longer than {LONGEST_DURATION / 3600:.0f} h; leave it out for never")
+        raise ValueError(f"is longer than {LONGEST_DURATION / 3600:.0f} h, the longest duration")
     if number < 0 or math.copysign(1.0, number) < 0:
         raise ValueError("a duration cannot be negative")
     return float(number)

@@ -152,8 +152,9 @@ class ContainerConfig:
     """A component container.
 
     `environment` holds the variables of the whole system too, `thread_num` is None for
-    the container's own choice, `loading_timeout` is seconds. A stock container is `executable` of
-    `package` with `arguments`, or, with `attach`, one that somebody else has started.
+    the container's own choice, `loading_timeout` and `probe_timeout` are seconds. A stock
+    container is `executable` of `package` with `arguments`, or, with `attach`, one that somebody
+    else has started.
     """
 
     name: str
@@ -172,6 +173,7 @@ class ContainerConfig:
     ros_arguments: tuple[str, ...] = ()
     restart: RestartLimits = RestartLimits()
     loading_timeout: float = 10.0
+    probe_timeout: float = 60.0
     composable_nodes: tuple[ComposableNodeConfig, ...] = ()
     line: int = 0
 

@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from play_launch.config.report import Report
 
 _LOADING_TIMEOUT = 10.0  # seconds
+_PROBE_TIMEOUT = 60.0  # seconds
 _LOADING = "composable_node_loading"
 
 
@@ -136,6 +137,8 @@ class _Resolver:
             if not any(kind.is_isolated for kind in kinds):
                 for key in ISOLATED_KEYS:
                     self._refuse_unread(key, "isolated or isolated_mt")
+            if kinds <= {ContainerType.STOCK}:
+                self._refuse_unread("probe_timeout", "standard, mt, isolated or isolated_mt")
         return tuple(resolved)
 
     def _refuse_unread(self, key: str, kinds: str) -> None:
@@ -184,6 +187,7 @@ class _Resolver:
         stock = resolve_stock(section, kind, node, path, self._report)
         namespace = section.namespace or "/"
         timeout = section.loading_timeout or self._loading.loading_timeout or _LOADING_TIMEOUT
+        probe_timeout = section.probe_timeout or self._loading.probe_timeout or _PROBE_TIMEOUT
         return ContainerConfig(
             name=section.name,
             namespace=namespace,
@@ -203,6 +207,7 @@ class _Resolver:
             ros_arguments=tuple(section.ros_arguments or ()),
             restart=restart,
             loading_timeout=timeout,
+            probe_timeout=probe_timeout,
             composable_nodes=composable_nodes,
             line=node.place.line,
         )

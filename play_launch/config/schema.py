@@ -160,6 +160,7 @@ class LoadingSection(Section):
     auto_reload_on_crash: bool | None = None
     on_crash: OnCrashName | None = None
     loading_timeout: PositiveDuration | None = None
+    probe_timeout: PositiveDuration | None = None
     restart: RestartSection | None = None
 
 
@@ -233,6 +234,7 @@ class ContainerSection(Section):
     ros_arguments: list[RosArgument] | None = None
     restart: RestartSection | None = None
     loading_timeout: PositiveDuration | None = None
+    probe_timeout: PositiveDuration | None = None
     composable_nodes: Raw = None
 
 

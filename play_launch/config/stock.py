@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 STOCK_PACKAGE: Final = "rclcpp_components"
 STOCK_EXECUTABLE: Final = "component_container"
 _KEYS: Final = ("package", "executable", "arguments", "attach")
+_OUR_KEYS: Final = ("probe_timeout",)
+"""Keys that say something for play-launch's own containers only."""
 _FOR_STARTING: Final = (
     "package",
     "executable",
@@ -46,6 +48,8 @@ def resolve_stock(
         why = f"is for container_type stock, this container is {kind}"
         _refuse(_KEYS, why, owner, path, report)
         return StockProgram()
+    why = "is not for container_type stock, whose libraries are not probed"
+    _refuse(_OUR_KEYS, why, owner, path, report)
     if section.attach:
         why = "is for a container that is started here, not for attach: true"
         _refuse(_FOR_STARTING, why, owner, path, report)

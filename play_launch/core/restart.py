@@ -71,6 +71,7 @@ def decide(
     now: float,
     lived: float,
     jitter: float,
+    counts: bool = True,
 ) -> tuple[RestartHistory, Restart | GiveUp]:
     """Decide about a death.
 
@@ -80,17 +81,19 @@ def decide(
         now: Time of the death, seconds of a monotonic clock.
         lived: How long it was ready before it died, in seconds; 0 when it never was.
         jitter: A random number in [0, 1); the pause is between half and all of its length.
+        counts: Whether the restart uses up one of ``max_restarts``. One that does not comes even
+            when they are used up, unless restarting is switched off.
     """
     recent = tuple(due for due in history.recent if now - due < bounds.within)
     streak = 0 if lived >= bounds.within else history.streak
-    if len(recent) >= bounds.max_restarts:
+    if len(recent) >= bounds.max_restarts and (counts or bounds.max_restarts == 0):
         times = f"{len(recent)} restarts within {bounds.within:g} s"
         reason = f"{times} did not help" if recent else "restarting is switched off"
         return replace(history, recent=recent, streak=streak), GiveUp(reason)
     delay = _pause(bounds, streak) * (0.5 + 0.5 * jitter)
-    after = RestartHistory(
-        recent=(*recent, now + delay), streak=streak + 1, total=history.total + 1
-    )
+    if counts:
+        recent = (*recent, now + delay)
+    after = RestartHistory(recent=recent, streak=streak + 1, total=history.total + 1)
     return after, Restart(delay)
 
 

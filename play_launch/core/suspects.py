@@ -14,10 +14,16 @@ a suspect. What may be done with a suspect depends on how many deaths in a row i
 
 A load that the container survives, whatever became of the node, clears it of all suspicion. So a
 node that has nothing to do with the deaths is always loaded in the end.
+
+The first death counts against the restart limits of the container. Those that follow while a
+suspect is being loaded do not: they are how the culprit is found, and the stages bound their
+number. A node that is suspected anew again and again excuses no more deaths in a run than one
+inquiry needs.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, replace
 from enum import StrEnum, auto
 from typing import TYPE_CHECKING, Final
@@ -74,10 +80,18 @@ class Suspects:
 
     def __init__(self) -> None:
         self._known: dict[int, Suspicion] = {}
+        self._excused: Counter[int] = Counter()
 
     def of(self, index: int) -> Suspicion:
         """Return what is known about a node."""
         return self._known.get(index, Suspicion())
+
+    def excuse_death(self) -> bool:
+        """Return whether a death now costs the container no restart; before `container_died`."""
+        tried = [i for i, each in self._known.items() if each.stage is Stage.TRIED]
+        excused = any(self._excused[index] < MOST_DEATHS - 1 for index in tried)
+        self._excused.update(tried)
+        return excused
 
     def container_died(self, under_way: Collection[int]) -> tuple[list[int], list[int]]:
         """Take the death of a container that was loading these nodes.

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from play_launch.actors.library_probes import PROBE_LIMITS, LibraryProbes
+from play_launch.actors.library_probes import LibraryProbes
 from play_launch.actors.ports import StartError
 from play_launch.actors.publisher import Publisher
 from play_launch.cli.json_style import event_object
@@ -169,6 +169,34 @@ def test_the_only_node_is_refused_after_its_second_death_and_its_container_stays
     assert probed(sys) == ["bad"]
 
 
+@pytest.mark.parametrize("nodes", [("bad",), ("a", "bad", "b", "x")])
+def test_a_constructor_is_found_out_with_one_restart_allowed(nodes: tuple[str, ...]) -> None:
+    async def main() -> Running:
+        fakes = FakeLauncher(makers={"/c": [Dies]})
+        async with running(system(container("c", *nodes, max_restarts=1)), fakes) as sys:
+            await sys.until(lambda: NodeState.LOAD_FAILED in sys.node_states("/bad"))
+            await sys.until_loaded(len(nodes) - 1)
+            await asyncio.sleep(1000)
+            await sys.until_state("/c", ContainerState.RUNNING)
+        return sys
+
+    sys = run(main())
+    assert "times while it was loaded" in sys.node_events("/bad", NodeState.LOAD_FAILED)[0].reason
+
+
+def test_other_deaths_count_as_ever_after_an_inquiry() -> None:
+    async def main() -> Running:
+        fakes = FakeLauncher(makers={"/c": [Dies]})
+        async with running(system(container("c", "bad", "b", max_restarts=1)), fakes) as sys:
+            await sys.until(lambda: NodeState.LOAD_FAILED in sys.node_states("/bad"))
+            await sys.until_loaded(1)
+            sys.launcher.containers["/c"][-1].crash()
+            await sys.until_state("/c", ContainerState.GAVE_UP)
+        return sys
+
+    run(main())
+
+
 def test_a_library_is_probed_once_whatever_the_number_of_its_nodes() -> None:
     async def main() -> Running:
         fakes = FakeLauncher(
@@ -222,7 +250,8 @@ def test_others_load_while_a_library_is_probed_and_the_probe_has_a_limit(
 ) -> None:
     async def main() -> Running:
         fakes = FakeLauncher(makers={"/c": [Dies]}, on_probe=hangs)
-        async with running(system(container("c", "bad", "b")), fakes) as sys:
+        config = replace(container("c", "bad", "b"), probe_timeout=25.0)
+        async with running(system(config), fakes) as sys:
             await sys.until_loaded(1)
             assert sys.view.containers["/c"].nodes[0].state is NodeState.LOST
             assert "scratch process" in sys.view.containers["/c"].nodes[0].reason
@@ -231,7 +260,7 @@ def test_others_load_while_a_library_is_probed_and_the_probe_has_a_limit(
 
     sys = run(main())
     (failed,) = sys.node_events("/bad", NodeState.LOAD_FAILED)
-    assert f"after {PROBE_LIMITS.load:g} s" in failed.reason
+    assert "after 25 s" in failed.reason
     assert sys.launcher.probes[0][1].stopped_with == ["kill"]
     assert "/bad: its library has been loading in a scratch process" in caplog.text
 

@@ -50,6 +50,7 @@ def test_containers(full: ReplayConfig) -> None:
     assert (front.container_type, front.thread_num) == (ContainerType.MT, 3)
     assert (back.container_type, back.thread_num) == (ContainerType.STANDARD, None)
     assert (front.loading_timeout, back.loading_timeout) == (20.0, 3600.0)
+    assert (front.probe_timeout, back.probe_timeout) == (300.0, 2.5)
     assert front.log_level == "debug"
     assert front.ros_arguments == ("--log-level", "rcl:=warn")
     assert front.environment == {"RCUTILS_COLORIZED_OUTPUT": "1", "GREETING": "hello"}
@@ -73,7 +74,7 @@ def test_composable_nodes(full: ReplayConfig) -> None:
     )
     assert values(camera.extra_arguments) == {"use_intra_process_comms": True}
     assert camera.log_level == "warn"
-    assert camera.line == 20
+    assert camera.line == 21
 
 
 def test_parameters_of_later_sources_and_sections_win(full: ReplayConfig) -> None:
@@ -126,6 +127,7 @@ def test_defaults() -> None:
     assert (main.namespace, main.full_name) == ("/", "/main")
     assert main.container_type is ContainerType.STANDARD
     assert main.loading_timeout == 10.0
+    assert main.probe_timeout == 60.0
     assert main.restart == RestartLimits(5, 60.0, 0.1, 30.0)
 
 

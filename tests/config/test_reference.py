@@ -13,6 +13,7 @@ import pytest
 from play_launch.config import ConfigError, ParameterType, load_config, schema
 from play_launch.config.durations import LONGEST_DURATION, parse_duration
 from play_launch.config.model import (
+    ContainerConfig,
     ContainerType,
     Isolation,
     OnCrash,
@@ -143,6 +144,15 @@ def test_defaults(title: str, defaults: StopLimits | RestartLimits) -> None:
     assert {key: parse_duration(written) for key, written in listed} == {
         key: getattr(defaults, key) for key in defaults.__slots__
     }
+
+
+@pytest.mark.parametrize("key", ["loading_timeout", "probe_timeout"])
+def test_default_timeouts(key: str) -> None:
+    listed = section("composable_node_loading")
+    row = re.search(rf"^\| `{key}` \|.*\| ([^|]+) \|$", listed, re.MULTILINE)
+    assert row is not None
+    declared = ContainerConfig(name="a", namespace="/", full_name="/a")
+    assert parse_duration(row[1]) == getattr(declared, key)
 
 
 def test_every_type_of_parameter_is_shown(tmp_path: Path) -> None:

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -38,6 +40,27 @@ def test_no_window_holds_more_restarts_than_allowed(
         recent = [due for due in restarts if now - due < bounds.within]
         assert len(recent) <= bounds.max_restarts
     assert history.total == len(restarts)
+
+
+@given(BOUNDS, st.lists(st.tuples(st.floats(0, 100), st.booleans()), max_size=40))
+def test_what_does_not_count_always_restarts_and_uses_nothing_up(
+    bounds: RestartBounds, deaths: list[tuple[float, bool]]
+) -> None:
+    """A history with uncounted deaths decides about the counted ones as one without them."""
+    everything, counted = RestartHistory(), RestartHistory()
+    now = 0.0
+    for lived, counts in deaths:
+        now += lived
+        everything, verdict = decide(
+            everything, bounds, now=now, lived=0.0, jitter=0.0, counts=counts
+        )
+        if counts:
+            # The same pauses, so that only the counting is compared.
+            like = replace(counted, streak=everything.streak - isinstance(verdict, Restart))
+            counted, expected = decide(like, bounds, now=now, lived=0.0, jitter=0.0)
+            assert verdict == expected
+        else:
+            assert isinstance(verdict, Restart) == (bounds.max_restarts > 0)
 
 
 def test_pauses_grow_to_the_maximum_and_start_anew_after_a_healthy_life() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
+from play_launch.core.restart import Restart, RestartBounds, RestartHistory, decide
 from play_launch.core.suspects import MOST_DEATHS, Stage, Suspects
 
 NODES = range(6)
@@ -74,6 +75,8 @@ def test_every_innocent_node_is_loaded_and_the_deaths_are_bounded(
 ) -> None:
     """A container of which any node that is being loaded may bring the end first."""
     suspects = Suspects()
+    history = RestartHistory()
+    once = RestartBounds(max_restarts=1, within=60.0, initial=0.1, maximum=1.0)
     deaths = 0
     loaded: set[int] = set()
     probing: list[int] = []
@@ -100,6 +103,9 @@ def test_every_innocent_node_is_loaded_and_the_deaths_are_bounded(
             break
         loaded.clear()
         deaths += 1
+        counts = not suspects.excuse_death()
+        history, verdict = decide(history, once, now=0.0, lived=0.0, jitter=0.0, counts=counts)
+        assert isinstance(verdict, Restart), "one restart is enough, whoever is to blame"
         probing, _ = suspects.container_died(under_way)
     assert loaded == set(NODES) - deadly
     assert deaths <= MOST_DEATHS * len(deadly)
@@ -108,3 +114,36 @@ def test_every_innocent_node_is_loaded_and_the_deaths_are_bounded(
     for index in deadly:
         expected = Stage.CONDEMNED if index in libraries else Stage.REFUSED
         assert suspects.of(index).stage is expected
+
+
+def test_the_first_death_counts_and_the_next_one_does_not() -> None:
+    suspects = Suspects()
+    assert not suspects.excuse_death()
+    suspects.container_died([1, 2])
+    assert not suspects.excuse_death(), "nobody is being loaded"
+    suspects.probe_ended(1, loads=True)
+    assert suspects.due([]) == [1]
+    assert suspects.excuse_death()
+
+
+SETS = st.integers(0, 2 ** len(NODES) - 1).map(lambda bits: {i for i in NODES if bits >> i & 1})
+
+
+@given(st.lists(st.tuples(SETS, SETS, SETS, SETS), max_size=40))
+def test_a_run_excuses_a_bounded_number_of_deaths(
+    lives: list[tuple[set[int], set[int], set[int], set[int]]],
+) -> None:
+    """Whoever is loaded when, and whichever loads the container survives."""
+    suspects = Suspects()
+    excused = 0
+    for wanted, probed, good, survivors in lives:
+        under_way = [index for index in wanted if not suspects.holds(index)]
+        for index in probed:
+            suspects.probe_ended(index, loads=index in good)
+        under_way += suspects.due(under_way)
+        for index in survivors.intersection(under_way):
+            under_way.remove(index)
+            suspects.survived(index)
+        excused += suspects.excuse_death()
+        suspects.container_died(under_way)
+    assert excused <= (MOST_DEATHS - 1) * len(NODES)

@@ -47,6 +47,17 @@ class Replay:
                 return event
         raise AssertionError(f"the run ended without {what}; it told {self.seen[-5:]}")
 
+    def read_until_states(self, wanted: dict[str, str]) -> None:
+        """Read events until each node, by its full name, is in its wanted state at last."""
+        states: dict[str, str] = {}
+
+        def reached(event: dict[str, Any]) -> bool:
+            if event["event"] == "node":
+                states[event["node"]] = event["state"]
+            return all(states.get(node) == state for node, state in wanted.items())
+
+        self.read_until(reached, f"the states {wanted}")
+
     def read_all(self) -> list[dict[str, Any]]:
         """Read to the end and wait for it."""
         assert self.process.stdout is not None
