@@ -6,13 +6,15 @@ import asyncio
 import logging
 import random
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from typing import TYPE_CHECKING
 
 from play_launch.actors.container_death import STOPPED_EARLY, Death, death_of
 from play_launch.actors.container_limits import LIMITS, Limits
 from play_launch.actors.container_nodes import AttemptNumbers, ContainerNodes
 from play_launch.actors.container_watch import ContainerWatch
-from play_launch.actors.deadline import first_of, happens_before
+from play_launch.actors.deadline import acquired_before, first_of, happens_before
+from play_launch.actors.failures import failure_reason, stop_in_order
 from play_launch.actors.greeting import description, what_is_lacking
 from play_launch.actors.ports import StartError
 from play_launch.actors.process_reports import ProcessReports
@@ -25,7 +27,6 @@ from play_launch.core.container_lifecycle import (
 from play_launch.core.events import (
     TOLD_LOGGER,
     ContainerState,
-    ContainerStateChanged,
     ProcessEventKind,
 )
 from play_launch.core.lifecycle import Patience
@@ -38,7 +39,7 @@ from play_launch.native.control import (
 from play_launch.native.messages import Hello, Shutdown, Status
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Awaitable, Callable
 
     from play_launch.actors.library_probes import LibraryProbes
     from play_launch.actors.ports import ControlLink, Launcher, ManagedProcess
@@ -153,11 +154,31 @@ class ContainerActor:
         self._apply(ContainerInput.FROZEN, reason)
 
     async def run(self) -> None:
-        """Keep it running until the system stops or it is given up."""
+        """Keep it running until the system stops, or it is given up: also after a fault of ours."""
         async with asyncio.TaskGroup() as tasks:
-            probing = tasks.create_task(self._nodes.suspects.run())
-            await self._keep_running()
+            probing = tasks.create_task(self._or_fail(self._nodes.suspects.run))
+            await self._or_fail(self._keep_running)
             probing.cancel()
+
+    async def _or_fail(self, part: Callable[[], Awaitable[None]]) -> None:
+        try:
+            await part()
+        except Exception as error:  # noqa: BLE001 - whatever it is, others are not to pay for it
+            self._fail(error)
+
+    def _fail(self, error: Exception) -> None:
+        """Give it up because of an exception of our own; what runs of it is stopped in order."""
+        reason = failure_reason(error)
+        _told.error("%s: %s", self._name, reason, exc_info=error)
+        self._can_be_asked |= self._state is ContainerState.RUNNING
+        self._stop_reason = self._stop_reason or reason
+        try:
+            self._apply(ContainerInput.FAILED, reason)
+            self._watch.end()
+            self._nodes.container_stops()
+        except Exception:  # noqa: BLE001 - it is logged, and the stop goes on
+            _log.exception("%s: its failure cannot be published", self._name)
+        self._stopping.set()
 
     async def _keep_running(self) -> None:
         actions = self._apply(ContainerInput.START_REQUESTED)
@@ -178,9 +199,10 @@ class ContainerActor:
     async def _live(self) -> Death:
         """Run one process from its start to its end."""
         with ExitStack() as starting:
-            if not await self._may_start(starting):
+            if not await acquired_before(self._stop.requested, self._starts):
                 self._apply(ContainerInput.STOP_REQUESTED)
                 return STOPPED_EARLY
+            starting.callback(self._starts.release)
             try:
                 process, link = self._launcher.start_container(
                     self._config, self._reports.on_output
@@ -189,8 +211,7 @@ class ContainerActor:
                 return Death(str(error), permanent=error.permanent)
             self._process, self._link = process, link
             try:
-                self._started(process)
-                return await self._accompany(process, link, starting)
+                return await self._live_with(process, link, starting)
             except BaseException:
                 process.kill()
                 await self._gone()
@@ -200,24 +221,25 @@ class ContainerActor:
                 self._link = None
                 self._watch.end()
 
-    async def _may_start(self, starting: ExitStack) -> bool:
-        """Wait for a free place to start in; False when a stop comes first."""
-        waiting = asyncio.ensure_future(self._starts.acquire())
+    async def _live_with(
+        self, process: ManagedProcess, link: ControlLink, starting: ExitStack
+    ) -> Death:
         try:
-            await first_of(_wait(waiting), self._stop.requested.wait())
-        finally:
-            if waiting.done() and not waiting.cancelled():
-                starting.callback(self._starts.release)
-            waiting.cancel()
-        return not self._stop.requested.is_set()
+            self._started(process)
+            return await self._accompany(process, link, starting)
+        except Exception as error:  # noqa: BLE001 - see `run`
+            self._fail(error)
+            await stop_in_order(process, ask=self._way_to_ask(), hurry=self._stop.hurry)
+            return Death(failure_reason(error), permanent=True)
 
     async def _accompany(
         self, process: ManagedProcess, link: ControlLink, starting: ExitStack
     ) -> Death:
         said_everything = asyncio.Event()
         async with asyncio.TaskGroup() as tasks:
-            talking = tasks.create_task(self._listen(link, starting, said_everything))
-            waiting = tasks.create_task(self._watch_deadlines())
+            listen = partial(self._listen, link, starting, said_everything)
+            talking = tasks.create_task(self._or_fail(listen))
+            waiting = tasks.create_task(self._or_fail(self._watch_deadlines))
             ending = tasks.create_task(process.wait())
             stopping = tasks.create_task(self._stop_when_requested(process))
             await asyncio.wait({ending, stopping}, return_when=asyncio.FIRST_COMPLETED)
@@ -232,7 +254,7 @@ class ContainerActor:
                 await happens_before(said_everything, limit)
             for task in (talking, waiting, ending):
                 task.cancel()
-            if self._state is ContainerState.STOPPING:
+            if self._stopping.is_set():
                 await stopping
             stopping.cancel()
         return (
@@ -297,8 +319,7 @@ class ContainerActor:
         if not self._begin_stop(self._stop.reason):
             await process.wait()
             return True
-        ask = self._ask_to_stop if self._can_be_asked else None
-        return await process.stop(ask=ask, hurry=self._stop.hurry)
+        return await process.stop(ask=self._way_to_ask(), hurry=self._stop.hurry)
 
     def _begin_stop(self, reason: str) -> bool:
         """Begin to stop the process, once; False when there is none that could be stopped."""
@@ -315,6 +336,9 @@ class ContainerActor:
             self._reports.publish(ProcessEventKind.STOPPING, message=reason)
         self._stopping.set()
         return True
+
+    def _way_to_ask(self) -> Callable[[], bool] | None:
+        return self._ask_to_stop if self._can_be_asked else None
 
     def _ask_to_stop(self) -> bool:
         if self._link is None:
@@ -422,16 +446,5 @@ class ContainerActor:
         self._process.kill()
 
     def _publish_state(self, reason: str) -> None:
-        self._publisher.publish(
-            ContainerStateChanged(
-                stamp_ns=self._publisher.stamp_ns(),
-                container=self._name,
-                state=self._state,
-                reason=reason,
-                mechanism=self._mechanism if self._state is ContainerState.RUNNING else "",
-            )
-        )
-
-
-async def _wait(future: asyncio.Future[Any]) -> None:
-    await future
+        mechanism = self._mechanism if self._state is ContainerState.RUNNING else ""
+        self._publisher.publish_container(self._name, self._state, reason, mechanism)

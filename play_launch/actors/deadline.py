@@ -19,6 +19,30 @@ async def happens_before(event: asyncio.Event, when: float | None) -> bool:
     return True
 
 
+async def acquired_before(event: asyncio.Event, semaphore: asyncio.Semaphore) -> bool:
+    """Wait for a place; False, without one, when the event comes first."""
+    waiting = asyncio.ensure_future(semaphore.acquire())
+    try:
+        await first_of(_wait(waiting), event.wait())
+    except BaseException:
+        _give_back(waiting, semaphore)
+        raise
+    if event.is_set():
+        _give_back(waiting, semaphore)
+        return False
+    return True
+
+
+async def _wait(future: asyncio.Future[Any]) -> None:
+    await future
+
+
+def _give_back(waiting: asyncio.Future[Any], semaphore: asyncio.Semaphore) -> None:
+    if waiting.done() and not waiting.cancelled():
+        semaphore.release()
+    waiting.cancel()
+
+
 async def first_of(*coroutines: Coroutine[Any, Any, object]) -> None:
     """Wait until one of them has ended and cancel the others; an error is raised.
 

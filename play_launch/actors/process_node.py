@@ -8,6 +8,7 @@ import random
 from typing import TYPE_CHECKING, Final
 
 from play_launch.actors.deadline import happens_before
+from play_launch.actors.failures import failure_reason, stop_in_order
 from play_launch.actors.ports import StartError
 from play_launch.actors.process_reports import ProcessReports
 from play_launch.actors.restarter import Restarter
@@ -52,7 +53,16 @@ class ProcessActor:
         self._restarter = Restarter(config.restart, jitter)
 
     async def run(self) -> None:
-        """Run it until it ends for good or the system stops."""
+        """Run it until it ends for good or the system stops.
+
+        An unexpected exception of our own stops this process alone, in order, for good.
+        """
+        try:
+            await self._keep_running()
+        except Exception as error:  # noqa: BLE001 - whatever it is, others are not to pay for it
+            self._fail(error)
+
+    async def _keep_running(self) -> None:
         while not self._stop.requested.is_set():
             began = self._loop.time()
             reason = await self._live()
@@ -78,8 +88,7 @@ class ProcessActor:
                 return None
             return str(error)
         try:
-            self._reports.started(process)
-            exit_ = await self._accompany(process)
+            exit_ = await self._live_with(process)
         except BaseException:
             process.kill()
             await self._reports.gone(process)
@@ -93,6 +102,15 @@ class ProcessActor:
             self._give_up(f"{exit_}: {PERMANENT_EXIT_CODES[exit_.code]}")
             return None
         return str(exit_)
+
+    async def _live_with(self, process: ManagedProcess) -> Exit | None:
+        try:
+            self._reports.started(process)
+            return await self._accompany(process)
+        except Exception as error:  # noqa: BLE001 - see `run`
+            self._fail(error)
+            await stop_in_order(process, ask=None, hurry=self._stop.hurry)
+            return None
 
     async def _accompany(self, process: ManagedProcess) -> Exit | None:
         """See one process to its end; None when it does not die."""
@@ -119,6 +137,15 @@ class ProcessActor:
         if not ended.is_set():
             self._reports.publish(ProcessEventKind.STOPPING, message=self._stop.reason)
         return await process.stop(ask=None, hurry=self._stop.hurry)
+
+    def _fail(self, error: Exception) -> None:
+        """Give it up because of an exception of our own; what runs of it is stopped in order."""
+        reason = failure_reason(error)
+        _told.error("%s: %s", self._name, reason, exc_info=error)
+        try:
+            self._reports.publish(ProcessEventKind.GAVE_UP, message=reason)
+        except Exception:  # noqa: BLE001 - it is logged, and the stop goes on
+            _log.exception("%s: its failure cannot be published", self._name)
 
     def _give_up(self, reason: str) -> None:
         _told.error("%s is given up: %s", self._name, reason)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING
 
-from play_launch.core.events import OutputLine
+from play_launch.core.events import ContainerState, ContainerStateChanged, OutputLine
 from play_launch.core.view import SystemView
 
 if TYPE_CHECKING:
@@ -50,6 +50,20 @@ class Publisher:
             self._view_before_stop = self.view
         self.view = self.view.after(event)
         self._sink.publish(event)
+
+    def publish_container(
+        self, name: str, state: ContainerState, reason: str, mechanism: str
+    ) -> None:
+        """Publish the state of a container; ``mechanism`` is empty unless it runs."""
+        self.publish(
+            ContainerStateChanged(
+                stamp_ns=self.stamp_ns(),
+                container=name,
+                state=state,
+                reason=reason,
+                mechanism=mechanism,
+            )
+        )
 
     def publish_output(self, name: str, pid: int, stream: Stream, lines: Sequence[Line]) -> None:
         """Take what a process wrote."""

@@ -36,6 +36,8 @@ class ContainerInput(StrEnum):
     """The process ended in order because one of its nodes wanted that: no failure, no restart."""
     RESTART_DUE = auto()
     STOP_REQUESTED = auto()
+    FAILED = auto()
+    """The supervisor's own code for it failed; its process is stopped next to the table."""
 
 
 class ContainerAction(StrEnum):
@@ -86,7 +88,10 @@ _DEATH: Final = (Said.DIED_RESTART, Said.DIED_FOR_GOOD, Said.ENDED_ITSELF)
 TABLE: Final[Mapping[ContainerState, Mapping[ContainerInput, ContainerTransition]]] = {
     State.STOPPED: _row(
         State.STOPPED,
-        {Said.START_REQUESTED: (State.STARTING, Do.SPAWN)},
+        {
+            Said.START_REQUESTED: (State.STARTING, Do.SPAWN),
+            Said.FAILED: (State.GAVE_UP, Do.REPORT_GAVE_UP),
+        },
         {Said.STOP_REQUESTED, Said.RESTART_DUE, *_TALK, *_DEATH},
     ),
     State.STARTING: _row(
@@ -101,6 +106,7 @@ TABLE: Final[Mapping[ContainerState, Mapping[ContainerInput, ContainerTransition
             Said.DIED_RESTART: (State.BACKOFF, Do.WAIT_FOR_RESTART),
             Said.DIED_FOR_GOOD: (State.GAVE_UP, Do.REPORT_GAVE_UP),
             Said.ENDED_ITSELF: (State.STOPPED,),
+            Said.FAILED: (State.GAVE_UP, Do.REPORT_GAVE_UP),
             Said.STOP_REQUESTED: (State.STOPPING, Do.STOP_PROCESS),
         },
         # Its silence is measured by HELLO_OVERDUE.
@@ -115,6 +121,7 @@ TABLE: Final[Mapping[ContainerState, Mapping[ContainerInput, ContainerTransition
             Said.DIED_FOR_GOOD: (State.GAVE_UP, Do.LOSE_NODES, Do.REPORT_GAVE_UP),
             Said.ENDED_ITSELF: (State.STOPPED, Do.LOSE_NODES),
             Said.STOP_REQUESTED: (State.STOPPING, Do.STOP_PROCESS),
+            Said.FAILED: (State.GAVE_UP, Do.LOSE_NODES, Do.REPORT_GAVE_UP),
         },
         {
             Said.START_REQUESTED,
@@ -130,6 +137,7 @@ TABLE: Final[Mapping[ContainerState, Mapping[ContainerInput, ContainerTransition
         {
             Said.RESTART_DUE: (State.STARTING, Do.SPAWN),
             Said.STOP_REQUESTED: (State.STOPPED,),
+            Said.FAILED: (State.GAVE_UP, Do.REPORT_GAVE_UP),
         },
         {Said.START_REQUESTED, *_TALK, *_DEATH},
     ),
@@ -137,7 +145,7 @@ TABLE: Final[Mapping[ContainerState, Mapping[ContainerInput, ContainerTransition
         State.GAVE_UP,
         {Said.START_REQUESTED: (State.STARTING, Do.SPAWN)},
         # It stays visible in the summary that it gave up.
-        {Said.STOP_REQUESTED, Said.RESTART_DUE, *_TALK, *_DEATH},
+        {Said.STOP_REQUESTED, Said.RESTART_DUE, Said.FAILED, *_TALK, *_DEATH},
     ),
     State.STOPPING: _row(
         State.STOPPING,
@@ -145,6 +153,7 @@ TABLE: Final[Mapping[ContainerState, Mapping[ContainerInput, ContainerTransition
             Said.DIED_RESTART: (State.STOPPED, Do.LOSE_NODES),
             Said.DIED_FOR_GOOD: (State.STOPPED, Do.LOSE_NODES),
             Said.ENDED_ITSELF: (State.STOPPED, Do.LOSE_NODES),
+            Said.FAILED: (State.GAVE_UP, Do.LOSE_NODES, Do.REPORT_GAVE_UP),
         },
         {Said.START_REQUESTED, Said.STOP_REQUESTED, Said.RESTART_DUE, *_TALK},
     ),

@@ -252,15 +252,18 @@ def _process_changed(process: ProcessView, event: ProcessEvent) -> ProcessView:
         ProcessEventKind.GAVE_UP,
     }
     ended = event.kind is ProcessEventKind.EXITED
+    # Given up while it still ran: its end does not change that.
+    ends = event.kind in {ProcessEventKind.STOPPING, ProcessEventKind.EXITED}
+    gave_up = process.kind is ProcessEventKind.GAVE_UP and ends
     return replace(
         process,
-        kind=event.kind,
+        kind=process.kind if gave_up else event.kind,
         since_ns=event.stamp_ns,
         pid=event.pid if alive else 0,
         exit_code=event.exit_code if ended else process.exit_code,
         signal=event.signal if ended else process.signal,
         restarts=event.restarts,
-        message=event.message,
+        message=process.message if gave_up else event.message,
     )
 
 

@@ -96,6 +96,14 @@ class Running:
             and (event.container, event.state) == (name, state)
         ]
 
+    def gave_up(self) -> dict[str, str]:
+        """Names of the containers and processes that were given up, with the reason."""
+        return {
+            event.name: event.message
+            for event in self.events
+            if isinstance(event, ProcessEvent) and event.kind is ProcessEventKind.GAVE_UP
+        }
+
     def process_events(self, name: str) -> list[ProcessEventKind]:
         return [
             event.kind

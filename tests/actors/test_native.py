@@ -31,6 +31,7 @@ from play_launch.core.events import (
     ContainerState,
     NodeState,
     OutputLine,
+    ProcessEvent,
     ProcessEventKind,
     RunEvent,
 )
@@ -41,7 +42,9 @@ from .running import Running
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator
 
+    from play_launch.actors.ports import ControlLink, ManagedProcess, OutputCallback
     from play_launch.config.model import ReplayConfig
+    from play_launch.native.messages import Incoming
 
 QUICK = RestartLimits(max_restarts=2, within=60.0, initial=0.05, maximum=0.1)
 
@@ -87,9 +90,13 @@ def python(name: str, code: str, *, respawn: bool = False) -> ProcessConfig:
 
 
 @asynccontextmanager
-async def running_natively(config: ReplayConfig) -> AsyncIterator[Running]:
+async def running_natively(
+    config: ReplayConfig, launcher: NativeLauncher | None = None
+) -> AsyncIterator[Running]:
     watching = Running()
-    watching.task = asyncio.create_task(run_system(config, watching, watching.stop))
+    watching.task = asyncio.create_task(
+        run_system(config, watching, watching.stop, launcher=launcher)
+    )
     try:
         async with asyncio.timeout(60):
             yield watching
@@ -123,6 +130,63 @@ def test_a_killed_container_comes_back_with_its_nodes() -> None:
         assert sys.outcome.exit_code == 0
         assert sys.view.containers["/one"].process.restarts == 1
         assert sys.node_events("/a", NodeState.LOADED)[-1].pid != first
+
+    asyncio.run(main())
+
+
+def test_a_fault_of_our_own_stops_one_container_in_order_and_no_other() -> None:
+    """As when rclpy raises what nobody expects, on the link to one container."""
+
+    class BrokenLink:
+        def __init__(self, link: ControlLink) -> None:
+            self.receive = link.receive
+            self.handshake = link.handshake
+            self.send = link.send
+            self.close = link.close
+
+    broken: list[BrokenLink] = []
+
+    class Launcher(NativeLauncher):
+        def start_container(
+            self, config: ContainerConfig, on_output: OutputCallback
+        ) -> tuple[ManagedProcess, ControlLink]:
+            process, link = super().start_container(config, on_output)
+            if config.name != "bad":
+                return process, link
+            broken.append(BrokenLink(link))
+            return process, broken[0]
+
+    async def main() -> None:
+        config = system(
+            container("bad", node("a", "Talker")),
+            container("good", node("b", "Listener")),
+            python("driver", "import time; time.sleep(600)"),
+        )
+        async with running_natively(config, await asyncio.to_thread(Launcher.of, config)) as sys:
+            await sys.until_loaded(2)
+
+            async def fails() -> Incoming:
+                raise RuntimeError("failed to send the request")
+
+            broken[0].receive = fails  # from its next message on
+            await sys.until(lambda: "/bad" in sys.gave_up())
+            await sys.until(lambda: ProcessEventKind.EXITED in sys.process_events("/bad"))
+            assert sys.view.loaded == 1
+            assert not set(sys.process_events("/good")) - {
+                ProcessEventKind.STARTED,
+                ProcessEventKind.READY,
+            }
+            assert sys.process_events("/driver") == [ProcessEventKind.STARTED]
+        (ended,) = (
+            event
+            for event in sys.events
+            if isinstance(event, ProcessEvent)
+            and (event.name, event.kind) == ("/bad", ProcessEventKind.EXITED)
+        )
+        assert (ended.exit_code, ended.signal) == (0, 0), "it was asked, and ended in order"
+        assert "RuntimeError" in sys.gave_up()["/bad"]
+        assert sys.outcome is not None
+        assert sys.outcome.exit_code == 1
 
     asyncio.run(main())
 

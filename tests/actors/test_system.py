@@ -2,20 +2,33 @@ from __future__ import annotations
 
 import asyncio
 import signal
+from dataclasses import replace
 
 import pytest
 
+from play_launch.actors.ports import OutputCallback
 from play_launch.actors.stop_requests import StopRequests
 from play_launch.actors.system import Outcome, run_system
+from play_launch.config.model import ProcessConfig
 from play_launch.core.events import (
     ContainerState,
     NodeState,
     ProcessEventKind,
     RunEvent,
 )
+from play_launch.native.messages import Incoming
 from play_launch.process.exit import Exit
 
-from .fakes import FakeContainer, FakeLauncher, FakeProcess, Held, container, process, system
+from .fakes import (
+    FakeContainer,
+    FakeLauncher,
+    FakeLink,
+    FakeProcess,
+    Held,
+    container,
+    process,
+    system,
+)
 from .jumping_loop import run
 from .running import Running, running
 
@@ -109,21 +122,110 @@ def test_a_stop_that_came_before_the_start_starts_nothing() -> None:
     run(main())
 
 
-def test_a_fault_of_our_own_leaves_nothing_either() -> None:
-    class Breaks(StopAt):
+@pytest.mark.parametrize("count", range(1, 60))
+def test_a_fault_of_our_own_costs_one_member_at_most_and_leaves_nothing(count: int) -> None:
+    class Breaks(Running):
+        left = count
+
         def publish(self, event: RunEvent) -> None:
             self.left -= 1
             if self.left == 0:
                 raise LookupError("a bug")
+            super().publish(event)
 
-    async def main(count: int) -> None:
-        fakes, stop = launcher(), StopRequests()
-        with pytest.raises((ExceptionGroup, LookupError)):
-            await run_system(CONFIG, Breaks(count, [], stop), stop, launcher=fakes)
+    async def main() -> None:
+        fakes = launcher()
+        sink = Breaks(fakes)
+        config = replace(CONFIG, duration=60.0)
+        try:
+            await run_system(config, sink, sink.stop, launcher=fakes, starts=2)
+        except LookupError:
+            assert not fakes.containers, "members are announced before anything starts"
+            assert not fakes.processes
         assert not fakes.alive()
+        assert fakes.closed
+        assert sum("LookupError" in reason for reason in sink.gave_up().values()) <= 1
 
-    for count in range(1, 40):
-        run(main(count))
+    run(main())
+
+
+class BrokenLink(FakeLink):
+    """Fails as nobody expects, at its n-th receive; the first one is part of the handshake."""
+
+    def __init__(self, container: FakeContainer, failing: int) -> None:
+        super().__init__(container)
+        self._failing = failing
+
+    async def receive(self) -> Incoming:
+        self._failing -= 1
+        if self._failing == 0:
+            raise RuntimeError("failed to send the request")
+        return await super().receive()
+
+
+@pytest.mark.parametrize(("failing", "gently"), [(1, "SIGINT"), (2, "ask"), (4, "ask")])
+def test_a_fault_of_our_own_stops_its_container_in_order_and_no_other(
+    failing: int, gently: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    class Broken(FakeContainer):
+        def start(self) -> None:
+            self.link = BrokenLink(self, failing)
+            super().start()
+
+    config = system(container("bad", "x", "y"), container("good", "a"), process("driver"))
+
+    async def main() -> Running:
+        fakes = FakeLauncher(makers={"/bad": [Broken]})
+        async with running(config, fakes) as sys:
+            await sys.until(lambda: "/bad" in sys.gave_up())
+            await sys.until(lambda: ProcessEventKind.EXITED in sys.process_events("/bad"))
+            await sys.until_loaded(1)
+            for each in (fakes.containers["/good"][0].process, fakes.processes["/driver"][0]):
+                assert each.exit is None
+                assert not each.stopped_with
+            sys.stop.request(reason="the test is over")
+        return sys
+
+    sys = run(main())
+    assert sys.launcher.containers["/bad"][0].process.stopped_with == [gently]
+    reason = "internal error (its call stack is in the recording): RuntimeError: failed to send"
+    assert sys.gave_up()["/bad"].startswith(reason)
+    assert sys.container_states("/bad")[-1] is ContainerState.GAVE_UP
+    assert not {node.state for node in sys.view.containers["/bad"].nodes.values()} & {
+        NodeState.LOADED,
+        NodeState.LOADING,
+    }
+    assert sys.outcome is not None
+    assert sys.outcome.exit_code == 1
+    assert "Traceback" in caplog.text
+
+
+def test_a_fault_of_our_own_stops_its_process_in_order_and_no_other() -> None:
+    class Unheard(FakeProcess):
+        async def wait(self) -> Exit:
+            if "bug" not in self.stopped_with:
+                self.stopped_with.append("bug")
+                raise LookupError("a bug")
+            return await super().wait()
+
+    class Launcher(FakeLauncher):
+        def start_process(self, config: ProcessConfig, on_output: OutputCallback) -> FakeProcess:
+            started = super().start_process(config, on_output)
+            if config.name == "bad":
+                started.__class__ = Unheard
+            return started
+
+    async def main() -> Running:
+        async with running(system(process("bad"), process("good")), Launcher()) as sys:
+            await sys.until(lambda: "/bad" in sys.gave_up())
+            assert not sys.launcher.processes["/good"][0].stopped_with
+            sys.stop.request(reason="the test is over")
+        return sys
+
+    sys = run(main())
+    assert sys.launcher.processes["/bad"][0].stopped_with == ["bug", "SIGINT"]
+    assert sys.outcome is not None
+    assert sys.outcome.exit_code == 1
 
 
 def test_it_is_told_to_shut_down_before_it_is_sent_signals() -> None:

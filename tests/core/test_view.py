@@ -110,3 +110,20 @@ def test_output_changes_nothing() -> None:
 def test_exit_code(events: list[RunEvent], code: ExitCode) -> None:
     assert exit_code(fold(*events), None) == code
     assert exit_code(fold(*events), signal.SIGINT) == 130
+
+
+def test_who_is_given_up_while_it_still_runs_stays_given_up_when_it_ends() -> None:
+    def event(kind: ProcessEventKind, message: str = "") -> ProcessEvent:
+        return ProcessEvent(stamp_ns=1, kind=kind, name="/p", message=message)
+
+    view = SystemView()
+    for each in (
+        event(ProcessEventKind.STARTED),
+        event(ProcessEventKind.GAVE_UP, "internal error"),
+        event(ProcessEventKind.STOPPING, "the end"),
+        event(ProcessEventKind.EXITED),
+    ):
+        view = view.after(each)
+    assert view.processes["/p"].failed
+    assert view.processes["/p"].message == "internal error"
+    assert not view.after(event(ProcessEventKind.STARTED)).processes["/p"].failed
