@@ -6,7 +6,10 @@ import asyncio
 
 
 class StopRequests:
-    """The first request stops the system in order, every further one hurries that.
+    """The first request stops the system in order; the second signal hurries that.
+
+    Several crashes of one moment may each ask for the end, and so may a crash and a signal: that
+    is nobody's impatience.
 
     Belongs to the thread of the event loop: hand signals over with ``loop.call_soon_threadsafe``.
     """
@@ -17,11 +20,14 @@ class StopRequests:
         self.signum: int | None = None
         """The signal of the first request; None where it was none."""
         self.reason = ""
+        self._signals = 0
 
     def request(self, signum: int | None = None, reason: str = "") -> None:
-        """Ask for the end, or for more haste."""
+        """Ask for the end, or with a second signal for more haste."""
+        self._signals += signum is not None
         if self.requested.is_set():
-            self.hurry.set()
+            if self._signals > 1:
+                self.hurry.set()
             return
         self.signum = signum
         self.reason = reason or (f"signal {signum}" if signum is not None else "requested")

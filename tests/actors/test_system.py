@@ -272,6 +272,31 @@ def test_all_stop_in_parallel_and_a_second_request_hurries() -> None:
     assert run(main(2)) < 1.0
 
 
+async def stop_with(*requests: int | None) -> StopRequests:
+    stop = StopRequests()
+    for signum in requests:
+        stop.request(signum, "" if signum else "a node crashed")
+    return stop
+
+
+@pytest.mark.parametrize(
+    ("requests", "hurries"),
+    [
+        ((None, None, None), False),
+        ((None, signal.SIGINT), False),
+        ((signal.SIGINT, None), False),
+        ((signal.SIGINT, signal.SIGINT), True),
+        ((None, signal.SIGINT, signal.SIGTERM), True),
+        ((signal.SIGHUP, None, signal.SIGINT), True),
+    ],
+)
+def test_only_a_second_signal_hurries(requests: tuple[int | None, ...], hurries: bool) -> None:
+    stop = run(stop_with(*requests))
+    assert stop.requested.is_set()
+    assert stop.hurry.is_set() is hurries
+    assert stop.signum == requests[0]
+
+
 def test_the_duration_ends_a_run() -> None:
     async def main() -> Running:
         async with running(system(container("c", "a"), duration=30.0), FakeLauncher()) as sys:
