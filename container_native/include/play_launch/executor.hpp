@@ -21,8 +21,9 @@ struct RunningTurn;
 /// Runs the callbacks of nodes. Nodes, and what nodes contain, may come and go while it spins. It
 /// holds no lock while user code runs, and starts no thread outside of spin().
 ///
-/// An exception that leaves a callback is logged as FATAL with the node's name and goes on: out of
-/// SingleThreadedExecutor::spin(); in a MultiThreadedExecutor it terminates the process.
+/// What a callback throws is caught nowhere in here, so that a process which ends for it does so
+/// where it was thrown. It leaves SingleThreadedExecutor::spin(); MultiThreadedExecutor::spin()
+/// lets nobody catch it: std::terminate() is called.
 class Executor {
  public:
   /// Removes the nodes that are left. spin() must have returned.

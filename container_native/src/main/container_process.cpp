@@ -17,6 +17,7 @@
 #include "main/backends.hpp"
 #include "main/exit_status.hpp"
 #include "main/host_choice.hpp"
+#include "main/uncaught.hpp"
 
 namespace play_launch::container {
 namespace {
@@ -89,6 +90,7 @@ void ContainerProcess::start(int argc, const char* const* argv) {
   greeting.mechanism = std::move(choice.mechanism);
   greeting.notes = std::move(choice.notes);
   host_ = std::move(choice.host);
+  name_nodes_that_throw();  // before the handler that the host has set
   manager_ = std::make_unique<ObservableComponentManager>(*host_, process_);
   if (node_) {
     ros_ = std::make_unique<RosInterface>(node_, *manager_, control_.has_value());

@@ -56,21 +56,6 @@ Work take_or_report(Waitable& waitable) {
   }
 }
 
-void call_user(Work& work, const Waitable& waitable) {
-  const detail::RunningNode running(waitable.logger().name().c_str());
-  try {
-    work();
-  } catch (const std::exception& error) {
-    PLAY_LAUNCH_FATAL(waitable.logger(), "a callback of node %s threw: %s",
-                      waitable.logger().name().c_str(), error.what());
-    throw;
-  } catch (...) {
-    PLAY_LAUNCH_FATAL(waitable.logger(), "a callback of node %s threw something unknown",
-                      waitable.logger().name().c_str());
-    throw;
-  }
-}
-
 }  // namespace
 
 Executor::Executor(std::shared_ptr<detail::StopFlag> stop)
@@ -208,7 +193,8 @@ void Executor::run(RunningTurn& turn, std::unique_lock<std::mutex>& lock) {
   if (token.group->kind() == CallbackGroup::Kind::reentrant && (events > 1 || token.timed)) {
     token.notify(events > 1 ? events - 1 : 0);  // another worker may go on meanwhile
   }
-  call_user(turn.work, *turn.waitable);
+  const detail::RunningNode running(turn.waitable->logger());
+  turn.work();
 }
 
 void Executor::abandon() {
@@ -251,16 +237,21 @@ MultiThreadedExecutor::MultiThreadedExecutor(std::size_t threads,
 
 void MultiThreadedExecutor::spin() {
   const Spinning spinning(*this);
+  // Not a catch: an exception that nobody above catches is to end the process where it is thrown.
+  // Where somebody does, it ends here as it does in another thread; nobody could go on with some of
+  // the threads.
+  struct Ended {
+    bool in_order = false;
+    ~Ended() {
+      if (!in_order) std::terminate();
+    }
+  } ended;
   workers_.reserve(threads_ - 1);
-  try {
-    while (workers_.size() < threads_ - 1) workers_.emplace_back([this] { work(); });
-    work();
-  } catch (...) {
-    // As an exception in another thread does; nobody could go on with some of the threads.
-    std::terminate();
-  }
+  while (workers_.size() < threads_ - 1) workers_.emplace_back([this] { work(); });
+  work();
   for (std::thread& worker : workers_) worker.join();
   workers_.clear();
+  ended.in_order = true;
 }
 
 void MultiThreadedExecutor::abandon() {

@@ -106,6 +106,26 @@ volatile std::uintptr_t bad_address = 8;
 void crash_by_bad_address() { *reinterpret_cast<volatile int*>(bad_address) = 1; }
 void crash_by_abort() { std::abort(); }
 void crash_by_exception() { throw std::runtime_error("what went wrong"); }
+/// Nobody catches it, so nobody leaves a frame, though some have something to destroy or catch
+/// something else.
+[[gnu::noinline]] void throw_through(const std::string& text) {
+  const std::string longer = text + "wrong";
+  throw std::runtime_error(longer);
+}
+void crash_by_exception_below() {
+  try {
+    throw_through("what went ");
+  } catch (const std::logic_error&) {
+    std::abort();
+  }
+}
+void crash_by_exception_thrown_on() {
+  try {
+    throw_through("what went ");
+  } catch (const std::runtime_error&) {
+    throw;
+  }
+}
 void crash_by_kill() {
   kill_time_ns = now_ns();
   ::kill(::getpid(), SIGKILL);
@@ -176,6 +196,12 @@ constexpr std::array kKinds{
     Kind{"SIGSEGV", crash_by_bad_address, SIGSEGV, "crash_by_bad_address", "address 0x8"},
     Kind{"SIGABRT", crash_by_abort, SIGABRT, "crash_by_abort", "abort() was called"},
     Kind{"exception", crash_by_exception, SIGABRT, "crash_by_exception",
+         "uncaught exception std::runtime_error: what went wrong"},
+    Kind{"deep exception", crash_by_exception_below, SIGABRT,
+         "#0 (anonymous namespace)::throw_through",
+         "uncaught exception std::runtime_error: what went wrong"},
+    Kind{"thrown on", crash_by_exception_thrown_on, SIGABRT,
+         "#0 (anonymous namespace)::crash_by_exception_thrown_on",
          "uncaught exception std::runtime_error: what went wrong"},
     Kind{"SIGKILL", crash_by_kill, SIGKILL, nullptr, "SIGKILL"},
     Kind{"SIGBUS", crash_by_truncated_file, SIGBUS, "crash_by_truncated_file",

@@ -91,7 +91,7 @@ std::chrono::nanoseconds NodeExecutor::note_beat() {
 
 bool NodeExecutor::may_run() const { return !stop_->is_set() && rclcpp::ok(context_); }
 
-void NodeExecutor::run(Worker& worker) noexcept {
+void NodeExecutor::run(Worker& worker) {
   while (may_run()) {
     if (take(worker)) {
       execute(*worker.work);
@@ -116,9 +116,9 @@ bool NodeExecutor::take(Worker& worker) {
   return true;
 }
 
-// Not part of run(): what is thrown and not caught here is to meet a function there that catches
-// nothing at all, so that std::terminate() knows the exception and is called where it was thrown.
-[[gnu::noinline]] void NodeExecutor::execute(rclcpp::AnyExecutable& work) try {
+// An exception of another type finds no handler up to the end of the stack, nor a function that is
+// noexcept: std::terminate() is called where it was thrown, before any frame is left.
+void NodeExecutor::execute(rclcpp::AnyExecutable& work) try {
   const RunningCallback running(*this, work.callback_group);
   if (work.timer) {
     execute_timer(unshared(work.timer), work.data);

@@ -60,7 +60,7 @@ class NodeExecutor final : public rclcpp::Executor {
     std::thread thread;                            // none for the one that calls spin()
   };
 
-  void run(Worker& worker) noexcept;
+  void run(Worker& worker);
   bool take(Worker& worker);
   void execute(rclcpp::AnyExecutable& work);
   void finish(Worker& worker);

@@ -17,10 +17,11 @@
 #include <cstdlib>
 #include <cstring>
 #include <exception>
+#include <string_view>
 #include <typeinfo>
 
 #include "base/demangle.hpp"
-#include "isolation/crash/throw_site.hpp"
+#include "base/elf.hpp"
 #include "isolation/quiesce/call_stack.hpp"
 #include "isolation/quiesce/code_map.hpp"
 #include "isolation/quiesce/quiesce.hpp"
@@ -29,6 +30,8 @@
 
 namespace play_launch::isolation {
 namespace {
+
+using namespace std::string_view_literals;
 
 /// What instructions cause, and what the kernel sends who exceeds a limit.
 constexpr std::array kFaults{SIGSEGV, SIGBUS, SIGFPE,  SIGILL, SIGABRT,
@@ -104,13 +107,33 @@ void describe(CrashSlot& slot, int signal, const siginfo_t& info, void* context)
   slot.thread = ::gettid();
 }
 
+/// Which frame threw the exception that nobody caught: nobody has left the stack by then. The
+/// frames before are the C++ library's and ours. 0 when there is none.
+std::size_t thrower_in(const CallStack& stack) noexcept {
+  constexpr std::array kThrow{"__cxa_throw"sv, "__cxa_rethrow"sv,
+                              "_ZSt17rethrow_exceptionNSt15__exception_ptr13exception_ptrE"sv};
+  for (std::size_t i = 1; i + 1 < stack.count; ++i) {
+    const std::uintptr_t address = stack.frames[i].address - 1;
+    const link_map* const library = library_at(address);
+    if (library != nullptr &&
+        std::ranges::find(kThrow, DynamicSymbols(*library).function_at(address).name) !=
+            kThrow.end()) {
+      return i + 1;
+    }
+  }
+  return 0;
+}
+
 void trace(CrashSlot& slot, void* context) noexcept {
   const CallStack stack = interrupted_call_stack(context, is_jump_to_no_code(slot.report));
   std::transform(stack.frames.begin(), stack.frames.begin() + stack.count,
                  slot.report.frames.begin(), [](const Frame& frame) { return frame.address; });
   slot.report.frame_count = static_cast<std::uint32_t>(stack.count);
+  if (slot.report.exception_type[0] != '\0') {
+    survive([&] { slot.report.thrower = thrower_in(stack); });
+  }
   bool harmless = false;
-  survive([&] { harmless = judge(stack, Caution::lenient).harmless; });
+  survive([&] { harmless = judge(stack, Caution::lenient, slot.report.thrower).harmless; });
   slot.report.inside = !harmless;
   slot.traced = true;
 }
@@ -180,10 +203,6 @@ void note_exception(CrashSlot& slot) {
     return;
   }
   copy_text(slot.report.exception_type, demangled(type->name()).c_str());
-  const std::exception_ptr exception = std::current_exception();
-  // What it points to is the object, in this C++ library and in LLVM's.
-  const void* const object = *reinterpret_cast<void* const*>(&exception);
-  slot.report.throw_frame_count = throw_site(object, slot.report.throw_frames);
   try {
     throw;
   } catch (const std::exception& error) {
@@ -227,7 +246,6 @@ iovec piece(const char* text) { return {const_cast<char*>(text), std::strlen(tex
 void prepare_crash_handling() {
   prepare_call_stack();
   prepare_code_map();
-  prepare_throw_sites();
   const std::terminate_handler before = std::set_terminate(on_terminate);
   if (before != on_terminate) {
     terminate_before = before;

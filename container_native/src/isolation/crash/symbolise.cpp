@@ -165,12 +165,11 @@ std::vector<std::string> symbolise(const CrashSlot& slot) {
     return lines;
   }
   static Memory memory;
-  const bool thrown = slot.report.throw_frame_count > 0;
-  const auto& frames = thrown ? slot.report.throw_frames : slot.report.frames;
-  const std::uint32_t count = thrown ? slot.report.throw_frame_count : slot.report.frame_count;
-  for (std::uint32_t i = 0; i < count; ++i) {
-    const bool is_return_address = thrown || i > 0;
-    lines.push_back("#" + std::to_string(i) + " " + memory.describe(frames[i], is_return_address));
+  // How the C++ library gets from a throw to the end of the process says nothing.
+  const std::size_t first = slot.report.thrower;
+  for (std::size_t i = first; i < slot.report.frame_count; ++i) {
+    lines.push_back("#" + std::to_string(i - first) + " " +
+                    memory.describe(slot.report.frames[i], i > 0));
   }
   return lines;
 }

@@ -244,11 +244,11 @@ void prepare_code_map() {
   }
 }
 
-Judgement judge(const CallStack& stack, Caution caution) noexcept {
+Judgement judge(const CallStack& stack, Caution caution, std::size_t first) noexcept {
   Judgement judgement;
   constexpr std::size_t kNone = CallStack::kMaxFrames;
   std::size_t unnamed = kNone;  // the first of those in a row
-  for (std::size_t i = 0; i < stack.count; ++i) {
+  for (std::size_t i = first; i < stack.count; ++i) {
     const Place place = place_of(stack, i, caution);
     // Without optimisation, locking ends in some functions without a name, and is what called
     // them; all others are the node's.

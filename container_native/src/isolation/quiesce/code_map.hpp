@@ -33,7 +33,7 @@ void prepare_code_map();
 /// the middleware, an allocator or the loader, or in a template of rclcpp or of this SDK that was
 /// compiled into somebody's library. (Outer frames always are the middleware's: it calls the
 /// callbacks, without holding a lock.) A thread that waits for another one to end is harmless
-/// anywhere. Async-signal-safe.
-Judgement judge(const CallStack& stack, Caution caution) noexcept;
+/// anywhere. Frames before `first` do not count. Async-signal-safe.
+Judgement judge(const CallStack& stack, Caution caution, std::size_t first = 0) noexcept;
 
 }  // namespace play_launch::isolation

@@ -42,9 +42,8 @@ struct CrashReport {
   /// What an exception that nobody caught was: its type, and what().
   std::array<char, 128> exception_type{};
   std::array<char, 256> exception_text{};
-  /// Where it was thrown, as return addresses, innermost first; none: that is not known.
-  std::array<std::uintptr_t, kMaxFrames> throw_frames{};
-  std::uint32_t throw_frame_count = 0;
+  /// Which of the frames threw it, or threw it on; 0: that is not known, or there is no exception.
+  std::size_t thrower = 0;
 
   // What quiescing came to, for crashes and for exit().
   /// The thread that crashed, or called exit(), was itself inside the middleware or the allocator,

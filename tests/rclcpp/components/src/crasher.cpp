@@ -6,10 +6,31 @@
 #include <rclcpp/rclcpp.hpp>
 #include <rclcpp_components/register_node_macro.hpp>
 #include <std_msgs/msg/string.hpp>
+#include <std_srvs/srv/trigger.hpp>
 #include <stdexcept>
 #include <string>
 
 namespace test_components {
+
+/// Three functions deep, through frames with something to destroy.
+[[gnu::noinline]] void throw_here(const std::string& text) {
+  throw std::runtime_error(text + "on purpose");
+}
+
+[[gnu::noinline]] void throw_below(const std::string& text) {
+  const std::string longer = text + "some functions below the callback, ";
+  throw_here(longer);
+  asm volatile("");  // not the last it does: a jump would leave no frame
+}
+
+/// With a handler that is not for this exception.
+[[gnu::noinline]] void throw_far_below() {
+  try {
+    throw_below("thrown ");
+  } catch (const std::logic_error&) {
+    std::abort();
+  }
+}
 
 /// Ends its process in the way it is told.
 [[gnu::noinline]] void die(const std::string& how) {
@@ -29,6 +50,8 @@ namespace test_components {
     ::kill(::getpid(), SIGTERM);
   } else if (how == "exception") {
     throw std::runtime_error("as asked for");
+  } else if (how == "deep_exception") {
+    throw_far_below();
   } else if (how == "exit") {
     std::exit(3);
   } else if (how == "shutdown") {
@@ -46,6 +69,9 @@ class Crasher : public rclcpp::Node {
     const auto how = declare_parameter("how", std::string("segv"));
     subscription_ = create_subscription<std_msgs::msg::String>(
         "crash", 1, [](const std_msgs::msg::String& message) { die(message.data); });
+    service_ = create_service<std_srvs::srv::Trigger>(
+        "die", [how](const std::shared_ptr<std_srvs::srv::Trigger::Request>,
+                     std::shared_ptr<std_srvs::srv::Trigger::Response>) { die(how); });
     if (declare_parameter("in_constructor", false)) {
       die(how);
     }
@@ -57,6 +83,7 @@ class Crasher : public rclcpp::Node {
 
  private:
   rclcpp::Subscription<std_msgs::msg::String>::SharedPtr subscription_;
+  rclcpp::Service<std_srvs::srv::Trigger>::SharedPtr service_;
   rclcpp::TimerBase::SharedPtr timer_;
 };
 
