@@ -42,10 +42,9 @@ class NodeHostObserver {
   /// it, and is valid until the next call for this node has returned.
   virtual void on_constructing(std::uint64_t unique_id, const ProcessIdentity& process,
                                clockid_t cpu_clock) = 0;
-  /// The constructor returned. False: the node must not live; the host destroys it, then on_gone.
-  virtual bool on_constructed(std::uint64_t unique_id, const std::string& full_name) = 0;
-  /// The node's callbacks run.
-  virtual void on_loaded(std::uint64_t unique_id) = 0;
+  /// The node's callbacks run. False: nobody wants it, or another node has its name; the host makes
+  /// it leave as if unload() had been called.
+  virtual bool on_loaded(std::uint64_t unique_id, const std::string& full_name) = 0;
   virtual void on_load_failed(std::uint64_t unique_id, const std::string& reason) = 0;
   /// The process that was to hold the node died before on_loaded.
   virtual void on_load_crashed(std::uint64_t unique_id, const NodeDeath& death) = 0;
@@ -70,7 +69,7 @@ class NodeHost {
   /// Begins to load. Throws std::exception when not even that works; then no call follows.
   virtual void load(std::uint64_t unique_id, LoadRequest request) = 0;
 
-  /// Begins to unload a node that on_loaded was told of. Throws std::exception when not even that
+  /// Begins to unload a node that on_loaded took in. Throws std::exception when not even that
   /// works; then the node is what it was.
   virtual void unload(std::uint64_t unique_id) = 0;
 

@@ -57,6 +57,11 @@ void add_death(ComponentEvent& event, const NodeDeath& death) {
   }
 }
 
+/// How the end of a node is reported that left because it should.
+std::uint8_t last_event_type(const NodeEntry& entry) {
+  return entry.refused ? ComponentEvent::LOAD_FAILED : ComponentEvent::UNLOADED;
+}
+
 std::string no_such_node(std::uint64_t unique_id) {
   return "there is no node with unique_id " + std::to_string(unique_id) + " in this container";
 }
@@ -242,23 +247,13 @@ void ObservableComponentManager::on_constructing(std::uint64_t unique_id,
   table_.constructing(unique_id, process, cpu_clock);
 }
 
-bool ObservableComponentManager::on_constructed(std::uint64_t unique_id,
-                                                const std::string& full_name) {
+bool ObservableComponentManager::on_loaded(std::uint64_t unique_id, const std::string& full_name) {
   const std::lock_guard lock(mutex_);
-  return table_.constructed(unique_id, full_name);
-}
-
-void ObservableComponentManager::on_loaded(std::uint64_t unique_id) {
-  const std::lock_guard lock(mutex_);
-  if (table_.loaded(unique_id, Clock::now())) {
-    emit(*table_.find(unique_id), ComponentEvent::LOADED);
-    return;
-  }
-  std::string why_not;
-  if (table_.find(unique_id) != nullptr && !start_unloading(unique_id, why_not)) {
-    table_.keep(unique_id, Clock::now());
+  const bool wanted = table_.loaded(unique_id, full_name, Clock::now());
+  if (wanted) {
     emit(*table_.find(unique_id), ComponentEvent::LOADED);
   }
+  return wanted;
 }
 
 void ObservableComponentManager::on_load_failed(std::uint64_t unique_id,
@@ -279,13 +274,8 @@ void ObservableComponentManager::load_failed(std::uint64_t unique_id, const std:
   }
   ComponentEvent event =
       event_of(*entry, entry->retired ? ComponentEvent::UNLOADED : ComponentEvent::LOAD_FAILED);
-  if (entry->retired) {
-    event.error_message = entry->verdict + "; loading failed as well: " + reason;
-  } else if (entry->refused) {
-    event.error_message = entry->verdict + "; it died while it was discarded: " + reason;
-  } else {
-    event.error_message = reason;
-  }
+  event.error_message =
+      entry->retired ? entry->verdict + "; loading failed as well: " + reason : reason;
   if (death != nullptr) {
     add_death(event, *death);
   }
@@ -299,8 +289,7 @@ void ObservableComponentManager::on_gone(std::uint64_t unique_id, const std::str
   if (!entry) {
     return;
   }
-  emit(*entry, entry->refused ? ComponentEvent::LOAD_FAILED : ComponentEvent::UNLOADED,
-       entry->verdict.empty() ? why : entry->verdict);
+  emit(*entry, last_event_type(*entry), entry->verdict.empty() ? why : entry->verdict);
   after_removal();
 }
 
@@ -310,11 +299,11 @@ void ObservableComponentManager::on_crashed(std::uint64_t unique_id, const NodeD
   if (!entry) {
     return;
   }
-  // Nobody wants a node back that he sent away.
-  ComponentEvent event =
-      event_of(*entry, entry->retired ? ComponentEvent::UNLOADED : ComponentEvent::CRASHED);
+  ComponentEvent event = event_of(*entry, ComponentEvent::CRASHED);
   event.error_message = death.reason;
-  if (entry->retired) {
+  // Nobody wants a node back that he sent away, or did not let in.
+  if (entry->retired || entry->refused) {
+    event.event_type = last_event_type(*entry);
     event.error_message = (entry->verdict.empty() ? "" : entry->verdict + "; ") +
                           "it did not leave in order: " + death.reason;
   }

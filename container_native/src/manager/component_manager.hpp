@@ -58,8 +58,8 @@ class ObservableComponentManager final : public NodeHostObserver {
   /// the request was refused, if it was. `on_accepted` is called as in load().
   std::optional<std::string> unload(std::uint64_t unique_id, const OnAccepted& on_accepted = {});
 
-  /// Gives up a load: a node that constructs is discarded when its constructor has returned, one
-  /// that was loaded in the meantime is unloaded. Returns as unload().
+  /// Gives up a load: a node that constructs is unloaded when its constructor has returned, one
+  /// that was loaded in the meantime at once. Returns as unload().
   std::optional<std::string> cancel(std::uint64_t unique_id);
 
   /// The nodes with these ids that exist, or all for no ids; by unique_id. Behind them, loaded ones
@@ -84,8 +84,7 @@ class ObservableComponentManager final : public NodeHostObserver {
 
   void on_constructing(std::uint64_t unique_id, const ProcessIdentity& process,
                        clockid_t cpu_clock) override;
-  bool on_constructed(std::uint64_t unique_id, const std::string& full_name) override;
-  void on_loaded(std::uint64_t unique_id) override;
+  bool on_loaded(std::uint64_t unique_id, const std::string& full_name) override;
   void on_load_failed(std::uint64_t unique_id, const std::string& reason) override;
   void on_load_crashed(std::uint64_t unique_id, const NodeDeath& death) override;
   void on_gone(std::uint64_t unique_id, const std::string& why) override;

@@ -64,33 +64,20 @@ void NodeTable::constructing(std::uint64_t unique_id, ProcessIdentity process,
   }
 }
 
-bool NodeTable::constructed(std::uint64_t unique_id, const std::string& full_name) {
-  const auto found = entries_.find(unique_id);
-  if (found == entries_.end()) {
-    return false;
-  }
-  NodeEntry& entry = found->second;
-  if (entry.retired) {
-    entry.full_name = full_name;
-    return false;
-  }
-  // Checked here as well because only now the name is certain.
-  if (auto conflict = name_conflict(full_name, unique_id)) {
-    entry.refused = true;
-    entry.verdict = std::move(*conflict);
-    return false;
-  }
-  entry.full_name = full_name;
-  return true;
-}
-
-bool NodeTable::loaded(std::uint64_t unique_id, SteadyTime now) {
+bool NodeTable::loaded(std::uint64_t unique_id, const std::string& full_name, SteadyTime now) {
   const auto found = entries_.find(unique_id);
   if (found == entries_.end()) {
     return false;
   }
   NodeEntry& entry = found->second;
   entry.cpu_clock.reset();
+  // Checked here as well because only now the name is certain.
+  if (auto conflict = name_conflict(full_name, unique_id); conflict && !entry.retired) {
+    entry.refused = true;
+    entry.verdict = std::move(*conflict);
+    return false;
+  }
+  entry.full_name = full_name;
   entry.since = now;
   entry.state = entry.retired ? NodeState::unloading : NodeState::loaded;
   return !entry.retired;

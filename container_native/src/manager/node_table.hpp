@@ -66,15 +66,12 @@ class NodeTable {
   /// Construction began in `process`.
   void constructing(std::uint64_t unique_id, ProcessIdentity process, clockid_t cpu_clock);
 
-  /// The constructor returned a node of that name. False: discard it; the entry says why.
-  bool constructed(std::uint64_t unique_id, const std::string& full_name);
-
-  /// The node spins. False: it was retired meanwhile and is unloading now.
-  bool loaded(std::uint64_t unique_id, SteadyTime now);
+  /// The node spins under that name. False: it must leave; the entry says why.
+  bool loaded(std::uint64_t unique_id, const std::string& full_name, SteadyTime now);
 
   enum class Retirement {
     unknown,     // there is no such node
-    when_built,  // it constructs; it is discarded when the constructor returns
+    when_built,  // it constructs; loaded() will answer that it must leave
     unload_now,  // it was loaded and is unloading now: the caller unloads it
     under_way    // it was unloading or retired already
   };

@@ -26,9 +26,7 @@ class FakeHost final : public NodeHost {
   void stop_spinning() override {}
 
   void finish(std::uint64_t unique_id, const std::string& name) {
-    if (observer->on_constructed(unique_id, name)) {
-      observer->on_loaded(unique_id);
-    } else {
+    if (!observer->on_loaded(unique_id, name)) {
       observer->on_gone(unique_id, "");
     }
   }
@@ -159,14 +157,16 @@ void test_cancel() {
   CHECK(bench.recorder.last().event_type == kUnloaded);
   CHECK(contains(bench.recorder.last().error_message, "boom"));
 
+  // The host makes it leave, and need not be asked.
   const std::uint64_t late = bench.load("a");
-  CHECK(bench.host.observer->on_constructed(late, "/a"));
   CHECK(!bench.manager.cancel(late));
+  CHECK(!bench.host.observer->on_loaded(late, "/a"));
+  CHECK(bench.manager.nodes().back().entry.state == NodeState::unloading);
+  CHECK(!bench.manager.unload(late));  // is under way already
   CHECK(bench.host.unloads.empty());
-  bench.host.observer->on_loaded(late);
-  CHECK(bench.host.unloads == std::vector{late});
   bench.host.observer->on_gone(late, "");
   CHECK(bench.recorder.last().event_type == kUnloaded);
+  CHECK(bench.recorder.last().full_node_name == "/a");
 
   const std::uint64_t loaded = bench.loaded("a");
   CHECK(!bench.manager.cancel(loaded));
@@ -196,6 +196,15 @@ void test_deaths_of_nodes_that_nobody_wants() {
   CHECK(!bench.manager.cancel(cancelled));
   bench.host.observer->on_load_crashed(cancelled, {0, 6, "in its constructor", {}, {}});
   CHECK(bench.recorder.last().event_type == kUnloaded && bench.recorder.last().signal == 6);
+
+  bench.loaded("c");
+  const std::uint64_t namesake = bench.load("");
+  CHECK(!bench.host.observer->on_loaded(namesake, "/c"));
+  CHECK(!bench.manager.unload(namesake));  // it leaves already
+  bench.host.observer->on_crashed(namesake, {0, 11, "in its destructor", {}, {}});
+  CHECK(bench.recorder.last().event_type == kFailed && bench.recorder.last().signal == 11);
+  CHECK(contains(bench.recorder.last().error_message, "a node named /c is loaded"));
+  CHECK(contains(bench.recorder.last().error_message, "in its destructor"));
 }
 
 void test_death_while_loading() {

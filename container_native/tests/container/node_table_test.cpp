@@ -22,8 +22,7 @@ std::uint64_t accept(NodeTable& table, const std::string& name, std::uint64_t at
 
 std::uint64_t load(NodeTable& table, const std::string& name) {
   const std::uint64_t unique_id = accept(table, name);
-  CHECK(table.constructed(unique_id, name));
-  CHECK(table.loaded(unique_id, at(1)));
+  CHECK(table.loaded(unique_id, name, at(1)));
   return unique_id;
 }
 
@@ -35,9 +34,7 @@ void test_life() {
   const NodeEntry* entry = table.find(unique_id);
   CHECK(entry->state == NodeState::constructing && entry->process.pid == 300);
   CHECK(entry->attempt == 7 && entry->plugin_name == "ns::Plugin" && entry->cpu_clock == 5);
-  CHECK(table.constructed(unique_id, "/a"));
-  CHECK(entry->state == NodeState::constructing);
-  CHECK(table.loaded(unique_id, at(3)));
+  CHECK(table.loaded(unique_id, "/a", at(3)));
   CHECK(entry->state == NodeState::loaded && entry->since == at(3) && !entry->cpu_clock);
   CHECK(table.retire(unique_id, "", at(4)) == Retirement::unload_now);
   CHECK(entry->state == NodeState::unloading && entry->since == at(4));
@@ -54,7 +51,7 @@ void test_names() {
   const std::uint64_t first = accept(table, "/a");
   for (const bool loaded : {false, true}) {
     if (loaded) {
-      CHECK(table.constructed(first, "/a") && table.loaded(first, at(1)));
+      CHECK(table.loaded(first, "/a", at(1)));
     }
     const auto second = table.accept({0, "package", "ns::Plugin", "/a"}, kProcess, at(2));
     CHECK(second.conflict && contains(*second.conflict, "/a"));
@@ -64,8 +61,9 @@ void test_names() {
   // Not known before construction: any number of them, until they turn out to have the name.
   const std::uint64_t third = accept(table, "");
   const std::uint64_t fourth = accept(table, "");
-  CHECK(!table.constructed(third, "/a"));
-  CHECK(table.constructed(fourth, "/b"));
+  CHECK(!table.loaded(third, "/a", at(3)));
+  CHECK(table.find(third)->state == NodeState::constructing);  // it was never let in
+  CHECK(table.loaded(fourth, "/b", at(3)));
   CHECK(table.retire(third, "", at(3)) == Retirement::under_way);
   const auto refused = table.remove(third);
   CHECK(refused->refused && contains(refused->verdict, "/a"));
@@ -95,14 +93,17 @@ void test_retired_while_constructing() {
   const std::uint64_t before = accept(table, "/a");
   CHECK(table.retire(before, "cancelled", at(1)) == Retirement::when_built);
   CHECK(table.find(before)->state == NodeState::constructing);
-  CHECK(!table.constructed(before, "/a"));
-  CHECK(table.remove(before)->verdict == "cancelled");
-  // Between the constructor's return and the first callback.
-  const std::uint64_t after = accept(table, "/a");
-  CHECK(table.constructed(after, "/a"));
-  CHECK(table.retire(after, "cancelled", at(1)) == Retirement::when_built);
-  CHECK(!table.loaded(after, at(2)));
-  CHECK(table.find(after)->state == NodeState::unloading);
+  CHECK(!table.loaded(before, "/b", at(2)));
+  CHECK(table.find(before)->state == NodeState::unloading);
+  CHECK(table.find(before)->full_name == "/b");
+  const auto removed = table.remove(before);
+  CHECK(removed->verdict == "cancelled" && !removed->refused);
+  // Cancelled is cancelled, whatever name it turns out to have.
+  load(table, "/c");
+  const std::uint64_t namesake = accept(table, "");
+  CHECK(table.retire(namesake, "cancelled", at(3)) == Retirement::when_built);
+  CHECK(!table.loaded(namesake, "/c", at(4)));
+  CHECK(table.remove(namesake)->verdict == "cancelled");
 }
 
 void test_kept() {

@@ -165,17 +165,11 @@ void ClonedNode::tell_progress(NodeHostObserver& observer, NodeStage stage) {
     ::clock_getcpuclockid(slot_.pid, &cpu_clock);
     observer.on_constructing(unique_id(), {slot_.pid, slot_.start_time}, cpu_clock);
   }
-  if (told_ < NodeStage::constructed && stage >= NodeStage::constructed) {
-    told_ = NodeStage::constructed;
-    const bool keep = observer.on_constructed(unique_id(), program_.full_name());
-    if (!keep) {
-      leave();  // its destructor gets no more time than in an unloading
-    }
-    program_.answer(keep);
-  }
   if (told_ < NodeStage::spinning && stage >= NodeStage::spinning) {
     told_ = NodeStage::spinning;
-    observer.on_loaded(unique_id());
+    if (!observer.on_loaded(unique_id(), program_.full_name())) {
+      leave();
+    }
   }
 }
 
@@ -247,7 +241,7 @@ void ClonedNode::count_burial(IsolationTotals& totals) const {
 }
 
 std::string ClonedNode::full_name() const {
-  return program_.stage() >= NodeStage::constructed ? program_.full_name() : "";
+  return program_.stage() >= NodeStage::spinning ? program_.full_name() : "";
 }
 
 }  // namespace play_launch::container

@@ -65,10 +65,6 @@ void NodeProgram::live() {
   isolation::park_if_dying();
   hit(Failpoint::after_construct);
   full_name_ = component_->full_name();
-  reach(NodeStage::constructed);
-  if (!may_live()) {
-    return;
-  }
   try {
     executor_->add(*component_);
   } catch (...) {  // the constructor gave its node to an executor of its own
@@ -81,16 +77,6 @@ void NodeProgram::live() {
   isolation::park_if_dying();
   hit(Failpoint::before_unload);
   executor_->remove(*component_);
-}
-
-bool NodeProgram::may_live() {
-  verdict_.wait(Verdict::none);
-  return verdict_ == Verdict::keep;
-}
-
-void NodeProgram::answer(bool keep) noexcept {
-  verdict_ = keep ? Verdict::keep : Verdict::discard;
-  verdict_.notify_all();
 }
 
 std::optional<std::chrono::nanoseconds> NodeProgram::silence() const {

@@ -15,7 +15,7 @@
 namespace play_launch::container {
 
 /// How far a node came. A child only moves it on.
-enum class NodeStage : std::uint32_t { preparing, constructing, constructed, spinning };
+enum class NodeStage : std::uint32_t { preparing, constructing, spinning };
 
 /// How a child's program came to its end; `none` when the child died on the way.
 enum class NodeOutcome : std::uint32_t { none, failed, left };
@@ -47,24 +47,19 @@ class NodeProgram final : public isolation::ChildProgram {
   std::optional<std::chrono::nanoseconds> silence() const;
   /// Its own code asked for its end.
   bool ends_itself() const { return ends_itself_.load(); }
-  /// Name of the node; from NodeStage::constructed on.
+  /// Name of the node; from NodeStage::spinning on.
   const std::string& full_name() const { return full_name_; }
   /// Why loading failed; with NodeOutcome::failed.
   const std::string& failure() const { return failure_; }
   const LoadRequest& request() const { return request_; }
-
-  /// The answer to NodeStage::constructed, which the child waits for: whether the node may live.
-  void answer(bool keep) noexcept;
 
   /// Whether there was anything of a node when the child died.
   bool left_remains() const { return partial_ || executor_ != nullptr; }
 
  private:
   friend class NodeBurial;
-  enum class Verdict : std::uint32_t { none, keep, discard };
 
   void live();
-  bool may_live();
   void take_apart();
   void reach(NodeStage stage) noexcept;
 
@@ -85,7 +80,6 @@ class NodeProgram final : public isolation::ChildProgram {
   std::atomic<NodeStage> stage_{NodeStage::preparing};
   std::atomic<bool> ends_itself_{false};
   std::atomic<NodeOutcome> outcome_{NodeOutcome::none};
-  std::atomic<Verdict> verdict_{Verdict::none};
   Beat beat_;
 };
 

@@ -68,30 +68,23 @@ void SharedExecutorHost::construct(std::uint64_t unique_id, const LoadRequest& r
     return;
   }
   hit(Failpoint::after_construct);
-  if (!observer_->on_constructed(unique_id, node.component->full_name())) {
+  try {
+    node.executor->add(*node.component);
+  } catch (...) {  // the constructor gave its node to an executor of its own
+    const std::string reason = describe_current_exception();
     node.component.reset();
-    observer_->on_gone(unique_id, "");
+    observer_->on_load_failed(unique_id, reason);
     return;
   }
-  Component& component = *node.component;
-  ComponentExecutor& executor = *node.executor;
+  const std::string full_name = node.component->full_name();
   {
     // In the map before anybody can ask to unload it.
     const std::lock_guard lock(mutex_);
     nodes_.emplace(unique_id, std::move(node));
   }
-  try {
-    executor.add(component);
-  } catch (...) {  // the constructor gave its node to an executor of its own
-    const std::string reason = describe_current_exception();
-    std::unique_lock lock(mutex_);
-    auto handle = nodes_.extract(unique_id);
-    lock.unlock();
-    handle.mapped().component.reset();
-    observer_->on_load_failed(unique_id, reason);
-    return;
+  if (!observer_->on_loaded(unique_id, full_name)) {
+    destroy(unique_id);
   }
-  observer_->on_loaded(unique_id);
 }
 
 void SharedExecutorHost::destroy(std::uint64_t unique_id) {

@@ -138,9 +138,7 @@ void HostedNode::tell(NodeHostObserver& observer, IsolationTotals& totals) {
 
 void HostedNode::tell_loaded(NodeHostObserver& observer, const ComponentEvent& loaded) {
   told_loaded_ = true;
-  if (observer.on_constructed(unique_id(), loaded.full_node_name)) {
-    observer.on_loaded(unique_id());
-  } else {
+  if (!observer.on_loaded(unique_id(), loaded.full_node_name)) {
     leave();
   }
 }

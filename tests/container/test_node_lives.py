@@ -1,0 +1,206 @@
+"""However a node's life goes, it ends with one event, and its name is its own."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+from typing import TYPE_CHECKING
+
+import pytest
+from play_launch_msgs.msg import ComponentEvent, ControlCancel, ControlUnload, NodeStatus
+
+from tests.support.isolated import (
+    MODES,
+    only_these_remain,
+    start_isolated,
+    start_time,
+    survives,
+)
+
+if TYPE_CHECKING:
+    from tests.support.control_peer import Container, StartContainer
+
+LOADING, LOADED, LOAD_FAILED = (
+    ComponentEvent.LOADING,
+    ComponentEvent.LOADED,
+    ComponentEvent.LOAD_FAILED,
+)
+UNLOADED, CRASHED = ComponentEvent.UNLOADED, ComponentEvent.CRASHED
+ENDS = {LOAD_FAILED, UNLOADED, CRASHED}
+LIVES = [
+    [LOADING, LOAD_FAILED],
+    [LOADING, UNLOADED],
+    [LOADING, LOADED, UNLOADED],
+    [LOADING, LOADED, CRASHED],
+]
+EVERY_WAY = {"standard": (), **MODES, "process": (*MODES["isolated"], "--isolation", "process")}
+
+both_modes = pytest.mark.parametrize("mode", MODES)
+
+
+def end_of(container: Container, attempt: int) -> ComponentEvent:
+    return container.until(
+        lambda m: isinstance(m, ComponentEvent) and m.attempt == attempt and m.event_type in ENDS,
+        f"the end of attempt {attempt}",
+    )
+
+
+def lives(container: Container) -> list[list[int]]:
+    """Return the types of the events of each attempt, once the container says nothing new."""
+    container.status()
+    told: dict[int, list[int]] = {}
+    for message in container.seen:
+        if isinstance(message, ComponentEvent):
+            told.setdefault(message.attempt, []).append(message.event_type)
+    return list(told.values())
+
+
+@pytest.mark.parametrize("way", EVERY_WAY)
+def test_of_many_with_one_name_one_stays(spawn: StartContainer, way: str) -> None:
+    if way == "standard":
+        container = spawn()
+    else:
+        container = start_isolated(spawn, "isolated", *EVERY_WAY[way][1:])
+    count = 4 if way == "process" else 12
+    with survives(container):
+        # Their names are only known once they are constructed.
+        attempts = [container.load("Talker") for _ in range(count)]
+        outcomes: list[ComponentEvent] = []
+        while len(outcomes) < count:
+            outcomes.append(
+                container.until(
+                    lambda m: isinstance(m, ComponentEvent) and m.event_type != LOADING,
+                    "the outcomes",
+                )
+            )
+        assert {event.attempt for event in outcomes} == set(attempts)
+        (stays,) = (event for event in outcomes if event.event_type == LOADED)
+        for event in outcomes:
+            if event is not stays:
+                assert (event.event_type, event.signal) == (LOAD_FAILED, 0)
+                assert event.error_message == (
+                    "a node named /talker is loaded in this container (unique_id "
+                    f"{stays.unique_id}, play_launch_demo::Talker); give this one another name or "
+                    "namespace"
+                )
+        if way != "standard":
+            assert only_these_remain(container, stays.pid)
+        status = container.status()
+        assert [node.unique_id for node in status.nodes] == [stays.unique_id]
+        assert status.crashes == 0
+
+
+@both_modes
+@pytest.mark.parametrize(
+    ("place", "end", "text"),
+    [
+        ("before_construct", LOAD_FAILED, "died while it was constructed"),
+        ("after_construct", LOAD_FAILED, "died while it was constructed"),
+        ("before_unload", UNLOADED, "it did not leave in order"),
+    ],
+)
+def test_a_node_is_killed_at_a_certain_place(
+    spawn: StartContainer, mode: str, place: str, end: int, text: str
+) -> None:
+    container = start_isolated(spawn, mode, failpoints=f"container.{place}=kill")
+    with survives(container):
+        attempt = container.load("Talker")
+        if end == UNLOADED:
+            loaded = container.event(LOADED, attempt=attempt)
+            container.send(ControlUnload(unique_id=loaded.unique_id))
+        event = end_of(container, attempt)
+        assert (event.event_type, event.signal) == (end, signal.SIGKILL)
+        assert text in event.error_message
+        assert only_these_remain(container)
+        while (status := container.status()).undertaken + status.leaked == 0:
+            pass
+        assert status.crashes == status.unquiesced == 1
+        assert all(life in LIVES for life in lives(container))
+
+
+def terminate(node: NodeStatus) -> None:
+    """Send SIGTERM to that process, if it is still there."""
+    try:
+        handle = os.pidfd_open(node.pid)
+    except ProcessLookupError:
+        return
+    try:
+        if start_time(node.pid) == node.start_time:
+            signal.pidfd_send_signal(handle, signal.SIGTERM)
+    except (ProcessLookupError, FileNotFoundError):
+        pass
+    finally:
+        os.close(handle)
+
+
+@both_modes
+def test_a_signal_ends_nodes_at_any_instant(spawn: StartContainer, mode: str) -> None:
+    """From before they construct until after they have left."""
+    container = start_isolated(spawn, mode)
+    with survives(container):
+        chance = random.Random(7)
+        keeper = container.loaded("Talker")
+        for number in range(60):
+            attempt = container.load(
+                "SlowConstructor", parameters={"seconds": chance.random() * 3e-3}
+            )
+            loading = container.event(LOADING, attempt=attempt)
+            if number % 3 == 0:
+                container.send(ControlCancel(unique_id=loading.unique_id))
+            for _ in range(chance.randrange(30)):
+                container.status()
+            for node in container.status(loading.unique_id).nodes:
+                if node.pid != container.process.pid:
+                    terminate(node)
+                else:  # it has no process yet
+                    container.send(ControlUnload(unique_id=loading.unique_id))
+            if not any(
+                isinstance(m, ComponentEvent) and m.attempt == attempt and m.event_type in ENDS
+                for m in container.seen
+            ):
+                end_of(container, attempt)
+        (kept, *others) = lives(container)
+        assert kept == [LOADING, LOADED]
+        assert len(others) == 60
+        assert all(life in LIVES for life in others)
+        assert only_these_remain(container, keeper.pid)
+
+
+@both_modes
+@pytest.mark.parametrize("why", ["cancelled", "namesake"])
+def test_who_must_leave_at_once_and_does_not_is_ended(
+    spawn: StartContainer, mode: str, why: str
+) -> None:
+    container = start_isolated(spawn, mode, failpoints="container.before_unload=hang")
+    with survives(container):
+        if why == "cancelled":
+            attempt = container.load("SlowConstructor", parameters={"seconds": 0.3})
+            loading = container.event(LOADING, attempt=attempt)
+            container.send(ControlCancel(unique_id=loading.unique_id))
+            first, end = "cancelled; ", UNLOADED
+        else:
+            container.loaded("Talker")
+            attempt = container.load("Talker")
+            first, end = "a node named /talker is loaded", LOAD_FAILED
+        event = end_of(container, attempt)
+        assert (event.event_type, event.signal) == (end, signal.SIGTERM)
+        assert event.error_message.startswith(first)
+        assert "it did not leave in order" in event.error_message
+        assert not any(
+            getattr(m, "event_type", None) == LOADED and m.attempt == attempt
+            for m in container.seen
+        )
+
+
+@both_modes
+def test_a_namesake_that_crashes_does_not_come_between(spawn: StartContainer, mode: str) -> None:
+    container = start_isolated(spawn, mode)
+    with survives(container):
+        keeper = container.loaded("Talker", node_name="crasher")
+        for _ in range(10):
+            attempt = container.load("Crasher", parameters={"after": 0.0})
+            event = end_of(container, attempt)
+            assert event.event_type == LOAD_FAILED
+            assert "a node named /crasher is loaded" in event.error_message
+        assert only_these_remain(container, keeper.pid)
