@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import contextlib
+import logging
+import sys
 import threading
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
-from play_launch.cli.terminal import let_go_of_stdout
+from play_launch.cli.streams import let_go_of
 from play_launch.core.events import OutputLine, RunEvent
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from play_launch.core.view import SystemView
+
+_log = logging.getLogger(__name__)
 
 _LAST_WORDS: Final = 2.0
 """Seconds that the end waits for a terminal which takes no more."""
@@ -60,7 +64,8 @@ class Display:
     """Takes events on any thread and shows them from one of its own.
 
     A terminal can be stopped (Ctrl-S) and a pipe can be full; both would block whoever writes.
-    When the reader of stdout has gone, showing ends, and the run goes on.
+    When stdout takes no more (its reader has gone, the disk is full, the terminal was closed),
+    showing ends, and the run goes on.
     """
 
     def __init__(self, style: Style, limits: DisplayLimits | None = None) -> None:
@@ -120,12 +125,12 @@ class Display:
                 again = self._style.show(batch, missed)
                 if closing:
                     return
-        except BrokenPipeError:
-            self._gone = True
-            let_go_of_stdout()
-        except OSError:
+        except OSError as error:
             # A terminal that was closed answers EIO; SIGHUP tells the run what to do about it.
             self._gone = True
+            let_go_of(sys.stdout)
+            if not isinstance(error, BrokenPipeError):
+                _log.warning("nothing more is shown, stdout takes no more: %s", error.strerror)
         finally:
             # Also after a mistake of ours: the cursor must come back.
             with contextlib.suppress(OSError, ValueError):

@@ -5,6 +5,11 @@ from __future__ import annotations
 import signal
 import sys
 
+from play_launch.cli.streams import give_up_output, is_about_output, prepare_standard_streams
+
+OUTPUT_FAILED = 2
+"""The exit code when what was asked for could not be written."""
+
 
 def main() -> None:
     """Run the command.
@@ -14,6 +19,17 @@ def main() -> None:
     """
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
+    prepare_standard_streams()
+    try:
+        _run()
+    except OSError as error:
+        if not is_about_output(error):
+            raise
+        give_up_output(error)
+        sys.exit(OUTPUT_FAILED)
+
+
+def _run() -> None:
     if len(sys.argv) > 1 and sys.argv[1] in {"node", "topic", "service", "graph"}:
         # Past typer and all that comes with it: these are done before it would be imported.
         from play_launch.cli.graph import main as ask  # noqa: PLC0415 - not for other verbs

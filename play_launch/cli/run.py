@@ -15,7 +15,7 @@ from play_launch.cli.check import describe
 from play_launch.cli.display import Display, Style
 from play_launch.cli.json_style import JsonStyle, encode
 from play_launch.cli.signals import RunSignals
-from play_launch.cli.terminal import is_terminal, say, surviving_the_reader, wants_colour
+from play_launch.cli.terminal import is_terminal, surviving_the_loss_of_stdout, wants_colour
 from play_launch.cli.text_styles import LiveStyle, PlainStyle
 from play_launch.config.description import describe as describe_values
 from play_launch.core.events import LogRecord, OutputLine, RunEvent
@@ -159,9 +159,15 @@ def _announce(config: ReplayConfig, session: Session, options: RunOptions) -> No
             "name": config.name,
             "folder": str(session.folder.path),
         }
-        say(encode(values))
+        _say(encode(values))
     else:
-        say(f"{config.name}: {describe(config)}, recording to {session.folder.path}")
+        _say(f"{config.name}: {describe(config)}, recording to {session.folder.path}")
+
+
+def _say(text: str) -> None:
+    with surviving_the_loss_of_stdout():
+        sys.stdout.write(f"{text}\n")
+        sys.stdout.flush()
 
 
 def _report(outcome: Outcome, recording: RecordingSummary, options: RunOptions) -> None:
@@ -169,9 +175,9 @@ def _report(outcome: Outcome, recording: RecordingSummary, options: RunOptions) 
 
     if options.as_json:
         values = summary_object(outcome.view, recording, exit_code=outcome.exit_code)
-        say(encode(values))
+        _say(encode(values))
         return
     stream = sys.stdout
-    with surviving_the_reader():
+    with surviving_the_loss_of_stdout():
         print_summary(outcome.view, recording, stream=stream, colour=wants_colour(stream))
         stream.flush()

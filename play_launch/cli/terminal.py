@@ -10,6 +10,8 @@ from typing import IO, TYPE_CHECKING, Final
 
 import typer
 
+from play_launch.cli.streams import is_about_output, let_go_of
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
@@ -65,19 +67,22 @@ def say(text: str) -> None:
 
 @contextlib.contextmanager
 def surviving_the_reader() -> Iterator[None]:
-    """Give up writing to stdout when its reader has closed it, and go on."""
+    """Stop writing to stdout when its reader has closed it, and go on."""
     try:
         yield
     except BrokenPipeError:
-        let_go_of_stdout()
+        let_go_of(sys.stdout)
 
 
-def let_go_of_stdout() -> None:
-    """Point stdout to nowhere, after its reader has gone.
+@contextlib.contextmanager
+def surviving_the_loss_of_stdout() -> Iterator[None]:
+    """Stop writing to stdout when it takes no more, for whatever reason, and go on.
 
-    Otherwise Python would fail once more while it flushes at exit, and complain on stderr.
+    For a run, whose output is not what it is for: its reader, its disk or its terminal may go.
     """
-    with contextlib.suppress(OSError, ValueError):
-        nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, sys.stdout.fileno())
-        os.close(nowhere)
+    try:
+        yield
+    except OSError as error:
+        if not (isinstance(error, BrokenPipeError) or is_about_output(error)):
+            raise
+        let_go_of(sys.stdout)
