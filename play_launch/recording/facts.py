@@ -61,28 +61,49 @@ _KEPT_PREFIXES: Final = (
     "ZENOH_",
 )
 _SECRET: Final = re.compile(
-    r"secret|token|passw|passphrase|credential|private|cookie|(?:^|_)(?:api_?)?key(?:$|_)",
+    r"secret|token|passw|passphrase|credential|private|cookie|keyring"
+    r"|(?:^|_)(?:api_?)?(?:key|pass|pwd|auth|authorization|pin)(?:$|_)",
     re.IGNORECASE,
 )
+_CONFIGURATION: Final = frozenset({"ZENOH_CONFIG_OVERRIDE"})
+"""They hold a configuration of any content instead of naming its file."""
+_INLINE: Final = re.compile(r"<|^\s*\{\s*[\"']?\w+[\"']?\s*:")
+"""In a value that should name a file: XML or JSON in its place."""
 _URL_USER: Final = re.compile(r"(?<=://)[^/@\s]+(?=@)")
+_URL_QUERY: Final = re.compile(r"(?<=[?#])[^\s,;]*=[^\s,;]*")
+_ASSIGNED: Final = re.compile(
+    r"((?:secret|token|passw(?:or)?d|passphrase|pwd|credentials?|api_?key)[\"']?\s*[=:]\s*)\S+",
+    re.IGNORECASE,
+)
 
 
 def redacted_environment(environ: Mapping[str, str]) -> dict[str, str]:
     """The environment, sorted by name, without values that may be secret.
 
     Every name is kept. A value is kept when its name is known to matter to ROS, to the dynamic
-    linker, to Python or to the terminal and does not sound like a secret; user names and
-    passwords in URLs are taken out of those as well.
+    linker, to Python or to the terminal and does not sound like a secret, unless it is a
+    configuration itself (inline XML or JSON). User names, passwords and queries in URLs, and
+    what is assigned to a name like ``password``, are taken out of kept values as well.
     """
     return {
-        name: _URL_USER.sub(REDACTED, value) if _kept(name) else REDACTED
+        name: _without_secrets(value) if _kept(name) else REDACTED
         for name, value in sorted(environ.items())
     }
 
 
 def _kept(name: str) -> bool:
-    known = name in _KEPT_NAMES or name.startswith(_KEPT_PREFIXES)
+    if name in _KEPT_NAMES:
+        return True
+    known = name.startswith(_KEPT_PREFIXES) and name not in _CONFIGURATION
     return known and not _SECRET.search(name)
+
+
+def _without_secrets(value: str) -> str:
+    if _INLINE.search(value):
+        return REDACTED
+    value = _URL_USER.sub(REDACTED, value)
+    value = _URL_QUERY.sub(REDACTED, value)
+    return _ASSIGNED.sub(rf"\1{REDACTED}", value)
 
 
 def host_facts() -> dict[str, str | int]:

@@ -2,6 +2,8 @@ from __future__ import annotations
 
 import json
 
+import pytest
+
 from play_launch.recording.facts import REDACTED, host_facts, redacted_environment, versions
 
 
@@ -22,6 +24,49 @@ def test_values_that_may_be_secret_are_not_recorded() -> None:
     assert kept == {"ROS_DOMAIN_ID": "3", "PATH": "/bin", "PYTHONPATH": "/p"}
     assert found["CYCLONEDDS_URI"] == f"tcp://{REDACTED}@host/x"
     assert not any(f"s{number}" in str(found) for number in range(1, 6))
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("CYCLONEDDS_URI", "<CycloneDDS><Security>s0</Security></CycloneDDS>"),
+        ("CYCLONEDDS_URI", "file:///etc/dds.xml,<Password>s0</Password>"),
+        ("ZENOH_CONFIG_OVERRIDE", 'transport/auth/usrpwd/user="s0"'),
+        ("ZENOH_ROUTER_CONFIG_URI", '{password: "s0"}'),
+        ("ROS_PWD", "s0"),
+        ("ROS_AUTH", "s0"),
+        ("ROS_HTTP_AUTHORIZATION", "s0"),
+        ("PYTHON_KEYRING_PASS", "s0"),
+        ("PYTHON_KEYRING_BACKEND", "s0"),
+        ("ROS_DISCOVERY_SERVER", "http://host/x?token=s0"),
+        ("ROS_DISCOVERY_SERVER", "host/x?a=1&token=s0"),
+        ("ROS_MASTER_URI", "http://host/x?sig=s0&b=2"),
+        ("ROS_MASTER_URI", "http://host/x#access=s0"),
+        ("ROS_MASTER_URI", "http://:s0@host"),
+        ("RMW_OPTIONS", "--user x --password=s0"),
+        ("RMW_OPTIONS", "pwd: s0"),
+    ],
+)
+def test_secrets_in_variables_that_are_known(name: str, value: str) -> None:
+    found = redacted_environment({name: value})[name]
+    assert "s0" not in found
+    assert REDACTED in found
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("PWD", "/home/me"),
+        ("CYCLONEDDS_URI", "file:///etc/dds.xml"),
+        ("ZENOH_ROUTER_CHECK_ATTEMPTS", "3"),
+        ("ROS_STATIC_PEERS", "a;b:7400"),
+        ("ROS_SECURITY_KEYSTORE", "/etc/keys"),
+        ("AMENT_PREFIX_PATH", "/opt/ros/jazzy:/w/install"),
+        ("RCUTILS_CONSOLE_OUTPUT_FORMAT", "[{severity}] {message}"),
+    ],
+)
+def test_what_matters_and_is_no_secret_is_kept(name: str, value: str) -> None:
+    assert redacted_environment({name: value}) == {name: value}
 
 
 def test_the_machine_is_described() -> None:
