@@ -18,20 +18,13 @@ struct NodeDeath {
   int signal = 0;
   std::string reason;
   std::vector<std::string> backtrace;
-  /// When it happened; nothing: the moment at which it is told.
+  /// When it happened; nothing: the moment at which it is reported.
   std::optional<std::chrono::steady_clock::time_point> when;
+  /// Some of its threads may have died inside the middleware or the allocator.
+  bool unquiesced = false;
 };
 
-/// What has become of nodes that died without being asked to, since the start. See the fields of
-/// the same names in play_launch_msgs/ControlStatus.
-struct HostTotals {
-  std::uint32_t crashes = 0;
-  std::uint32_t undertaken = 0;
-  std::uint32_t leaked = 0;
-  std::uint32_t unquiesced = 0;
-};
-
-/// Is told what becomes of nodes. Every node ends with exactly one of on_load_failed,
+/// Learns what becomes of nodes. Every node ends with exactly one of on_load_failed,
 /// on_load_crashed, on_gone and on_crashed. Calls come from any thread, for one node never two at a
 /// time.
 class NodeHostObserver {
@@ -52,6 +45,8 @@ class NodeHostObserver {
   virtual void on_gone(std::uint64_t unique_id, const std::string& why) = 0;
   /// The process that held the node died after on_loaded, also while it was being unloaded.
   virtual void on_crashed(std::uint64_t unique_id, const NodeDeath& death) = 0;
+  /// After on_load_crashed or on_crashed: what could be cleaned up is. `complete`: that is all.
+  virtual void on_buried(std::uint64_t unique_id, bool complete) = 0;
 };
 
 /// Where nodes live: makes them, lets their callbacks run, and destroys them. No member blocks for
@@ -79,8 +74,6 @@ class NodeHost {
   /// All nodes are to be gone by then: a host that can end nodes which do not end by themselves
   /// does so before. For the end of the container; an earlier deadline replaces a later one.
   virtual void hurry(std::chrono::steady_clock::time_point) {}
-
-  virtual HostTotals totals() const { return {}; }
 
   /// What waits for the dead: see ControlStatus.dead_locks.
   virtual std::vector<std::string> dead_locks() const { return {}; }

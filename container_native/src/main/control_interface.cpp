@@ -249,7 +249,7 @@ void ControlInterface::handle_query(const Frame& frame) {
   msg::ControlStatus status;
   status.query_id = query.query_id;
   status.dropped_frames = channel_.dropped();
-  const HostTotals totals = manager_->totals();
+  const DeathTotals totals = manager_->totals();
   status.crashes = totals.crashes;
   status.undertaken = totals.undertaken;
   status.leaked = totals.leaked;

@@ -235,6 +235,11 @@ void ObservableComponentManager::begin_stop(std::function<void()> on_empty,
   after_removal();
 }
 
+DeathTotals ObservableComponentManager::totals() const {
+  const std::lock_guard lock(mutex_);
+  return totals_;
+}
+
 bool ObservableComponentManager::empty() const {
   const std::lock_guard lock(mutex_);
   return table_.entries().empty();
@@ -268,6 +273,9 @@ void ObservableComponentManager::on_load_crashed(std::uint64_t unique_id, const 
 void ObservableComponentManager::load_failed(std::uint64_t unique_id, const std::string& reason,
                                              const NodeDeath* death) {
   const std::lock_guard lock(mutex_);
+  if (death != nullptr) {
+    count(*death);
+  }
   const std::optional<NodeEntry> entry = table_.remove(unique_id);
   if (!entry) {
     return;
@@ -295,6 +303,7 @@ void ObservableComponentManager::on_gone(std::uint64_t unique_id, const std::str
 
 void ObservableComponentManager::on_crashed(std::uint64_t unique_id, const NodeDeath& death) {
   const std::lock_guard lock(mutex_);
+  count(death);
   const std::optional<NodeEntry> entry = table_.remove(unique_id);
   if (!entry) {
     return;
@@ -310,6 +319,16 @@ void ObservableComponentManager::on_crashed(std::uint64_t unique_id, const NodeD
   add_death(event, death);
   send(event);
   after_removal();
+}
+
+void ObservableComponentManager::on_buried(std::uint64_t, bool complete) {
+  const std::lock_guard lock(mutex_);
+  ++(complete ? totals_.undertaken : totals_.leaked);
+}
+
+void ObservableComponentManager::count(const NodeDeath& death) {
+  ++totals_.crashes;
+  totals_.unquiesced += death.unquiesced ? 1 : 0;
 }
 
 void ObservableComponentManager::after_removal() {

@@ -37,6 +37,15 @@ struct NodeSnapshot {
   std::string note;                           // what it waits for before its constructor
 };
 
+/// What has become of nodes that died without being asked to, since the start. See the fields of
+/// the same names in play_launch_msgs/ControlStatus.
+struct DeathTotals {
+  std::uint32_t crashes = 0;
+  std::uint32_t undertaken = 0;
+  std::uint32_t leaked = 0;
+  std::uint32_t unquiesced = 0;
+};
+
 /// Owns the table of nodes: takes up requests, lets a NodeHost carry them out, and tells the
 /// outcome as events. Any thread may call; no member waits for user code.
 class ObservableComponentManager final : public NodeHostObserver {
@@ -77,8 +86,7 @@ class ObservableComponentManager final : public NodeHostObserver {
   void begin_stop(std::function<void()> on_empty, const std::string& why = "");
   bool empty() const;
 
-  /// See NodeHost::totals().
-  HostTotals totals() const { return host_.totals(); }
+  DeathTotals totals() const;
   /// See NodeHost::dead_locks().
   std::vector<std::string> dead_locks() const { return host_.dead_locks(); }
 
@@ -89,12 +97,14 @@ class ObservableComponentManager final : public NodeHostObserver {
   void on_load_crashed(std::uint64_t unique_id, const NodeDeath& death) override;
   void on_gone(std::uint64_t unique_id, const std::string& why) override;
   void on_crashed(std::uint64_t unique_id, const NodeDeath& death) override;
+  void on_buried(std::uint64_t unique_id, bool complete) override;
 
  private:
   std::optional<std::string> retire(std::uint64_t unique_id, const OnAccepted& on_accepted,
                                     const std::string& verdict);
   bool start_unloading(std::uint64_t unique_id, std::string& why_not);
   void load_failed(std::uint64_t unique_id, const std::string& reason, const NodeDeath* death);
+  void count(const NodeDeath& death);
   void emit(const NodeEntry& entry, std::uint8_t type, const std::string& error = {});
   void send(const ComponentEvent& event);
   NodeSnapshot snapshot(const NodeEntry& entry, SteadyTime now) const;
@@ -107,6 +117,7 @@ class ObservableComponentManager final : public NodeHostObserver {
   mutable std::mutex mutex_;  // guards what follows
   std::vector<EventSink*> sinks_;
   NodeTable table_;
+  DeathTotals totals_;
   bool stopping_ = false;
   std::function<void()> on_empty_;
 };

@@ -177,31 +177,42 @@ void test_cancel() {
 void test_crash() {
   Bench bench;
   const std::uint64_t unique_id = bench.loaded("a");
-  bench.host.observer->on_crashed(unique_id, {0, 11, "SIGSEGV", {"frame"}, {}});
+  bench.host.observer->on_crashed(unique_id, {0, 11, "SIGSEGV", {"frame"}, {}, false});
   const ComponentEvent& event = bench.recorder.last();
   CHECK(event.event_type == ComponentEvent::CRASHED && event.signal == 11);
   CHECK(event.backtrace == std::vector<std::string>{"frame"});
   CHECK(bench.manager.empty());
+  CHECK(bench.manager.totals().crashes == 1 && bench.manager.totals().unquiesced == 0);
+  NodeDeath death;
+  death.unquiesced = true;
+  for (const bool complete : {true, false}) {
+    const std::uint64_t constructing = bench.load("b");
+    bench.host.observer->on_load_crashed(constructing, death);
+    bench.host.observer->on_buried(constructing, complete);
+  }
+  const DeathTotals totals = bench.manager.totals();
+  CHECK(totals.crashes == 3 && totals.unquiesced == 2);
+  CHECK(totals.undertaken == 1 && totals.leaked == 1);
 }
 
 void test_deaths_of_nodes_that_nobody_wants() {
   Bench bench;
   const std::uint64_t unloading = bench.loaded("a");
   CHECK(!bench.manager.unload(unloading));
-  bench.host.observer->on_crashed(unloading, {0, 11, "in its destructor", {}, {}});
+  bench.host.observer->on_crashed(unloading, {0, 11, "in its destructor", {}, {}, false});
   CHECK(bench.recorder.last().event_type == kUnloaded && bench.recorder.last().signal == 11);
   CHECK(contains(bench.recorder.last().error_message, "in its destructor"));
 
   const std::uint64_t cancelled = bench.load("b");
   CHECK(!bench.manager.cancel(cancelled));
-  bench.host.observer->on_load_crashed(cancelled, {0, 6, "in its constructor", {}, {}});
+  bench.host.observer->on_load_crashed(cancelled, {0, 6, "in its constructor", {}, {}, false});
   CHECK(bench.recorder.last().event_type == kUnloaded && bench.recorder.last().signal == 6);
 
   bench.loaded("c");
   const std::uint64_t namesake = bench.load("");
   CHECK(!bench.host.observer->on_loaded(namesake, "/c"));
   CHECK(!bench.manager.unload(namesake));  // it leaves already
-  bench.host.observer->on_crashed(namesake, {0, 11, "in its destructor", {}, {}});
+  bench.host.observer->on_crashed(namesake, {0, 11, "in its destructor", {}, {}, false});
   CHECK(bench.recorder.last().event_type == kFailed && bench.recorder.last().signal == 11);
   CHECK(contains(bench.recorder.last().error_message, "a node named /c is loaded"));
   CHECK(contains(bench.recorder.last().error_message, "in its destructor"));
@@ -210,7 +221,7 @@ void test_deaths_of_nodes_that_nobody_wants() {
 void test_death_while_loading() {
   Bench bench;
   const auto long_ago = std::chrono::steady_clock::now() - std::chrono::hours(1);
-  bench.host.observer->on_load_crashed(bench.load("a"), {0, 6, "why", {"frame"}, long_ago});
+  bench.host.observer->on_load_crashed(bench.load("a"), {0, 6, "why", {"frame"}, long_ago, false});
   CHECK((bench.recorder.types() == Types{kLoading, kFailed}));
   const ComponentEvent& event = bench.recorder.last();
   CHECK(event.signal == 6 && event.error_message == "why" && event.backtrace.size() == 1);

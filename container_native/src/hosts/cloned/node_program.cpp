@@ -30,19 +30,23 @@ bool NodeProgram::prepare(std::uint64_t unique_id) noexcept {
   try {
     found_ = backends_.find(unique_id, request_);
   } catch (...) {
-    failure_ = describe_current_exception();
-    outcome_ = NodeOutcome::failed;
+    fail(describe_current_exception());
     return false;
   }
   if (stop_->is_set()) {
-    outcome_ = NodeOutcome::left;
+    life_.add(NodeLife::left);
     return false;
   }
   return true;
 }
 
+void NodeProgram::fail(std::string reason) noexcept {
+  failure_ = std::move(reason);
+  life_.add(NodeLife::failed);
+}
+
 int NodeProgram::run() {
-  reach(NodeStage::constructing);
+  reach(NodeLife::constructing);
   hit(Failpoint::before_construct);
   try {
     partial_ = true;
@@ -57,7 +61,7 @@ int NodeProgram::run() {
     live();
   }
   take_apart();
-  outcome_ = failure_.empty() ? NodeOutcome::left : NodeOutcome::failed;
+  life_.add(failure_.empty() ? NodeLife::left : NodeLife::failed);
   return 0;
 }
 
@@ -72,7 +76,7 @@ void NodeProgram::live() {
     return;
   }
   executor_->beat_into(beat_);
-  reach(NodeStage::spinning);
+  reach(NodeLife::spinning);
   executor_->spin();
   isolation::park_if_dying();
   hit(Failpoint::before_unload);
@@ -81,7 +85,8 @@ void NodeProgram::live() {
 
 std::optional<std::chrono::nanoseconds> NodeProgram::silence() const {
   const std::int64_t last = beat_;
-  if (last == 0 || outcome_ != NodeOutcome::none) {
+  constexpr auto kOver = NodeLife::failed | NodeLife::left | NodeLife::ended | NodeLife::died;
+  if (last == 0 || has_any(life(), kOver)) {
     return std::nullopt;
   }
   const std::chrono::nanoseconds now = std::chrono::steady_clock::now().time_since_epoch();
@@ -103,8 +108,8 @@ void NodeProgram::end_itself() noexcept {
   ring(doorbell_);  // it leaves under the same pressure as one that is unloaded
 }
 
-void NodeProgram::reach(NodeStage stage) noexcept {
-  stage_ = stage;
+void NodeProgram::reach(NodeLife part) noexcept {
+  life_.add(part);
   ring(doorbell_);
 }
 

@@ -10,18 +10,13 @@
 
 #include "components/backend_list.hpp"
 #include "components/load_request.hpp"
+#include "hosts/isolated/node_life.hpp"
 #include "isolation/clone/child.hpp"
 
 namespace play_launch::container {
 
-/// How far a node came. A child only moves it on.
-enum class NodeStage : std::uint32_t { preparing, constructing, spinning };
-
-/// How a child's program came to its end; `none` when the child died on the way.
-enum class NodeOutcome : std::uint32_t { none, failed, left };
-
 /// The life of one isolated node, from its constructor to its destructor, as run in a child. The
-/// child tells how far it is in atomics and rings an eventfd. The locks of the container that it
+/// child notes how far it is in atomics and rings an eventfd. The locks of the container that it
 /// takes all the same are listed in docs/isolation.md.
 class NodeProgram final : public isolation::ChildProgram {
  public:
@@ -32,8 +27,12 @@ class NodeProgram final : public isolation::ChildProgram {
   ~NodeProgram() override;
 
   /// On the donor, before the child: finds the component and waits until its library is open.
-  /// False: there is nothing to run; outcome() says why.
+  /// False: there is nothing to run; it failed or left.
   bool prepare(std::uint64_t unique_id) noexcept;
+  /// On the donor, when there is no child to be had.
+  void fail(std::string reason) noexcept;
+  /// In the child, or on the donor when there is none: this has happened. Rings.
+  void reach(NodeLife part) noexcept;
 
   int run() override;
   void cancel() noexcept override { stop_->set(); }
@@ -41,15 +40,14 @@ class NodeProgram final : public isolation::ChildProgram {
   void noted() noexcept override { crashed(); }
   void end_itself() noexcept override;
 
-  NodeStage stage() const { return stage_.load(); }
-  NodeOutcome outcome() const { return outcome_.load(); }
+  NodeLife life() const { return life_.so_far(); }
   /// How long its executor has not come round; nothing: before it spins, or when it cannot tell.
   std::optional<std::chrono::nanoseconds> silence() const;
   /// Its own code asked for its end.
   bool ends_itself() const { return ends_itself_.load(); }
-  /// Name of the node; from NodeStage::spinning on.
+  /// Name of the node; from NodeLife::spinning on.
   const std::string& full_name() const { return full_name_; }
-  /// Why loading failed; with NodeOutcome::failed.
+  /// Why loading failed; with NodeLife::failed.
   const std::string& failure() const { return failure_; }
   const LoadRequest& request() const { return request_; }
 
@@ -61,7 +59,6 @@ class NodeProgram final : public isolation::ChildProgram {
 
   void live();
   void take_apart();
-  void reach(NodeStage stage) noexcept;
 
   const BackendList& backends_;
   const ExecutorChoice choice_;
@@ -77,9 +74,8 @@ class NodeProgram final : public isolation::ChildProgram {
   bool partial_ = false;
   std::string full_name_;
   std::string failure_;
-  std::atomic<NodeStage> stage_{NodeStage::preparing};
+  LifeRecord life_;
   std::atomic<bool> ends_itself_{false};
-  std::atomic<NodeOutcome> outcome_{NodeOutcome::none};
   Beat beat_;
 };
 

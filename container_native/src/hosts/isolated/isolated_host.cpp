@@ -59,10 +59,6 @@ void IsolatedHost::hurry(std::chrono::steady_clock::time_point deadline) {
   ring(doorbell_.get());
 }
 
-HostTotals IsolatedHost::totals() const {
-  return {totals_.crashes, totals_.undertaken, totals_.leaked, totals_.unquiesced};
-}
-
 std::optional<std::chrono::nanoseconds> IsolatedHost::silence(std::uint64_t unique_id) const {
   const std::lock_guard lock(mutex_);
   const auto found = nodes_.find(unique_id);
@@ -90,7 +86,7 @@ void IsolatedHost::monitor() {
 IsolatedHost::Time IsolatedHost::look_after(Nodes& nodes, Time end) {
   Time next = Time::max();
   for (auto& [unique_id, node] : nodes) {
-    node->tell(*observer_, totals_);
+    node->follow(*observer_);
     next = std::min(next, node->press(Clock::now(), end));
     if (node->is_over()) {
       std::unique_lock lock(mutex_);

@@ -19,7 +19,7 @@
 namespace play_launch::container {
 
 /// Every node lives in a process of its own: the modes isolated and isolated_mt. A thread, the
-/// monitor, follows what the nodes' processes do, tells the observer, and ends those that should
+/// monitor, follows what the nodes' processes do, reports it, and ends those that should
 /// leave and do not. What kind of process it is, subclasses know.
 class IsolatedHost : public NodeHost {
  public:
@@ -28,7 +28,6 @@ class IsolatedHost : public NodeHost {
   void unload(std::uint64_t unique_id) override;
   void stop_spinning() override;
   void hurry(std::chrono::steady_clock::time_point deadline) override;
-  HostTotals totals() const override;
   std::optional<std::chrono::nanoseconds> silence(std::uint64_t unique_id) const override;
   std::string wait_of(std::uint64_t unique_id) const override {
     return backends_.wait_of(unique_id);
@@ -55,7 +54,6 @@ class IsolatedHost : public NodeHost {
   const BackendList backends_;
   const UniqueFd doorbell_;
   NodeHostObserver* observer_ = nullptr;
-  IsolationTotals totals_;
 
   mutable std::mutex mutex_;  // guards what follows; no process but the container takes it
   std::map<std::uint64_t, std::shared_ptr<IsolatedNode>> nodes_;

@@ -2,6 +2,8 @@
 
 #include <signal.h>
 
+#include <ctime>
+
 #include "base/doorbell.hpp"
 #include "base/report.hpp"
 
@@ -13,8 +15,46 @@ void IsolatedNode::leave() noexcept {
   }
 }
 
+void IsolatedNode::follow(NodeHostObserver& observer) {
+  seen_ = look();
+  while (const std::optional<LifeCall> call = calls_.next(seen_)) {
+    make(*call, observer);
+  }
+}
+
+void IsolatedNode::make(LifeCall call, NodeHostObserver& observer) {
+  switch (call) {
+    case LifeCall::constructing: {
+      clockid_t cpu_clock = CLOCK_THREAD_CPUTIME_ID;
+      ::clock_getcpuclockid(process().pid, &cpu_clock);
+      observer.on_constructing(unique_id_, process(), cpu_clock);
+      break;
+    }
+    case LifeCall::loaded:
+      if (!observer.on_loaded(unique_id_, full_name())) {
+        leave();
+      }
+      break;
+    case LifeCall::load_failed:
+      observer.on_load_failed(unique_id_, failure());
+      break;
+    case LifeCall::load_crashed:
+      observer.on_load_crashed(unique_id_, death());
+      break;
+    case LifeCall::gone:
+      observer.on_gone(unique_id_, why_it_left());
+      break;
+    case LifeCall::crashed:
+      observer.on_crashed(unique_id_, death());
+      break;
+    case LifeCall::buried:
+      observer.on_buried(unique_id_, is_cleaned_up());
+      break;
+  }
+}
+
 IsolatedNode::Time IsolatedNode::press(Time now, Time end) {
-  if (is_dead()) {
+  if (has_any(seen_, NodeLife::ended | NodeLife::died)) {
     if (now < end) {
       return end;
     }

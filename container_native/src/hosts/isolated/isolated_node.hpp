@@ -6,27 +6,21 @@
 #include <optional>
 #include <string>
 
+#include "base/process_identity.hpp"
 #include "components/load_request.hpp"
 #include "hosts/isolated/leave_pressure.hpp"
+#include "hosts/isolated/node_life.hpp"
 #include "hosts/node_host.hpp"
 
 namespace play_launch::container {
 
-/// HostTotals while they grow.
-struct IsolationTotals {
-  std::atomic<std::uint32_t> crashes{0};
-  std::atomic<std::uint32_t> undertaken{0};
-  std::atomic<std::uint32_t> leaked{0};
-  std::atomic<std::uint32_t> unquiesced{0};
-};
-
-/// One node in a process of its own, and what remains to be done about it. All but leave() is for
-/// one thread, the monitor's.
+/// One node in a process of its own, and what remains to be done about it. All but leave() and
+/// silence() is for one thread, the monitor's.
 class IsolatedNode {
  public:
   using Time = LeavePressure::Time;
 
-  /// `doorbell` is an eventfd that is rung when there is something new to tell.
+  /// `doorbell` is an eventfd that is rung when there is something new to report.
   IsolatedNode(std::uint64_t unique_id, int doorbell)
       : unique_id_(unique_id), doorbell_(doorbell) {}
   IsolatedNode(const IsolatedNode&) = delete;
@@ -36,27 +30,38 @@ class IsolatedNode {
   /// Asks the node to leave. Any thread.
   void leave() noexcept;
 
+  /// Reports what has happened since the last call.
+  void follow(NodeHostObserver& observer);
+
   /// Does what is due for a node that should leave, and returns when to come again (max: not by
   /// itself). `end`: when it must be gone (max: whenever).
   Time press(Time now, Time end);
 
-  /// Tells the observer what has happened since the last call. Counts deaths in `totals`.
-  virtual void tell(NodeHostObserver& observer, IsolationTotals& totals) = 0;
-
-  /// Whether the node's processes are gone for good, and everything is told.
-  virtual bool is_over() const = 0;
+  /// Whether the node's processes are gone for good, and everything is reported.
+  bool is_over() const { return has_all(seen_, NodeLife::buried); }
 
   /// How long its executor has not come round; nothing: that is not known. Any thread.
   virtual std::optional<std::chrono::nanoseconds> silence() const { return std::nullopt; }
 
-  /// Becomes readable when tell() should be called, besides the doorbell; -1: there is none.
+  /// Becomes readable when follow() should be called, besides the doorbell; -1: there is none.
   virtual int watched_fd() const { return -1; }
 
  protected:
-  virtual bool is_dead() const = 0;
+  /// What has happened so far. Does what is to be done between two calls of the observer.
+  virtual NodeLife look() = 0;
   virtual const LoadRequest& request() const = 0;
-  /// Full name; empty while it is not known.
+  /// From NodeLife::constructing on.
+  virtual ProcessIdentity process() const = 0;
+  /// Full name; empty before NodeLife::spinning.
   virtual std::string full_name() const = 0;
+  /// Why loading failed; with NodeLife::failed.
+  virtual std::string failure() const = 0;
+  /// Why it left, if it was by itself; with NodeLife::left.
+  virtual std::string why_it_left() const = 0;
+  /// Once, with NodeLife::died.
+  virtual NodeDeath death() = 0;
+  /// Once, with NodeLife::died and NodeLife::buried: whether nothing of the node is left.
+  virtual bool is_cleaned_up() = 0;
   virtual void ask_to_leave() = 0;
   /// False: it has no process, as long as its library is being opened.
   virtual bool signal(int number) = 0;
@@ -69,10 +74,14 @@ class IsolatedNode {
   std::string label() const;
 
  private:
+  void make(LifeCall call, NodeHostObserver& observer);
+
   const std::uint64_t unique_id_;
   const int doorbell_;
   std::atomic<bool> leaving_{false};
   LeavePressure pressure_;
+  NodeLife seen_ = NodeLife::preparing;  // when follow() last looked
+  LifeCalls calls_;
 };
 
 }  // namespace play_launch::container

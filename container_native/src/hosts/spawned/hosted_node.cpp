@@ -3,7 +3,7 @@
 #include <sys/socket.h>
 
 #include <cerrno>
-#include <ctime>
+#include <play_launch_msgs/msg/component_event.hpp>
 #include <play_launch_msgs/msg/control_load.hpp>
 #include <play_launch_msgs/msg/control_rejected.hpp>
 #include <play_launch_msgs/msg/control_shutdown.hpp>
@@ -49,6 +49,7 @@ HostedNode::HostedNode(std::uint64_t unique_id, const std::vector<std::string>& 
   process_.emplace(arguments, theirs);
   channel_.emplace(std::move(ours));
   channel_->send(FrameKind::load, control::encode(first_attempt(request_)));
+  life_.add(NodeLife::constructing);
   channel_->start(*this);
   channel_->open_gate();
 }
@@ -56,8 +57,7 @@ HostedNode::HostedNode(std::uint64_t unique_id, const std::vector<std::string>& 
 HostedNode::~HostedNode() { channel_->stop(); }
 
 std::string HostedNode::full_name() const {
-  const std::lock_guard lock(mutex_);
-  return loaded_ ? loaded_->full_node_name : std::string();
+  return has_any(life_.so_far(), NodeLife::spinning) ? full_name_ : "";
 }
 
 void HostedNode::ask_to_leave() {
@@ -66,37 +66,46 @@ void HostedNode::ask_to_leave() {
   channel_->send(FrameKind::shutdown, control::encode(shutdown));
 }
 
+bool HostedNode::signal(int number) {
+  if (process_->is_reaped()) {
+    return false;
+  }
+  process_->signal(number);
+  return true;
+}
+
 void HostedNode::on_frame(const control::Frame& frame) {
-  ComponentEvent event;
-  if (frame.kind == static_cast<std::uint16_t>(FrameKind::event)) {
-    event = control::decode<ComponentEvent>(frame.payload);
-  } else if (frame.kind == static_cast<std::uint16_t>(FrameKind::rejected)) {
-    event.event_type = ComponentEvent::LOAD_FAILED;
-    event.error_message = control::decode<msg::ControlRejected>(frame.payload).reason;
-  } else {
+  if (frame.kind == static_cast<std::uint16_t>(FrameKind::rejected)) {
+    note(NodeLife::failed, failure_, control::decode<msg::ControlRejected>(frame.payload).reason);
+  }
+  if (frame.kind != static_cast<std::uint16_t>(FrameKind::event)) {
     return;
   }
-  {
-    const std::lock_guard lock(mutex_);
-    switch (event.event_type) {
-      case ComponentEvent::LOADED:
-        loaded_ = std::move(event);
-        break;
-      case ComponentEvent::LOAD_FAILED:
-        failed_ = std::move(event);
-        break;
-      case ComponentEvent::UNLOADED:
-        unloaded_ = event;
-        break;
-      default:
-        return;
-    }
+  const auto event = control::decode<msg::ComponentEvent>(frame.payload);
+  switch (event.event_type) {
+    case msg::ComponentEvent::LOADED:
+      note(NodeLife::spinning, full_name_, event.full_node_name);
+      break;
+    case msg::ComponentEvent::LOAD_FAILED:
+      note(NodeLife::failed, failure_, event.error_message);
+      break;
+    case msg::ComponentEvent::UNLOADED:
+      note(NodeLife::left, why_it_left_, event.error_message);
+      break;
+    default:
+      break;
   }
-  ring(doorbell());
+}
+
+void HostedNode::note(NodeLife part, std::string& text, const std::string& what) {
+  if (!has_any(life_.so_far(), part)) {
+    text = what;
+    life_.add(part);
+    ring(doorbell());
+  }
 }
 
 void HostedNode::on_closed() {
-  const std::lock_guard lock(mutex_);
   closed_ = true;
   ring(doorbell());
 }
@@ -106,65 +115,31 @@ void HostedNode::on_protocol_error(const std::string& what) {
   on_closed();
 }
 
-void HostedNode::tell(NodeHostObserver& observer, IsolationTotals& totals) {
-  if (!told_constructing_) {
-    told_constructing_ = true;
-    clockid_t cpu_clock = CLOCK_THREAD_CPUTIME_ID;
-    ::clock_getcpuclockid(process_->identity().pid, &cpu_clock);
-    observer.on_constructing(unique_id(), process_->identity(), cpu_clock);
-  }
-  if (!dead_ && process_->reap()) {
-    dead_ = true;
+NodeLife HostedNode::look() {
+  if (!process_->is_reaped() && process_->reap()) {
     channel_->expect_no_more();
   }
-  std::unique_lock lock(mutex_);
-  if (!told_loaded_ && loaded_) {
-    const ComponentEvent loaded = *loaded_;
-    lock.unlock();
-    tell_loaded(observer, loaded);
-    lock.lock();
-  }
-  if (failed_) {
-    leave();
-  }
   // What it wrote before its end is read before the end of the channel is.
-  const bool complete = dead_ && closed_;
-  lock.unlock();
-  if (complete && !told_end_) {
-    told_end_ = true;
-    tell_end(observer, totals);
-  }
-}
-
-void HostedNode::tell_loaded(NodeHostObserver& observer, const ComponentEvent& loaded) {
-  told_loaded_ = true;
-  if (!observer.on_loaded(unique_id(), loaded.full_node_name)) {
+  const bool complete = process_->is_reaped() && closed_;
+  const NodeLife life = life_.so_far();
+  if (has_any(life, NodeLife::failed)) {
     leave();
   }
+  if (complete && !has_any(life, NodeLife::buried)) {
+    const ProcessEnd& end = process_->end();
+    const bool clean = end.signal == 0 && end.exit_code == 0;
+    // How a process ends that holds no node does not matter.
+    life_.add(ending(life, clean || has_any(life, NodeLife::failed)) | NodeLife::buried);
+  }
+  return life_.so_far();
 }
 
-void HostedNode::tell_end(NodeHostObserver& observer, IsolationTotals& totals) {
-  const ProcessEnd& end = process_->end();
-  const bool in_order = end.signal == 0 && end.exit_code == 0;
-  if (failed_) {
-    observer.on_load_failed(unique_id(), failed_->error_message);
-    return;
-  }
-  if (in_order && unloaded_) {
-    observer.on_gone(unique_id(), unloaded_->error_message);
-    return;
-  }
-  ++totals.crashes;
-  ++totals.undertaken;  // by the kernel
+NodeDeath HostedNode::death() {
   NodeDeath death;
-  death.exit_code = end.exit_code;
-  death.signal = end.signal;
-  death.reason = describe(end);
-  if (told_loaded_) {
-    observer.on_crashed(unique_id(), death);
-  } else {
-    observer.on_load_crashed(unique_id(), death);
-  }
+  death.exit_code = process_->end().exit_code;
+  death.signal = process_->end().signal;
+  death.reason = describe(process_->end());
+  return death;
 }
 
 }  // namespace play_launch::container

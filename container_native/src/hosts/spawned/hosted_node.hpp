@@ -1,9 +1,8 @@
 #pragma once
 
+#include <atomic>
 #include <cstdint>
-#include <mutex>
 #include <optional>
-#include <play_launch_msgs/msg/component_event.hpp>
 #include <string>
 #include <vector>
 
@@ -22,44 +21,36 @@ class HostedNode final : public IsolatedNode, private control::ChannelHandler {
              LoadRequest request, int doorbell);
   ~HostedNode() override;
 
-  void tell(NodeHostObserver& observer, IsolationTotals& totals) override;
-  bool is_over() const override { return told_end_; }
-  int watched_fd() const override { return dead_ ? -1 : process_->fd(); }
+  int watched_fd() const override { return process_->is_reaped() ? -1 : process_->fd(); }
 
  private:
-  using ComponentEvent = play_launch_msgs::msg::ComponentEvent;
-
-  bool is_dead() const override { return dead_; }
+  NodeLife look() override;
   const LoadRequest& request() const override { return request_; }
+  ProcessIdentity process() const override { return process_->identity(); }
   std::string full_name() const override;
+  std::string failure() const override { return failure_; }
+  std::string why_it_left() const override { return why_it_left_; }
+  NodeDeath death() override;
+  bool is_cleaned_up() override { return true; }  // by the kernel
   void ask_to_leave() override;
-  bool signal(int number) override {
-    process_->signal(number);
-    return true;
-  }
+  bool signal(int number) override;
 
   void on_frame(const control::Frame& frame) override;
   void on_closed() override;
   void on_protocol_error(const std::string& what) override;
 
-  void tell_loaded(NodeHostObserver& observer, const ComponentEvent& loaded);
-  void tell_end(NodeHostObserver& observer, IsolationTotals& totals);
+  void note(NodeLife part, std::string& text, const std::string& what);
 
   const LoadRequest request_;
   std::optional<HostedProcess> process_;
   std::optional<control::Channel> channel_;
 
-  mutable std::mutex mutex_;  // guards what its container has told
-  std::optional<ComponentEvent> loaded_;
-  std::optional<ComponentEvent> failed_;
-  std::optional<ComponentEvent> unloaded_;
-  bool closed_ = false;
-
-  // The monitor's.
-  bool told_constructing_ = false;
-  bool told_loaded_ = false;
-  bool dead_ = false;
-  bool told_end_ = false;
+  // Written by the thread that reads the channel, once each, before the life has the part.
+  std::string full_name_;    // NodeLife::spinning
+  std::string failure_;      // NodeLife::failed
+  std::string why_it_left_;  // NodeLife::left
+  LifeRecord life_;
+  std::atomic<bool> closed_{false};  // everything that it wrote is read
 };
 
 }  // namespace play_launch::container

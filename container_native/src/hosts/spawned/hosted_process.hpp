@@ -33,6 +33,7 @@ class HostedProcess {
 
   /// Reaps it if it is dead; true then, and from then on.
   bool reap();
+  bool is_reaped() const { return reaped_; }
   /// Valid when it was reaped.
   const ProcessEnd& end() const { return end_; }
 
