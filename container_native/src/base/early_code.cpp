@@ -7,6 +7,7 @@
 #include <atomic>
 #include <cstddef>
 #include <cstdint>
+#include <iterator>
 #include <string_view>
 
 namespace play_launch {
@@ -14,59 +15,72 @@ namespace {
 
 using namespace std::string_view_literals;
 
+/// One piece of code.
 struct Range {
   std::uintptr_t begin = 0;
   std::uintptr_t end = 0;
+  bool calls_nodes = false;
 };
 
-std::array<Range, 512> ranges;
+/// By address.
+std::array<Range, 1024> ranges;
 std::atomic<std::size_t> count{0};
 
-// What calls code of nodes: where such a function ends with a call, that returns to its caller.
 constexpr std::array kCallers{"ld-"sv,       "libc."sv,           "libpthread"sv,
                               "libstdc++"sv, "libgcc_s"sv,        "libplay_launch_component"sv,
                               "librclcpp"sv, "libclass_loader"sv, "libcomponent_manager"sv};
 
-bool calls_nodes(const char* path) {
-  const std::string_view text = path == nullptr ? "" : path;
-  const std::string_view name = text.substr(text.rfind('/') + 1);
-  return name.empty() || std::ranges::any_of(kCallers, [name](std::string_view caller) {
-           return name.starts_with(caller);
-         });
+bool calls_nodes(std::string_view path) {
+  const std::string_view name = path.substr(path.rfind('/') + 1);
+  return std::ranges::any_of(kCallers,
+                             [name](std::string_view caller) { return name.starts_with(caller); });
 }
 
 int add_object(dl_phdr_info* object, std::size_t, void* data) {
-  if (calls_nodes(object->dlpi_name)) {
-    return 0;
+  const std::string_view path = object->dlpi_name == nullptr ? "" : object->dlpi_name;
+  if (path.empty()) {
+    return 0;  // the program
   }
   auto& used = *static_cast<std::size_t*>(data);
   for (int i = 0; i < object->dlpi_phnum && used < ranges.size(); ++i) {
     const ElfW(Phdr)& segment = object->dlpi_phdr[i];
     if (segment.p_type == PT_LOAD && (segment.p_flags & PF_X) != 0) {
       const std::uintptr_t begin = object->dlpi_addr + segment.p_vaddr;
-      ranges[used++] = {begin, begin + segment.p_memsz};
+      ranges[used++] = {begin, begin + segment.p_memsz, calls_nodes(path)};
     }
   }
   return 0;
 }
 
+/// Null: in none of them.
+const Range* range_of(const void* address) noexcept {
+  const auto place = reinterpret_cast<std::uintptr_t>(address);
+  const auto end = ranges.begin() + static_cast<std::ptrdiff_t>(count.load());
+  const auto after = std::upper_bound(
+      ranges.begin(), end, place,
+      [](std::uintptr_t wanted, const Range& range) { return wanted < range.begin; });
+  if (after == ranges.begin() || place >= std::prev(after)->end) {
+    return nullptr;
+  }
+  return &*std::prev(after);
+}
+
 }  // namespace
 
 void note_early_code() noexcept {
+  count = 0;
   std::size_t used = 0;
   ::dl_iterate_phdr(add_object, &used);
+  std::sort(ranges.begin(), ranges.begin() + static_cast<std::ptrdiff_t>(used),
+            [](const Range& one, const Range& other) { return one.begin < other.begin; });
   count = used;
 }
 
-bool is_early_code(const void* address) noexcept {
-  const auto place = reinterpret_cast<std::uintptr_t>(address);
-  const std::size_t used = count;
-  for (std::size_t i = 0; i < used; ++i) {
-    if (ranges[i].begin <= place && place < ranges[i].end) {
-      return true;
-    }
-  }
-  return false;
+bool is_early_code(const void* address) noexcept { return range_of(address) != nullptr; }
+
+bool is_early_code_below_nodes(const void* address) noexcept {
+  const Range* const range = range_of(address);
+  return range != nullptr && !range->calls_nodes;
 }
 
 }  // namespace play_launch

@@ -2,12 +2,17 @@
 
 namespace play_launch {
 
-/// Remembers which code is loaded: the middleware and what it needs, without the program and the
-/// libraries that call code of nodes. Once, in the
-/// container, before the first library of a node is loaded. Takes the loader's lock.
+/// Remembers which libraries are loaded: the client library, the middleware, the allocator and what
+/// they need. What comes later belongs to nodes. Once, in the container, before the first library
+/// of a node is loaded. Takes the loader's lock.
 void note_early_code() noexcept;
 
-/// Whether the address is in that code; always false before. Async-signal-safe.
+/// Whether the address is code of such a library; the program is none. Always false before.
+/// Async-signal-safe.
 bool is_early_code(const void* address) noexcept;
+
+/// Likewise, without the libraries that call code of nodes: where such a function ends with a call,
+/// that returns to its caller.
+bool is_early_code_below_nodes(const void* address) noexcept;
 
 }  // namespace play_launch

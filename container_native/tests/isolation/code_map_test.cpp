@@ -8,6 +8,8 @@
 #include <initializer_list>
 
 #include "../container/check.hpp"
+#include "base/early_code.hpp"
+#include "node_stand_in.hpp"
 #include "rcl_stand_in.hpp"
 
 // Named as a function of the C++ library's headers that was compiled into this program.
@@ -54,17 +56,17 @@ std::uintptr_t a_system_call() {
   return 0;
 }
 
-void test_names_of_libraries() {
-  for (const char* const name :
-       {"libfastrtps.so.2.14", "libfastcdr.so.2", "librmw_fastrtps_cpp.so", "librcl.so",
-        "librclcpp.so", "libcomponent_manager.so", "libplay_launch_component.so",
-        "libstd_msgs__rosidl_typesupport_cpp.so", "libmimalloc.so.3", "ld-linux-x86-64.so.2"}) {
-    CHECK(is_shared_library(name));
-  }
-  for (const char* const name : {"libfast_gicp.so", "libcomponent_nodes.so", "libopencv_core.so",
-                                 "libplay_launch_demo.so", "libtalker_component.so"}) {
-    CHECK(!is_shared_library(name));
-  }
+/// Whatever its name is: what counts is what was loaded first.
+void test_libraries_of_nodes() {
+  void* const library = ::dlopen(NODE_STAND_IN, RTLD_NOW | RTLD_LOCAL);
+  CHECK(library != nullptr);
+  const void* const found = ::dlsym(library, "play_launch_test_node");
+  CHECK(found != nullptr);
+  const auto& node = *static_cast<const stand_in::NodeLibrary*>(found);
+  CHECK(judge(stack_of({node.compute_for_ever, stand_in::publish}), Caution::lenient).harmless);
+  CHECK(!judge(stack_of({stand_in::publish, node.compute_for_ever}), Caution::lenient).harmless);
+  play_launch::note_early_code();
+  CHECK(!judge(stack_of({node.compute_for_ever, stand_in::publish}), Caution::lenient).harmless);
 }
 
 void test_who_called_decides() {
@@ -117,10 +119,10 @@ void test_before_a_wake() {
 
 int main() {
   prepare_code_map();
-  test_names_of_libraries();
   test_who_called_decides();
   test_functions_without_a_name_at_the_end_of_unlocking();
   test_functions_without_a_name_of_a_node();
   test_before_a_wake();
+  test_libraries_of_nodes();
   return 0;
 }

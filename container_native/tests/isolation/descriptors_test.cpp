@@ -120,8 +120,9 @@ void test_everything_open() {
 void test_early_code() {
   const int ours = move_out_of_reach(open_nothing());
   note_early_code();
-  CHECK(!is_early_code(reinterpret_cast<const void*>(&test_early_code)));
-  CHECK(!is_early_code(::dlsym(RTLD_DEFAULT, "getpid")) && !is_early_code(&ours));
+  CHECK(!is_early_code_below_nodes(reinterpret_cast<const void*>(&test_early_code)));
+  CHECK(!is_early_code_below_nodes(::dlsym(RTLD_DEFAULT, "getpid")) &&
+        !is_early_code_below_nodes(&ours));
   Outcome outcome;
   in_child(outcome, [&] { return ::close(ours) == -1 && stand_in::close_file(ours) == 0; });
   CHECK(!is_open(ours) && !is_protected(ours));

@@ -16,9 +16,7 @@ template <class Message>
 
 }  // namespace rclcpp
 
-namespace stand_in {
-
-std::shared_timed_mutex& pointer_lock() { return rclcpp::pointer_lock; }
+namespace {
 
 void compute_for_ever() { busy_for_ever(); }
 
@@ -29,4 +27,9 @@ void publish_by_pointer_for_ever() {
   }
 }
 
-}  // namespace stand_in
+std::shared_timed_mutex& pointer_lock() { return rclcpp::pointer_lock; }
+
+}  // namespace
+
+extern "C" const stand_in::NodeLibrary play_launch_test_node{
+    compute_for_ever, publish_by_pointer_for_ever, pointer_lock};

@@ -2,14 +2,20 @@
 
 #include <shared_mutex>
 
-/// A node's library.
 namespace stand_in {
 
-/// Loops in the node's own code for ever.
-[[noreturn]] void compute_for_ever();
-/// Publishes by pointer for ever: through a template of rclcpp's that became code of this library,
-/// and that holds the lock below most of the time.
-[[noreturn]] void publish_by_pointer_for_ever();
-std::shared_timed_mutex& pointer_lock();
+/// What a node's library does.
+struct NodeLibrary {
+  /// Loops in the node's own code for ever.
+  void (*compute_for_ever)();
+  /// Publishes by pointer for ever: through a template of rclcpp's that became code of the library,
+  /// and that holds the lock below most of the time.
+  void (*publish_by_pointer_for_ever)();
+  std::shared_timed_mutex& (*pointer_lock)();
+};
+
+/// Opens it the first time, as libraries of nodes are: after the container has noted what was there
+/// before.
+const NodeLibrary& node_library();
 
 }  // namespace stand_in

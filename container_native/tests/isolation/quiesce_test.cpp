@@ -1,6 +1,7 @@
 // What a crash does to the other threads of its child: they are stopped where they hold nothing
 // that outlives them.
 
+#include <dlfcn.h>
 #include <signal.h>
 
 #include <array>
@@ -20,16 +21,24 @@
 
 namespace stand_in {
 
+const NodeLibrary& node_library() {
+  static void* const library = ::dlopen(NODE_STAND_IN, RTLD_NOW | RTLD_LOCAL);
+  CHECK(library != nullptr);
+  static const void* const found = ::dlsym(library, "play_launch_test_node");
+  CHECK(found != nullptr);
+  return *static_cast<const NodeLibrary*>(found);
+}
+
 bool locks_are_free() {
   const std::unique_lock first(shared_lock(), std::try_to_lock);
-  const std::unique_lock second(pointer_lock(), std::try_to_lock);
+  const std::unique_lock second(node_library().pointer_lock(), std::try_to_lock);
   return first.owns_lock() && second.owns_lock();
 }
 
 /// After a thread was killed with one of them.
 void renew_locks() {
   new (&shared_lock()) std::mutex;
-  new (&pointer_lock()) std::shared_timed_mutex;
+  new (&node_library().pointer_lock()) std::shared_timed_mutex;
 }
 
 }  // namespace stand_in
@@ -99,14 +108,15 @@ struct Case {
 };
 
 constexpr std::array kCases{
-    Case{"computes", stand_in::compute_for_ever, 20},
-    Case{"called back by the middleware", [] { stand_in::spin_once(stand_in::compute_for_ever); },
-         20},
+    Case{"computes", [] { stand_in::node_library().compute_for_ever(); }, 20},
+    Case{"called back by the middleware",
+         [] { stand_in::spin_once(stand_in::node_library().compute_for_ever); }, 20},
     Case{"waits", wait_in_user_code, 20},
     Case{"sleeps", sleep_in_user_code, 20},
     Case{"allocates", work_in_the_allocator, 100},
     Case{"publishes", work_in_the_middleware, 100},
-    Case{"publishes by pointer", stand_in::publish_by_pointer_for_ever, 100},
+    Case{"publishes by pointer", [] { stand_in::node_library().publish_by_pointer_for_ever(); },
+         100},
 };
 
 void test_case(const Case& subject) {
@@ -295,6 +305,7 @@ void test_destroying_what_the_dead_left() {
 
 int main() {
   prepare_crash_handling();
+  stand_in::node_library();
   for (const Case& subject : kCases) {
     test_case(subject);
   }

@@ -2,7 +2,6 @@
 
 #include <utility>
 
-#include "base/early_code.hpp"
 #include "base/protected_descriptors.hpp"
 #include "hosts/cloned/cloned_node.hpp"
 #include "isolation/crash/crash_handler.hpp"
@@ -12,9 +11,8 @@ namespace play_launch::container {
 CloneIsolatedHost::CloneIsolatedHost(std::vector<std::unique_ptr<ComponentBackend>> backends,
                                      const ExecutorChoice& choice, bool core_dumps)
     : IsolatedHost(std::move(backends)), choice_(choice), core_dumps_(core_dumps) {
-  isolation::prepare_crash_handling();
   // Before any library of a node is loaded: what is there now belongs to the container.
-  note_early_code();
+  isolation::prepare_crash_handling();
   protect_open_descriptors();
 }
 

@@ -49,7 +49,7 @@ bool may_close(int fd, const char* call, const void* caller) noexcept {
   if (child == nullptr && !protects_descriptors()) {
     return true;  // a process that was forked, with a table of its own
   }
-  if (child != nullptr && !is_early_code(caller) && is_protected(fd)) {
+  if (child != nullptr && !is_early_code_below_nodes(caller) && is_protected(fd)) {
     note_refusal(*child, call, fd);
     errno = EBADF;
     return false;
@@ -61,7 +61,7 @@ bool may_close(int fd, const char* call, const void* caller) noexcept {
 /// The same for a range.
 bool may_close_range(unsigned first, unsigned last, const char* call, const void* caller) noexcept {
   const ChildRecord* const child = isolation::current_child();
-  if (child == nullptr || is_early_code(caller) || !is_any_protected(first, last)) {
+  if (child == nullptr || is_early_code_below_nodes(caller) || !is_any_protected(first, last)) {
     return true;
   }
   note_refusal(*child, call, static_cast<int>(first));

@@ -9,6 +9,7 @@
 #include <initializer_list>
 #include <string_view>
 
+#include "base/early_code.hpp"
 #include "base/elf.hpp"
 
 namespace play_launch::isolation {
@@ -31,27 +32,8 @@ struct Range {
   bool contains(std::uintptr_t address) const { return begin <= address && address < end; }
 };
 
-/// Libraries whose name begins so have locks that all nodes share. No shorter than needed: a node's
-/// own library that is taken for one of them, such as libfast_gicp, is never parked in.
-constexpr std::array kShared{
-    "libfastrtps"sv,     "libfastcdr"sv,
-    "libfastdds"sv,      "librmw"sv,
-    "librcl"sv,          "librosidl"sv,
-    "librcutils"sv,      "librcpputils"sv,
-    "libplay_launch_"sv, "libcomponent_manager."sv,
-    "libclass_loader"sv, "libament_"sv,
-    "libtracetools"sv,   "liblttng"sv,
-    "libspdlog"sv,       "libyaml"sv,
-    "libmimalloc"sv,     "libjemalloc"sv,
-    "libtcmalloc"sv,     "libddsc"sv,
-    "libcyclonedds"sv,   "libiceoryx"sv,
-    "libzenoh"sv,        "libfoonathan_"sv,
-    "ld-linux"sv,        "ld.so"sv,
-    "libstatistics_"sv,  "libconsole_bridge"sv,
-};
-/// The demonstration's components are a user's, not the SDK.
-constexpr std::array kNotShared{"libplay_launch_demo"sv};
-/// Message libraries: libstd_msgs__rosidl_typesupport_cpp.so.
+/// Message libraries, libstd_msgs__rosidl_typesupport_cpp.so, are loaded with the first node that
+/// needs them, and belong to the middleware.
 constexpr std::string_view kGeneratedCode = "__rosidl_";
 
 constexpr std::array kCppRuntime{"libstdc++"sv, "libgcc_s"sv, "libm.so"sv, "libm-"sv,
@@ -191,7 +173,8 @@ Place place_of(const CallStack& stack, std::size_t frame, Caution caution) {
   if (begins_with_any(name, kCppRuntime)) {
     return Place::neutral;
   }
-  if (is_shared_library(name)) {
+  if (is_early_code(reinterpret_cast<const void*>(address)) ||
+      name.find(kGeneratedCode) != std::string_view::npos) {
     return Place::inside;
   }
   if (innermost && in_call_stub(address)) {
@@ -210,12 +193,8 @@ Place place_of(const CallStack& stack, std::size_t frame, Caution caution) {
 
 }  // namespace
 
-bool is_shared_library(std::string_view name) noexcept {
-  return name.find(kGeneratedCode) != std::string_view::npos ||
-         (begins_with_any(name, kShared) && !begins_with_any(name, kNotShared));
-}
-
 void prepare_code_map() {
+  note_early_code();
   if (void* const library = ::dlopen("libc.so.6", RTLD_NOW | RTLD_NOLOAD)) {
     const DynamicSymbols symbols(*static_cast<const link_map*>(library));
     landmarks.c_library_inside = {

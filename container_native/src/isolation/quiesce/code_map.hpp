@@ -1,8 +1,6 @@
 #pragma once
 
 #include <cstddef>
-#include <cstdint>
-#include <string_view>
 
 #include "isolation/quiesce/call_stack.hpp"
 
@@ -22,16 +20,14 @@ struct Judgement {
   std::size_t way_out = 0;
 };
 
-/// Whether the library, such as librcl.so, has locks that all nodes share: the middleware, an
-/// allocator or the loader; C and C++ libraries aside. Async-signal-safe.
-bool is_shared_library(std::string_view name) noexcept;
-
-/// Looks up the places in the C library that matter. Once, before the first child.
+/// Notes which libraries are there, and looks up the places in the C library that matter. Once,
+/// before the first library of a node.
 void prepare_code_map();
 
-/// Decided by the innermost frame that is neither in the C nor the C++ library: whether it is in
-/// the middleware, an allocator or the loader, or in a template of rclcpp or of this SDK that was
-/// compiled into somebody's library. (Outer frames always are the middleware's: it calls the
+/// Decided by the innermost frame that is neither in the C nor the C++ library: whether it is in a
+/// library that was there before the first node, see note_early_code(), which has locks that all
+/// nodes share; in a message library; or in a template of rclcpp or of this SDK that was compiled
+/// into somebody's library. (Outer frames always are the middleware's: it calls the
 /// callbacks, without holding a lock.) A thread that waits for another one to end is harmless
 /// anywhere. Frames before `first` do not count. Async-signal-safe.
 Judgement judge(const CallStack& stack, Caution caution, std::size_t first = 0) noexcept;
