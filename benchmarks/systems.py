@@ -6,7 +6,7 @@ import json
 import os
 import resource
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from play_launch.config.load import parse_config
@@ -39,8 +39,12 @@ def system(
     *,
     environment: Mapping[str, str],
     isolation: str = "",
+    arguments: tuple[str, ...] = (),
 ) -> ReplayConfig:
-    """A configuration with one container of that mode; JSON is YAML, too."""
+    """A configuration with one container of that mode; JSON is YAML, too.
+
+    `arguments` of the container are not for a file.
+    """
     composable = [
         {
             "package": _PACKAGE,
@@ -63,7 +67,9 @@ def system(
     if isolation:
         container["isolation"] = isolation
     text = json.dumps({"version": 1, "containers": [container]})
-    return parse_config(text.encode(), Path("benchmark.yaml"))
+    config = parse_config(text.encode(), Path("benchmark.yaml"))
+    containers = tuple(replace(one, arguments=arguments) for one in config.containers)
+    return replace(config, containers=containers)
 
 
 def keep_to_this_machine() -> None:

@@ -74,9 +74,7 @@ def configuration(case: Case, figures: Figures) -> ReplayConfig:
         "allocating_threads": 2 if kind.where == "malloc" else 0,
         "publishing_threads": 1 if kind.publishes else 0,
     }
-    environment = dict(figures.environment)
-    if not case.quiesced:
-        environment["PLAY_LAUNCH_FAILPOINTS"] = "container.abrupt_deaths=always"
+    arguments = () if case.quiesced else ("--failpoints", "container.abrupt_deaths=always")
     by_pointer = not kind.publishes
     nodes = [
         *(
@@ -85,7 +83,7 @@ def configuration(case: Case, figures: Figures) -> ReplayConfig:
         ),
         Node(VICTIM.removeprefix("/"), "Faulty", victim, by_pointer),
     ]
-    return system(case.mode, nodes, environment=environment)
+    return system(case.mode, nodes, environment=figures.environment, arguments=arguments)
 
 
 class Trial:

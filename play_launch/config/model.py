@@ -154,7 +154,7 @@ class ContainerConfig:
     `environment` holds the variables of the whole system too, `thread_num` is None for
     the container's own choice, `loading_timeout` and `probe_timeout` are seconds. A stock
     container is `executable` of `package` with `arguments`, or, with `attach`, one that somebody
-    else has started.
+    else has started. A file gives no other container `arguments`; benchmarks do.
     """
 
     name: str

@@ -49,6 +49,7 @@ def container_argv(
         argv += ["--thread_num", str(config.thread_num)]
     if stop_timeout is not None:
         argv += ["--stop_timeout", f"{stop_timeout:g}"]
+    argv += config.arguments
     argv += _ros_arguments(
         name=config.name,
         namespace=config.namespace,

@@ -54,8 +54,7 @@ def spawn(tmp_path: Path) -> Iterator[StartContainer]:
         ) -> Container:
             command, environ = _command_and_environment()
             environ.update(environment or {})
-            if failpoints:
-                environ["PLAY_LAUNCH_FAILPOINTS"] = failpoints
+            misbehaving = ["--failpoints", failpoints] if failpoints else []
             ours: socket.socket | None = None
             theirs: socket.socket | None = None
             if control:
@@ -64,7 +63,7 @@ def spawn(tmp_path: Path) -> Iterator[StartContainer]:
             log = tmp_path / f"{name}.log"
             with log.open("ab") as output:
                 process = subprocess.Popen(
-                    [command, *arguments, "--ros-args", "-r", f"__node:={name}"],
+                    [command, *arguments, *misbehaving, "--ros-args", "-r", f"__node:={name}"],
                     env=environ,
                     stdout=output,
                     stderr=subprocess.STDOUT,

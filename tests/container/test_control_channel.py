@@ -202,7 +202,7 @@ def test_the_descriptor_is_kept_from_programs_that_nodes_start(container: Contai
 
 
 def test_lost_frames_can_be_asked_for(spawn: StartContainer) -> None:
-    container = spawn(failpoints="container.drop_event_loaded=once")
+    container = spawn(failpoints="container.drop_event=loaded")
     attempt = container.load("Talker")
     loading = container.event(LOADING, attempt=attempt)
     while container.status(loading.unique_id).nodes[0].state != NodeStatus.LOADED:

@@ -42,10 +42,12 @@ def test_a_container_with_everything() -> None:
         thread_num=4,
         log_level="debug",
         ros_arguments=("-p", "use_sim_time:=true"),
+        arguments=("--failpoints", "container.drop_event=loaded"),
     )
     assert container_argv(config, BINARY, stop_timeout=1.5) == (
         "/opt/lib/component_container",
         *("--use_multi_threaded_executor", "--thread_num", "4", "--stop_timeout", "1.5"),
+        *("--failpoints", "container.drop_event=loaded"),
         *("--ros-args", "-r", "__node:=c", "-r", "__ns:=/sensing"),
         *("--log-level", "debug", "-p", "use_sim_time:=true"),
     )

@@ -19,17 +19,20 @@
 namespace play_launch {
 namespace {
 
+using namespace std::string_view_literals;
+
 constexpr std::size_t kCount = static_cast<std::size_t>(Failpoint::count);
 
 // In the order of the enumeration.
 constexpr std::array<std::string_view, kCount> kNames{
-    "container.before_hello",       "container.after_accept",      "container.before_construct",
-    "container.after_construct",    "container.drop_accepted",     "container.drop_event_loading",
-    "container.drop_event_loaded",  "container.drop_event_failed", "container.drop_event_unloaded",
-    "container.drop_event_crashed", "container.ignore_query",      "container.before_unload",
-    "container.on_shutdown",        "container.during_stop",       "container.during_burial",
-    "container.abrupt_deaths",
+    "container.before_hello",    "container.after_accept",  "container.before_construct",
+    "container.after_construct", "container.drop_accepted", "container.drop_event",
+    "container.ignore_query",    "container.before_unload", "container.on_shutdown",
+    "container.during_stop",     "container.during_burial", "container.abrupt_deaths",
 };
+
+// Numbered as in play_launch_msgs/ComponentEvent.
+constexpr std::array kEvents{"loaded"sv, "unloaded"sv, "failed"sv, "crashed"sv, "loading"sv};
 
 enum class Action : unsigned char { none, hang, abort, kill, exit, delay, once, always };
 
@@ -54,7 +57,17 @@ constexpr std::array kActions{
 };
 
 [[noreturn]] void refuse(std::string_view part, const std::string& why) {
-  throw FailpointError("PLAY_LAUNCH_FAILPOINTS: '" + std::string(part) + "': " + why);
+  throw FailpointError("--failpoints: '" + std::string(part) + "': " + why);
+}
+
+void arm_event(std::string_view part, std::string_view type) {
+  const auto found = std::ranges::find(kEvents, type);
+  if (found == kEvents.end()) {
+    refuse(part, "the type is none of loading, loaded, failed, unloaded, crashed");
+  }
+  Slot& slot = slots[static_cast<std::size_t>(Failpoint::drop_event)];
+  slot.argument = static_cast<int>(found - kEvents.begin());
+  slot.action = Action::once;
 }
 
 void arm(std::string_view part) {
@@ -70,6 +83,10 @@ void arm(std::string_view part) {
   }
   if (index == kCount) {
     refuse(part, "there is no failpoint of that name");
+  }
+  if (index == static_cast<std::size_t>(Failpoint::drop_event)) {
+    arm_event(part, action);
+    return;
   }
   std::string_view argument;
   const std::size_t colon = action.find(':');
@@ -121,8 +138,8 @@ bool act(Slot& slot, std::string_view name) {
 
 }  // namespace
 
-void arm_failpoints(const char* specification) {
-  std::string_view rest = specification == nullptr ? "" : specification;
+void arm_failpoints(std::string_view specification) {
+  std::string_view rest = specification;
   while (!rest.empty()) {
     const std::size_t end = std::min(rest.find(';'), rest.size());
     if (end > 0) {
@@ -138,6 +155,11 @@ bool hit(Failpoint place) {
     return false;
   }
   return act(slots[index], kNames[index]);
+}
+
+bool drops_event(unsigned type) {
+  const Slot& slot = slots[static_cast<std::size_t>(Failpoint::drop_event)];
+  return slot.argument == static_cast<int>(type) && hit(Failpoint::drop_event);
 }
 
 }  // namespace play_launch

@@ -55,24 +55,6 @@ msg::NodeStatus status_of(const NodeSnapshot& snapshot) {
   return status;
 }
 
-/// Whether a test wants this event lost.
-bool is_to_be_lost(const ComponentEvent& event) {
-  switch (event.event_type) {
-    case ComponentEvent::LOADING:
-      return hit(Failpoint::drop_event_loading);
-    case ComponentEvent::LOADED:
-      return hit(Failpoint::drop_event_loaded);
-    case ComponentEvent::LOAD_FAILED:
-      return hit(Failpoint::drop_event_failed);
-    case ComponentEvent::UNLOADED:
-      return hit(Failpoint::drop_event_unloaded);
-    case ComponentEvent::CRASHED:
-      return hit(Failpoint::drop_event_crashed);
-    default:
-      return false;
-  }
-}
-
 }  // namespace
 
 UniqueFd take_control_socket() {
@@ -141,7 +123,7 @@ void ControlInterface::reject(std::uint64_t attempt, std::uint64_t unique_id,
 }
 
 void ControlInterface::on_event(const ComponentEvent& event) {
-  if (!is_to_be_lost(event)) {
+  if (!drops_event(event.event_type)) {
     send(FrameKind::event, event);
   }
 }

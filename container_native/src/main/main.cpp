@@ -1,5 +1,4 @@
 #include <cstdio>
-#include <cstdlib>
 #include <exception>
 #include <string>
 
@@ -45,7 +44,7 @@ int main(int argc, char** argv) {
       print_version();
       return kExitOk;
     }
-    arm_failpoints(std::getenv("PLAY_LAUNCH_FAILPOINTS"));
+    arm_failpoints(options.failpoints);
     search_own_prefix();
     if (options.hosted || options.probe) {
       play_launch::set_core_dumps(options.core_dumps);

@@ -96,6 +96,8 @@ Options parse_options(int argc, const char* const* argv) {
       options.thread_num = thread_count(value_of("--thread_num", i, argc, argv));
     } else if (is_option(argument, "--stop_timeout")) {
       options.stop_timeout = seconds(value_of("--stop_timeout", i, argc, argv));
+    } else if (is_option(argument, "--failpoints")) {
+      options.failpoints = value_of("--failpoints", i, argc, argv);
     } else if (argument == "--probe") {
       ProbeRequest& request = options.probe.emplace();
       request.package = next_value("--probe PACKAGE PLUGIN", i, argc, argv);

@@ -32,6 +32,7 @@ struct Options {
   std::optional<std::size_t> thread_num;  // nothing: parameter thread_num, or one per CPU
   std::chrono::duration<double> stop_timeout{2.0};
   std::optional<ProbeRequest> probe;
+  std::string failpoints;  // what arm_failpoints() reads; empty: none
   bool help = false;
   bool version = false;
   std::vector<std::string> ros_arguments;  // all that stand behind --ros-args

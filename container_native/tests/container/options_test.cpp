@@ -2,6 +2,7 @@
 
 #include "main/options.hpp"
 
+#include <play_launch_msgs/msg/component_event.hpp>
 #include <rcl_interfaces/msg/parameter_type.hpp>
 
 #include "base/failpoints.hpp"
@@ -140,17 +141,29 @@ void test_exceptions_are_described() {
 }
 
 void test_failpoints() {
-  arm_failpoints(nullptr);
+  using play_launch_msgs::msg::ComponentEvent;
   arm_failpoints("");
-  CHECK(!hit(Failpoint::drop_event_loaded));
-  arm_failpoints(";container.drop_event_loaded=once;container.ignore_query=always;");
-  CHECK(hit(Failpoint::drop_event_loaded) && !hit(Failpoint::drop_event_loaded));
+  CHECK(!drops_event(ComponentEvent::LOADED) && !hit(Failpoint::drop_accepted));
+  arm_failpoints(";container.drop_accepted=once;container.ignore_query=always;");
+  CHECK(hit(Failpoint::drop_accepted) && !hit(Failpoint::drop_accepted));
+  for (const auto& [name, type] :
+       {std::pair("loading", ComponentEvent::LOADING), std::pair("loaded", ComponentEvent::LOADED),
+        std::pair("failed", ComponentEvent::LOAD_FAILED),
+        std::pair("unloaded", ComponentEvent::UNLOADED),
+        std::pair("crashed", ComponentEvent::CRASHED)}) {
+    arm_failpoints(std::string("container.drop_event=") + name);
+    for (unsigned other = 0; other < 5; ++other) {
+      CHECK(other == type || !drops_event(other));
+    }
+    CHECK(drops_event(type) && !drops_event(type));
+  }
   CHECK(hit(Failpoint::ignore_query) && hit(Failpoint::ignore_query));
   arm_failpoints("container.after_accept=delay:1");
   CHECK(!hit(Failpoint::after_accept));
-  for (const char* bad : {"container.nowhere=once", "container.before_hello",
-                          "container.before_hello=dance", "container.before_hello=delay",
-                          "container.before_hello=exit:x", "container.before_hello=hang:1"}) {
+  for (const char* bad :
+       {"container.nowhere=once", "container.before_hello", "container.before_hello=dance",
+        "container.before_hello=delay", "container.before_hello=exit:x",
+        "container.before_hello=hang:1", "container.drop_event=once"}) {
     CHECK(contains(CHECK_THROWS(arm_failpoints(bad), FailpointError), bad));
   }
 }
