@@ -18,9 +18,10 @@ from rosbags.highlevel import AnyReader
 from play_launch.fastdds.shared_memory import sweep
 from tests.support.replay import COMMAND
 
+# What the shell starts in the background ignores SIGINT: every run waits for the whole of sigint.
 CONFIG = """
 version: 1
-stop: {ask: 3 s, sigint: 2 s, sigterm: 2 s}
+stop: {ask: 3 s, sigint: 400 ms, sigterm: 2 s}
 containers:
   - name: chat
     composable_nodes:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import signal
-from pathlib import Path
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
 from typing import Any
 
 import pytest
@@ -15,16 +17,32 @@ from tests.support.ros import Probe
 
 CONFIG = """\
 version: 1
-duration: 12 s
+duration: 16 s
 composable_node_loading:
   restart: {{backoff: {{initial: 100 s, maximum: 100 s}}}}
 containers:
-  - name: c
+  - name: {name}
     container_type: {kind}
     composable_nodes:
-      - {{package: play_launch_demo, plugin: "play_launch_demo::Talker", name: talker}}
-      - {{package: play_launch_demo, plugin: "play_launch_demo::Listener", name: listener}}
+      - package: play_launch_demo
+        plugin: play_launch_demo::Talker
+        name: talker
+        namespace: /{name}
+      - package: play_launch_demo
+        plugin: play_launch_demo::{other}
+        name: listener
+        namespace: /{name}
 """
+
+
+@dataclass(frozen=True)
+class Case:
+    """What happens to a container named like the case."""
+
+    kind: str
+    other: str = "Listener"
+    do: Callable[[str, dict[str, dict[str, Any]]], None] | None = None
+    """Takes the name and the events of the nodes when both are loaded."""
 
 
 def loaded(replay: Replay) -> dict[str, dict[str, Any]]:
@@ -40,6 +58,45 @@ def loaded(replay: Replay) -> dict[str, dict[str, Any]]:
     return found
 
 
+def unload_the_talker(name: str, nodes: dict[str, dict[str, Any]]) -> None:
+    with Probe() as probe:
+        request = UnloadNode.Request(unique_id=nodes[f"/{name}/talker"]["unique_id"])
+        assert probe.call(UnloadNode, f"/{name}/_container/unload_node", request).success
+
+
+def terminate_the_container(name: str, nodes: dict[str, dict[str, Any]]) -> None:
+    os.kill(nodes[f"/{name}/talker"]["pid"], signal.SIGTERM)
+
+
+CASES = {
+    "unloaded_standard": Case("standard", do=unload_the_talker),
+    "unloaded_isolated": Case("isolated", do=unload_the_talker),
+    "terminated": Case("standard", do=terminate_the_container),
+    "quit_isolated": Case("isolated", "Quitter"),
+    "quit_standard": Case("standard", "Quitter"),
+    "quit_mt": Case("mt", "Quitter"),
+}
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Replay]:
+    """A run of the command for each case, side by side: most last for their whole duration."""
+    folder = tmp_path_factory.mktemp("missing")
+    replays: dict[str, Replay] = {}
+    with ExitStack() as stack:
+        for name, case in CASES.items():
+            config = folder / f"{name}.yaml"
+            text = CONFIG.format(name=name, kind=case.kind, other=case.other)
+            config.write_text(text, encoding="utf-8")
+            replays[name] = stack.enter_context(replaying(config, folder / name))
+        for name, case in CASES.items():
+            if case.do is not None:
+                case.do(name, loaded(replays[name]))
+        for replay in replays.values():
+            replay.read_all()
+    return replays
+
+
 def unloaded(replay: Replay, node: str) -> dict[str, Any]:
     return next(
         event
@@ -48,29 +105,23 @@ def unloaded(replay: Replay, node: str) -> dict[str, Any]:
     )
 
 
-@pytest.mark.parametrize("kind", ["standard", "isolated"])
-def test_a_node_that_somebody_else_unloads(tmp_path: Path, kind: str) -> None:
-    config = tmp_path / "c.yaml"
-    config.write_text(CONFIG.format(kind=kind), encoding="utf-8")
-    with replaying(config, tmp_path / "logs") as replay:
-        talker = loaded(replay)["/talker"]
-        with Probe() as probe:
-            request = UnloadNode.Request(unique_id=talker["unique_id"])
-            assert probe.call(UnloadNode, "/c/_container/unload_node", request).success
-        replay.read_all()
+@pytest.mark.parametrize("name", CASES)
+def test_the_exit_code_says_that_something_is_missing(runs: dict[str, Replay], name: str) -> None:
+    replay = runs[name]
     assert replay.seen[-1]["exit_code"] == replay.process.returncode == 3
-    assert unloaded(replay, "/talker")["reason"] == "not at the supervisor's request"
+
+
+@pytest.mark.parametrize("name", ["unloaded_standard", "unloaded_isolated"])
+def test_a_node_that_somebody_else_unloads(runs: dict[str, Replay], name: str) -> None:
+    replay = runs[name]
+    talker = f"/{name}/talker"
+    assert unloaded(replay, talker)["reason"] == "not at the supervisor's request"
     (container,) = replay.seen[-1]["containers"]
-    assert (container["loaded"], container["unloaded"]) == (1, ["/talker"])
+    assert (container["loaded"], container["unloaded"]) == (1, [talker])
 
 
-def test_a_container_that_somebody_else_ends_in_order(tmp_path: Path) -> None:
-    config = tmp_path / "c.yaml"
-    config.write_text(CONFIG.format(kind="standard"), encoding="utf-8")
-    with replaying(config, tmp_path / "logs") as replay:
-        os.kill(loaded(replay)["/talker"]["pid"], signal.SIGTERM)
-        replay.read_all()
-    assert replay.seen[-1]["exit_code"] == replay.process.returncode == 3
+def test_a_container_that_somebody_else_ends_in_order(runs: dict[str, Replay]) -> None:
+    replay = runs["terminated"]
     exited = next(
         event for event in replay.seen if event["event"] == "process" and event["kind"] == "exited"
     )
@@ -79,33 +130,23 @@ def test_a_container_that_somebody_else_ends_in_order(tmp_path: Path) -> None:
     assert container["state"] == "backoff"
 
 
-def with_quitter(kind: str) -> str:
-    return CONFIG.format(kind=kind).replace("Listener", "Quitter")
-
-
-def test_an_isolated_node_that_shuts_the_ros_context_down(tmp_path: Path) -> None:
-    config = tmp_path / "c.yaml"
-    config.write_text(with_quitter("isolated"), encoding="utf-8")
-    with replaying(config, tmp_path / "logs") as replay:
-        replay.read_all()
-    assert replay.seen[-1]["exit_code"] == replay.process.returncode == 3
-    assert "context" in unloaded(replay, "/listener")["reason"]
+def test_an_isolated_node_that_shuts_the_ros_context_down(runs: dict[str, Replay]) -> None:
+    replay = runs["quit_isolated"]
+    listener = "/quit_isolated/listener"
+    assert "context" in unloaded(replay, listener)["reason"]
     (container,) = replay.seen[-1]["containers"]
-    assert (container["loaded"], container["unloaded"]) == (1, ["/listener"])
+    assert (container["loaded"], container["unloaded"]) == (1, [listener])
 
 
-@pytest.mark.parametrize("kind", ["standard", "mt"])
-def test_a_node_that_shuts_the_ros_context_of_all_down(tmp_path: Path, kind: str) -> None:
-    config = tmp_path / "c.yaml"
-    config.write_text(with_quitter(kind), encoding="utf-8")
-    with replaying(config, tmp_path / "logs") as replay:
-        replay.read_all()
-    assert replay.seen[-1]["exit_code"] == replay.process.returncode == 3
+@pytest.mark.parametrize("name", ["quit_standard", "quit_mt"])
+def test_a_node_that_shuts_the_ros_context_of_all_down(runs: dict[str, Replay], name: str) -> None:
+    replay = runs[name]
     starts = [each for each in replay.seen if each.get("kind") == "started"]
     assert len(starts) == 1, "it was started again"
     reasons = [each["error_message"] for each in replay.seen if each.get("kind") == "unloaded"]
     assert reasons
-    assert all("/listener shut the ROS context down" in reason for reason in reasons)
+    listener = f"/{name}/listener"
+    assert all(f"{listener} shut the ROS context down" in reason for reason in reasons)
     (container,) = replay.seen[-1]["containers"]
     assert container["state"] == "stopped"
     stops = [
