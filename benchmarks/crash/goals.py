@@ -39,7 +39,7 @@ def goals(rows: Sequence[Row]) -> list[Goal]:
         _detection(care),
         _count("poisoned containers that needed a person", care, "undetected"),
         _count("neighbours that died as well", care, "collateral"),
-        _count("deaths that were not told", care, "missed"),
+        _count("deaths that were not reported", care, "missed"),
     ]
     return [goal for goal in found if goal is not None]
 

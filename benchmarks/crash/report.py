@@ -96,14 +96,14 @@ def remarks(row: Row) -> list[str]:
         (not row["complete"], f"ended early, after {row['seconds']:.0f} s"),
         (row["undetected"], f"{row['undetected']} times the supervisor did not notice"),
         (row["collateral"], f"{row['collateral']} neighbours died"),
-        (row["missed"], f"{row['missed']} deaths were not told"),
+        (row["missed"], f"{row['missed']} deaths were not reported"),
         # Without quiescing that is what is tried.
         (
             row["doubtful"] and row["quiesced"],
             f"{row['doubtful']} nodes died with a thread in a doubtful place",
         ),
         (row["leaked"], _leak(row)),
-        (row["given_up"], f"{row['given_up']} times something was given up"),
+        (row["given_up"], f"{row['given_up']} times something was not restarted again"),
         (row["stopped_hard"], "the container did not end in order"),
     ]
     return [text for happened, text in said if happened]

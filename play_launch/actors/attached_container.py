@@ -124,7 +124,7 @@ class AttachedContainer:
             async with asyncio.timeout(self._limits.waiting):
                 await self._services.ready()
         except TimeoutError:
-            _log.warning("%s is waited for: no container of that name is running", self._name)
+            _log.warning("waiting for %s: no container of that name is running", self._name)
             await self._services.ready()
         while True:
             self._graph_changed.clear()

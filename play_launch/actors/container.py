@@ -410,7 +410,7 @@ class ContainerActor:
             return self._apply(ContainerInput.DIED_FOR_GOOD, reason)
         self._delay = verdict.delay
         self._reports.restarts = self._restarter.total
-        sequel = "is waited for" if self._config.attach else "starts again"
+        sequel = "looked for again" if self._config.attach else "starts again"
         reason = f"{death.reason}; {sequel} in {verdict.delay:.2f} s"
         actions = self._apply(ContainerInput.DIED_RESTART, reason)
         _told.warning("%s: %s", self._name, reason)
@@ -433,7 +433,7 @@ class ContainerActor:
                     _log.error("%s is killed: %s", self._name, reason)
                     self._kill(reason)
                 case ContainerAction.REPORT_GAVE_UP:
-                    _told.error("%s is given up: %s", self._name, reason)
+                    _told.error("%s is not started again: %s", self._name, reason)
                     self._reports.publish(ProcessEventKind.GAVE_UP, message=reason)
                 case _:
                     pass  # the caller's part

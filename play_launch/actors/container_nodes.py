@@ -338,7 +338,7 @@ class ContainerNodes:
             case NodeAction.FOLLOW_UP:
                 self._follow_up(node, facts)
             case NodeAction.REPORT_CONFIRMED:
-                _log.warning("%s is loaded: no event told it, %s was asked", name, self._container)
+                _log.warning("%s is loaded: no event came, %s was asked", name, self._container)
                 self._reports.confirmation(node, facts)
             case NodeAction.REPORT_SLOW:
                 _log.warning("%s: %s", name, facts.reason)
@@ -352,7 +352,7 @@ class ContainerNodes:
                 # Not as an error: the state that follows is told as one, with the sequel.
                 _log.info("%s crashed: %s", name, facts.reason)
             case NodeAction.REPORT_GAVE_UP:
-                _told.error("%s is given up: %s", name, facts.reason)
+                _told.error("%s is not loaded again: %s", name, facts.reason)
             case NodeAction.REPORT_UNASKED if not self._stopping:
                 _told.warning("%s is unloaded: %s", name, facts.reason)
             case (

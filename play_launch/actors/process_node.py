@@ -148,5 +148,5 @@ class ProcessActor:
             _log.exception("%s: its failure cannot be published", self._name)
 
     def _give_up(self, reason: str) -> None:
-        _told.error("%s is given up: %s", self._name, reason)
+        _told.error("%s is not started again: %s", self._name, reason)
         self._reports.publish(ProcessEventKind.GAVE_UP, message=reason)

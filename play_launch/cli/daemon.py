@@ -22,7 +22,7 @@ daemon_app = typer.Typer(
     name="daemon",
     help="The daemon that answers ros2's questions about the graph, built to bear a start-up "
     "storm. It serves at the address of ros2cli's own daemon, so 'ros2 node list' and the like "
-    "use it without being told.",
+    "use it as it is.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )

@@ -25,7 +25,7 @@ _COLOURS: Final = {"ok": "green", "warn": "yellow", "fail": "red"}
 def doctor(
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object, for machines.")] = False,
 ) -> None:
-    """Look at this machine: what works, what does not, what that costs, and the way out.
+    """Look at this machine: what works, what does not, its impact, and the fix.
 
     Our container is started once and asked; nothing is changed. Exits with 0 when a system can be
     brought up, else with 1.
@@ -67,9 +67,9 @@ def print_findings(findings: Sequence[Finding], stream: IO[str], *, colour: bool
     for finding in findings:
         says = Text(finding.says)
         if finding.costs:
-            says.append(f"\ncosts: {finding.costs}", "dim")
+            says.append(f"\nimpact: {finding.costs}", "dim")
         if finding.way_out:
-            says.append(f"\nway out: {finding.way_out}", "bold")
+            says.append(f"\nfix: {finding.way_out}", "bold")
         level = Text(finding.level.value, _COLOURS[finding.level.value])
         table.add_row(level, finding.subject, says)
     console.print(table)

@@ -89,7 +89,7 @@ def _node_line(event: NodeStateChanged, before: SystemView, after: SystemView) -
 _VERBS: Final = {
     NodeState.LOAD_FAILED: "failed to load",
     NodeState.CRASHED: "crashed",
-    NodeState.GAVE_UP: "is given up",
+    NodeState.GAVE_UP: "is not loaded again",
 }
 
 
@@ -108,7 +108,7 @@ def _process_line(event: ProcessEvent, before: SystemView) -> Line | None:
             text = event.message or f"restarting, {event.restarts} times so far"
             return Line(event.stamp_ns, event.name, text, WARN)
         case ProcessEventKind.GAVE_UP:
-            return Line(event.stamp_ns, event.name, event.message or "given up", ERROR)
+            return Line(event.stamp_ns, event.name, event.message or "not started again", ERROR)
         case ProcessEventKind.READY | ProcessEventKind.STOPPING:
             return None
 

@@ -417,7 +417,7 @@ class Composition:
             action
             for unique_id in ids
             for action in (
-                Remark(f"node {unique_id} came from a load that was given up; it is unloaded"),
+                Remark(f"node {unique_id} came from an abandoned load; it is unloaded"),
                 SendUnload(unique_id),
             )
         ]

@@ -46,7 +46,7 @@ def judge_kernel(facts: KernelFacts) -> list[Finding]:
             fail(
                 "kernel",
                 f"Linux {facts.release} without pidfd_open",
-                "nothing can be started: a process could not be told from another with its pid",
+                "nothing can be started: a new process could be taken for an old one of its pid",
                 "use Linux 5.3 or newer, where nothing (seccomp) forbids pidfd_open",
             )
         ]

@@ -144,7 +144,7 @@ def test_restarts_are_bounded_and_then_it_is_given_up_loudly(
     assert sys.outcome is not None
     assert sys.outcome.exit_code == 1
     assert sys.outcome.reason == "nothing is left to run"
-    assert "/c is given up: exited with signal 6" in caplog.text
+    assert "/c is not started again: exited with signal 6" in caplog.text
 
 
 @pytest.mark.parametrize("code", [64, 126, 127])

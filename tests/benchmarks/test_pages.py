@@ -91,7 +91,7 @@ def test_what_is_well_reaches_every_goal() -> None:
         (Kind("kill", "outside"), Tally(crashes=10, restarts=1), "SIGKILL"),
         (Kind("segv", "outside"), Tally(crashes=10, restarts=1), "SIGSEGV"),
         (Kind("abrt", "thread"), Tally(crashes=10, undetected=1), "person"),
-        (Kind("abrt", "thread"), Tally(crashes=10, missed=1), "not told"),
+        (Kind("abrt", "thread"), Tally(crashes=10, missed=1), "not reported"),
         (Kind("abrt", "thread"), Tally(crashes=10, collateral=1), "neighbours"),
         (Kind("abrt", "thread"), Tally(crashes=10, gap_ms=[1.0, 11.1]), "gap"),
         (Kind("abrt", "thread"), Tally(crashes=10, detection_s=[5.1]), "found"),

@@ -73,7 +73,7 @@ def test_a_slow_node_is_reported_when_it_is_told_again() -> None:
     [
         (NodeState.LOAD_FAILED, "40 /c /c/n0 failed to load: why"),
         (NodeState.CRASHED, "40 /c /c/n0 crashed: why"),
-        (NodeState.GAVE_UP, "40 /c /c/n0 is given up: why"),
+        (NodeState.GAVE_UP, "40 /c /c/n0 is not loaded again: why"),
         (NodeState.LOST, "30 /c /c/n0 lost: why"),
     ],
 )

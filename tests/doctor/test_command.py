@@ -90,15 +90,15 @@ def test_a_container_that_does_not_start_is_quoted(monkeypatch: pytest.MonkeyPat
     assert "/not/there.so" in container.problem
 
 
-def test_the_table_has_a_line_for_each_and_its_way_out() -> None:
+def test_the_table_has_a_line_for_each_and_its_fix() -> None:
     stream = io.StringIO()
     report = [ok("a", "fine"), warn("b", "so so", "time", "wait"), fail("c", "bad", "all", "mend")]
     print_findings(report, stream, colour=False)
     lines = [line.strip() for line in stream.getvalue().splitlines()]
     assert "ok     a   fine" in lines
     assert "warn   b   so so" in lines
-    assert "costs: time" in lines
-    assert "way out: mend" in lines
+    assert "impact: time" in lines
+    assert "fix: mend" in lines
     assert lines[-1] == "No system can be brought up here: c."
 
 

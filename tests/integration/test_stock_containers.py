@@ -216,7 +216,7 @@ def test_coming_and_going_is_bounded(tmp_path: Path, double: Double) -> None:
             replay.read_until(state("/one", "lost"), "the loss")
         replay.read_all()
         assert replay.process.returncode == 1
-    assert told(replay, "/theirs is given up")
+    assert told(replay, "/theirs is not started again")
 
 
 def test_nobody_is_waited_for_in_silence(tmp_path: Path) -> None:
@@ -225,8 +225,7 @@ def test_nobody_is_waited_for_in_silence(tmp_path: Path) -> None:
         replay.read_until(
             lambda event: (
                 event["event"] == "log"
-                and event["message"]
-                == "/theirs is waited for: no container of that name is running"
+                and event["message"] == "waiting for /theirs: no container of that name is running"
             ),
             "the word",
         )
