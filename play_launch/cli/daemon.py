@@ -45,8 +45,8 @@ def start(
 ) -> None:
     """Start the daemon of this ROS_DOMAIN_ID, and wait until it knows the graph.
 
-    If ros2cli's own daemon runs, it is replaced. If ours runs already, it is kept, and told where
-    its settings are not yours.
+    If ros2cli's own daemon runs, it is replaced. If ours runs already, it is kept, with a warning
+    where its settings are not yours.
     """
     address, seconds = _address(), _seconds(idle_timeout)
     _require_ros()
@@ -91,7 +91,7 @@ def stop() -> None:
 
 
 def status(as_json: _Json = False) -> None:
-    """Tell whether a daemon runs for this ROS_DOMAIN_ID, whose, and how it is.
+    """Report whether a daemon runs for this ROS_DOMAIN_ID, whose, and how it is.
 
     Warns where its settings are not those of your environment: then it sees another graph than
     your programs. Exits with 1 when none runs.

@@ -34,7 +34,7 @@ _OTHER_NAMES = {
 
 
 def parse_duration(value: object) -> float:
-    """Return the seconds that `value` means, at least 0; raise ValueError with the way out."""
+    """Return the seconds that `value` means, at least 0; raise ValueError with the fix."""
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         raise ValueError(f"expected {_FORMS}")  # noqa: TRY004 - pydantic collects ValueError
     # Not turned into a float yet: integers can be larger than any double.
@@ -47,7 +47,7 @@ def parse_duration(value: object) -> float:
 
 
 def parse_positive_duration(value: object) -> float:
-    """Return the seconds that `value` means, more than 0; raise ValueError with the way out."""
+    """Return the seconds that `value` means, more than 0; raise ValueError with the fix."""
     seconds = parse_duration(value)
     if seconds == 0:
         raise ValueError("must be longer than 0 s")

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 _INDENTATION_TAB = re.compile(r"[ \-?:]*\t")
 _MOST_DIRECTIVES = 3
-_WAY_OUT = (
+_FIXES = (
     ("mapping values are not allowed", 'quote text that holds ": ", or check the indentation'),
     ("found character that cannot start any token", "put the text in quotes"),
     ("found unexpected end of stream", "a quotation mark is not closed"),
@@ -43,9 +43,9 @@ def explain(error: yaml.YAMLError, text: str, file: str) -> tuple[Place, str]:
         message += f" {context}"
         if begin is not None and (begin.line, begin.column) != (mark.line, mark.column):
             message += f" that begins at {begin.line + 1}:{begin.column + 1}"
-    way_out = next((advice for symptom, advice in _WAY_OUT if symptom in message), None)
-    if way_out is not None:
-        message += f"; {way_out}"
+    fix = next((advice for symptom, advice in _FIXES if symptom in message), None)
+    if fix is not None:
+        message += f"; {fix}"
     return Place(file, mark.line + 1, mark.column + 1), message
 
 

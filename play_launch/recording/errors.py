@@ -29,7 +29,7 @@ class WriteFailedError(RecordingError):
 
     def __init__(self, path: Path, cause: OSError) -> None:
         """``path`` is the file that was being written, ``cause`` the system's answer."""
-        super().__init__(f"cannot write {path}: {reason(cause)}; {_way_out(cause)}")
+        super().__init__(f"cannot write {path}: {reason(cause)}; {_fix(cause)}")
         self.path = path
 
 
@@ -50,7 +50,7 @@ def reason(cause: OSError) -> str:
     return cause.strerror or str(cause)
 
 
-def _way_out(cause: OSError) -> str:
+def _fix(cause: OSError) -> str:
     if cause.errno in (errno.ENOSPC, errno.EDQUOT):
         return "free some space, or choose another place with --log-dir DIR"
     return "choose another place with --log-dir DIR"

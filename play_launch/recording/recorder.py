@@ -62,7 +62,7 @@ class RecordingSummary:
     """Events that are not in the file."""
     bytes: int
     error: str = ""
-    """Why the recording stopped early, and the way out; empty when it is complete."""
+    """Why the recording stopped early, and the fix; empty when it is complete."""
 
 
 class Recorder:

@@ -1,4 +1,4 @@
-"""Why an overlay was not put in place or not taken away; each text names the way out."""
+"""Why an overlay was not put in place or not taken away; each text names the fix."""
 
 from __future__ import annotations
 
