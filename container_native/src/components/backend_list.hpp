@@ -12,13 +12,15 @@
 
 namespace play_launch::container {
 
-/// The kinds of components that a host can load. All members may be called from several threads at
-/// once.
+/// The kinds of components that a host can load, in one context. All members may be called from
+/// several threads at once.
 class BackendList {
  public:
   explicit BackendList(std::vector<std::unique_ptr<ComponentBackend>> backends)
       : backends_(std::move(backends)) {}
 
+  /// The context that all nodes are made in.
+  std::shared_ptr<Context> context() const { return backends_.front()->context(); }
   std::size_t size() const { return backends_.size(); }
   ComponentBackend& operator[](std::size_t index) const { return *backends_[index]; }
 
@@ -44,8 +46,8 @@ class BackendList {
  private:
   std::size_t of_package(const std::string& package) const;
 
-  const std::vector<std::unique_ptr<ComponentBackend>> backends_;
-  const std::unique_ptr<LibraryLoader> loader_ = std::make_unique<LibraryLoader>();
+  std::vector<std::unique_ptr<ComponentBackend>> backends_;  // never empty
+  std::unique_ptr<LibraryLoader> loader_ = std::make_unique<LibraryLoader>();
 };
 
 }  // namespace play_launch::container

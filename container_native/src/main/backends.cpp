@@ -1,5 +1,7 @@
 #include "main/backends.hpp"
 
+#include <utility>
+
 #include "components/native_backend.hpp"
 #ifdef PLAY_LAUNCH_RCLCPP
 #include "components/rclcpp/backend.hpp"
@@ -8,7 +10,7 @@
 
 namespace play_launch::container {
 
-std::vector<std::unique_ptr<ComponentBackend>> make_backends(int argc, const char* const* argv) {
+BackendList make_backends(int argc, const char* const* argv) {
 #ifdef PLAY_LAUNCH_RCLCPP
   return make_backends(rclcpp_backend::initialise(argc, argv));
 #else
@@ -16,14 +18,13 @@ std::vector<std::unique_ptr<ComponentBackend>> make_backends(int argc, const cha
 #endif
 }
 
-std::vector<std::unique_ptr<ComponentBackend>> make_backends(
-    const std::shared_ptr<Context>& context) {
+BackendList make_backends(const std::shared_ptr<Context>& context) {
   std::vector<std::unique_ptr<ComponentBackend>> backends;
   backends.push_back(std::make_unique<NativeBackend>(context));
 #ifdef PLAY_LAUNCH_RCLCPP
   backends.push_back(std::make_unique<rclcpp_backend::RclcppBackend>(context));
 #endif
-  return backends;
+  return BackendList(std::move(backends));
 }
 
 std::vector<std::string> backend_names() {

@@ -1,20 +1,20 @@
 #pragma once
 
 #include <memory>
+#include <string>
 #include <vector>
 
-#include "components/component_backend.hpp"
+#include "components/backend_list.hpp"
 
 namespace play_launch::container {
 
 /// Every backend that this program was built with, and one context for all of them. `argv` is the
 /// command line. Throws std::exception. Once per process.
-std::vector<std::unique_ptr<ComponentBackend>> make_backends(int argc, const char* const* argv);
+BackendList make_backends(int argc, const char* const* argv);
 
 /// Every backend, with a context from the other function, or null: then they can find libraries and
 /// open them, but make no nodes.
-std::vector<std::unique_ptr<ComponentBackend>> make_backends(
-    const std::shared_ptr<Context>& context);
+BackendList make_backends(const std::shared_ptr<Context>& context);
 
 /// Their names, for people and for the hello.
 std::vector<std::string> backend_names();

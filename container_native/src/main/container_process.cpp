@@ -74,8 +74,8 @@ ContainerProcess::ContainerProcess(const Options& options, int argc, const char*
 ContainerProcess::~ContainerProcess() = default;
 
 void ContainerProcess::start(int argc, const char* const* argv) {
-  std::vector<std::unique_ptr<ComponentBackend>> backends = make_backends(argc, argv);
-  context_ = backends.front()->context();
+  BackendList backends = make_backends(argc, argv);
+  context_ = backends.context();
   context_guard_.emplace(context_, [this](const std::string& who) { on_context_shutdown(who); });
   // The first node of the context, and the last to go: the participant and its threads come with
   // it, and must not depend on what becomes of a component.

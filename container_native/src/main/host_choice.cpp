@@ -10,8 +10,7 @@
 
 namespace play_launch::container {
 
-HostChoice choose_host(const Options& options, std::size_t threads,
-                       std::vector<std::unique_ptr<ComponentBackend>> backends) {
+HostChoice choose_host(const Options& options, std::size_t threads, BackendList backends) {
   const ExecutorChoice executor{options.multi_threaded, threads};
   HostChoice choice;
   if (!options.isolated) {

@@ -4,7 +4,7 @@
 #include <string>
 #include <vector>
 
-#include "components/component_backend.hpp"
+#include "components/backend_list.hpp"
 #include "hosts/node_host.hpp"
 #include "main/options.hpp"
 
@@ -20,7 +20,6 @@ struct HostChoice {
 /// The host for the mode that `options` ask for; `threads` is for each executor. Notes are reported
 /// too. Throws isolation::MechanismUnavailable when a mechanism was demanded that does not work
 /// here.
-HostChoice choose_host(const Options& options, std::size_t threads,
-                       std::vector<std::unique_ptr<ComponentBackend>> backends);
+HostChoice choose_host(const Options& options, std::size_t threads, BackendList backends);
 
 }  // namespace play_launch::container

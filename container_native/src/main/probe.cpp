@@ -136,7 +136,7 @@ UniqueFd take_stdout() {
 
 int probe(const std::string& package, const std::string& plugin) {
   const UniqueFd out = take_stdout();
-  const BackendList backends(make_backends(nullptr));
+  const BackendList backends = make_backends(nullptr);
   BackendList::Place place;
   try {
     place = backends.place_of(package, plugin);

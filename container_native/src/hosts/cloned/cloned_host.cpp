@@ -8,8 +8,8 @@
 
 namespace play_launch::container {
 
-CloneIsolatedHost::CloneIsolatedHost(std::vector<std::unique_ptr<ComponentBackend>> backends,
-                                     const ExecutorChoice& choice, bool core_dumps)
+CloneIsolatedHost::CloneIsolatedHost(BackendList backends, const ExecutorChoice& choice,
+                                     bool core_dumps)
     : IsolatedHost(std::move(backends)), choice_(choice), core_dumps_(core_dumps) {
   // Before any library of a node is loaded: what is there now belongs to the container.
   isolation::prepare_crash_handling();

@@ -19,8 +19,7 @@ namespace play_launch::container {
 class CloneIsolatedHost final : public IsolatedHost {
  public:
   /// `choice` is for the executor of each node; `core_dumps`: nodes that crash dump core.
-  CloneIsolatedHost(std::vector<std::unique_ptr<ComponentBackend>> backends,
-                    const ExecutorChoice& choice, bool core_dumps);
+  CloneIsolatedHost(BackendList backends, const ExecutorChoice& choice, bool core_dumps);
 
   std::vector<std::string> dead_locks() const override { return lock_watch_.dead_locks(); }
 

@@ -12,7 +12,7 @@ namespace play_launch::container {
 
 using Clock = std::chrono::steady_clock;
 
-IsolatedHost::IsolatedHost(std::vector<std::unique_ptr<ComponentBackend>> backends)
+IsolatedHost::IsolatedHost(BackendList backends)
     : backends_(std::move(backends)), doorbell_(make_doorbell()) {
   monitor_ = std::thread([this] {
     ::pthread_setname_np(::pthread_self(), "monitor");

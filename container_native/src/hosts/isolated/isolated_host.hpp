@@ -34,7 +34,7 @@ class IsolatedHost : public NodeHost {
   }
 
  protected:
-  explicit IsolatedHost(std::vector<std::unique_ptr<ComponentBackend>> backends);
+  explicit IsolatedHost(BackendList backends);
   /// All nodes must have ended; waits for what is left of their processes.
   ~IsolatedHost() override;
 

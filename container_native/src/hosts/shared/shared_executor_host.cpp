@@ -12,8 +12,7 @@
 
 namespace play_launch::container {
 
-SharedExecutorHost::SharedExecutorHost(std::vector<std::unique_ptr<ComponentBackend>> backends,
-                                       const ExecutorChoice& choice)
+SharedExecutorHost::SharedExecutorHost(BackendList backends, const ExecutorChoice& choice)
     : process_(identity_of(::getpid())), backends_(std::move(backends)) {
   spinners_.reserve(backends_.size());
   for (std::size_t i = 0; i < backends_.size(); ++i) {

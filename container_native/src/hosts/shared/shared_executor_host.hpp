@@ -16,8 +16,7 @@ namespace play_launch::container {
 /// the modes standard and mt. Each constructor, and each unloading, runs in a thread of its own.
 class SharedExecutorHost final : public NodeHost {
  public:
-  SharedExecutorHost(std::vector<std::unique_ptr<ComponentBackend>> backends,
-                     const ExecutorChoice& choice);
+  SharedExecutorHost(BackendList backends, const ExecutorChoice& choice);
   /// All nodes must be gone.
   ~SharedExecutorHost() override;
 

@@ -13,8 +13,7 @@ constexpr const char* kStopTimeout = "10";
 
 }  // namespace
 
-ProcessHost::ProcessHost(std::vector<std::unique_ptr<ComponentBackend>> backends,
-                         const ExecutorChoice& executor, bool core_dumps,
+ProcessHost::ProcessHost(BackendList backends, const ExecutorChoice& executor, bool core_dumps,
                          const std::vector<std::string>& ros_arguments)
     : IsolatedHost(std::move(backends)), arguments_{"--hosted", "--stop_timeout", kStopTimeout} {
   if (executor.multi_threaded) {

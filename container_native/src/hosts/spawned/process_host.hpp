@@ -14,8 +14,7 @@ class ProcessHost final : public IsolatedHost {
  public:
   /// `executor` is that of each node; `core_dumps`: nodes that crash dump core; `ros_arguments` are
   /// what stands behind --ros-args.
-  ProcessHost(std::vector<std::unique_ptr<ComponentBackend>> backends,
-              const ExecutorChoice& executor, bool core_dumps,
+  ProcessHost(BackendList backends, const ExecutorChoice& executor, bool core_dumps,
               const std::vector<std::string>& ros_arguments);
 
  private:
