@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -79,6 +80,15 @@ def read(reader: AnyReader, raw: bytes, kind: str) -> Any:
     return reader.deserialize(raw, kind)
 
 
+@pytest.fixture(scope="module")
+def left_alone(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Replay]:
+    """A run whose nodes hang and do not die; it takes its time beside the other tests."""
+    folder = tmp_path_factory.mktemp("left_alone")
+    with replaying(configuration(folder, "isolated"), folder / "logs") as replay:
+        yield replay
+
+
+@pytest.mark.usefixtures("left_alone")
 @pytest.mark.parametrize("kind", ["isolated", "isolated_mt"])
 def test_a_container_whose_living_nodes_wait_for_a_dead_one_is_started_anew(
     kind: str, tmp_path: Path
@@ -126,19 +136,18 @@ def test_a_container_whose_living_nodes_wait_for_a_dead_one_is_started_anew(
     ]
 
 
-def test_nodes_that_hang_without_a_death_are_told_of_and_left_alone(tmp_path: Path) -> None:
-    with replaying(configuration(tmp_path, "isolated"), tmp_path / "logs") as replay:
-        loaded(replay)
-        told: set[str] = set()
+def test_nodes_that_hang_without_a_death_are_told_of_and_left_alone(left_alone: Replay) -> None:
+    loaded(left_alone)
+    told: set[str] = set()
 
-        def all_told(event: dict[str, Any]) -> bool:
-            if event["event"] == "node" and "in its callbacks" in event["reason"]:
-                told.add(event["node"])
-            return told == set(NODES)
+    def all_told(event: dict[str, Any]) -> bool:
+        if event["event"] == "node" and "in its callbacks" in event["reason"]:
+            told.add(event["node"])
+        return told == set(NODES)
 
-        # The holder sleeps in a callback, one waits for its lock, one is just busy.
-        replay.read_until(all_told, "that they are busy")
-        replay.process.send_signal(signal.SIGTERM)
-        replay.read_all()
-    assert len([event for event in replay.seen if is_process("started")(event)]) == 1
-    assert not [event for event in replay.seen if is_process("restarting")(event)]
+    # The holder sleeps in a callback, one waits for its lock, one is just busy.
+    left_alone.read_until(all_told, "that they are busy")
+    left_alone.process.send_signal(signal.SIGTERM)
+    left_alone.read_all()
+    assert len([event for event in left_alone.seen if is_process("started")(event)]) == 1
+    assert not [event for event in left_alone.seen if is_process("restarting")(event)]
