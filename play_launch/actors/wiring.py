@@ -41,6 +41,7 @@ from play_launch.native.locate import (
 from play_launch.native.messages import Hello
 from play_launch.native.parameters import ParameterFileError, write_parameter_file
 from play_launch.process.child import SpawnError, spawn
+from play_launch.process.guard import SessionGuard
 from play_launch.process.identity import read_stat
 from play_launch.process.stop import StopPolicy, stop
 
@@ -63,7 +64,9 @@ _log = logging.getLogger(__name__)
 _DISTRIBUTION: Final = "play-launch-py"
 _CONTAINER_SHARE: Final = 0.6
 """Part of the time for asking that the container gives its nodes; the rest is its own."""
-_PASSING: Final = frozenset({errno.EAGAIN, errno.ENOMEM, errno.EMFILE, errno.ENFILE})
+_PASSING: Final = frozenset(
+    {errno.EAGAIN, errno.ENOMEM, errno.EMFILE, errno.ENFILE, errno.EPIPE, errno.ECONNRESET}
+)
 """Errors of a start that may not be there the next time."""
 
 
@@ -131,7 +134,8 @@ class NativeLauncher:
         self._uses_fastdds = uses_fastdds
         self._ros = ros
         self._container = container
-        self._guard = guard
+        self._guard_program = guard
+        self._guard: SessionGuard | None = None
         self._policy = policy
         self._parameters = parameters
         self._cleaning = asyncio.Lock()
@@ -190,7 +194,7 @@ class NativeLauncher:
         with ExitStack() as opened:
             opened.callback(pair.close)
             process = self._spawn(
-                argv, environment | pair.environment, on_output, pass_fds=(pair.child_fd,)
+                argv, environment | pair.environment, on_output, control_fd=pair.child_fd
             )
             pair.close_child_end()
             opened.pop_all()
@@ -258,6 +262,8 @@ class NativeLauncher:
     async def close(self) -> None:
         """Remove our own files."""
         await asyncio.to_thread(self._parameters.remove)
+        if self._guard is not None:
+            await asyncio.to_thread(self._guard.close)
         if self._stock.is_open:
             await asyncio.to_thread(self._stock.close)
             # As long as we took part ourselves, we held what dead containers had left.
@@ -269,14 +275,24 @@ class NativeLauncher:
         environment: Mapping[str, str],
         on_output: OutputCallback,
         *,
-        pass_fds: Sequence[int] = (),
+        control_fd: int | None = None,
     ) -> NativeProcess:
         try:
+            if self._guard is None or not self._guard.is_alive:
+                self._guard = SessionGuard.start(self._guard_program)
             child = spawn(
-                argv, env=environment, guard=self._guard, pass_fds=pass_fds, on_output=on_output
+                argv,
+                env=environment,
+                guard=self._guard,
+                pass_fds=() if control_fd is None else (control_fd,),
+                on_output=on_output,
+                # Our containers end in order when their control channel does.
+                leaves_by_itself=control_fd is not None,
             )
         except SpawnError as error:
             raise StartError(str(error), permanent=error.errno not in _PASSING) from error
+        except OSError as error:
+            raise StartError(f"no guard: {error.strerror}", permanent=False) from error
         return NativeProcess(child, self._policy)
 
 

@@ -16,6 +16,7 @@ from typing import TypeAlias
 
 from play_launch.core.events import Stream
 from play_launch.process.exit import Exit
+from play_launch.process.guard import Ourselves, Parent, SessionGuard
 from play_launch.process.identity import ProcessIdentity, ProcessStat, read_stat
 from play_launch.process.lines import Line, LineReader
 from play_launch.process.session import session_members, signal_each, wait_all_ended
@@ -72,10 +73,12 @@ class Child:
         identity: ProcessIdentity,
         pidfd: int,
         readers: Sequence[LineReader],
+        parent: Parent,
     ) -> None:
         self.argv = tuple(argv)
         self.identity = identity
         self._pidfd = pidfd
+        self._parent = parent
         self._readers = tuple(readers)
         self._loop = asyncio.get_running_loop()
         self._exit: Exit | None = None
@@ -169,12 +172,11 @@ class Child:
 
     def _on_exit(self) -> None:
         try:
-            # WNOWAIT: the zombie stays and with it the number of its group, see signal_group.
-            flags = os.WEXITED | os.WNOHANG | os.WNOWAIT
-            result = os.waitid(os.P_PIDFD, self._pidfd, flags)
-            if result is None:
+            # The zombie stays and with it the number of its group, see signal_group.
+            ended = self._parent.ended(self.pid)
+            if ended is None:
                 return  # not yet: the pidfd stays readable and calls again
-            self._exit = Exit.of(result)
+            self._exit = ended
         except ChildProcessError:
             self._exit = Exit.lost()
         self._loop.remove_reader(self._pidfd)
@@ -222,7 +224,7 @@ class Child:
     def _reap(self) -> None:
         pidfd, self._pidfd = self._pidfd, -1
         try:
-            os.waitid(os.P_PIDFD, pidfd, os.WEXITED | os.WNOHANG)
+            self._parent.reap(self.pid)
         except ChildProcessError:
             pass  # somebody else did, see Exit.lost
         finally:
@@ -237,32 +239,33 @@ def spawn(
     argv: Sequence[str],
     *,
     env: Mapping[str, str],
-    guard: Path | None,
+    guard: SessionGuard | Path | None,
     cwd: Path | None = None,
     pass_fds: Sequence[int] = (),
     on_output: OutputCallback | None = None,
+    leaves_by_itself: bool = False,
 ) -> Child:
     """Start a program in a session of its own; about a millisecond, on the loop's thread.
 
     Args:
         argv: The command line; the program is looked up in the PATH of `env`.
         env: The whole environment.
-        guard: The program `spawn_guard`, which makes the kernel kill the child when the thread
-            that called this ends (PR_SET_PDEATHSIG). Call from the main thread therefore. None
-            starts the program without it.
-        cwd: Its working directory.
+        guard: Who sees to it that the child does not outlive us. A `SessionGuard` becomes its
+            parent, and ends it with everything that came of it. The program `spawn_guard` makes
+            the kernel kill the child alone when the thread that called this ends
+            (PR_SET_PDEATHSIG). None starts it without that.
+        cwd: Its working directory; not with a `SessionGuard`.
         pass_fds: Descriptors that it inherits under the same numbers. All others are closed.
         on_output: Gets its lines; None sends its output to /dev/null.
+        leaves_by_itself: Whether it ends by itself when we are gone, see `SessionGuard.spawn`.
 
     Raises:
         SpawnError: When it cannot be started: no such program, not executable, too many open
             files. What fails after the guard has taken over appears as exit status 126 or 127.
     """
     _check_program(argv, env, cwd)
-    command = list(argv)
-    if guard is not None:
-        command = [os.fspath(guard), str(os.getpid()), "--", *argv]
     _keep_exit_statuses()
+    parent: Parent = guard if isinstance(guard, SessionGuard) else Ourselves()
     with ExitStack() as opened:
         try:
             pipes: dict[Stream, tuple[int, int]] = {}
@@ -271,36 +274,35 @@ def spawn(
                     pipes[stream] = ends = os.pipe()
                     for end in ends:
                         opened.callback(_close_if_open, end)
-            # Popen forks with vfork(), which costs the same however large we are.
-            process = subprocess.Popen(
-                command,
-                env=dict(env),
-                cwd=cwd,
-                stdin=subprocess.DEVNULL,
-                stdout=pipes[Stream.STDOUT][1] if pipes else subprocess.DEVNULL,
-                stderr=pipes[Stream.STDERR][1] if pipes else subprocess.DEVNULL,
-                start_new_session=True,
-                close_fds=True,
-                pass_fds=tuple(pass_fds),
-            )
+            nothing = os.open(os.devnull, os.O_RDWR | os.O_CLOEXEC)
+            opened.callback(_close_if_open, nothing)
+            standard = [nothing, nothing, nothing]
+            if pipes:
+                standard[1:] = pipes[Stream.STDOUT][1], pipes[Stream.STDERR][1]
+            if isinstance(guard, SessionGuard):
+                descriptors = {**dict(enumerate(standard)), **{fd: fd for fd in pass_fds}}
+                pid = guard.spawn(argv, env, descriptors, leaves_by_itself=leaves_by_itself)
+            else:
+                pid = _fork(
+                    argv, env=env, guard=guard, cwd=cwd, standard=standard, pass_fds=pass_fds
+                )
         except OSError as error:
             raise SpawnError.of(argv, error) from None
         except ValueError as error:  # a NUL byte in an argument
             raise SpawnError(argv, str(error)) from None
         try:
-            pidfd = os.pidfd_open(process.pid)
+            pidfd = os.pidfd_open(pid)
             opened.callback(os.close, pidfd)
             # Not waited for, so /proc shows it even if it has ended already.
-            identity = read_stat(process.pid).identity
+            identity = read_stat(pid).identity
         except OSError as error:
-            process.kill()
-            process.wait()
+            os.kill(pid, signal.SIGKILL)
+            if not isinstance(guard, SessionGuard):
+                os.waitpid(pid, 0)
             raise SpawnError.of(argv, error) from None
-        # From here on the pidfd alone is waited for. A Popen without a return code would wait
-        # for the bare pid when it is collected.
-        process.returncode = 0
         for _, write_end in pipes.values():
             os.close(write_end)
+        os.close(nothing)
         opened.pop_all()
     return Child(
         argv,
@@ -309,7 +311,38 @@ def spawn(
         [_reader(read_end, stream, on_output) for stream, (read_end, _) in pipes.items()]
         if on_output is not None
         else [],
+        parent,
     )
+
+
+def _fork(
+    argv: Sequence[str],
+    *,
+    env: Mapping[str, str],
+    guard: Path | None,
+    cwd: Path | None,
+    standard: Sequence[int],
+    pass_fds: Sequence[int],
+) -> int:
+    command = list(argv)
+    if guard is not None:
+        command = [os.fspath(guard), str(os.getpid()), "--", *argv]
+    # Popen forks with vfork(), which costs the same however large we are.
+    process = subprocess.Popen(
+        command,
+        env=dict(env),
+        cwd=cwd,
+        stdin=standard[0],
+        stdout=standard[1],
+        stderr=standard[2],
+        start_new_session=True,
+        close_fds=True,
+        pass_fds=tuple(pass_fds),
+    )
+    # The pidfd alone is waited for. A Popen without a return code would wait for the bare pid
+    # when it is collected.
+    process.returncode = 0
+    return process.pid
 
 
 def _reader(descriptor: int, stream: Stream, on_output: OutputCallback) -> LineReader:

@@ -26,11 +26,11 @@ class Exit:
         return self.code == 0 and self.signal == 0
 
     @classmethod
-    def of(cls, result: os.waitid_result) -> Exit:
+    def of(cls, si_code: int, si_status: int) -> Exit:
         """Translate what waitid(2) reported."""
-        if result.si_code == os.CLD_EXITED:
-            return cls(code=result.si_status)
-        return cls(signal=result.si_status, core_dumped=result.si_code == os.CLD_DUMPED)
+        if si_code == os.CLD_EXITED:
+            return cls(code=si_status)
+        return cls(signal=si_status, core_dumped=si_code == os.CLD_DUMPED)
 
     @classmethod
     def lost(cls) -> Exit:

@@ -15,6 +15,9 @@ def _loop_is_never_blocked() -> Iterator[None]:
         # Popen waits for the exec of its vforked child, and a program is looked for in folders:
         # neither can wait for anything but the file system.
         blockbuster.functions["os.read"].can_block_in("subprocess.py", "_execute_child")
+        # The guard of the session answers as fast as a fork; what it gets is a file in memory.
+        blockbuster.functions["socket.socket.recv"].can_block_in("process/guard.py", "_ask")
+        blockbuster.functions["io.BufferedWriter.write"].can_block_in("process/guard.py", "_file")
         for name in ("os.stat", "os.access"):
             blockbuster.functions[name].can_block_in("process/child.py", "_check_program")
             blockbuster.functions[name].can_block_in("native/argv.py", "find_executable")

@@ -9,6 +9,7 @@ import pytest
 from blockbuster import blockbuster_ctx
 
 from play_launch.native.locate import spawn_guard
+from play_launch.process.guard import SessionGuard
 from tests.process.programs import open_descriptors
 
 if TYPE_CHECKING:
@@ -27,6 +28,9 @@ def _loop_is_never_blocked() -> Iterator[None]:
         # Popen waits for the exec of its vforked child, and spawn looks for the program: neither
         # can wait for anything but the file system.
         blockbuster.functions["os.read"].can_block_in("subprocess.py", "_execute_child")
+        # The guard of the session answers as fast as a fork; what it gets is a file in memory.
+        blockbuster.functions["socket.socket.recv"].can_block_in("process/guard.py", "_ask")
+        blockbuster.functions["io.BufferedWriter.write"].can_block_in("process/guard.py", "_file")
         for name in ("os.stat", "os.access"):
             blockbuster.functions[name].can_block_in("process/child.py", "_check_program")
         yield
@@ -52,3 +56,10 @@ def _no_child_outlives_a_test() -> Iterator[None]:
 @pytest.fixture(scope="session")
 def guard() -> Path:
     return spawn_guard()
+
+
+@pytest.fixture
+def session(guard: Path) -> Iterator[SessionGuard]:
+    guarding = SessionGuard.start(guard)
+    yield guarding
+    guarding.close()

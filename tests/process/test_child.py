@@ -16,6 +16,7 @@ import pytest
 from play_launch.core.events import Stream
 from play_launch.process.child import OUTPUT_GRACE, Child, SpawnError, spawn
 from play_launch.process.exit import Exit
+from play_launch.process.guard import SessionGuard
 from play_launch.process.identity import read_stat
 from tests.process.programs import (
     READY_THEN_SLEEP,
@@ -29,7 +30,9 @@ from tests.process.programs import (
 pytestmark = pytest.mark.anyio
 
 
-def start(argv: list[str], guard: Path | None, output: Output | None = None) -> Child:
+def start(
+    argv: list[str], guard: SessionGuard | Path | None, output: Output | None = None
+) -> Child:
     return spawn(argv, env=environment(), guard=guard, on_output=output)
 
 
@@ -40,12 +43,19 @@ async def finished(child: Child) -> Exit:
     return end
 
 
-@pytest.fixture(params=["guarded", "bare"])
-def either(request: pytest.FixtureRequest, guard: Path) -> Path | None:
-    return guard if request.param == "guarded" else None
+@pytest.fixture(params=["session", "guarded", "bare"])
+def either(
+    request: pytest.FixtureRequest, guard: Path, session: SessionGuard
+) -> SessionGuard | Path | None:
+    guards: dict[str, SessionGuard | Path | None] = {
+        "session": session,
+        "guarded": guard,
+        "bare": None,
+    }
+    return guards[str(request.param)]
 
 
-async def test_an_exit_status_is_told(either: Path | None) -> None:
+async def test_an_exit_status_is_told(either: SessionGuard | Path | None) -> None:
     child = start(shell("exit 7"), either)
     assert child.is_running
     assert await child.wait() == Exit(code=7)
@@ -55,18 +65,18 @@ async def test_an_exit_status_is_told(either: Path | None) -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGSEGV, signal.SIGKILL, signal.SIGTERM])
-async def test_a_signal_is_told(either: Path | None, number: signal.Signals) -> None:
+async def test_a_signal_is_told(either: SessionGuard | Path | None, number: signal.Signals) -> None:
     child = start(python(f"import os; os.kill(os.getpid(), {number.value})"), either)
     end = await finished(child)
     assert (end.code, end.signal) == (0, number)
 
 
-async def test_a_child_has_its_own_session_and_identity(either: Path | None) -> None:
+async def test_a_child_has_its_own_session_and_identity(either: SessionGuard | Path | None) -> None:
     child = start(shell("exec sleep 600"), either)
     stat = read_stat(child.pid)
     assert stat.session == stat.group == child.pid
     assert stat.start_time == child.start_time
-    assert stat.parent == os.getpid()
+    assert stat.parent == (either.pid if isinstance(either, SessionGuard) else os.getpid())
     assert child.send_signal(signal.SIGTERM)
     assert await finished(child) == Exit(signal=signal.SIGTERM)
     # From here on the number may be anybody's.
@@ -76,7 +86,7 @@ async def test_a_child_has_its_own_session_and_identity(either: Path | None) -> 
 
 
 async def test_a_child_gets_its_environment_and_directory_and_nothing_else(
-    either: Path | None, tmp_path: Path
+    either: SessionGuard | Path | None, tmp_path: Path
 ) -> None:
     read_end, write_end = os.pipe()
     inheritable, other = os.pipe()
@@ -93,14 +103,14 @@ async def test_a_child_gets_its_environment_and_directory_and_nothing_else(
         python(code),
         env={"COLOUR": "red", "LC_CTYPE": "C.UTF-8"},
         guard=either,
-        cwd=tmp_path,
+        cwd=None if isinstance(either, SessionGuard) else tmp_path,
         pass_fds=[write_end],
         on_output=output,
     )
     assert (await finished(child)).ok, output.texts(Stream.STDERR)
     assert os.read(read_end, 10) == b"hello"
     lines = dict(text.split(" ", 1) for text in output.texts())
-    assert lines["cwd"] == str(tmp_path)
+    assert lines["cwd"] == str(Path.cwd() if isinstance(either, SessionGuard) else tmp_path)
     assert lines["env"] == "red 2"
     assert lines["stdin"] == "/dev/null"
     # 3 is the directory it lists.
@@ -169,7 +179,7 @@ async def test_no_thread_per_child_and_nothing_left_of_many(guard: Path) -> None
     gc.collect()  # a Popen that thinks it has to wait would complain here
 
 
-async def test_grandchildren_die_with_their_parent(either: Path | None) -> None:
+async def test_grandchildren_die_with_their_parent(either: SessionGuard | Path | None) -> None:
     output = Output()
     # Two in its group, one in a group of its own (a job of an interactive shell).
     script = (
@@ -216,7 +226,7 @@ async def test_an_escaped_grandchild_does_not_hold_up_the_end(
     ],
 )
 async def test_what_cannot_start_is_said(
-    either: Path | None, argv: list[str], errno: int, text: str
+    either: SessionGuard | Path | None, argv: list[str], errno: int, text: str
 ) -> None:
     with pytest.raises(SpawnError) as caught:
         start(argv, either, Output())

@@ -107,6 +107,11 @@ def replaying(
 
 def alive(processes: list[psutil.Process]) -> list[psutil.Process]:
     """Those that still run; identity is pid and start time, so a reused pid does not count."""
-    return [
-        each for each in processes if each.is_running() and each.status() != psutil.STATUS_ZOMBIE
-    ]
+    return [each for each in processes if _is_alive(each)]
+
+
+def _is_alive(process: psutil.Process) -> bool:
+    try:
+        return bool(process.is_running() and process.status() != psutil.STATUS_ZOMBIE)
+    except psutil.NoSuchProcess:
+        return False

@@ -1,0 +1,99 @@
+#include "spawn_guard/descendants.hpp"
+
+#include <dirent.h>
+#include <fcntl.h>
+#include <signal.h>
+#include <unistd.h>
+
+#include <array>
+#include <cstdio>
+#include <cstdlib>
+#include <cstring>
+#include <map>
+#include <memory>
+#include <string>
+
+#include "base/unique_fd.hpp"
+
+namespace play_launch::guard {
+
+namespace {
+
+struct Process {
+  pid_t parent;
+  bool is_alive;
+};
+
+/// The state and the parent of a process; parent 0 when it is gone.
+Process read_process(const char* pid) {
+  const std::string path = std::string("/proc/") + pid + "/stat";
+  const UniqueFd file(::open(path.c_str(), O_RDONLY | O_CLOEXEC));
+  std::array<char, 512> text{};
+  const ssize_t size = file ? ::read(file.get(), text.data(), text.size() - 1) : -1;
+  // The command, in parentheses, may itself hold parentheses and spaces.
+  const char* end = size > 0 ? std::strrchr(text.data(), ')') : nullptr;
+  char state = 0;
+  int parent = 0;
+  if (end == nullptr || std::sscanf(end + 1, " %c %d", &state, &parent) != 2) {
+    return {0, false};
+  }
+  return {parent, state != 'Z' && state != 'X'};
+}
+
+std::map<pid_t, Process> all_processes() {
+  std::map<pid_t, Process> found;
+  const std::unique_ptr<DIR, int (*)(DIR*)> folder(::opendir("/proc"), ::closedir);
+  while (const dirent* entry = folder ? ::readdir(folder.get()) : nullptr) {
+    const int pid = std::atoi(entry->d_name);
+    if (pid > 0) {
+      const Process process = read_process(entry->d_name);
+      if (process.parent > 0) {
+        found.emplace(pid, process);
+      }
+    }
+  }
+  return found;
+}
+
+}  // namespace
+
+std::vector<pid_t> living_descendants(const std::set<pid_t>& spared) {
+  const std::map<pid_t, Process> processes = all_processes();
+  const pid_t ours = ::getpid();
+  std::vector<pid_t> found;
+  for (const auto& [pid, process] : processes) {
+    pid_t at = pid;
+    // Read one after the other, so pids that were reused meanwhile may form a circle.
+    for (std::size_t step = 0; step <= processes.size(); ++step) {
+      const auto here = processes.find(at);
+      if (here == processes.end() || here->second.parent == ours) {
+        if (here != processes.end() && !spared.contains(at) && process.is_alive) {
+          found.push_back(pid);
+        }
+        break;
+      }
+      at = here->second.parent;
+    }
+  }
+  return found;
+}
+
+std::vector<pid_t> zombie_children() {
+  std::vector<pid_t> found;
+  for (const auto& [pid, process] : all_processes()) {
+    if (process.parent == ::getpid() && !process.is_alive) {
+      found.push_back(pid);
+    }
+  }
+  return found;
+}
+
+void kill_descendants(const std::set<pid_t>& spared) {
+  // A pid that is found here belongs to a process that nobody but its parent can wait for, and
+  // parents are killed in the same breath: within it, it is given to nobody else.
+  for (const pid_t pid : living_descendants(spared)) {
+    ::kill(pid, SIGKILL);
+  }
+}
+
+}  // namespace play_launch::guard

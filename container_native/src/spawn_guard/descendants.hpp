@@ -1,0 +1,22 @@
+#pragma once
+
+#include <sys/types.h>
+
+#include <set>
+#include <vector>
+
+namespace play_launch::guard {
+
+/// What is below this process, at any depth, and lives.
+///
+/// Complete because this process is a subreaper: whatever of it is orphaned becomes its child.
+/// Children in `spared` and what is below them are left out.
+std::vector<pid_t> living_descendants(const std::set<pid_t>& spared);
+
+/// The children of this process that have ended and were not waited for.
+std::vector<pid_t> zombie_children();
+
+/// Sends SIGKILL to what is below this process, but for `spared` and what is below those.
+void kill_descendants(const std::set<pid_t>& spared);
+
+}  // namespace play_launch::guard

@@ -1,0 +1,25 @@
+#pragma once
+
+namespace play_launch::guard {
+
+/// Serves one supervisor until its end of the socket closes, then leaves nothing behind.
+///
+/// This process is the parent of everything that the supervisor starts, and the subreaper of all
+/// that comes of it: a process that forks twice, calls setsid(2) or forbids its death with its
+/// parent becomes its child at last. So it outlives a supervisor that is killed, finds all of it,
+/// and kills it. Containers get `kGrace` first, as they leave by themselves when their channel
+/// ends.
+///
+/// The socket is a SOCK_SEQPACKET; each request has one answer, both native-endian 32-bit integers:
+///   spawn   {1, leaves by itself, number n of descriptors, their numbers in the child}, with the
+///           descriptors: a file with the command and the environment, then those n.
+///           -> {pid, or -errno}
+///   status  {2, pid} -> {1: ended, 0: runs, or -errno; code, status as in siginfo_t}
+///   reap    {3, pid} -> the same, and the zombie is gone
+/// The file holds two 32-bit counts, then the arguments, then NAME=VALUE, each with a NUL at its
+/// end.
+///
+/// Returns the exit status.
+int guard_session(int socket);
+
+}  // namespace play_launch::guard

@@ -1,0 +1,175 @@
+"""The process that outlives the supervisor and ends what it started: ``spawn_guard --session``.
+
+The protocol is described in ``container_native/src/spawn_guard/session.hpp``. Every request is
+answered within a millisecond, like a fork of our own, so it may be made on the loop's thread.
+"""
+
+from __future__ import annotations
+
+import array
+import os
+import socket
+import struct
+import subprocess
+from contextlib import ExitStack, suppress
+from typing import TYPE_CHECKING, BinaryIO, Final, Protocol, Self
+
+from play_launch.process.exit import Exit
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+_SPAWN: Final = 1
+_STATUS: Final = 2
+_REAP: Final = 3
+_ANSWER: Final = struct.Struct("=3i")
+_ANSWER_LIMIT: Final = 10.0
+"""Seconds after which a guard that does not answer counts as dead."""
+_END_LIMIT: Final = 5.0
+"""Seconds in which it ends everything; uninterruptible processes may take longer."""
+
+
+class Parent(Protocol):
+    """Who can wait for a process."""
+
+    def ended(self, pid: int) -> Exit | None:
+        """Say how it ended and leave it a zombie; None while it runs.
+
+        Raises:
+            ChildProcessError: When nobody can say any more.
+        """
+
+    def reap(self, pid: int) -> None:
+        """Let its pid go; raises ChildProcessError as well."""
+
+
+class Ourselves:
+    """The parent of what this process has forked."""
+
+    def ended(self, pid: int) -> Exit | None:
+        """See `Parent`."""
+        # WNOWAIT: the zombie stays, and with it its pid and the number of its group.
+        result = os.waitid(os.P_PID, pid, os.WEXITED | os.WNOHANG | os.WNOWAIT)
+        return None if result is None else Exit.of(result.si_code, result.si_status)
+
+    def reap(self, pid: int) -> None:
+        """See `Parent`."""
+        os.waitid(os.P_PID, pid, os.WEXITED | os.WNOHANG)
+
+
+class SessionGuard:
+    """The parent of everything that a session starts, in a process of its own.
+
+    When our end of the socket closes, also because we were killed, it kills whatever came of what
+    it has started, and ends. Belongs to one thread.
+    """
+
+    def __init__(self, ours: socket.socket, process: subprocess.Popen[bytes]) -> None:
+        self._socket = ours
+        self._process = process
+
+    @classmethod
+    def start(cls, program: Path) -> Self:
+        """Start it; raises OSError."""
+        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        with ExitStack() as on_failure, theirs:
+            on_failure.callback(ours.close)
+            ours.settimeout(_ANSWER_LIMIT)
+            number = theirs.fileno()
+            process = subprocess.Popen(
+                [program, "--session", str(number)],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                pass_fds=(number,),
+                # What is sent to our group or our terminal is not meant for it.
+                start_new_session=True,
+            )
+            on_failure.pop_all()
+        return cls(ours, process)
+
+    @property
+    def pid(self) -> int:
+        """Its pid."""
+        return self._process.pid
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether it still runs."""
+        return self._process.poll() is None
+
+    def spawn(
+        self,
+        argv: Sequence[str],
+        env: Mapping[str, str],
+        descriptors: Mapping[int, int],
+        *,
+        leaves_by_itself: bool,
+    ) -> int:
+        """Start a command in a session of its own; returns its pid.
+
+        Args:
+            argv: The command line.
+            env: The whole environment; its PATH is searched.
+            descriptors: What it gets, by the number it has there; 0, 1 and 2 among them.
+            leaves_by_itself: Whether it ends by itself, within 0.7 s, when we are gone.
+
+        Raises:
+            OSError: When it cannot be started.
+            ValueError: When a NUL is in what it should get.
+        """
+        variables = [f"{name}={value}" for name, value in env.items()]
+        texts = [os.fsencode(text) for text in (*argv, *variables)]
+        if any(b"\0" in text for text in texts):
+            msg = "embedded null byte"
+            raise ValueError(msg)
+        content = struct.pack("=2I", len(argv), len(variables)) + b"".join(t + b"\0" for t in texts)
+        request = struct.pack(
+            f"={3 + len(descriptors)}i", _SPAWN, leaves_by_itself, len(descriptors), *descriptors
+        )
+        with _file(content) as command:
+            pid, *_ = self._ask(request, (command.fileno(), *descriptors.values()))
+        if pid < 0:
+            raise OSError(-pid, os.strerror(-pid))
+        return pid
+
+    def ended(self, pid: int) -> Exit | None:
+        """See `Parent`."""
+        return self._wait(_STATUS, pid)
+
+    def reap(self, pid: int) -> None:
+        """See `Parent`."""
+        self._wait(_REAP, pid)
+
+    def close(self) -> None:
+        """Have everything ended that is left, and wait for that; blocks."""
+        self._socket.close()
+        with suppress(subprocess.TimeoutExpired):
+            self._process.wait(_END_LIMIT)
+
+    def _wait(self, request: int, pid: int) -> Exit | None:
+        try:
+            result, code, status = self._ask(struct.pack("=2i", request, pid))
+        except OSError as error:
+            raise ChildProcessError(*error.args) from None
+        if result < 0:
+            raise ChildProcessError(-result, os.strerror(-result))
+        return Exit.of(code, status) if result else None
+
+    def _ask(self, request: bytes, descriptors: Sequence[int] = ()) -> tuple[int, int, int]:
+        rights = (socket.SOL_SOCKET, socket.SCM_RIGHTS, array.array("i", descriptors))
+        self._socket.sendmsg([request], [rights] if descriptors else [])
+        answer = self._socket.recv(_ANSWER.size)
+        if len(answer) != _ANSWER.size:
+            raise ConnectionResetError(104, "the guard of the session is gone")
+        result, code, status = _ANSWER.unpack(answer)
+        return result, code, status
+
+
+def _file(content: bytes) -> BinaryIO:
+    """Put bytes into a file in memory: a message of the socket would have a limit."""
+    file = open(os.memfd_create("command", os.MFD_CLOEXEC), "wb")  # noqa: PTH123, SIM115
+    file.write(content)
+    file.flush()
+    return file

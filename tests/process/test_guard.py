@@ -1,0 +1,191 @@
+"""The guard of a session ends everything that came of it, whatever it did to get away."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import select
+import signal
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import psutil
+import pytest
+
+from play_launch.process.child import SpawnError, spawn
+from play_launch.process.exit import Exit
+from play_launch.process.guard import SessionGuard
+from tests.process.programs import Output, environment, python, shell
+from tests.support.replay import alive
+
+# Each prints the pids of what it leaves, then "ready".
+ESCAPES = {
+    "a shell with jobs": """
+        import subprocess
+        for _ in range(3):
+            print(subprocess.Popen(["sleep", "600"]).pid)
+    """,
+    "setsid": """
+        import subprocess
+        print(subprocess.Popen(["setsid", "sleep", "600"]).pid)
+    """,
+    "a fork without exec": """
+        import time
+        if (pid := os.fork()) == 0:
+            time.sleep(600)
+        print(pid)
+    """,
+    "a daemon without environment": """
+        import time
+        read, write = os.pipe()
+        if os.fork() == 0:
+            os.setsid()
+            if os.fork() == 0:
+                os.write(write, b"%d\\n" % os.getpid())
+                os.close(1); os.close(2)
+                os.execve("/bin/sleep", ["sleep", "600"], {})
+            os._exit(0)
+        print(os.read(read, 20).decode().strip())
+    """,
+    "no death with its parent": """
+        import ctypes
+        ctypes.CDLL(None).prctl(1, 0, 0, 0, 0)
+        for number in range(1, 32):
+            if number not in (9, 19):
+                signal.signal(number, signal.SIG_IGN)
+        print(os.getpid())
+    """,
+}
+
+
+def escaping(how: str) -> list[str]:
+    code = textwrap.dedent(ESCAPES[how])
+    ready = "print('ready', flush=True)\nimport time\ntime.sleep(600)"
+    return python(f"import os, signal\n{code}\n{ready}")
+
+
+async def escaped(guard: SessionGuard, how: str) -> list[psutil.Process]:
+    output = Output()
+    spawn(escaping(how), env=environment(), guard=guard, on_output=output)
+    async with asyncio.timeout(20):
+        await output.wait_line("ready")
+    return [psutil.Process(int(text)) for text in output.texts() if text.isdecimal()]
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize("how", ESCAPES)
+async def test_closing_it_leaves_nothing(guard: Path, how: str) -> None:
+    session = SessionGuard.start(guard)
+    left = await escaped(session, how)
+    assert left
+    await asyncio.to_thread(session.close)
+    assert not any(each.is_running() for each in left)
+    assert not session.is_alive
+
+
+SUPERVISOR = """
+import asyncio, sys
+from pathlib import Path
+from play_launch.process.child import spawn
+from play_launch.process.guard import SessionGuard
+from tests.process import test_guard
+
+async def main():
+    guard = SessionGuard.start(Path(sys.argv[1]))
+    for how in test_guard.ESCAPES:
+        for process in await test_guard.escaped(guard, how):
+            print(process.pid)
+    print("ready", flush=True)
+    await asyncio.sleep(600)
+
+asyncio.run(main())
+"""
+
+
+def test_nothing_outlives_a_supervisor_that_is_killed_by_a_second(guard: Path) -> None:
+    supervisor = subprocess.Popen(
+        [sys.executable, "-c", SUPERVISOR, guard], stdout=subprocess.PIPE, text=True
+    )
+    assert supervisor.stdout is not None
+    lines = [line.strip() for line in iter(supervisor.stdout.readline, "ready\n")]
+    left = [psutil.Process(int(line)) for line in lines]
+    left += psutil.Process(supervisor.pid).children(recursive=True)
+    supervisor.kill()
+    supervisor.wait()
+    psutil.wait_procs(left, timeout=1.0)
+    left = alive(left)
+    for each in left:
+        each.kill()
+    supervisor.stdout.close()
+    assert not left
+
+
+@pytest.mark.anyio
+async def test_who_leaves_by_itself_has_time_for_that(guard: Path, tmp_path: Path) -> None:
+    session = SessionGuard.start(guard)
+    mark = tmp_path / "left"
+    read_end, write_end = os.pipe()
+    leaver = spawn(
+        python(f"import os, time; os.read({read_end}, 1); time.sleep(0.1); open('{mark}', 'w')"),
+        env=environment(),
+        guard=session,
+        pass_fds=[read_end],
+        leaves_by_itself=True,
+    )
+    stubborn = spawn(shell("sleep 600"), env=environment(), guard=session, leaves_by_itself=True)
+    os.close(read_end)
+    os.close(write_end)
+    await asyncio.to_thread(session.close)
+    assert mark.exists()
+    assert not psutil.pid_exists(stubborn.pid)
+    async with asyncio.timeout(5):
+        assert (await leaver.gone()).is_lost, "nobody is there to ask"
+        await stubborn.gone()
+
+
+@pytest.mark.anyio
+async def test_orphans_do_not_stay_as_zombies(session: SessionGuard) -> None:
+    output = Output()
+    child = spawn(
+        shell("(sleep 0.05 & echo $!); echo ready; exec sleep 600"),
+        env=environment(),
+        guard=session,
+        on_output=output,
+    )
+    await output.wait_line("ready")
+    orphan = int(output.texts()[0])
+    pidfd = os.pidfd_open(orphan)
+    await asyncio.to_thread(select.select, [pidfd], [], [], 10)
+    os.close(pidfd)
+    while psutil.pid_exists(orphan):
+        await asyncio.sleep(0.01)
+    child.send_signal(signal.SIGKILL)
+    assert await child.gone() == Exit(signal=9)
+
+
+@pytest.mark.anyio
+async def test_a_guard_that_was_killed_takes_its_children_along_and_says_so(guard: Path) -> None:
+    session = SessionGuard.start(guard)
+    child = spawn(shell("sleep 600"), env=environment(), guard=session)
+    os.kill(session.pid, signal.SIGKILL)
+    async with asyncio.timeout(5):
+        assert (await child.gone()).is_lost
+    assert not session.is_alive
+    with pytest.raises(SpawnError):
+        spawn(shell("sleep 600"), env=environment(), guard=session)
+    session.close()
+
+
+@pytest.mark.anyio
+async def test_what_does_not_fit_is_refused(session: SessionGuard) -> None:
+    with pytest.raises(SpawnError, match="null byte"):
+        spawn(["sh", "-c", "exit\0 3"], env=environment(), guard=session)
+    large = {**environment(), "LARGE": "x" * 100_000, "EMPTY": "", "LINES": "a\nb=c"}
+    output = Output()
+    child = spawn(
+        shell('echo "${#LARGE}-$EMPTY-$LINES"'), env=large, guard=session, on_output=output
+    )
+    assert await child.gone() == Exit()
+    assert output.texts() == ["100000--a", "b=c"]
