@@ -20,6 +20,7 @@ LONGEST_BODY: Final = 32 * 1024
 
 _END_OF_HEAD: Final = re.compile(rb"\r?\n\r?\n")
 _REQUEST_LINE: Final = re.compile(rb"([!-~]+) ([!-~]+) HTTP/(1\.[01])")
+_OUR_HOST: Final = re.compile(rb"(?:127\.0\.0\.1|localhost|\[::1\])(?::[0-9]{1,5})?", re.IGNORECASE)
 _LENGTH: Final = re.compile(rb"[0-9]{1,18}")
 
 
@@ -146,9 +147,14 @@ def _parse_head(text: bytes) -> _Head | Rejection:
             return Rejection(400, "Bad Request")
         name = name.lower()
         # Two lengths in one request have been the way into many servers.
-        if name == b"content-length" and headers.get(name, value.strip()) != value.strip():
+        value = value.strip()
+        if name in {b"content-length", b"host"} and headers.get(name, value) != value:
             return Rejection(400, "Bad Request")
-        headers[name] = value.strip()
+        headers[name] = value
+    # Only browsers send an origin: a page of the web may not ask, and not shut the daemon down.
+    # Nor may one whose name was made to point to this machine.
+    if b"origin" in headers or not _OUR_HOST.fullmatch(headers.get(b"host", b"localhost")):
+        return Rejection(403, "Forbidden")
     if method != b"POST":
         return Rejection(501, "Unsupported method")
     if path != PATH.encode("ascii"):

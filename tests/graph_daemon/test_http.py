@@ -151,3 +151,34 @@ def test_a_packed_body_that_is_broken_or_too_large_is_rejected(packed: bytes) ->
 def test_a_response_tells_its_length_and_whether_it_is_the_last() -> None:
     assert response(b"body", keep_alive=True).endswith(b"Content-Length: 4\r\n\r\nbody")
     assert b"\r\nConnection: close\r\n\r\n" in response(b"body", keep_alive=False)
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [
+        [b"Origin: http://example.org"],
+        [b"Origin: null"],
+        [b"Host: 127.0.0.1:11511", b"Origin: http://127.0.0.1:11511"],
+        [b"Host: example.org"],
+        [b"Host: 127.0.0.1.example.org:11511"],
+        [b"Host: 192.168.1.2:11511"],
+        [b"Host: "],
+    ],
+)
+def test_what_a_page_of_the_web_sends_is_forbidden(headers: list[bytes]) -> None:
+    (found,) = results(request(b"<x/>", *headers), [])
+    assert isinstance(found, Rejection)
+    assert found.status == 403
+
+
+def test_two_hosts_are_no_request() -> None:
+    (found,) = results(request(b"<x/>", b"Host: localhost", b"Host: example.org"), [])
+    assert isinstance(found, Rejection)
+    assert found.status == 400
+
+
+@pytest.mark.parametrize(
+    "host", [b"127.0.0.1:11511", b"localhost:11511", b"LOCALHOST", b"[::1]:11511", b"127.0.0.1"]
+)
+def test_this_machine_s_names_are_served(host: bytes) -> None:
+    assert results(request(b"<x/>", b"Host: " + host), []) == [Request(b"<x/>", keep_alive=True)]

@@ -106,6 +106,20 @@ def test_other_methods_of_http_are_refused(daemon: DaemonAddress) -> None:
     connection.close()
 
 
+@pytest.mark.parametrize(
+    "header", [("Origin", "http://example.org"), ("Host", "example.org:11511")]
+)
+def test_a_page_of_the_web_cannot_shut_it_down(
+    daemon: DaemonAddress, header: tuple[str, str]
+) -> None:
+    connection = http.client.HTTPConnection(daemon.host, daemon.port, timeout=60)
+    body = request_body("system.shutdown", [])
+    connection.request("POST", daemon.path, body, dict([header]))
+    assert connection.getresponse().status == 403
+    connection.close()
+    assert post(daemon, request_body("get_namespace", []))[0] == 200
+
+
 def test_one_connection_serves_many_calls(daemon: DaemonAddress) -> None:
     connection = http.client.HTTPConnection(daemon.host, daemon.port, timeout=60)
     ports = set()
