@@ -25,6 +25,7 @@ from play_launch.graph_daemon.methods import GRAPH_METHODS, SHUTDOWN_METHOD, STA
 from play_launch.graph_daemon.port import PortBusyError, listen_within
 from play_launch.graph_daemon.settings import differences
 from play_launch.graph_daemon.sockets import Holder, age_of, holder_of
+from play_launch.process.identity import NoSuchProcessError, read_stat
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -37,6 +38,8 @@ one client after the other, so under load it takes a while."""
 STOP_LIMIT: Final = 10.0
 """Seconds until the port must be free after a daemon was asked to end; ros2cli's value."""
 _KILL_AFTER: Final = 2.0
+_STOPPED_AFTER: Final = 1.0
+"""Seconds without an answer after which it is looked whether the process is stopped."""
 
 
 class Kind(Enum):
@@ -136,7 +139,7 @@ def look(address: DaemonAddress, limit: float = PROBE_LIMIT) -> Occupant:
     """
     client = GraphClient(address, limit)
     try:
-        methods = client.call("system.listMethods")
+        methods = _methods(address, client)
     except NoDaemonError:
         return Occupant(Kind.NOBODY)
     except DaemonTimeoutError as error:
@@ -145,6 +148,9 @@ def look(address: DaemonAddress, limit: float = PROBE_LIMIT) -> Occupant:
             return Occupant(Kind.NOBODY)
         if not holder.is_daemon:
             return Occupant(Kind.FOREIGN, holder, problem=str(error))
+        if _is_stopped(holder):
+            problem = "its process is stopped, by SIGSTOP or a debugger"
+            return Occupant(Kind.HUNG, holder, problem=problem)
         if age_of(holder.pid) < START_LIMIT:
             # It may still be loading ROS.
             return look(address, limit)
@@ -166,6 +172,23 @@ def look(address: DaemonAddress, limit: float = PROBE_LIMIT) -> Occupant:
     except DaemonError as error:
         return Occupant(Kind.FOREIGN, holder, problem=str(error))
     return Occupant(Kind.OURS, holder, status if isinstance(status, dict) else {})
+
+
+def _methods(address: DaemonAddress, client: GraphClient) -> object:
+    """Ask for its methods; a daemon that is stopped is not waited for."""
+    try:
+        return GraphClient(address, _STOPPED_AFTER).call("system.listMethods")
+    except DaemonTimeoutError:
+        if _is_stopped(holder_of(address.port)):
+            raise
+    return client.call("system.listMethods")
+
+
+def _is_stopped(holder: Holder | None) -> bool:
+    try:
+        return holder is not None and holder.pid > 0 and read_stat(holder.pid).state in "Tt"
+    except NoSuchProcessError:
+        return False
 
 
 def end(address: DaemonAddress, occupant: Occupant, limit: float = STOP_LIMIT) -> None:

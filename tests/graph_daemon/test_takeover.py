@@ -9,6 +9,7 @@ import pytest
 
 from play_launch.graph_daemon import takeover
 from play_launch.graph_daemon.address import DaemonAddress
+from play_launch.graph_daemon.background import START_LIMIT
 from play_launch.graph_daemon.port import (
     PortBusyError,
     end_time_wait,
@@ -104,6 +105,20 @@ def test_a_hung_daemon_is_known_by_its_command_and_killed(address: DaemonAddress
         end(address, occupant)
         assert process.wait(60) == -signal.SIGTERM
         assert is_free(address)
+
+
+def test_a_stopped_daemon_is_named_without_waiting_for_it(
+    address: DaemonAddress, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(takeover, "START_LIMIT", START_LIMIT)
+    with occupied("stock", address.port, "--name", "ros2-daemon") as process:
+        process.send_signal(signal.SIGSTOP)
+        occupant = look(address)
+        assert occupant.kind is Kind.HUNG
+        assert "SIGSTOP" in occupant.problem
+        assert decide(occupant, {}).action is Action.KILL
+        end(address, occupant)
+        assert process.wait(60) == -signal.SIGKILL
 
 
 @pytest.mark.parametrize("kind", ["silent", "other"])
