@@ -42,7 +42,7 @@ def check(
             problems = [asdict(problem) for problem in error.problems]
             say(json.dumps({"valid": False, "problems": problems}, ensure_ascii=False))
         else:
-            tell(f"{config} cannot be used\n{error}")
+            tell(f"{config} cannot be used\n{error.for_people()}")
         raise typer.Exit(ExitCode.USAGE) from None
     if as_json:
         from play_launch.config.description import describe as describe_values  # noqa: PLC0415

@@ -79,7 +79,7 @@ def _load(path: Path, duration: str | None) -> ReplayConfig:
     try:
         loaded = load_config(path)
     except ConfigError as error:
-        fail(f"{path} cannot be used, nothing was started\n{error}")
+        fail(f"{path} cannot be used, nothing was started\n{error.for_people()}")
     return loaded if seconds is None else dataclasses.replace(loaded, duration=seconds)
 
 

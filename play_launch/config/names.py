@@ -15,6 +15,8 @@ from play_launch.config.problems import excerpt
 LONGEST_NODE_NAME: Final = 255
 LONGEST_NAMESPACE: Final = 245
 LONGEST_TOPIC: Final = 247
+LONGEST_FULL_NAME: Final = LONGEST_TOPIC - len("/set_parameters_atomically")
+"""Namespace and name together: the services of a node begin with them."""
 
 _UNUSUAL = re.compile(r"[^A-Za-z0-9_]")
 

@@ -4,7 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from play_launch.config.names import check_namespace, check_node_name, join_full_name
+from play_launch.config.names import (
+    LONGEST_FULL_NAME,
+    check_namespace,
+    check_node_name,
+    join_full_name,
+)
 from play_launch.config.yaml_scalars import ScalarKind
 from play_launch.config.yaml_tree import Mapping, Scalar
 
@@ -36,6 +41,12 @@ class NodeNames:
             full_name = join_full_name(check_namespace(namespace), check_node_name(name))
         except ValueError:
             return None
+        if len(full_name) > LONGEST_FULL_NAME:
+            message = (
+                f"namespace and name have {len(full_name)} characters; at most "
+                f"{LONGEST_FULL_NAME}, because the names of the node's services are longer"
+            )
+            self._report.add(name_node.place, f"{path}.name", message)
         first = self._places.setdefault(full_name, name_node.place)
         if first is not name_node.place:
             message = f"the name {full_name} is given twice, first at {first}"

@@ -56,6 +56,13 @@ class ConfigError(Exception):
     def __str__(self) -> str:
         return "\n".join(str(problem) for problem in self.problems)
 
+    def for_people(self, most: int = 50) -> str:
+        """Give the text of the first ``most`` problems, and how many more there are."""
+        lines = [str(problem) for problem in self.problems[:most]]
+        if left := len(self.problems) - len(lines):
+            lines.append(f"and {left:,} more; play-launch check --json lists them all")
+        return "\n".join(lines)
+
 
 def excerpt(text: str) -> str:
     """Quote `text` for a message: on one line, printable, and shortened when it is long."""

@@ -42,6 +42,21 @@ def _check_filled(text: str) -> str:
     return _check_text(text)
 
 
+def _check_command(command: list[str]) -> list[str]:
+    if not command[0].strip():
+        raise ValueError("the program, its first entry, cannot be empty")
+    return command
+
+
+def _check_executable(name: str) -> str:
+    _check_filled(name)
+    if "/" in name or name in {".", ".."}:
+        raise ValueError(
+            f"{excerpt(name)} is a path; give the name of a program of the package, without folders"
+        )
+    return name
+
+
 def _check_run_name(name: str) -> str:
     _check_filled(name)
     if "/" in name or name in {".", ".."} or not name.isprintable():
@@ -105,6 +120,8 @@ Duration = Annotated[float, BeforeValidator(parse_duration)]
 PositiveDuration = Annotated[float, BeforeValidator(parse_positive_duration)]
 Text = Annotated[str, AfterValidator(_check_text)]
 FilledText = Annotated[str, AfterValidator(_check_filled)]
+Executable = Annotated[str, AfterValidator(_check_executable)]
+Command = Annotated[list[Text], Field(min_length=1), AfterValidator(_check_command)]
 NodeName = Annotated[str, AfterValidator(check_node_name)]
 # An empty name is the component's own, as in ROS's launch API.
 OwnNodeName = Annotated[str, AfterValidator(lambda name: check_node_name(name) if name else name)]
@@ -224,7 +241,7 @@ class ContainerSection(Section):
     isolation: IsolationName | None = None
     core_dumps: bool | None = None
     package: Package | None = None
-    executable: FilledText | None = None
+    executable: Executable | None = None
     arguments: list[Text] | None = None
     attach: bool | None = None
     auto_reload_on_crash: bool | None = None
@@ -274,9 +291,11 @@ class ProcessSection(Section):
         "respawn_max_retries": "restart: {max_restarts: ...}",
     }
 
-    command: Annotated[list[Text], Field(min_length=1)] | None = None
+    command: Annotated[list[Text], Field(min_length=1), AfterValidator(_check_command)] | None = (
+        None
+    )
     package: Package | None = None
-    executable: FilledText | None = None
+    executable: Executable | None = None
     name: OwnNodeName | None = None
     namespace: Namespace | None = None
     parameters: Raw = None

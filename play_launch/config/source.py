@@ -17,6 +17,7 @@ LARGEST_FILE = 4 * 1024 * 1024
 """Bytes; keeps reading under a few seconds and is far more than any hand-written system."""
 
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
+_MCAP = b"\x89MCAP0\r\n"
 _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 _LINE_END = re.compile(r"\r\n|\r|\n")
 # What YAML calls not printable, and the byte order mark, which belongs at the very beginning.
@@ -77,6 +78,9 @@ def decode(content: bytes, file: str) -> str | Refused:
     """Turn the bytes of `file` into text that a YAML parser takes without complaint."""
     if content.startswith(_UTF16_MARKS):
         return Refused(Place(file, 1, 1), "is UTF-16; save it as UTF-8", inside=True)
+    if content.startswith(_MCAP):
+        message = "is an MCAP recording; give the YAML file that describes the system"
+        return Refused(Place(file, 1, 1), message, inside=True)
     content = content.removeprefix(_BYTE_ORDER_MARK)
     try:
         text = content.decode("utf-8")

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from typing import TYPE_CHECKING
@@ -12,6 +13,7 @@ from typer.testing import CliRunner
 from play_launch.cli import app as app_module
 from play_launch.cli.app import app, main
 from play_launch.native import locate
+from tests.support.replay import COMMAND
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -200,3 +202,25 @@ def test_a_reader_that_has_gone_is_no_error(good: Path, arguments: list[str]) ->
     finally:
         os.close(theirs)
     assert (result.returncode, result.stderr) == (0, "")
+
+
+@pytest.mark.parametrize("verb", ["check", "replay"])
+def test_thousands_of_mistakes_do_not_flood_the_screen(verb: str, tmp_path: Path) -> None:
+    config = tmp_path / "c.yaml"
+    config.write_text("version: 1\nnodes:\n" + "  - {comand: [x]}\n" * 3_000, encoding="utf-8")
+    done = subprocess.run(
+        [COMMAND, verb, config], check=False, capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 2
+    assert len(done.stderr) < 20_000
+    count = re.search(r"and ([\d,]+) more; play-launch check --json lists them all", done.stderr)
+    assert count is not None
+    every = subprocess.run(
+        [COMMAND, "check", "--json", config],
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    problems = json.loads(every.stdout)["problems"]
+    assert len(problems) == 50 + int(count[1].replace(",", ""))

@@ -20,7 +20,12 @@ from play_launch.config.model import (
     RestartLimits,
     StopLimits,
 )
-from play_launch.config.names import LONGEST_NAMESPACE, LONGEST_NODE_NAME, LONGEST_TOPIC
+from play_launch.config.names import (
+    LONGEST_FULL_NAME,
+    LONGEST_NAMESPACE,
+    LONGEST_NODE_NAME,
+    LONGEST_TOPIC,
+)
 from play_launch.config.source import LARGEST_FILE
 from play_launch.config.yaml_composer import ARRAY_TAGS, DEEPEST, MOST_VALUES
 from play_launch.core.watchdog import WatchLimits
@@ -174,7 +179,7 @@ def test_numbers() -> None:
     assert f"{DEEPEST} levels" in yaml
     assert f"{LONGEST_DURATION / 3600:.0f} h" in section("Durations")
     names = section("Names")
-    for longest in (LONGEST_NODE_NAME, LONGEST_NAMESPACE, LONGEST_TOPIC):
+    for longest in (LONGEST_NODE_NAME, LONGEST_FULL_NAME, LONGEST_NAMESPACE, LONGEST_TOPIC):
         assert str(longest) in names
     assert all(f"`{tag}`" in TEXT for tag in ARRAY_TAGS)
 

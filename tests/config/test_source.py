@@ -145,3 +145,10 @@ def test_a_byte_order_mark_and_dos_line_ends_do_no_harm() -> None:
     config = parse_config(b"\xef\xbb\xbf" + GOOD.replace(b"\n", b"\r\n"), Path("demo.yaml"))
     assert config.nodes[0].command == ("x",)
     assert config.nodes[0].line == 3
+
+
+def test_a_recording_is_no_configuration(tmp_path: Path) -> None:
+    path = tmp_path / "session.mcap"
+    path.write_bytes(b"\x89MCAP0\r\n" + bytes(range(256)))
+    with pytest.raises(ConfigError, match="is an MCAP recording"):
+        load_config(path)
