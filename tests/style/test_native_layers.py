@@ -18,7 +18,7 @@ LAYERS = (
     {"isolation/after", "isolation/quiesce"},
     {"isolation/crash"},
     {"isolation/clone"},
-    {"isolation/overrides"},
+    {"overrides"},
     {"components"},
     {"components/rclcpp", "hosts"},
     {"hosts/isolated", "hosts/shared"},

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <rcl/node.h>
 #include <rmw/types.h>
 
 #include <array>
@@ -10,7 +11,6 @@
 #include <map>
 #include <memory>
 #include <mutex>
-#include <play_launch/detail/construction.hpp>
 #include <string>
 #include <typeindex>
 #include <utility>
@@ -34,6 +34,8 @@ class IntraProcessInbox {
   [[nodiscard]] bool takes_ownership() const noexcept { return takes_ownership_; }
   /// Messages that gave way to newer ones before they were taken.
   [[nodiscard]] std::uint64_t dropped() const noexcept { return dropped_.load(); }
+  /// Destroys what is in it.
+  virtual void clear() = 0;
 
  protected:
   [[nodiscard]] std::size_t depth() const noexcept { return depth_; }
@@ -71,6 +73,12 @@ class TypedInbox final : public IntraProcessInbox {
     return true;
   }
 
+  void clear() override {
+    std::deque<Item> items;
+    const std::lock_guard lock(mutex_);
+    items.swap(items_);
+  }
+
  private:
   void put(Item item) {
     Item displaced;  // freed after the lock: a message's destructor may take long
@@ -98,33 +106,37 @@ struct IntraProcessReach {
 };
 
 /// Registration of a publisher; ends with the object.
-class IntraProcessPublication final : private Discardable {
+class IntraProcessPublication final {
  public:
   IntraProcessPublication(std::shared_ptr<IntraProcessTopic> topic, rmw_qos_profile_t qos,
-                          const rmw_gid_t& gid);
+                          const rmw_gid_t& gid, const rcl_node_t& node);
   ~IntraProcessPublication();
+  IntraProcessPublication(const IntraProcessPublication&) = delete;
+  IntraProcessPublication& operator=(const IntraProcessPublication&) = delete;
 
   /// Subscriptions whose quality of service fits; never null.
   [[nodiscard]] std::shared_ptr<const IntraProcessReach> reach() const;
 
  private:
   friend class IntraProcessTopic;
-  void discard() noexcept override;
 
   const std::shared_ptr<IntraProcessTopic> topic_;
   const rmw_qos_profile_t qos_;
   const std::array<std::uint8_t, RMW_GID_STORAGE_SIZE> gid_;
+  const rcl_node_t& node_;
   std::shared_ptr<const IntraProcessReach> reach_;  // guarded by the topic
 };
 
 /// Registration of a subscription; ends with the object. It is made before the subscription's
 /// reader exists in the middleware and "settled" afterwards: until then a publisher that finds the
 /// numbers differing sends through the middleware as well, and nothing is lost.
-class IntraProcessSubscription final : private Discardable {
+class IntraProcessSubscription final {
  public:
   IntraProcessSubscription(std::shared_ptr<IntraProcessTopic> topic, rmw_qos_profile_t qos,
-                           std::shared_ptr<IntraProcessInbox> inbox);
+                           std::shared_ptr<IntraProcessInbox> inbox, const rcl_node_t& node);
   ~IntraProcessSubscription();
+  IntraProcessSubscription(const IntraProcessSubscription&) = delete;
+  IntraProcessSubscription& operator=(const IntraProcessSubscription&) = delete;
 
   void settle();
   /// Whether that publisher delivers to this topic by pointer, so that its copy that came through
@@ -133,11 +145,11 @@ class IntraProcessSubscription final : private Discardable {
 
  private:
   friend class IntraProcessTopic;
-  void discard() noexcept override;
 
   const std::shared_ptr<IntraProcessTopic> topic_;
   const rmw_qos_profile_t qos_;
   const std::shared_ptr<IntraProcessInbox> inbox_;
+  const rcl_node_t& node_;
   bool settled_ = false;  // guarded by the topic
 };
 
@@ -151,10 +163,16 @@ class IntraProcessHub {
   std::unique_ptr<IntraProcessPublication> add_publisher(const std::string& topic,
                                                          std::type_index type,
                                                          const rmw_qos_profile_t& qos,
-                                                         const rmw_gid_t& gid);
+                                                         const rmw_gid_t& gid,
+                                                         const rcl_node_t& node);
   std::unique_ptr<IntraProcessSubscription> add_subscription(
       const std::string& topic, std::type_index type, const rmw_qos_profile_t& qos,
-      std::shared_ptr<IntraProcessInbox> inbox);
+      std::shared_ptr<IntraProcessInbox> inbox, const rcl_node_t& node);
+
+  /// For a node that nobody can destroy, as its process died in the constructor: ends its
+  /// registrations. Left alone, they would be counted as subscriptions that need no message through
+  /// the middleware, which then does not reach others; and their inboxes would stay full.
+  void remove_all_of(const rcl_node_t& node);
 
  private:
   std::shared_ptr<IntraProcessTopic> topic(const std::string& name, std::type_index type);

@@ -4,7 +4,7 @@ namespace play_launch {
 
 /// Descriptors that belong to the container, which nodes in its descriptor table must not close or
 /// replace: its own, its standard streams, and what the middleware had open before the first node.
-/// isolation/overrides/descriptor_guard.cpp asks before it closes anything. A lock-free table of
+/// overrides/descriptor_guard.cpp asks before it closes anything. A lock-free table of
 /// the lowest 4096 numbers; all of its functions are async-signal-safe and keep errno, unless they
 /// say otherwise.
 

@@ -3,10 +3,10 @@
 #include <atomic>
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <optional>
 #include <play_launch/context.hpp>
-#include <play_launch/detail/construction.hpp>
 #include <play_launch/detail/stop_flag.hpp>
 #include <string>
 #include <string_view>
@@ -63,10 +63,8 @@ class ComponentClass {
   ComponentClass& operator=(const ComponentClass&) = delete;
   virtual ~ComponentClass() = default;
 
-  /// Constructs a component, in the calling thread, which may be a child's. `construction`, unless
-  /// null, keeps track of what its nodes take meanwhile, if the backend can. Throws LoadError.
-  virtual std::unique_ptr<Component> create(const LoadRequest& request,
-                                            Construction* construction) const = 0;
+  /// Constructs a component, in the calling thread, which may be a child's. Throws LoadError.
+  virtual std::unique_ptr<Component> create(const LoadRequest& request) const = 0;
 };
 
 /// A library of components that is open, and stays so.
@@ -111,6 +109,10 @@ class ComponentBackend {
   /// `stop` is the request to stop, for this executor alone.
   virtual std::unique_ptr<ComponentExecutor> create_executor(
       const ExecutorChoice& choice, std::shared_ptr<detail::StopFlag> stop) = 0;
+
+  /// Calls a function with the lock that guards rcl's table of the nodes that log to /rosout, where
+  /// nodes of this backend use that. False: it could not be called.
+  virtual bool with_logging_lock(const std::function<void()>& function) = 0;
 };
 
 }  // namespace play_launch::container

@@ -7,7 +7,7 @@
 
 #include "components/open_library.hpp"
 #include "components/opening_guard.hpp"
-#include "isolation/overrides/type_supports.hpp"
+#include "overrides/type_supports.hpp"
 
 namespace play_launch::container {
 

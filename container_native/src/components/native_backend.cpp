@@ -60,14 +60,9 @@ class NativeClass final : public ComponentClass {
   NativeClass(const ComponentFactory& factory, std::shared_ptr<Context> context)
       : factory_(factory), context_(std::move(context)) {}
 
-  std::unique_ptr<Component> create(const LoadRequest& request,
-                                    Construction* construction) const override {
+  std::unique_ptr<Component> create(const LoadRequest& request) const override {
     const NodeOptions options = node_options(request, context_);
     std::shared_ptr<Node> node;
-    std::optional<Construction::Watch> watch;
-    if (construction != nullptr) {
-      watch.emplace(*construction);
-    }
     try {
       node = factory_.create(options);
     } catch (...) {

@@ -20,6 +20,11 @@ class NativeBackend final : public ComponentBackend {
   std::unique_ptr<ComponentLibrary> open(const std::string& path) override;
   std::unique_ptr<ComponentExecutor> create_executor(
       const ExecutorChoice& choice, std::shared_ptr<detail::StopFlag> stop) override;
+  /// Nodes of the SDK publish for themselves.
+  bool with_logging_lock(const std::function<void()>& function) override {
+    function();
+    return true;
+  }
 
  private:
   const std::shared_ptr<Context> context_;

@@ -8,12 +8,12 @@
 #include <string>
 #include <vector>
 
-#include "main/context_guard.hpp"
 #include "main/control_interface.hpp"
 #include "main/options.hpp"
 #include "main/ros_interface.hpp"
 #include "main/stop.hpp"
 #include "manager/component_manager.hpp"
+#include "overrides/rcl_context.hpp"
 
 namespace play_launch::container {
 

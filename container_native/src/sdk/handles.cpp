@@ -36,14 +36,9 @@ NodeHandle::NodeHandle(std::shared_ptr<Context> context, const std::string& name
   throw_unless_ok(
       rcl_node_init(&node_, name.c_str(), name_space.c_str(), context_->rcl(), &options),
       "create node '" + name + "'");
-  enter_ledger();
 }
 
-NodeHandle::~NodeHandle() {
-  if (leave_ledger()) discard();
-}
-
-void NodeHandle::discard() noexcept { report_unless_ok(rcl_node_fini(&node_), "finalise a node"); }
+NodeHandle::~NodeHandle() { report_unless_ok(rcl_node_fini(&node_), "finalise a node"); }
 
 std::string NodeHandle::resolve(const std::string& name, bool is_service) const {
   constexpr bool kAlsoRemap = false;  // the parameter is called only_expand
@@ -66,14 +61,9 @@ PublisherHandle::PublisherHandle(std::shared_ptr<NodeHandle> node,
   throw_unless_ok(
       rcl_publisher_init(&publisher_, node_->rcl(), type_support, topic.c_str(), &options),
       "create a publisher for topic '" + topic + "'");
-  enter_ledger();
 }
 
 PublisherHandle::~PublisherHandle() {
-  if (leave_ledger()) discard();
-}
-
-void PublisherHandle::discard() noexcept {
   const std::lock_guard lock(node_->mutex());
   report_unless_ok(rcl_publisher_fini(&publisher_, node_->rcl()), "finalise a publisher");
 }
@@ -93,20 +83,13 @@ SubscriptionHandle::SubscriptionHandle(std::shared_ptr<NodeHandle> node,
   // Set once and never taken back: rmw_fastrtps may call a callback that was just taken back.
   const rcl_ret_t set = rcl_subscription_set_on_new_message_callback(
       &subscription_, notify_token, static_cast<const void*>(token_.get()));
-  if (set == RCL_RET_OK) {
-    enter_ledger();
-    return;
-  }
+  if (set == RCL_RET_OK) return;
   const RclError error("watch the subscription of topic '" + topic + "'", set);
   report_unless_ok(rcl_subscription_fini(&subscription_, node_->rcl()), "finalise a subscription");
   throw error;
 }
 
 SubscriptionHandle::~SubscriptionHandle() {
-  if (leave_ledger()) discard();
-}
-
-void SubscriptionHandle::discard() noexcept {
   const std::lock_guard lock(node_->mutex());
   report_unless_ok(rcl_subscription_fini(&subscription_, node_->rcl()), "finalise a subscription");
 }
@@ -123,20 +106,13 @@ ServiceHandle::ServiceHandle(std::shared_ptr<NodeHandle> node,
                   "create service '" + name + "'");
   const rcl_ret_t set = rcl_service_set_on_new_request_callback(
       &service_, notify_token, static_cast<const void*>(token_.get()));
-  if (set == RCL_RET_OK) {
-    enter_ledger();
-    return;
-  }
+  if (set == RCL_RET_OK) return;
   const RclError error("watch service '" + name + "'", set);
   report_unless_ok(rcl_service_fini(&service_, node_->rcl()), "finalise a service");
   throw error;
 }
 
 ServiceHandle::~ServiceHandle() {
-  if (leave_ledger()) discard();
-}
-
-void ServiceHandle::discard() noexcept {
   const std::lock_guard lock(node_->mutex());
   report_unless_ok(rcl_service_fini(&service_, node_->rcl()), "finalise a service");
 }

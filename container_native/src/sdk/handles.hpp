@@ -7,7 +7,6 @@
 
 #include <memory>
 #include <mutex>
-#include <play_launch/detail/construction.hpp>
 #include <string>
 
 namespace play_launch {
@@ -17,12 +16,14 @@ class QoS;
 class WakeToken;
 
 /// Owns a rcl_node_t. Everything made with it keeps it alive.
-class NodeHandle final : private Discardable {
+class NodeHandle final {
  public:
   /// `options` are copied. Throws RclError.
   NodeHandle(std::shared_ptr<Context> context, const std::string& name,
              const std::string& name_space, const rcl_node_options_t& options);
   ~NodeHandle();
+  NodeHandle(const NodeHandle&) = delete;
+  NodeHandle& operator=(const NodeHandle&) = delete;
 
   [[nodiscard]] rcl_node_t* rcl() noexcept { return &node_; }
   [[nodiscard]] Context& context() noexcept { return *context_; }
@@ -35,44 +36,42 @@ class NodeHandle final : private Discardable {
   [[nodiscard]] std::mutex& mutex() noexcept { return mutex_; }
 
  private:
-  void discard() noexcept override;
-
   const std::shared_ptr<Context> context_;
   std::mutex mutex_;
   rcl_node_t node_ = rcl_get_zero_initialized_node();
 };
 
 /// Owns a rcl_publisher_t.
-class PublisherHandle final : private Discardable {
+class PublisherHandle final {
  public:
   PublisherHandle(std::shared_ptr<NodeHandle> node,
                   const rosidl_message_type_support_t* type_support, const std::string& topic,
                   const QoS& qos);
   ~PublisherHandle();
+  PublisherHandle(const PublisherHandle&) = delete;
+  PublisherHandle& operator=(const PublisherHandle&) = delete;
 
   [[nodiscard]] rcl_publisher_t* rcl() noexcept { return &publisher_; }
   [[nodiscard]] Context& context() noexcept { return node_->context(); }
 
  private:
-  void discard() noexcept override;
-
   const std::shared_ptr<NodeHandle> node_;
   rcl_publisher_t publisher_ = rcl_get_zero_initialized_publisher();
 };
 
 /// Owns a rcl_subscription_t that notifies a token of new messages.
-class SubscriptionHandle final : private Discardable {
+class SubscriptionHandle final {
  public:
   SubscriptionHandle(std::shared_ptr<NodeHandle> node,
                      const rosidl_message_type_support_t* type_support, const std::string& topic,
                      const QoS& qos, std::shared_ptr<WakeToken> token);
   ~SubscriptionHandle();
+  SubscriptionHandle(const SubscriptionHandle&) = delete;
+  SubscriptionHandle& operator=(const SubscriptionHandle&) = delete;
 
   [[nodiscard]] rcl_subscription_t* rcl() noexcept { return &subscription_; }
 
  private:
-  void discard() noexcept override;
-
   const std::shared_ptr<NodeHandle> node_;
   // Outlives the subscription, so that the middleware may notify until the very end.
   const std::shared_ptr<WakeToken> token_;
@@ -80,18 +79,18 @@ class SubscriptionHandle final : private Discardable {
 };
 
 /// Owns a rcl_service_t that notifies a token of new requests.
-class ServiceHandle final : private Discardable {
+class ServiceHandle final {
  public:
   ServiceHandle(std::shared_ptr<NodeHandle> node, const rosidl_service_type_support_t* type_support,
                 const std::string& name, const QoS& qos, std::shared_ptr<WakeToken> token);
   ~ServiceHandle();
+  ServiceHandle(const ServiceHandle&) = delete;
+  ServiceHandle& operator=(const ServiceHandle&) = delete;
 
   [[nodiscard]] rcl_service_t* rcl() noexcept { return &service_; }
   [[nodiscard]] Context& context() noexcept { return node_->context(); }
 
  private:
-  void discard() noexcept override;
-
   const std::shared_ptr<NodeHandle> node_;
   const std::shared_ptr<WakeToken> token_;
   rcl_service_t service_ = rcl_get_zero_initialized_service();

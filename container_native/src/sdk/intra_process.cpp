@@ -56,6 +56,21 @@ class IntraProcessTopic {
     remake_all();
   }
 
+  void remove_all_of(const rcl_node_t& node) {
+    std::vector<std::shared_ptr<IntraProcessInbox>> inboxes;
+    {
+      const std::lock_guard lock(mutex_);
+      std::erase_if(publications_, [&](const auto* entry) { return &entry->node_ == &node; });
+      std::erase_if(subscriptions_, [&](const auto* entry) {
+        const bool is_its = &entry->node_ == &node;
+        if (is_its) inboxes.push_back(entry->inbox_);
+        return is_its;
+      });
+      if (!inboxes.empty()) remake_all();
+    }
+    for (const auto& inbox : inboxes) inbox->clear();
+  }
+
   void settle(IntraProcessSubscription& subscription) {
     const std::lock_guard lock(mutex_);
     subscription.settled_ = true;
@@ -103,17 +118,13 @@ IntraProcessInbox::~IntraProcessInbox() = default;
 void IntraProcessInbox::wake() noexcept { token_->notify(1); }
 
 IntraProcessPublication::IntraProcessPublication(std::shared_ptr<IntraProcessTopic> topic,
-                                                 rmw_qos_profile_t qos, const rmw_gid_t& gid)
-    : topic_(std::move(topic)), qos_(qos), gid_(bytes_of(gid)) {
+                                                 rmw_qos_profile_t qos, const rmw_gid_t& gid,
+                                                 const rcl_node_t& node)
+    : topic_(std::move(topic)), qos_(qos), gid_(bytes_of(gid)), node_(node) {
   topic_->add(*this);
-  enter_ledger();
 }
 
-IntraProcessPublication::~IntraProcessPublication() {
-  if (leave_ledger()) discard();
-}
-
-void IntraProcessPublication::discard() noexcept { topic_->remove(*this); }
+IntraProcessPublication::~IntraProcessPublication() { topic_->remove(*this); }
 
 std::shared_ptr<const IntraProcessReach> IntraProcessPublication::reach() const {
   return topic_->reach(*this);
@@ -121,17 +132,13 @@ std::shared_ptr<const IntraProcessReach> IntraProcessPublication::reach() const 
 
 IntraProcessSubscription::IntraProcessSubscription(std::shared_ptr<IntraProcessTopic> topic,
                                                    rmw_qos_profile_t qos,
-                                                   std::shared_ptr<IntraProcessInbox> inbox)
-    : topic_(std::move(topic)), qos_(qos), inbox_(std::move(inbox)) {
+                                                   std::shared_ptr<IntraProcessInbox> inbox,
+                                                   const rcl_node_t& node)
+    : topic_(std::move(topic)), qos_(qos), inbox_(std::move(inbox)), node_(node) {
   topic_->add(*this);
-  enter_ledger();
 }
 
-IntraProcessSubscription::~IntraProcessSubscription() {
-  if (leave_ledger()) discard();
-}
-
-void IntraProcessSubscription::discard() noexcept { topic_->remove(*this); }
+IntraProcessSubscription::~IntraProcessSubscription() { topic_->remove(*this); }
 
 void IntraProcessSubscription::settle() { topic_->settle(*this); }
 
@@ -159,14 +166,25 @@ std::shared_ptr<IntraProcessTopic> IntraProcessHub::topic(const std::string& nam
 
 std::unique_ptr<IntraProcessPublication> IntraProcessHub::add_publisher(
     const std::string& name, std::type_index type, const rmw_qos_profile_t& qos,
-    const rmw_gid_t& gid) {
-  return std::make_unique<IntraProcessPublication>(topic(name, type), qos, gid);
+    const rmw_gid_t& gid, const rcl_node_t& node) {
+  return std::make_unique<IntraProcessPublication>(topic(name, type), qos, gid, node);
 }
 
 std::unique_ptr<IntraProcessSubscription> IntraProcessHub::add_subscription(
     const std::string& name, std::type_index type, const rmw_qos_profile_t& qos,
-    std::shared_ptr<IntraProcessInbox> inbox) {
-  return std::make_unique<IntraProcessSubscription>(topic(name, type), qos, std::move(inbox));
+    std::shared_ptr<IntraProcessInbox> inbox, const rcl_node_t& node) {
+  return std::make_unique<IntraProcessSubscription>(topic(name, type), qos, std::move(inbox), node);
+}
+
+void IntraProcessHub::remove_all_of(const rcl_node_t& node) {
+  std::vector<std::shared_ptr<IntraProcessTopic>> topics;
+  {
+    const std::lock_guard lock(mutex_);
+    for (const auto& [key, known] : topics_) {
+      if (auto topic = known.lock()) topics.push_back(std::move(topic));
+    }
+  }
+  for (const auto& topic : topics) topic->remove_all_of(node);
 }
 
 }  // namespace play_launch

@@ -19,7 +19,8 @@ PublisherBase::PublisherBase(const std::shared_ptr<NodeHandle>& node,
   rmw_gid_t gid;
   throw_unless_ok(rmw_get_gid_for_publisher(rcl_publisher_get_rmw_handle(handle_->rcl()), &gid),
                   "identify the publisher of topic '" + topic_ + "'");
-  intra_process_ = node->context().intra_process().add_publisher(topic_, type, qos.profile(), gid);
+  intra_process_ =
+      node->context().intra_process().add_publisher(topic_, type, qos.profile(), gid, *node->rcl());
 }
 
 PublisherBase::~PublisherBase() = default;

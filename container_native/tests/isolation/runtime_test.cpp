@@ -24,7 +24,7 @@
 #include <vector>
 
 #include "harness.hpp"
-#include "isolation/overrides/exit_guard.hpp"
+#include "overrides/exit_guard.hpp"
 
 namespace {
 

@@ -1,10 +1,9 @@
 #include "components/rclcpp/backend.hpp"
 
 #include <algorithm>
-#include <atomic>
-#include <cstdint>
 #include <map>
 #include <mutex>
+#include <optional>
 #include <rclcpp/logger.hpp>
 #include <rclcpp_components/node_instance_wrapper.hpp>
 #include <string>
@@ -12,9 +11,10 @@
 
 #include "components/component_options.hpp"
 #include "components/rclcpp/class_library.hpp"
+#include "components/rclcpp/component.hpp"
 #include "components/rclcpp/executor.hpp"
-#include "components/rclcpp/handle_ledger.hpp"
 #include "components/rclcpp/node_options.hpp"
+#include "overrides/rclcpp_logging.hpp"
 
 namespace play_launch::rclcpp_backend {
 namespace {
@@ -23,38 +23,6 @@ using container::Component;
 using container::ComponentExecutor;
 using container::LoadError;
 using container::LoadRequest;
-using rclcpp::node_interfaces::NodeBaseInterface;
-
-class RclcppComponent final : public Component {
- public:
-  explicit RclcppComponent(rclcpp_components::NodeInstanceWrapper instance)
-      : instance_(std::move(instance)), node_(instance_.get_node_base_interface()) {}
-
-  std::string full_name() const override { return node_->get_fully_qualified_name(); }
-  const NodeBaseInterface::SharedPtr& node() const { return node_; }
-
- private:
-  rclcpp_components::NodeInstanceWrapper instance_;
-  const NodeBaseInterface::SharedPtr node_;
-};
-
-class RclcppExecutor final : public ComponentExecutor {
- public:
-  RclcppExecutor(std::size_t threads, std::shared_ptr<detail::StopFlag> stop)
-      : executor_(threads, std::move(stop)) {}
-  void spin() override { executor_.spin(); }
-  void add(Component& component) override { executor_.put_in(node_of(component)); }
-  void remove(Component& component) override { executor_.take_out(node_of(component)); }
-  void abandon() override { executor_.abandon(); }
-  void beat_into(std::atomic<std::int64_t>& beat) override { executor_.beat_into(beat); }
-
- private:
-  static const NodeBaseInterface::SharedPtr& node_of(Component& component) {
-    return static_cast<RclcppComponent&>(component).node();
-  }
-
-  NodeExecutor executor_;
-};
 
 /// rcl's name for the logger of a node.
 std::string logger_name(const std::string& full_name) {
@@ -72,20 +40,13 @@ class RclcppClass final : public container::ComponentClass {
   explicit RclcppClass(std::shared_ptr<rclcpp_components::NodeFactory> factory)
       : factory_(std::move(factory)) {}
 
-  std::unique_ptr<Component> create(const LoadRequest& request,
-                                    Construction* construction) const override {
+  std::unique_ptr<Component> create(const LoadRequest& request) const override {
     const container::ComponentOptions component = container::component_options(request);
     const rclcpp::NodeOptions options = node_options(component);
     // Before the constructor logs anything, if the name is known.
     const std::optional<std::string> expected = container::expected_full_name(request);
     if (component.log_level != 0 && expected) {
       set_log_level(*expected, component.log_level);
-    }
-    std::optional<Construction::Watch> watch;
-    std::optional<HandleLedger> ledger;
-    if (construction != nullptr) {
-      watch.emplace(*construction);
-      ledger.emplace();
     }
     rclcpp_components::NodeInstanceWrapper instance;
     try {
@@ -133,8 +94,12 @@ std::unique_ptr<container::ComponentLibrary> RclcppBackend::open(const std::stri
 
 std::unique_ptr<ComponentExecutor> RclcppBackend::create_executor(
     const container::ExecutorChoice& choice, std::shared_ptr<detail::StopFlag> stop) {
-  return std::make_unique<RclcppExecutor>(choice.multi_threaded ? choice.threads : 1,
-                                          std::move(stop));
+  return std::make_unique<NodeExecutor>(choice.multi_threaded ? choice.threads : 1,
+                                        std::move(stop));
+}
+
+bool RclcppBackend::with_logging_lock(const std::function<void()>& function) {
+  return rclcpp_backend::with_logging_lock(function);
 }
 
 }  // namespace play_launch::rclcpp_backend

@@ -21,6 +21,7 @@ class RclcppBackend final : public container::ComponentBackend {
   std::unique_ptr<container::ComponentLibrary> open(const std::string& path) override;
   std::unique_ptr<container::ComponentExecutor> create_executor(
       const container::ExecutorChoice& choice, std::shared_ptr<detail::StopFlag> stop) override;
+  bool with_logging_lock(const std::function<void()>& function) override;
 
  private:
   const std::shared_ptr<Context> context_;

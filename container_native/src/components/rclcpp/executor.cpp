@@ -11,6 +11,7 @@
 #include <rclcpp/utilities.hpp>
 #include <utility>
 
+#include "components/rclcpp/component.hpp"
 #include "components/rclcpp/runtime.hpp"
 
 namespace play_launch::rclcpp_backend {
@@ -74,7 +75,7 @@ void NodeExecutor::spin() {
 
 void NodeExecutor::cancel() { stop_->set(); }
 
-void NodeExecutor::beat_into(std::atomic<std::int64_t>& beat) noexcept {
+void NodeExecutor::beat_into(container::Beat& beat) {
   beat_ = &beat;
   note_beat();
 }
@@ -154,7 +155,8 @@ void NodeExecutor::finish(Worker& worker) {
   }
 }
 
-void NodeExecutor::put_in(const Node::SharedPtr& node) {
+void NodeExecutor::add(container::Component& component) {
+  const Node::SharedPtr& node = RclcppComponent::node_of(component);
   const std::lock_guard lock(nodes_mutex_);  // a first callback may ask for the name
   nodes_.push_back(node);
   try {
@@ -172,7 +174,8 @@ std::string NodeExecutor::name_of(const rclcpp::CallbackGroup::SharedPtr& group)
   return found != nodes_.end() ? (*found)->get_fully_qualified_name() : "";
 }
 
-void NodeExecutor::take_out(const Node::SharedPtr& node) {
+void NodeExecutor::remove(container::Component& component) {
+  const Node::SharedPtr& node = RclcppComponent::node_of(component);
   std::vector<const rclcpp::CallbackGroup*> groups;
   {
     ++removals_;

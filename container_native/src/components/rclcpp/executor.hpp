@@ -4,7 +4,6 @@
 #include <chrono>
 #include <condition_variable>
 #include <cstddef>
-#include <cstdint>
 #include <memory>
 #include <mutex>
 #include <optional>
@@ -14,16 +13,18 @@
 #include <thread>
 #include <vector>
 
+#include "components/component_backend.hpp"
+
 namespace play_launch::rclcpp_backend {
 
 /// rclcpp's executor, with what its own ones lack for nodes that are unloaded while it spins, or
-/// die in a callback: take_out() waits for running callbacks, it may be stopped by a signal handler
+/// die in a callback: remove() waits for running callbacks, it may be stopped by a signal handler
 /// and before spin(), and what a callback holds is kept here instead of on the stack of its thread,
 /// so that it can be let go of when that thread is no more.
 ///
 /// With one thread callbacks run in the one that calls spin(), else in that one and others, by the
 /// rules of callback groups.
-class NodeExecutor final : public rclcpp::Executor {
+class NodeExecutor final : public rclcpp::Executor, public container::ComponentExecutor {
  public:
   using Node = rclcpp::node_interfaces::NodeBaseInterface;
 
@@ -37,21 +38,16 @@ class NodeExecutor final : public rclcpp::Executor {
   /// Makes this or the next spin() return, once and for all.
   void cancel() override;
 
-  /// Before spin(): from then on the time (nanoseconds of the steady clock) is noted in `beat`
-  /// whenever a thread looks for work, and at least once a second unless all are in callbacks.
-  void beat_into(std::atomic<std::int64_t>& beat) noexcept;
-
-  /// Adds the node; throws what add_node() throws.
-  void put_in(const Node::SharedPtr& node);
-
-  /// Removes the node, and returns when no callback of it runs any more. Not for a callback.
-  void take_out(const Node::SharedPtr& node);
+  /// Of components that are RclcppComponent. Throws what add_node() throws.
+  void add(container::Component& component) override;
+  /// Not for a callback.
+  void remove(container::Component& component) override;
+  void beat_into(container::Beat& beat) override;
 
   /// Full name of the node that has the group, of those that were put in; empty: none has.
   std::string name_of(const rclcpp::CallbackGroup::SharedPtr& group) const;
 
-  /// Lets go of what callbacks held whose process has died in spin().
-  void abandon();
+  void abandon() override;
 
  private:
   struct Worker {
@@ -70,7 +66,7 @@ class NodeExecutor final : public rclcpp::Executor {
 
   const std::shared_ptr<detail::StopFlag> stop_;
   bool abandoned_ = false;
-  std::atomic<std::int64_t>* beat_ = nullptr;
+  container::Beat* beat_ = nullptr;
   std::vector<Worker> workers_;
 
   /// Held by the one worker that waits for work.

@@ -4,7 +4,6 @@
 #include <rcl/init.h>
 #include <unistd.h>
 
-#include <atomic>
 #include <new>
 #include <rclcpp/contexts/default_context.hpp>
 #include <rclcpp/graph_listener.hpp>
@@ -12,11 +11,10 @@
 #include <rclcpp/utilities.hpp>
 #include <string>
 
+#include "overrides/rclcpp_context.hpp"
+
 namespace play_launch::rclcpp_backend {
 namespace {
-
-/// The default context as the SDK sees it; null before initialise() and after its end.
-std::atomic<Context*> shared_context{nullptr};
 
 /// rclcpp between its initialisation and its shutdown.
 class Runtime {
@@ -32,10 +30,10 @@ class Runtime {
     graph_listener_ = context_->get_sub_context<rclcpp::graph_listener::GraphListener>(context_);
     graph_listener_->start_if_not_started();
     borrowed_ = Context::borrow(context_->get_rcl_context().get());
-    shared_context = borrowed_.get();
+    guard_default_context(borrowed_.get());
   }
   ~Runtime() {
-    shared_context = nullptr;
+    guard_default_context(nullptr);
     borrowed_.reset();
     graph_listener_->shutdown(std::nothrow);
     // Not rclcpp's shutdown(): it would call back into components that are destroyed by now.
@@ -71,18 +69,3 @@ std::shared_ptr<Context> initialise(int argc, const char* const* argv) {
 }
 
 }  // namespace play_launch::rclcpp_backend
-
-/// Instead of librclcpp's, for the whole program: the executable exports its symbols, so libraries
-/// of components find this one first. There are no signal handlers of rclcpp to be taken back.
-bool rclcpp::shutdown(rclcpp::Context::SharedPtr context, const std::string& reason) {
-  const rclcpp::Context::SharedPtr everybodys = rclcpp::contexts::get_global_default_context();
-  if (context == nullptr) {
-    context = everybodys;
-  }
-  play_launch::Context* const shared = play_launch::rclcpp_backend::shared_context;
-  if (context == everybodys && shared != nullptr &&
-      !shared->may_shut_down(__builtin_return_address(0))) {
-    return true;
-  }
-  return context->shutdown(reason);
-}

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <exception>
+#include <play_launch/intra_process.hpp>
 #include <utility>
 
 #include "base/doorbell.hpp"
@@ -51,7 +52,8 @@ int NodeProgram::run() {
   try {
     partial_ = true;
     executor_ = backends_[found_.backend].create_executor(choice_, stop_);
-    component_ = found_.component_class->create(request_, &construction_);
+    const HandleLedger::Watch watch(handles_);
+    component_ = found_.component_class->create(request_);
   } catch (...) {
     isolation::park_if_dying();
     failure_ = describe_current_exception();
@@ -115,7 +117,9 @@ void NodeProgram::reach(NodeLife part) noexcept {
 
 int NodeBurial::run() {
   hit(Failpoint::during_burial);
-  dead_.construction_.discard();
+  if (dead_.component_ == nullptr) {
+    give_back_handles();
+  }
   if (dead_.executor_ != nullptr) {
     dead_.executor_->abandon();
     remove_from_executor();
@@ -123,6 +127,15 @@ int NodeBurial::run() {
     dead_.executor_.reset();
   }
   return dead_.partial_ ? kIncomplete : kBuried;
+}
+
+/// Those of a constructor that was not finished, of which nothing else is known.
+void NodeBurial::give_back_handles() {
+  ComponentBackend& backend = dead_.backends_[dead_.found_.backend];
+  IntraProcessHub& hub = backend.context()->intra_process();
+  dead_.handles_.for_each_node([&hub](const rcl_node_t& node) { hub.remove_all_of(node); });
+  dead_.handles_.give_back(
+      [&backend](const auto& function) { return backend.with_logging_lock(function); });
 }
 
 void NodeBurial::remove_from_executor() {

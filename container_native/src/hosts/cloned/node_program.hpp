@@ -12,6 +12,7 @@
 #include "components/load_request.hpp"
 #include "hosts/isolated/node_life.hpp"
 #include "isolation/clone/child.hpp"
+#include "overrides/handle_ledger.hpp"
 
 namespace play_launch::container {
 
@@ -39,6 +40,7 @@ class NodeProgram final : public isolation::ChildProgram {
   void crashed() noexcept override;
   void noted() noexcept override { crashed(); }
   void end_itself() noexcept override;
+  HandleLedger* handles() noexcept override { return &handles_; }
 
   NodeLife life() const { return life_.so_far(); }
   /// How long its executor has not come round; nothing: before it spins, or when it cannot tell.
@@ -69,7 +71,7 @@ class NodeProgram final : public isolation::ChildProgram {
   const std::shared_ptr<detail::StopFlag> stop_ = std::make_shared<detail::StopFlag>();
   std::unique_ptr<ComponentExecutor> executor_;
   std::unique_ptr<Component> component_;
-  Construction construction_;
+  HandleLedger handles_;
   /// Something is being constructed or destroyed: dead now, it could not be destroyed.
   bool partial_ = false;
   std::string full_name_;
@@ -89,6 +91,7 @@ class NodeBurial final : public isolation::ChildProgram {
   void cancel() noexcept override {}
 
  private:
+  void give_back_handles();
   void remove_from_executor();
 
   NodeProgram& dead_;

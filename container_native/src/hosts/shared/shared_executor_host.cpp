@@ -61,7 +61,7 @@ void SharedExecutorHost::construct(std::uint64_t unique_id, const LoadRequest& r
     const detail::RunningNode running(name ? name->c_str() : nullptr);
     const BackendList::Found found = backends_.find(unique_id, request);
     node.executor = spinners_[found.backend].executor.get();
-    node.component = found.component_class->create(request, nullptr);
+    node.component = found.component_class->create(request);
   } catch (...) {
     observer_->on_load_failed(unique_id, describe_current_exception());
     return;

@@ -12,6 +12,10 @@
 #include "isolation/record/child_threads.hpp"
 #include "isolation/record/crash_slot.hpp"
 
+namespace play_launch {
+class HandleLedger;
+}
+
 namespace play_launch::isolation {
 
 /// What a child does.
@@ -42,6 +46,10 @@ class ChildProgram {
   /// Called in the child, in any of its threads, when its code asks for the end of more than the
   /// child: the child alone is to end, in order.
   virtual void end_itself() noexcept {}
+
+  /// Where to enter what the child takes from ROS's middleware; null: nowhere. Called in the child,
+  /// in any of its threads.
+  virtual HandleLedger* handles() noexcept { return nullptr; }
 };
 
 struct ChildOptions {

@@ -1,4 +1,4 @@
-#include "isolation/overrides/exit_guard.hpp"
+#include "overrides/exit_guard.hpp"
 
 #include <dlfcn.h>
 #include <pthread.h>

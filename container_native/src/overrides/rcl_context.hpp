@@ -5,7 +5,7 @@
 #include <play_launch/context.hpp>
 #include <string>
 
-namespace play_launch::container {
+namespace play_launch {
 
 /// Keeps code of nodes from shutting the ROS context down, which belongs to all nodes and to the
 /// container: in an isolated node such a call ends that node alone, anywhere else the container is
@@ -27,4 +27,4 @@ class ContextGuard {
   const std::shared_ptr<Context> context_;
 };
 
-}  // namespace play_launch::container
+}  // namespace play_launch

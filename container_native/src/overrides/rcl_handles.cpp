@@ -1,6 +1,7 @@
 // Defines the functions of rcl that put something on the network, or take it off, for the whole
-// program: like exit() in exit_guard.cpp, they come before those of the library. They do the same,
-// and tell the HandleLedger of the calling thread, if there is one.
+// program: like exit() in exit_guard.cpp, they come before those of the library, for the SDK, for
+// rclcpp and for components. They do the same; in a child they enter it in the HandleLedger of its
+// program, if that has one.
 
 #include <rcl/client.h>
 #include <rcl/logging_rosout.h>
@@ -11,14 +12,14 @@
 #include <rcl/subscription.h>
 
 #include "base/next_function.hpp"
-#include "components/rclcpp/handle_ledger.hpp"
+#include "isolation/record/child_record.hpp"
+#include "overrides/handle_ledger.hpp"
 
 namespace {
 
+using play_launch::HandleKind;
+using play_launch::HandleLedger;
 using play_launch::next_function;
-using play_launch::rclcpp_backend::finalise_discarded_nodes;
-using play_launch::rclcpp_backend::HandleKind;
-using play_launch::rclcpp_backend::HandleLedger;
 
 const auto next_rcl_node_init = next_function<"rcl_node_init">(&rcl_node_init);
 const auto next_rcl_node_fini = next_function<"rcl_node_fini">(&rcl_node_fini);
@@ -39,17 +40,42 @@ const auto next_rcl_logging_rosout_init_publisher_for_node =
     next_function<"rcl_logging_rosout_init_publisher_for_node">(
         &rcl_logging_rosout_init_publisher_for_node);
 
-rcl_ret_t opened(rcl_ret_t result, HandleKind kind, void* handle, const rcl_node_t* node) {
-  HandleLedger* const ledger = HandleLedger::current();
-  if (result == RCL_RET_OK && ledger != nullptr) {
-    ledger->opened(kind, handle, node);
+/// Calls of rcl's functions that the calling thread is in. What one of them opens by another is its
+/// own: rcl's table for /rosout takes a copy of the publisher, and finalises that.
+constinit thread_local int depth = 0;
+
+class Call {
+ public:
+  Call() noexcept { ++depth; }
+  ~Call() { --depth; }
+  Call(const Call&) = delete;
+  Call& operator=(const Call&) = delete;
+};
+
+/// Null: nothing is entered.
+HandleLedger* ledger() noexcept {
+  const auto* const child = play_launch::isolation::current_child();
+  return child != nullptr ? child->program->handles() : nullptr;
+}
+
+template <class Init>
+rcl_ret_t opening(HandleKind kind, void* handle, const rcl_node_t* node, Init init) {
+  rcl_ret_t result;
+  {
+    const Call call;
+    result = init();
+  }
+  if (result == RCL_RET_OK && depth == 0) {
+    if (HandleLedger* const entries = ledger()) {
+      entries->opened(kind, handle, node);
+    }
   }
   return result;
 }
 
-void closing(const void* handle) {
-  if (HandleLedger* const ledger = HandleLedger::current()) {
-    ledger->closed(handle);
+void closing(const void* handle) noexcept {
+  if (HandleLedger* const entries = ledger()) {
+    entries->closed(handle);
   }
 }
 
@@ -59,82 +85,78 @@ extern "C" {
 
 rcl_ret_t rcl_node_init(rcl_node_t* node, const char* name, const char* name_space,
                         rcl_context_t* context, const rcl_node_options_t* options) {
-  const auto init = next_rcl_node_init.get();
-  return opened(init(node, name, name_space, context, options), HandleKind::node, node, node);
+  return opening(HandleKind::node, node, node, [&] {
+    return next_rcl_node_init.get()(node, name, name_space, context, options);
+  });
 }
 
 rcl_ret_t rcl_node_fini(rcl_node_t* node) {
-  const auto fini = next_rcl_node_fini.get();
   closing(node);
-  return fini(node);
+  return next_rcl_node_fini.get()(node);
 }
 
 rcl_ret_t rcl_publisher_init(rcl_publisher_t* publisher, const rcl_node_t* node,
                              const rosidl_message_type_support_t* type, const char* topic,
                              const rcl_publisher_options_t* options) {
-  const auto init = next_rcl_publisher_init.get();
-  return opened(init(publisher, node, type, topic, options), HandleKind::publisher, publisher,
-                node);
+  return opening(HandleKind::publisher, publisher, node, [&] {
+    return next_rcl_publisher_init.get()(publisher, node, type, topic, options);
+  });
 }
 
 rcl_ret_t rcl_publisher_fini(rcl_publisher_t* publisher, rcl_node_t* node) {
-  const auto fini = next_rcl_publisher_fini.get();
   closing(publisher);
-  return fini(publisher, node);
+  return next_rcl_publisher_fini.get()(publisher, node);
 }
 
 rcl_ret_t rcl_subscription_init(rcl_subscription_t* subscription, const rcl_node_t* node,
                                 const rosidl_message_type_support_t* type, const char* topic,
                                 const rcl_subscription_options_t* options) {
-  const auto init = next_rcl_subscription_init.get();
-  return opened(init(subscription, node, type, topic, options), HandleKind::subscription,
-                subscription, node);
+  return opening(HandleKind::subscription, subscription, node, [&] {
+    return next_rcl_subscription_init.get()(subscription, node, type, topic, options);
+  });
 }
 
 rcl_ret_t rcl_subscription_fini(rcl_subscription_t* subscription, rcl_node_t* node) {
-  const auto fini = next_rcl_subscription_fini.get();
   closing(subscription);
-  return fini(subscription, node);
+  return next_rcl_subscription_fini.get()(subscription, node);
 }
 
 rcl_ret_t rcl_service_init(rcl_service_t* service, const rcl_node_t* node,
                            const rosidl_service_type_support_t* type, const char* name,
                            const rcl_service_options_t* options) {
-  const auto init = next_rcl_service_init.get();
-  return opened(init(service, node, type, name, options), HandleKind::service, service, node);
+  return opening(HandleKind::service, service, node,
+                 [&] { return next_rcl_service_init.get()(service, node, type, name, options); });
 }
 
 rcl_ret_t rcl_node_type_description_service_init(rcl_service_t* service, const rcl_node_t* node) {
-  const auto init = next_rcl_node_type_description_service_init.get();
-  return opened(init(service, node), HandleKind::service, service, node);
+  return opening(HandleKind::service, service, node,
+                 [&] { return next_rcl_node_type_description_service_init.get()(service, node); });
 }
 
 rcl_ret_t rcl_service_fini(rcl_service_t* service, rcl_node_t* node) {
-  const auto fini = next_rcl_service_fini.get();
   closing(service);
-  return fini(service, node);
+  return next_rcl_service_fini.get()(service, node);
 }
 
 rcl_ret_t rcl_client_init(rcl_client_t* client, const rcl_node_t* node,
                           const rosidl_service_type_support_t* type, const char* name,
                           const rcl_client_options_t* options) {
-  const auto init = next_rcl_client_init.get();
-  return opened(init(client, node, type, name, options), HandleKind::client, client, node);
+  return opening(HandleKind::client, client, node,
+                 [&] { return next_rcl_client_init.get()(client, node, type, name, options); });
 }
 
 rcl_ret_t rcl_client_fini(rcl_client_t* client, rcl_node_t* node) {
-  const auto fini = next_rcl_client_fini.get();
   closing(client);
-  return fini(client, node);
+  return next_rcl_client_fini.get()(client, node);
 }
 
-// Called with rclcpp's lock for logging.
-
 rcl_ret_t rcl_logging_rosout_init_publisher_for_node(rcl_node_t* node) {
-  const auto init = next_rcl_logging_rosout_init_publisher_for_node.get();
-  const HandleLedger::Pause pause;  // the publisher is the table's
-  finalise_discarded_nodes();
-  return init(node);
+  // Before: who dies in there may be in the table.
+  if (HandleLedger* const entries = ledger()) {
+    entries->logs(node);
+  }
+  const Call call;
+  return next_rcl_logging_rosout_init_publisher_for_node.get()(node);
 }
 
 }  // extern "C"

@@ -18,8 +18,8 @@
 
 #include "base/next_function.hpp"
 #include "isolation/crash/crash_handler.hpp"
-#include "isolation/overrides/exit_guard.hpp"
 #include "isolation/record/child_record.hpp"
+#include "overrides/exit_guard.hpp"
 
 namespace {
 

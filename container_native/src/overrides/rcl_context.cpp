@@ -1,4 +1,4 @@
-#include "main/context_guard.hpp"
+#include "overrides/rcl_context.hpp"
 
 #include <dlfcn.h>
 #include <link.h>
@@ -12,7 +12,7 @@
 #include "base/next_function.hpp"
 #include "isolation/record/child_record.hpp"
 
-namespace play_launch::container {
+namespace play_launch {
 namespace {
 
 /// The context that is guarded; null: none is.
@@ -62,16 +62,15 @@ ContextGuard::~ContextGuard() {
   context_->guard_shutdown(nullptr);
 }
 
-}  // namespace play_launch::container
+}  // namespace play_launch
 
 /// Instead of librcl's, for the whole program: the executable exports its symbols, so libraries
 /// find this one first.
 extern "C" [[gnu::visibility("default")]] rcl_ret_t rcl_shutdown(rcl_context_t* context) {
-  using namespace play_launch::container;
-  play_launch::Context* const ours = guarded;
+  play_launch::Context* const ours = play_launch::guarded;
   if (ours != nullptr && ours->rcl() == context &&
       !ours->may_shut_down(__builtin_return_address(0))) {
     return RCL_RET_OK;
   }
-  return next_rcl_shutdown.get()(context);
+  return play_launch::next_rcl_shutdown.get()(context);
 }

@@ -7,7 +7,7 @@
 // Children use the table too, and may be killed anywhere in here: there is no lock, and a place
 // that was taken and not filled stays empty.
 
-#include "isolation/overrides/type_supports.hpp"
+#include "overrides/type_supports.hpp"
 
 #include <dlfcn.h>
 
