@@ -7,7 +7,6 @@
 #include <play_launch/context.hpp>
 #include <play_launch/error.hpp>
 #include <play_launch/executor.hpp>
-#include <play_launch/intra_process.hpp>
 #include <play_launch/logging.hpp>
 #include <play_launch/node.hpp>
 #include <play_launch/node_options.hpp>

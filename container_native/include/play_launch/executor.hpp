@@ -1,6 +1,5 @@
 #pragma once
 
-#include <atomic>
 #include <cstddef>
 #include <cstdint>
 #include <memory>
@@ -12,7 +11,8 @@ namespace play_launch {
 
 namespace detail {
 class StopFlag;
-}
+struct ExecutorAccess;
+}  // namespace detail
 
 class Node;
 struct ExecutorState;
@@ -46,19 +46,11 @@ class Executor {
   /// here is ignored. Throws std::logic_error when called from a callback of that very node.
   void remove_node(const std::shared_ptr<Node>& node);
 
-  /// Before spin(): notes the time (nanoseconds of the steady clock) in `beat` whenever a thread of
-  /// the executor looks for work, which one of them does once a second when there is none. Only
-  /// with all threads in callbacks, `beat` stands still. It must outlive spin().
-  void beat_into(std::atomic<std::int64_t>& beat) noexcept;
-
-  /// For an executor that spun in a process which shares this memory and has died: forgets the
-  /// callbacks that were running, and destroys what they held. Afterwards nodes can be removed and
-  /// the executor destroyed. The threads that were in spin() must be gone for good.
-  virtual void abandon();
-
  protected:
-  /// `stop` is the request to stop; null: one of its own, which only cancel() makes.
   explicit Executor(std::shared_ptr<detail::StopFlag> stop);
+
+  /// See ExecutorAccess.
+  virtual void abandon();
 
   /// Works in the calling thread until cancelled.
   void work();
@@ -75,6 +67,8 @@ class Executor {
   };
 
  private:
+  friend struct detail::ExecutorAccess;
+
   void run(RunningTurn& turn, std::unique_lock<std::mutex>& lock);
   [[nodiscard]] std::int64_t next_look(std::int64_t due) const;
   void wait_for_work(std::uint32_t seen, std::unique_lock<std::mutex>& lock);
@@ -85,23 +79,29 @@ class Executor {
 /// Runs all callbacks one after the other, in the thread that calls spin().
 class SingleThreadedExecutor final : public Executor {
  public:
-  explicit SingleThreadedExecutor(std::shared_ptr<detail::StopFlag> stop = nullptr);
+  SingleThreadedExecutor();
 
   void spin() override;
+
+ private:
+  friend struct detail::ExecutorAccess;
+  explicit SingleThreadedExecutor(std::shared_ptr<detail::StopFlag> stop);
 };
 
 /// Runs callbacks in several threads, as their callback groups allow.
 class MultiThreadedExecutor final : public Executor {
  public:
   /// `threads` work in spin(), the calling one included; 0 = one per CPU, at least 2.
-  explicit MultiThreadedExecutor(std::size_t threads = 0,
-                                 std::shared_ptr<detail::StopFlag> stop = nullptr);
+  explicit MultiThreadedExecutor(std::size_t threads = 0);
 
   void spin() override;
-  void abandon() override;
   [[nodiscard]] std::size_t threads() const noexcept { return threads_; }
 
  private:
+  friend struct detail::ExecutorAccess;
+  MultiThreadedExecutor(std::size_t threads, std::shared_ptr<detail::StopFlag> stop);
+  void abandon() override;
+
   const std::size_t threads_;
   std::vector<std::thread> workers_;  // all but the thread that called spin()
 };

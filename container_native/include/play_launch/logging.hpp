@@ -8,6 +8,7 @@
 
 namespace play_launch {
 
+class Node;
 class PublisherHandle;
 
 /// Writes log lines of one name to the console, to the process's log file and, for a node with
@@ -29,12 +30,14 @@ class Logger {
   void write(int severity, const rcutils_log_location_t& location, const char* format,
              ...) const noexcept __attribute__((format(printf, 4, 5)));
 
+ private:
+  friend class Node;
+  struct State;
+
   /// Sends what is logged to that publisher of rcl_interfaces/Log too, as long as it lives. To be
-  /// called before the logger is handed out; used by Node.
+  /// called before the logger is handed out.
   void publish_to(const std::shared_ptr<PublisherHandle>& rosout);
 
- private:
-  struct State;
   std::shared_ptr<State> state_;
 };
 

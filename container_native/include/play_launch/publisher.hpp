@@ -4,7 +4,7 @@
 
 #include <cstddef>
 #include <memory>
-#include <play_launch/intra_process.hpp>
+#include <play_launch/detail/intra_process.hpp>
 #include <play_launch/qos.hpp>
 #include <rosidl_typesupport_cpp/message_type_support.hpp>
 #include <stdexcept>
@@ -30,9 +30,6 @@ class PublisherBase {
 
   /// Matched subscriptions, those reached by pointer included. Throws RclError.
   [[nodiscard]] std::size_t subscription_count() const;
-
-  /// The middleware side, for whoever needs more than this class offers.
-  [[nodiscard]] const std::shared_ptr<PublisherHandle>& handle() const noexcept { return handle_; }
 
  protected:
   PublisherBase(const std::shared_ptr<NodeHandle>& node,

@@ -7,8 +7,8 @@
 #include <functional>
 #include <memory>
 #include <mutex>
+#include <play_launch/detail/waitable.hpp>
 #include <play_launch/qos.hpp>
-#include <play_launch/waitable.hpp>
 #include <rosidl_typesupport_cpp/service_type_support.hpp>
 #include <string>
 #include <type_traits>

@@ -7,9 +7,9 @@
 #include <functional>
 #include <memory>
 #include <mutex>
-#include <play_launch/intra_process.hpp>
+#include <play_launch/detail/intra_process.hpp>
+#include <play_launch/detail/waitable.hpp>
 #include <play_launch/qos.hpp>
-#include <play_launch/waitable.hpp>
 #include <rosidl_typesupport_cpp/message_type_support.hpp>
 #include <string>
 #include <type_traits>

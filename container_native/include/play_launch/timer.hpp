@@ -4,7 +4,7 @@
 #include <functional>
 #include <memory>
 #include <mutex>
-#include <play_launch/waitable.hpp>
+#include <play_launch/detail/waitable.hpp>
 
 namespace play_launch {
 

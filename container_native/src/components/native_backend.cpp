@@ -4,6 +4,7 @@
 
 #include <map>
 #include <play_launch/component_registry.hpp>
+#include <play_launch/detail/executor_access.hpp>
 #include <play_launch/executor.hpp>
 #include <play_launch/node.hpp>
 #include <utility>
@@ -23,14 +24,15 @@ class NativeComponent final : public Component {
   const std::shared_ptr<Node> node_;
 };
 
+/// The SDK cannot know the container's interface: this is what lies between.
 class NativeExecutor final : public ComponentExecutor {
  public:
   explicit NativeExecutor(std::unique_ptr<Executor> executor) : executor_(std::move(executor)) {}
   void spin() override { executor_->spin(); }
   void add(Component& component) override { executor_->add_node(node_of(component)); }
   void remove(Component& component) override { executor_->remove_node(node_of(component)); }
-  void abandon() override { executor_->abandon(); }
-  void beat_into(Beat& beat) override { executor_->beat_into(beat); }
+  void abandon() override { detail::ExecutorAccess::abandon(*executor_); }
+  void beat_into(Beat& beat) override { detail::ExecutorAccess::beat_into(*executor_, beat); }
 
  private:
   static const std::shared_ptr<Node>& node_of(Component& component) {
@@ -124,10 +126,9 @@ std::unique_ptr<ComponentExecutor> NativeBackend::create_executor(
     const ExecutorChoice& choice, std::shared_ptr<detail::StopFlag> stop) {
   if (choice.multi_threaded) {
     return std::make_unique<NativeExecutor>(
-        std::make_unique<MultiThreadedExecutor>(choice.threads, std::move(stop)));
+        detail::ExecutorAccess::multi_threaded(choice.threads, std::move(stop)));
   }
-  return std::make_unique<NativeExecutor>(
-      std::make_unique<SingleThreadedExecutor>(std::move(stop)));
+  return std::make_unique<NativeExecutor>(detail::ExecutorAccess::single_threaded(std::move(stop)));
 }
 
 }  // namespace play_launch::container

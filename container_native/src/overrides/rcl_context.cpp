@@ -6,6 +6,7 @@
 #include <unistd.h>
 
 #include <atomic>
+#include <play_launch/detail/context_access.hpp>
 #include <play_launch/detail/running_node.hpp>
 #include <utility>
 
@@ -50,16 +51,15 @@ bool decide(pid_t container, const ContextGuard::OnShutdown& on_shutdown, const 
 
 ContextGuard::ContextGuard(std::shared_ptr<Context> context, OnShutdown on_shutdown)
     : context_(std::move(context)) {
-  context_->guard_shutdown(
-      [container = ::getpid(), on_shutdown = std::move(on_shutdown)](const void* caller) {
-        return decide(container, on_shutdown, caller);
-      });
+  detail::ContextAccess::guard_shutdown(
+      *context_, [container = ::getpid(), on_shutdown = std::move(on_shutdown)](
+                     const void* caller) { return decide(container, on_shutdown, caller); });
   guarded = context_.get();
 }
 
 ContextGuard::~ContextGuard() {
   guarded = nullptr;
-  context_->guard_shutdown(nullptr);
+  detail::ContextAccess::guard_shutdown(*context_, nullptr);
 }
 
 }  // namespace play_launch
@@ -69,7 +69,7 @@ ContextGuard::~ContextGuard() {
 extern "C" [[gnu::visibility("default")]] rcl_ret_t rcl_shutdown(rcl_context_t* context) {
   play_launch::Context* const ours = play_launch::guarded;
   if (ours != nullptr && ours->rcl() == context &&
-      !ours->may_shut_down(__builtin_return_address(0))) {
+      !play_launch::detail::ContextAccess::may_shut_down(*ours, __builtin_return_address(0))) {
     return RCL_RET_OK;
   }
   return play_launch::next_rcl_shutdown.get()(context);

@@ -1,6 +1,7 @@
 #include "overrides/rclcpp_context.hpp"
 
 #include <atomic>
+#include <play_launch/detail/context_access.hpp>
 #include <rclcpp/contexts/default_context.hpp>
 #include <rclcpp/utilities.hpp>
 #include <string>
@@ -24,7 +25,7 @@ bool rclcpp::shutdown(rclcpp::Context::SharedPtr context, const std::string& rea
   }
   play_launch::Context* const shared = guarded;
   if (context == everybodys && shared != nullptr &&
-      !shared->may_shut_down(__builtin_return_address(0))) {
+      !play_launch::detail::ContextAccess::may_shut_down(*shared, __builtin_return_address(0))) {
     return true;
   }
   return context->shutdown(reason);

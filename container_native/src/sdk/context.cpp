@@ -4,9 +4,10 @@
 #include <rcl/logging.h>
 
 #include <play_launch/context.hpp>
+#include <play_launch/detail/context_access.hpp>
+#include <play_launch/detail/intra_process.hpp>
 #include <play_launch/detail/stop_flag.hpp>
 #include <play_launch/error.hpp>
-#include <play_launch/intra_process.hpp>
 #include <utility>
 
 namespace play_launch {
@@ -64,7 +65,7 @@ std::shared_ptr<Context> Context::create(int argc, const char* const* argv) {
   return context;
 }
 
-std::shared_ptr<Context> Context::borrow(rcl_context_t* context) {
+std::shared_ptr<Context> detail::ContextAccess::borrow(rcl_context_t* context) {
   if (context == nullptr || !rcl_context_is_valid(context)) {
     throw RclError("borrow a context that is not initialised", RCL_RET_INVALID_ARGUMENT);
   }
@@ -82,19 +83,19 @@ Context::~Context() {
 bool Context::ok() const noexcept { return context_ != nullptr && rcl_context_is_valid(context_); }
 
 void Context::shutdown() {
-  if (may_shut_down(__builtin_return_address(0))) end();
+  if (detail::ContextAccess::may_shut_down(*this, __builtin_return_address(0))) end();
 }
 
-void Context::guard_shutdown(ShutdownGuard guard) {
-  const std::lock_guard lock(mutex_);
-  guard_ = std::move(guard);
+void detail::ContextAccess::guard_shutdown(Context& context, ShutdownGuard guard) {
+  const std::lock_guard lock(context.mutex_);
+  context.guard_ = std::move(guard);
 }
 
-bool Context::may_shut_down(const void* caller) {
+bool detail::ContextAccess::may_shut_down(Context& context, const void* caller) {
   ShutdownGuard guard;
   {
-    const std::lock_guard lock(mutex_);
-    guard = guard_;
+    const std::lock_guard lock(context.mutex_);
+    guard = context.guard_;
   }
   return !guard || guard(caller);
 }
@@ -113,15 +114,20 @@ void Context::end() {
   }
 }
 
-void Context::stop_on_shutdown(const std::shared_ptr<detail::StopFlag>& stop) {
+IntraProcessHub& detail::ContextAccess::intra_process(Context& context) noexcept {
+  return *context.hub_;
+}
+
+void detail::ContextAccess::stop_on_shutdown(Context& context,
+                                             const std::shared_ptr<StopFlag>& stop) {
   {
-    const std::lock_guard lock(mutex_);
-    if (!shut_down_) {
-      std::erase_if(stops_, [&stop](const auto& known) {
+    const std::lock_guard lock(context.mutex_);
+    if (!context.shut_down_) {
+      std::erase_if(context.stops_, [&stop](const auto& known) {
         const auto alive = known.lock();
         return alive == nullptr || alive == stop;
       });
-      stops_.push_back(stop);
+      context.stops_.push_back(stop);
       return;
     }
   }

@@ -5,6 +5,8 @@
 #include <memory>
 #include <play_launch/callback_group.hpp>
 #include <play_launch/context.hpp>
+#include <play_launch/detail/context_access.hpp>
+#include <play_launch/detail/executor_access.hpp>
 #include <play_launch/detail/forget.hpp>
 #include <play_launch/detail/running_node.hpp>
 #include <play_launch/executor.hpp>
@@ -59,8 +61,7 @@ Work take_or_report(Waitable& waitable) {
 }  // namespace
 
 Executor::Executor(std::shared_ptr<detail::StopFlag> stop)
-    : state_(std::make_unique<ExecutorState>(
-          stop != nullptr ? std::move(stop) : std::make_shared<detail::StopFlag>())) {}
+    : state_(std::make_unique<ExecutorState>(std::move(stop))) {}
 
 Executor::~Executor() {
   while (true) {
@@ -77,9 +78,21 @@ Executor::~Executor() {
 
 void Executor::cancel() noexcept { state_->queue->stop()->set(); }
 
-void Executor::beat_into(std::atomic<std::int64_t>& beat) noexcept {
-  state_->beat = &beat;
+void detail::ExecutorAccess::beat_into(Executor& executor,
+                                       std::atomic<std::int64_t>& beat) noexcept {
+  executor.state_->beat = &beat;
   beat = steady_now();
+}
+
+void detail::ExecutorAccess::abandon(Executor& executor) { executor.abandon(); }
+
+std::unique_ptr<Executor> detail::ExecutorAccess::single_threaded(std::shared_ptr<StopFlag> stop) {
+  return std::unique_ptr<Executor>(new SingleThreadedExecutor(std::move(stop)));
+}
+
+std::unique_ptr<Executor> detail::ExecutorAccess::multi_threaded(std::size_t threads,
+                                                                 std::shared_ptr<StopFlag> stop) {
+  return std::unique_ptr<Executor>(new MultiThreadedExecutor(threads, std::move(stop)));
 }
 
 void Executor::add_node(std::shared_ptr<Node> node) {
@@ -90,7 +103,7 @@ void Executor::add_node(std::shared_ptr<Node> node) {
     const std::lock_guard lock(state_->mutex);
     state_->nodes.emplace(node.get(), ExecutorState::Held{node, slot});
   }
-  node->context()->stop_on_shutdown(state_->queue->stop());
+  detail::ContextAccess::stop_on_shutdown(*node->context(), state_->queue->stop());
   node->waitables_->attach(slot);
 }
 
@@ -221,6 +234,9 @@ Executor::Spinning::~Spinning() {
   executor_.state_->spinning = false;
 }
 
+SingleThreadedExecutor::SingleThreadedExecutor()
+    : SingleThreadedExecutor(std::make_shared<detail::StopFlag>()) {}
+
 SingleThreadedExecutor::SingleThreadedExecutor(std::shared_ptr<detail::StopFlag> stop)
     : Executor(std::move(stop)) {}
 
@@ -228,6 +244,9 @@ void SingleThreadedExecutor::spin() {
   const Spinning spinning(*this);
   work();
 }
+
+MultiThreadedExecutor::MultiThreadedExecutor(std::size_t threads)
+    : MultiThreadedExecutor(threads, std::make_shared<detail::StopFlag>()) {}
 
 MultiThreadedExecutor::MultiThreadedExecutor(std::size_t threads,
                                              std::shared_ptr<detail::StopFlag> stop)

@@ -4,7 +4,7 @@
 
 #include <algorithm>
 #include <cstring>
-#include <play_launch/intra_process.hpp>
+#include <play_launch/detail/intra_process.hpp>
 
 #include "ready_queue.hpp"
 

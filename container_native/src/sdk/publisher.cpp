@@ -2,6 +2,7 @@
 #include <rmw/rmw.h>
 
 #include <play_launch/context.hpp>
+#include <play_launch/detail/context_access.hpp>
 #include <play_launch/error.hpp>
 #include <play_launch/publisher.hpp>
 
@@ -19,8 +20,8 @@ PublisherBase::PublisherBase(const std::shared_ptr<NodeHandle>& node,
   rmw_gid_t gid;
   throw_unless_ok(rmw_get_gid_for_publisher(rcl_publisher_get_rmw_handle(handle_->rcl()), &gid),
                   "identify the publisher of topic '" + topic_ + "'");
-  intra_process_ =
-      node->context().intra_process().add_publisher(topic_, type, qos.profile(), gid, *node->rcl());
+  intra_process_ = detail::ContextAccess::intra_process(node->context())
+                       .add_publisher(topic_, type, qos.profile(), gid, *node->rcl());
 }
 
 PublisherBase::~PublisherBase() = default;

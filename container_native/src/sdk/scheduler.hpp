@@ -6,7 +6,7 @@
 #include <list>
 #include <map>
 #include <memory>
-#include <play_launch/waitable.hpp>
+#include <play_launch/detail/waitable.hpp>
 #include <utility>
 
 #include "ready_queue.hpp"

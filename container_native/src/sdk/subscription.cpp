@@ -1,6 +1,7 @@
 #include <rcl/error_handling.h>
 
 #include <play_launch/context.hpp>
+#include <play_launch/detail/context_access.hpp>
 #include <play_launch/error.hpp>
 #include <play_launch/subscription.hpp>
 
@@ -19,8 +20,9 @@ void SubscriptionBase::open(const std::shared_ptr<NodeHandle>& node,
                             std::shared_ptr<IntraProcessInbox> inbox) {
   inbox_ = std::move(inbox);
   if (inbox_) {
-    intra_process_ = node->context().intra_process().add_subscription(
-        node->resolve(topic, false), type, qos.profile(), inbox_, *node->rcl());
+    intra_process_ = detail::ContextAccess::intra_process(node->context())
+                         .add_subscription(node->resolve(topic, false), type, qos.profile(), inbox_,
+                                           *node->rcl());
   }
   handle_ = std::make_shared<SubscriptionHandle>(node, type_support, topic, qos, token());
   topic_ = rcl_subscription_get_topic_name(handle_->rcl());

@@ -1,4 +1,4 @@
-#include <play_launch/waitable.hpp>
+#include <play_launch/detail/waitable.hpp>
 #include <utility>
 
 #include "ready_queue.hpp"

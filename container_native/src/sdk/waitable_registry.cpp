@@ -1,6 +1,6 @@
 #include "waitable_registry.hpp"
 
-#include <play_launch/waitable.hpp>
+#include <play_launch/detail/waitable.hpp>
 #include <stdexcept>
 #include <utility>
 

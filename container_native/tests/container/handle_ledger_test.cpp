@@ -6,7 +6,8 @@
 
 #include <csignal>
 #include <optional>
-#include <play_launch/intra_process.hpp>
+#include <play_launch/detail/context_access.hpp>
+#include <play_launch/detail/intra_process.hpp>
 #include <std_msgs/msg/string.hpp>
 #include <std_srvs/srv/trigger.hpp>
 
@@ -48,7 +49,7 @@ class Burial final : public isolation::ChildProgram {
   int run() override {
     dead_.ledger.for_each_node([this](const rcl_node_t& node) {
       ++nodes;
-      context_.intra_process().remove_all_of(node);
+      play_launch::detail::ContextAccess::intra_process(context_).remove_all_of(node);
     });
     dead_.ledger.give_back([this](const auto& function) {
       ++locked;

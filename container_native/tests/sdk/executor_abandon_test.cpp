@@ -3,6 +3,7 @@
 
 #include <std_msgs/msg/string.hpp>
 
+#include <play_launch/detail/executor_access.hpp>
 #include "check.hpp"
 
 using namespace play_launch;
@@ -38,7 +39,7 @@ void abandon(const std::shared_ptr<Context>& context, int vanishing, Arguments..
   CHECK(vanished.reaches_at_least(vanishing));
 
   executor->cancel();
-  executor->abandon();
+  play_launch::detail::ExecutorAccess::abandon(*executor);
   executor->remove_node(node);
   CHECK(node.use_count() == 1);
   const std::weak_ptr<SubscriptionBase> first = reentrant;

@@ -1,6 +1,7 @@
 // An executor shows that it comes round: when it is idle, and as long as one thread of it is free.
 #include <atomic>
 
+#include <play_launch/detail/executor_access.hpp>
 #include "check.hpp"
 
 using namespace play_launch;
@@ -24,7 +25,7 @@ void test_beat(const std::shared_ptr<Context>& context, bool moves_beside_a_call
                Arguments... arguments) {
   E executor(arguments...);
   Beat beat{0};
-  executor.beat_into(beat);
+  play_launch::detail::ExecutorAccess::beat_into(executor, beat);
   CHECK(beat != 0);
   auto node = std::make_shared<Node>("beating", options_in(context));
   std::atomic<bool> asked{false};

@@ -6,6 +6,7 @@
 
 #include <atomic>
 
+#include <play_launch/detail/executor_access.hpp>
 #include "check.hpp"
 
 using namespace play_launch;
@@ -54,7 +55,7 @@ void test_vanishing(const std::shared_ptr<Context>& context, int locks) {
 
   // Who cleans up.
   executor->cancel();
-  executor->abandon();
+  play_launch::detail::ExecutorAccess::abandon(*executor);
   executor->remove_node(node);
   const std::weak_ptr<Timer> gone = timer;
   timer.reset();

@@ -5,6 +5,7 @@
 #include <unistd.h>
 
 #include <new>
+#include <play_launch/detail/context_access.hpp>
 #include <rclcpp/contexts/default_context.hpp>
 #include <rclcpp/graph_listener.hpp>
 #include <rclcpp/init_options.hpp>
@@ -29,7 +30,7 @@ class Runtime {
     // process of a node: it serves all nodes, and would die with that one.
     graph_listener_ = context_->get_sub_context<rclcpp::graph_listener::GraphListener>(context_);
     graph_listener_->start_if_not_started();
-    borrowed_ = Context::borrow(context_->get_rcl_context().get());
+    borrowed_ = detail::ContextAccess::borrow(context_->get_rcl_context().get());
     guard_default_context(borrowed_.get());
   }
   ~Runtime() {
@@ -50,7 +51,7 @@ class Runtime {
   /// For Context::shutdown(), which cannot be kept from its work in another way: what is thrown
   /// here comes out of the component's call. rclcpp::shutdown() does not get here.
   void on_shutdown_by_a_component() const {
-    if (!borrowed_->may_shut_down(nullptr) && ::getpid() != container_) {
+    if (!detail::ContextAccess::may_shut_down(*borrowed_, nullptr) && ::getpid() != container_) {
       throw ContextIsShared();
     }
   }

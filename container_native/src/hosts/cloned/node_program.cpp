@@ -2,7 +2,8 @@
 
 #include <algorithm>
 #include <exception>
-#include <play_launch/intra_process.hpp>
+#include <play_launch/detail/context_access.hpp>
+#include <play_launch/detail/intra_process.hpp>
 #include <utility>
 
 #include "base/doorbell.hpp"
@@ -132,7 +133,7 @@ int NodeBurial::run() {
 /// Those of a constructor that was not finished, of which nothing else is known.
 void NodeBurial::give_back_handles() {
   ComponentBackend& backend = dead_.backends_[dead_.found_.backend];
-  IntraProcessHub& hub = backend.context()->intra_process();
+  IntraProcessHub& hub = detail::ContextAccess::intra_process(*backend.context());
   dead_.handles_.for_each_node([&hub](const rcl_node_t& node) { hub.remove_all_of(node); });
   dead_.handles_.give_back(
       [&backend](const auto& function) { return backend.with_logging_lock(function); });
