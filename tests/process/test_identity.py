@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import subprocess
@@ -76,3 +77,18 @@ def test_a_handle_never_means_the_next_owner_of_a_pid() -> None:
         assert not handle.send_signal(signal.SIGKILL)
     with pytest.raises(NoSuchProcessError):
         ProcessHandle.open(identity)
+
+
+def test_processes_that_proc_hides_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As with ``mount -o hidepid=1``, where the processes of other users can be listed only."""
+    opened = os.open
+
+    def hiding(path: str, flags: int) -> int:
+        if path == "/proc/1/stat":
+            raise PermissionError(errno.EPERM, "Operation not permitted", path)
+        return opened(path, flags)
+
+    monkeypatch.setattr(os, "open", hiding)
+    pids = {stat.pid for stat in list_processes()}
+    assert os.getpid() in pids
+    assert 1 not in pids
