@@ -299,6 +299,7 @@ class ContainerNodes:
         node.record = record = result.record
         node.pid = facts.pid or (node.pid if record.attempt == before.attempt else 0)
         if record.attempt != before.attempt:
+            node.loaded_at = None
             self._attempts.use()
         if record.state is not before.state and record.state is NodeState.LOADED:
             node.loaded_at = self._clock()

@@ -299,3 +299,28 @@ def test_one_that_was_given_up_does_not_come_back_with_its_container() -> None:
             assert sys.node_states("/a")[-1] is NodeState.GAVE_UP
 
     run(main())
+
+
+def test_a_crash_in_the_constructor_is_no_long_life_after_a_long_life_before() -> None:
+    """The node lives long, its container dies, and the next attempt crashes while it is built."""
+
+    class CrashesInConstructor(FakeContainer):
+        def construct(self, held: Held) -> None:
+            self.crash_node(held.load.node_name)
+
+    async def main() -> Running:
+        limits = RestartLimits(max_restarts=3, initial=4.0, maximum=30.0)
+        config = system(container("c", node("a", restart=limits)))
+        async with running(config, launcher(FakeContainer, CrashesInConstructor)) as sys:
+            for _ in range(2):
+                await sys.until_loaded(1)
+                await crash(sys, "a")
+            await sys.until_loaded(1)
+            await asyncio.sleep(100)
+            the_container(sys).crash()
+            await sys.until(lambda: crashes(sys, "/a") == 3)
+        return sys
+
+    sys = run(main())
+    reasons = [event.reason for event in sys.node_events("/a", NodeState.CRASHED)]
+    assert ["at once" in reason for reason in reasons] == [True, False, False]
