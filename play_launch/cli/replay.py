@@ -56,6 +56,7 @@ def replay(
     """
     loaded = _load(config, duration)
     _require_ros()
+    _require_log_folder(loaded)
     # With pydantic, rclpy and rich, this would slow down --help by half a second.
     from play_launch.cli.run import RunOptions, run  # noqa: PLC0415
     from play_launch.native.locate import NotInstalledError  # noqa: PLC0415
@@ -81,6 +82,15 @@ def _load(path: Path, duration: str | None) -> ReplayConfig:
     except ConfigError as error:
         fail(f"{path} cannot be used, nothing was started\n{error.for_people()}")
     return loaded if seconds is None else dataclasses.replace(loaded, duration=seconds)
+
+
+def _require_log_folder(config: ReplayConfig) -> None:
+    from play_launch.config.environment import log_folder_problem  # noqa: PLC0415
+
+    for container in config.containers:
+        problem = log_folder_problem({**os.environ, **container.environment})
+        if problem is not None and not container.attach:
+            fail(f"{container.full_name} cannot run: {problem}; nothing was started")
 
 
 def _require_ros() -> None:

@@ -72,3 +72,14 @@ def _string(node: Node, path: str, report: Report) -> str | None:
             return None
     report.add(node.place, path, f"expected a string, given {describe_node(node)}")
     return None
+
+
+def log_folder_problem(environ: dict[str, str]) -> str | None:
+    """Say why a ROS process with this environment has no folder for its log; None: it has one.
+
+    rcl_logging takes ROS_LOG_DIR, then ROS_HOME, then HOME, and a process that finds none of them
+    ends when it is started. Unlike a shell, it does not look into the database of users.
+    """
+    if any(environ.get(name) for name in ("ROS_LOG_DIR", "ROS_HOME", "HOME")):
+        return None
+    return "ROS has no folder for its log files; set HOME or ROS_LOG_DIR"

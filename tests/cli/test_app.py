@@ -224,3 +224,31 @@ def test_thousands_of_mistakes_do_not_flood_the_screen(verb: str, tmp_path: Path
     )
     problems = json.loads(every.stdout)["problems"]
     assert len(problems) == 50 + int(count[1].replace(",", ""))
+
+
+@pytest.mark.parametrize("home", [None, ""])
+def test_without_a_folder_for_ros_s_log_nothing_is_started(
+    home: str | None, tmp_path: Path
+) -> None:
+    config = tmp_path / "c.yaml"
+    config.write_text("version: 1\nduration: 1 s\ncontainers: [{name: c}]\n", encoding="utf-8")
+    without = {"HOME", "ROS_HOME", "ROS_LOG_DIR"}
+    environ = {name: value for name, value in os.environ.items() if name not in without}
+    if home is not None:
+        environ["HOME"] = home
+
+    def replay(**more: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [COMMAND, "replay", config, "--log-dir", tmp_path / "logs"],
+            check=False,
+            capture_output=True,
+            text=True,
+            env={**environ, **more},
+            timeout=60,
+        )
+
+    done = replay()
+    assert done.returncode == 2
+    assert done.stderr.count("set HOME or ROS_LOG_DIR") == 1
+    assert not (tmp_path / "logs").exists()
+    assert replay(ROS_LOG_DIR=str(tmp_path / "ros")).returncode == 0
