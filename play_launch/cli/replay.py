@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+from datetime import datetime
 from pathlib import Path  # noqa: TC003 - typer evaluates the annotations
 from typing import TYPE_CHECKING, Annotated
 
@@ -57,6 +58,7 @@ def replay(
     loaded = _load(config, duration)
     _require_ros()
     _require_log_folder(loaded)
+    _require_time_zone()
     # With pydantic, rclpy and rich, this would slow down --help by half a second.
     from play_launch.cli.run import RunOptions, run  # noqa: PLC0415
     from play_launch.native.locate import NotInstalledError  # noqa: PLC0415
@@ -91,6 +93,13 @@ def _require_log_folder(config: ReplayConfig) -> None:
         problem = log_folder_problem({**os.environ, **container.environment})
         if problem is not None and not container.attach:
             fail(f"{container.full_name} cannot run: {problem}; nothing was started")
+
+
+def _require_time_zone() -> None:
+    try:
+        datetime.now().astimezone()
+    except ValueError:
+        fail(f"TZ={os.environ.get('TZ', '')} is no time zone: it is a day or more away from UTC")
 
 
 def _require_ros() -> None:

@@ -252,3 +252,19 @@ def test_without_a_folder_for_ros_s_log_nothing_is_started(
     assert done.stderr.count("set HOME or ROS_LOG_DIR") == 1
     assert not (tmp_path / "logs").exists()
     assert replay(ROS_LOG_DIR=str(tmp_path / "ros")).returncode == 0
+
+
+def test_a_time_zone_that_no_clock_can_have_is_reported(tmp_path: Path) -> None:
+    config = tmp_path / "c.yaml"
+    config.write_text("version: 1\nnodes: [{command: ['true']}]\n", encoding="utf-8")
+    done = subprocess.run(
+        [COMMAND, "replay", config, "--log-dir", tmp_path / "logs"],
+        check=False,
+        capture_output=True,
+        text=True,
+        env={**os.environ, "TZ": "XYZ+99999"},
+        timeout=60,
+    )
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: TZ=XYZ+99999")
+    assert not (tmp_path / "logs").exists()
