@@ -1,6 +1,6 @@
 """What the actors need of the outside world.
 
-:mod:`play_launch.actors.wiring` fulfils it with real processes, tests with scripted ones.
+:mod:`play_launch.actors.launcher` fulfils it with real processes, tests with scripted ones.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
         ContainerConfig,
         ProcessConfig,
     )
-    from play_launch.native.messages import Hello, Incoming, Outgoing
     from play_launch.process.exit import Exit
+    from play_launch.wire.messages import Hello, Incoming, Outgoing
 
 OutputCallback: TypeAlias = Callable[[Stream, Sequence[Line]], None]
 
@@ -87,7 +87,7 @@ class Escalation(Protocol):
 
 
 class ControlLink(Protocol):
-    """Our end of a control channel; errors as :mod:`play_launch.native.control` has them."""
+    """Our end of a control channel; errors as :mod:`play_launch.wire.channel` has them."""
 
     async def handshake(self, hello: Hello) -> Hello:
         """Wait for the container's hello and answer it."""

@@ -8,14 +8,14 @@ import os
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from play_launch.actors.container import ContainerActor
-from play_launch.actors.container_limits import LIMITS, Limits
-from play_launch.actors.container_nodes import AttemptNumbers
+from play_launch.actors.container.container import ContainerActor
+from play_launch.actors.container.library_probes import LibraryProbes
+from play_launch.actors.container.limits import LIMITS, Limits
+from play_launch.actors.container.nodes import AttemptNumbers
 from play_launch.actors.deadline import happens_before
-from play_launch.actors.library_probes import LibraryProbes
+from play_launch.actors.launcher import NativeLauncher
 from play_launch.actors.process_node import ProcessActor
 from play_launch.actors.publisher import Publisher
-from play_launch.actors.wiring import NativeLauncher
 from play_launch.config.model import ContainerType
 from play_launch.core.exit_code import exit_code
 

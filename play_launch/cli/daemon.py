@@ -9,7 +9,7 @@ import typer
 
 from play_launch.cli.daemon_patch import patch, unpatch
 from play_launch.cli.failure import fail
-from play_launch.cli.terminal import say, wants_colour
+from play_launch.cli.show.terminal import say, wants_colour
 from play_launch.core.exit_code import ExitCode
 
 if TYPE_CHECKING:
@@ -246,12 +246,12 @@ def _seconds(text: str) -> float:
 
 
 def _require_ros() -> None:
-    from play_launch.native.locate import (  # noqa: PLC0415
+    from play_launch.install.middleware import middleware_problem  # noqa: PLC0415
+    from play_launch.install.ros import (  # noqa: PLC0415
         MixedInstallationError,
         NotInstalledError,
         ros_installation,
     )
-    from play_launch.native.middleware import middleware_problem  # noqa: PLC0415
 
     # Before rcl is loaded: it ends the process that asks for a middleware which is not there.
     try:

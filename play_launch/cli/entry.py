@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import sys
 
-from play_launch.cli.streams import give_up_output, is_about_output, prepare_standard_streams
+from play_launch.cli.show.streams import give_up_output, is_about_output, prepare_standard_streams
 
 OUTPUT_FAILED = 2
 """The exit code when what was asked for could not be written."""

@@ -7,7 +7,7 @@ from typing import NoReturn
 
 import typer
 
-from play_launch.cli.terminal import wants_colour
+from play_launch.cli.show.terminal import wants_colour
 from play_launch.core.exit_code import ExitCode
 
 

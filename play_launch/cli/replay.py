@@ -61,7 +61,7 @@ def replay(
     _require_time_zone()
     # With pydantic, rclpy and rich, this would slow down --help by half a second.
     from play_launch.cli.run import RunOptions, run  # noqa: PLC0415
-    from play_launch.native.locate import NotInstalledError  # noqa: PLC0415
+    from play_launch.install.ros import NotInstalledError  # noqa: PLC0415
     from play_launch.recording.errors import RecordingError  # noqa: PLC0415
 
     try:
@@ -104,14 +104,14 @@ def _require_time_zone() -> None:
 
 def _require_ros() -> None:
     from play_launch.config.environment import domain_problem  # noqa: PLC0415
-    from play_launch.native.locate import (  # noqa: PLC0415
+    from play_launch.install.middleware import middleware_problem  # noqa: PLC0415
+    from play_launch.install.ros import (  # noqa: PLC0415
         MixedInstallationError,
         NotInstalledError,
         component_container,
         ros_installation,
         spawn_guard,
     )
-    from play_launch.native.middleware import middleware_problem  # noqa: PLC0415
 
     problem = domain_problem(os.environ.get("ROS_DOMAIN_ID", ""))
     if problem is not None:
@@ -125,7 +125,7 @@ def _require_ros() -> None:
     if problem is not None:
         fail(problem)
     try:
-        from play_launch.native.codec import preload  # noqa: PLC0415
+        from play_launch.wire.codec import preload  # noqa: PLC0415
 
         preload()
     except ImportError as error:

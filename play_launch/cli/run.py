@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from play_launch.cli.check import describe
-from play_launch.cli.display import Display, Style
-from play_launch.cli.json_style import JsonStyle, encode
+from play_launch.cli.show.display import Display, Style
+from play_launch.cli.show.json_style import JsonStyle, encode
+from play_launch.cli.show.terminal import is_terminal, surviving_the_loss_of_stdout, wants_colour
+from play_launch.cli.show.text_styles import LiveStyle, PlainStyle
 from play_launch.cli.signals import RunSignals
-from play_launch.cli.terminal import is_terminal, surviving_the_loss_of_stdout, wants_colour
-from play_launch.cli.text_styles import LiveStyle, PlainStyle
 from play_launch.config.description import describe as describe_values
 from play_launch.core.events import LogRecord, OutputLine, RunEvent
 from play_launch.core.view import SystemView
@@ -171,7 +171,7 @@ def _say(text: str) -> None:
 
 
 def _report(outcome: Outcome, recording: RecordingSummary, options: RunOptions) -> None:
-    from play_launch.cli.summary import print_summary, summary_object  # noqa: PLC0415
+    from play_launch.cli.show.summary import print_summary, summary_object  # noqa: PLC0415
 
     if options.as_json:
         values = summary_object(outcome.view, recording, exit_code=outcome.exit_code)

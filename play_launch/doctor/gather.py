@@ -29,16 +29,16 @@ from play_launch.doctor.facts import (
     SharedMemoryFacts,
 )
 from play_launch.fastdds.shared_memory import SHARED_MEMORY, count_files
-from play_launch.native.argv import ExecutableNotFoundError, find_executable
-from play_launch.native.environment import child_environment
-from play_launch.native.locate import (
+from play_launch.install.command import ExecutableNotFoundError, find_executable
+from play_launch.install.environment import child_environment
+from play_launch.install.middleware import middleware_problem
+from play_launch.install.ros import (
     MixedInstallationError,
     NotInstalledError,
     RosInstallation,
     ament_prefixes,
     ros_installation,
 )
-from play_launch.native.middleware import middleware_problem
 from play_launch.recording.facts import versions
 from play_launch.recording.session import default_log_folder
 

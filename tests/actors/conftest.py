@@ -20,6 +20,6 @@ def _loop_is_never_blocked() -> Iterator[None]:
         blockbuster.functions["io.BufferedWriter.write"].can_block_in("process/guard.py", "_file")
         for name in ("os.stat", "os.access"):
             blockbuster.functions[name].can_block_in("process/child.py", "_check_program")
-            blockbuster.functions[name].can_block_in("native/argv.py", "find_executable")
+            blockbuster.functions[name].can_block_in("install/command.py", "find_executable")
             blockbuster.functions[name].can_block_in("actors/wiring.py", "start_process")
         yield

@@ -17,13 +17,15 @@ from play_launch.config.model import (
     RestartLimits,
 )
 from play_launch.core.events import ComponentEvent, ComponentEventKind, Stream
-from play_launch.native.control import (
+from play_launch.process.exit import Exit
+from play_launch.process.lines import Line
+from play_launch.wire.channel import (
     ChannelClosedError,
     ControlError,
     VersionMismatchError,
 )
-from play_launch.native.frames import PROTOCOL_VERSION
-from play_launch.native.messages import (
+from play_launch.wire.frames import PROTOCOL_VERSION
+from play_launch.wire.messages import (
     Accepted,
     Cancel,
     Hello,
@@ -38,8 +40,6 @@ from play_launch.native.messages import (
     Status,
     Unload,
 )
-from play_launch.process.exit import Exit
-from play_launch.process.lines import Line
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -6,11 +6,11 @@ import asyncio
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from play_launch.actors.stock_link import StockLink
-from play_launch.actors.stock_ports import StockLimits
-from play_launch.actors.stock_reports import ContainerIdentity
-from play_launch.native.messages import Hello, Incoming, Load, Query, Status
+from play_launch.actors.stock.link import StockLink
+from play_launch.actors.stock.ports import StockLimits
+from play_launch.actors.stock.reports import ContainerIdentity
 from play_launch.ros.composition import ListedNode, LoadReply, UnloadReply
+from play_launch.wire.messages import Hello, Incoming, Load, Query, Status
 
 from . import jumping_loop
 

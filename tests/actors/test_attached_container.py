@@ -6,10 +6,10 @@ import asyncio
 
 import pytest
 
-from play_launch.actors.attached_container import AttachedContainer
-from play_launch.actors.stock_link import StockLink
-from play_launch.actors.stock_ports import StockLimits
-from play_launch.native.control import ChannelClosedError
+from play_launch.actors.stock.attached import AttachedContainer
+from play_launch.actors.stock.link import StockLink
+from play_launch.actors.stock.ports import StockLimits
+from play_launch.wire.channel import ChannelClosedError
 
 from .stock_services import Services, greeted, link_to, load, run, settle
 

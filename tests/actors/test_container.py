@@ -11,11 +11,11 @@ from play_launch.core.events import (
     NodeState,
     ProcessEventKind,
 )
-from play_launch.native.control import ChannelClosedError, ProtocolViolationError
-from play_launch.native.messages import (
+from play_launch.process.exit import Exit
+from play_launch.wire.channel import ChannelClosedError, ProtocolViolationError
+from play_launch.wire.messages import (
     Load,
 )
-from play_launch.process.exit import Exit
 
 from .fakes import FakeContainer, FakeLauncher, Held, container, system
 from .jumping_loop import run

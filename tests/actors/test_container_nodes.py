@@ -9,7 +9,7 @@ from play_launch.core.events import (
     ComponentEventKind,
     NodeState,
 )
-from play_launch.native.messages import (
+from play_launch.wire.messages import (
     Accepted,
     Load,
     NodeStatus,

@@ -14,7 +14,7 @@ from play_launch.core.events import (
     NodeState,
     ProcessEventKind,
 )
-from play_launch.native.messages import Load
+from play_launch.wire.messages import Load
 
 from .fakes import FakeContainer, FakeLauncher, Held, container, node, system
 from .jumping_loop import run

@@ -15,7 +15,7 @@ from play_launch.core.events import (
     ProcessEventKind,
 )
 from play_launch.core.watchdog import WatchLimits
-from play_launch.native.messages import Hello, Query, Status
+from play_launch.wire.messages import Hello, Query, Status
 
 from .fakes import FakeContainer, FakeLauncher, Held, container, system
 from .jumping_loop import run

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from play_launch.cli.lines import line_of
+from play_launch.cli.show.lines import line_of
 from play_launch.core.events import (
     ComponentEventKind,
     ContainerState,

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING
 import psutil
 import pytest
 
+from play_launch.actors.launcher import NativeLauncher
 from play_launch.actors.stop_requests import StopRequests
 from play_launch.actors.system import run_system
-from play_launch.actors.wiring import NativeLauncher
 from play_launch.config.model import (
     ComposableNodeConfig,
     ContainerConfig,
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
     from play_launch.actors.ports import ControlLink, ManagedProcess, OutputCallback
     from play_launch.config.model import ReplayConfig
-    from play_launch.native.messages import Incoming
+    from play_launch.wire.messages import Incoming
 
 QUICK = RestartLimits(max_restarts=2, within=60.0, initial=0.05, maximum=0.1)
 

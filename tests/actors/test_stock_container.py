@@ -8,16 +8,16 @@ from types import MappingProxyType
 
 import pytest
 
-from play_launch.actors.stock_container import StockContainers, load_node_request
+from play_launch.actors.stock.starter import StockContainers, load_node_request
 from play_launch.config.model import (
     ContainerType,
     ParameterConfig,
     ParameterType,
     ParameterValue,
 )
-from play_launch.native.codec import EncodeError
-from play_launch.native.locate import NotInstalledError
-from play_launch.native.messages import Load
+from play_launch.install.ros import NotInstalledError
+from play_launch.wire.codec import EncodeError
+from play_launch.wire.messages import Load
 
 from .fakes import container, system
 

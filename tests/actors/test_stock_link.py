@@ -6,11 +6,12 @@ import asyncio
 
 import pytest
 
-from play_launch.actors.stock_ports import StockLimits
+from play_launch.actors.stock.ports import StockLimits
 from play_launch.core.events import ComponentEvent, ComponentEventKind
-from play_launch.native.codec import EncodeError
-from play_launch.native.control import ChannelClosedError, ControlError
-from play_launch.native.messages import (
+from play_launch.ros.composition import LoadReply
+from play_launch.wire.channel import ChannelClosedError, ControlError
+from play_launch.wire.codec import EncodeError
+from play_launch.wire.messages import (
     Cancel,
     Hello,
     Load,
@@ -20,7 +21,6 @@ from play_launch.native.messages import (
     Shutdown,
     Unload,
 )
-from play_launch.ros.composition import LoadReply
 
 from .stock_services import Services, ask, greeted, link_to, load, run, settle, status
 

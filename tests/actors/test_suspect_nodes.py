@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from play_launch.actors.library_probes import LibraryProbes
+from play_launch.actors.container.library_probes import LibraryProbes
 from play_launch.actors.ports import StartError
 from play_launch.actors.publisher import Publisher
-from play_launch.cli.json_style import event_object
+from play_launch.cli.show.json_style import event_object
 from play_launch.config.model import ContainerType
 from play_launch.core.events import (
     ComponentEvent,
@@ -21,9 +21,9 @@ from play_launch.core.events import (
     OutputLine,
     Stream,
 )
-from play_launch.native.messages import Load, Query
 from play_launch.process.exit import Exit
 from play_launch.process.lines import Line
+from play_launch.wire.messages import Load, Query
 
 from .fakes import FakeContainer, FakeLauncher, FakeProcess, Held, container, found, system
 from .jumping_loop import run

@@ -16,8 +16,8 @@ from play_launch.core.events import (
     ProcessEventKind,
     RunEvent,
 )
-from play_launch.native.messages import Incoming
 from play_launch.process.exit import Exit
+from play_launch.wire.messages import Incoming
 
 from .fakes import (
     FakeContainer,
@@ -349,8 +349,8 @@ def test_everything_that_is_declared_is_known_from_the_start() -> None:
 
 def test_an_unload_that_was_asked_for_is_final() -> None:
     async def main() -> None:
-        from play_launch.actors.container import ContainerActor
-        from play_launch.actors.container_nodes import AttemptNumbers
+        from play_launch.actors.container.container import ContainerActor
+        from play_launch.actors.container.nodes import AttemptNumbers
         from play_launch.actors.publisher import Publisher
 
         fakes = FakeLauncher()

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from play_launch.cli import app as app_module
 from play_launch.cli.app import app, main
-from play_launch.native import locate
+from play_launch.install import ros
 from tests.support.replay import COMMAND
 
 if TYPE_CHECKING:
@@ -152,9 +152,9 @@ def test_what_is_not_installed_is_a_sentence(
     good: Path, missing: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse() -> None:
-        raise locate.NotInstalledError("it is not there: install it")
+        raise ros.NotInstalledError("it is not there: install it")
 
-    monkeypatch.setattr(locate, missing, refuse)
+    monkeypatch.setattr(ros, missing, refuse)
     result = runner.invoke(app, ["replay", str(good)])
     assert (result.exit_code, result.stdout) == (2, "")
     assert result.stderr == "error: it is not there: install it\n"
@@ -166,7 +166,7 @@ def test_a_ros_that_does_not_load_is_a_sentence(
     def refuse() -> None:
         raise ImportError("librmw_x.so: cannot open shared object file")
 
-    from play_launch.native import codec
+    from play_launch.wire import codec
 
     monkeypatch.setattr(codec, "preload", refuse)
     result = runner.invoke(app, ["replay", str(good)])

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from play_launch.cli import display as display_module
-from play_launch.cli.display import Display, DisplayLimits, Shown
-from play_launch.cli.json_style import JsonStyle
-from play_launch.cli.live_view import live_view
-from play_launch.cli.text_styles import LiveStyle, PlainStyle
+from play_launch.cli.show import display as display_module
+from play_launch.cli.show.display import Display, DisplayLimits, Shown
+from play_launch.cli.show.json_style import JsonStyle
+from play_launch.cli.show.live_view import live_view
+from play_launch.cli.show.text_styles import LiveStyle, PlainStyle
 from play_launch.core.events import (
     ComponentEvent,
     ComponentEventKind,

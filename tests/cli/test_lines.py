@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import pytest
 
-from play_launch.cli.lines import Line, line_of
-from play_launch.cli.text_styles import format_lines
+from play_launch.cli.show.lines import Line, line_of
+from play_launch.cli.show.text_styles import format_lines
 from play_launch.core.events import (
     ContainerState,
     LogRecord,

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from play_launch.cli.status import (
+from play_launch.cli.show.status import (
     container_status,
     duration,
     ending,

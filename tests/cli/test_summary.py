@@ -4,7 +4,7 @@ import io
 import json
 from pathlib import Path
 
-from play_launch.cli.summary import print_summary, size, summary_object
+from play_launch.cli.show.summary import print_summary, size, summary_object
 from play_launch.core.events import ContainerState, NodeState, ProcessEventKind
 from play_launch.recording.recorder import RecordingSummary
 from tests.cli.scenes import container, node, process, view

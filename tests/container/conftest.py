@@ -13,8 +13,8 @@ import pytest
 from play_launch_msgs.msg import ControlHello
 
 from play_launch.fastdds.shared_memory import sweep
-from play_launch.native.environment import child_environment
-from play_launch.native.locate import component_container, ros_installation
+from play_launch.install.environment import child_environment
+from play_launch.install.ros import component_container, ros_installation
 from tests.support.control_peer import Container, StartContainer
 
 if TYPE_CHECKING:

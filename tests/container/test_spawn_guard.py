@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from play_launch.native.locate import spawn_guard
+from play_launch.install.ros import spawn_guard
 
 
 @pytest.fixture(name="guard")

@@ -13,7 +13,7 @@ import psutil
 import pytest
 from rosbags.highlevel import AnyReader
 
-from play_launch.native.allocator import find_allocator
+from play_launch.install.allocator import find_allocator
 from tests.support.replay import Replay, alive, replaying
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -8,9 +8,9 @@ import sys
 from pathlib import Path
 
 from play_launch.fastdds.shared_memory import sweep
-from play_launch.native.allocator import find_allocator
-from play_launch.native.environment import child_environment
-from play_launch.native.locate import ros_installation
+from play_launch.install.allocator import find_allocator
+from play_launch.install.environment import child_environment
+from play_launch.install.ros import ros_installation
 
 ROOT = Path(__file__).resolve().parents[2]
 TOOLS = Path(sys.executable).parent

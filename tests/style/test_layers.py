@@ -12,7 +12,7 @@ PACKAGE = Path(__file__).resolve().parents[2] / "play_launch"
 # From the bottom up. A package may import those of lower layers, never its neighbours.
 LAYERS = (
     {"core", "config", "fastdds"},
-    {"native", "process", "recording", "ros"},
+    {"wire", "install", "process", "recording", "ros"},
     {"actors", "graph_daemon"},
     {"reporting", "doctor"},
     {"cli"},

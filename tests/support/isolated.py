@@ -9,7 +9,7 @@ from pathlib import Path
 
 import psutil
 
-from play_launch.native.allocator import find_allocator, for_isolation
+from play_launch.install.allocator import find_allocator, for_isolation
 from tests.support.control_peer import PATIENCE, Container, StartContainer
 
 MODES = {

@@ -10,9 +10,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from play_launch.native.argv import ExecutableNotFoundError, find_executable
-from play_launch.native.environment import child_environment
-from play_launch.native.locate import ament_prefixes, ros_installation
+from play_launch.install.command import ExecutableNotFoundError, find_executable
+from play_launch.install.environment import child_environment
+from play_launch.install.ros import ament_prefixes, ros_installation
 from tests.support import stock_double
 
 PACKAGE = "stock_double"

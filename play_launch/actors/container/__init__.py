@@ -1,0 +1,1 @@
+"""One container: its process, its control channel and, mirrored, its nodes."""

@@ -1,0 +1,126 @@
+"""One composable node as its container's actor knows it, and what is told about it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final
+
+from play_launch.core.events import (
+    ComponentEvent,
+    ComponentEventKind,
+    NodeState,
+    NodeStateChanged,
+)
+from play_launch.core.lifecycle import NodeRecord
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from play_launch.actors.container.node_facts import Facts
+    from play_launch.actors.publisher import Publisher
+    from play_launch.actors.restarter import CrashFollower
+    from play_launch.config.model import ComposableNodeConfig
+    from play_launch.core.probe import Finding
+
+_TIMED: Final = frozenset(
+    {NodeState.REQUESTED, NodeState.LOADING, NodeState.LOADED, NodeState.LOAD_FAILED}
+)
+"""States that are told with the time since the load was sent."""
+
+
+@dataclass(slots=True)
+class MirroredNode:
+    """What is known about a node; times are seconds of the event loop's clock."""
+
+    index: int
+    config: ComposableNodeConfig
+    follower: CrashFollower
+    record: NodeRecord = field(default_factory=NodeRecord)
+    pid: int = 0
+    loaded_at: float | None = None
+    took: float = 0.0
+    """Seconds of the latest load that came to its end."""
+    reload_at: float | None = None
+    crashes: int = 0
+    reloads: int = 0
+    told_silent: bool = False
+    """Whether its present stay in callbacks was told."""
+
+    @property
+    def name(self) -> str:
+        """Declared full name."""
+        return self.config.declared_full_name
+
+
+class NodeReports:
+    """Publishes what happens to the nodes of one container."""
+
+    def __init__(self, container: str, publisher: Publisher, clock: Callable[[], float]) -> None:
+        """Take the container's full name."""
+        self._container = container
+        self._publisher = publisher
+        self._clock = clock
+
+    def event(self, event: ComponentEvent) -> None:
+        """Tell what the container told."""
+        self._publisher.publish(event)
+
+    def state(self, node: MirroredNode, facts: Facts) -> None:
+        """Tell the node's state."""
+        record = node.record
+        elapsed = self._clock() - record.sent_at if record.state in _TIMED else 0.0
+        self._publisher.publish(
+            NodeStateChanged(
+                stamp_ns=self._publisher.stamp_ns(),
+                container=self._container,
+                node=node.name,
+                index=node.index,
+                state=record.state,
+                elapsed_ns=round(elapsed * 1e9),
+                reason=facts.reason,
+                pid=node.pid,
+                cpu_time_ns=facts.cpu_time_ns,
+                unique_id=record.unique_id,
+                attempt=record.attempt,
+                crashes=node.crashes,
+                reloads=node.reloads,
+            )
+        )
+
+    def refusal(self, node: MirroredNode, reason: str, finding: Finding | None) -> None:
+        """Tell that its latest load is not repeated, with what a scratch process found."""
+        self._publisher.publish(
+            ComponentEvent(
+                stamp_ns=self._publisher.stamp_ns(),
+                kind=ComponentEventKind.LOAD_FAILED,
+                container=self._container,
+                unique_id=node.record.unique_id,
+                attempt=node.record.attempt,
+                full_node_name=node.name,
+                package_name=node.config.package,
+                plugin_name=node.config.plugin,
+                error_message=reason,
+                exit_code=finding.exit_code if finding and not finding.signal else 0,
+                signal=finding.signal if finding else 0,
+                backtrace=finding.backtrace if finding else (),
+                confirmed_by="supervisor" if finding is None else "probe",
+            )
+        )
+
+    def confirmation(self, node: MirroredNode, facts: Facts) -> None:
+        """Tell that it is loaded, as the container's answer says."""
+        self._publisher.publish(
+            ComponentEvent(
+                stamp_ns=self._publisher.stamp_ns(),
+                kind=ComponentEventKind.LOADED,
+                container=self._container,
+                unique_id=node.record.unique_id,
+                attempt=node.record.attempt,
+                full_node_name=facts.full_node_name,
+                package_name=node.config.package,
+                plugin_name=node.config.plugin,
+                pid=facts.pid,
+                start_time=facts.start_time,
+                confirmed_by="status",
+            )
+        )

@@ -1,0 +1,446 @@
+"""The composable nodes of one container, as the container stated them.
+
+Synchronous: words come in, requests and events go out. Which follows from what is decided by
+:mod:`play_launch.core.lifecycle`; here it is carried out.
+"""
+
+from __future__ import annotations
+
+import logging
+import random
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final, assert_never
+
+from play_launch.actors.container.load_request import load_request
+from play_launch.actors.container.node_facts import (
+    INPUT_OF_EVENT,
+    NOTHING,
+    Facts,
+    facts_of_event,
+    facts_of_status,
+)
+from play_launch.actors.container.node_reports import MirroredNode, NodeReports
+from play_launch.actors.container.suspect_nodes import SuspectNodes
+from play_launch.actors.restarter import CrashFollower
+from play_launch.core.crash import Ignore, Shutdown, StopContainer
+from play_launch.core.events import TOLD_LOGGER, ComponentEvent, NodeState
+from play_launch.core.lifecycle import is_silent, step
+from play_launch.core.node_table import NodeAction, NodeInput
+from play_launch.core.questions import Asked, ids_to_ask, read_answer
+from play_launch.core.restart import GiveUp, Restart
+from play_launch.wire.channel import ControlError
+from play_launch.wire.codec import EncodeError
+from play_launch.wire.messages import (
+    Accepted,
+    Cancel,
+    Outgoing,
+    Query,
+    Rejected,
+    Status,
+    Unload,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from play_launch.actors.container.library_probes import LibraryProbes
+    from play_launch.actors.ports import Escalation
+    from play_launch.actors.publisher import Publisher
+    from play_launch.config.model import ContainerConfig
+    from play_launch.core.lifecycle import Patience
+    from play_launch.core.probe import Finding
+    from play_launch.wire.messages import NodeStatus
+
+_log = logging.getLogger(__name__)
+_told = logging.getLogger(TOLD_LOGGER)
+
+_OPEN_QUESTIONS: Final = 16
+"""Questions whose answers are still expected; older ones are given up."""
+
+_ALONE_LIMIT: Final = 60.0
+"""Seconds for which a load can keep others waiting that have to be alone."""
+
+_UNDER_WAY: Final = frozenset({NodeState.REQUESTED, NodeState.LOADING})
+
+
+class AttemptNumbers:
+    """Numbers for load attempts, unique in the supervisor's life and never 0."""
+
+    def __init__(self) -> None:
+        self.upcoming = 1
+
+    def use(self) -> None:
+        """The upcoming number is taken."""
+        self.upcoming += 1
+
+
+class ContainerNodes:
+    """Mirrors the nodes; all times are seconds of the event loop's clock."""
+
+    def __init__(
+        self,
+        config: ContainerConfig,
+        *,
+        publisher: Publisher,
+        escalation: Escalation,
+        attempts: AttemptNumbers,
+        patience: Patience,
+        clock: Callable[[], float],
+        jitter: Callable[[], float] = random.random,
+        silence: float,
+        probes: LibraryProbes | None = None,
+    ) -> None:
+        """Know the declared nodes; ``attempts`` and ``probes`` are shared by all containers.
+
+        Without ``probes`` every node is loaded whenever the container is ready.
+        """
+        self._container = config.full_name
+        self._reports = NodeReports(config.full_name, publisher, clock)
+        self._escalation = escalation
+        self._attempts = attempts
+        self._patience = patience
+        self._clock = clock
+        self._silence = silence
+        self._send: Callable[[Outgoing], None] | None = None
+        self._stopping = False
+        self._lost_loading: list[int] = []
+        self._query_id = 0
+        self._questions: dict[int, tuple[Asked, ...]] = {}
+        self._to_ask: dict[int, MirroredNode] = {}
+        self._nodes = [
+            MirroredNode(index, node, CrashFollower(node.on_crash, node.restart, jitter))
+            for index, node in enumerate(config.composable_nodes)
+        ]
+        self.suspects = SuspectNodes(config, probes, self)
+        """Those that may have taken the container down; its `run` has to run."""
+
+    def announce(self) -> None:
+        """Tell that the nodes are declared."""
+        for node in self._nodes:
+            self._reports.state(node, NOTHING)
+
+    def container_ready(self, send: Callable[[Outgoing], None]) -> None:
+        """Ask for all nodes at once, in the order of their declaration."""
+        self._send = send
+        self._stopping = False
+        for node in self._nodes:
+            if not self.suspects.holds(node.index):
+                self._apply(node, NodeInput.CONTAINER_READY)
+        self.load_cleared()
+
+    def container_stops(self) -> None:
+        """The container was asked to end; nothing is loaded again any more."""
+        self._stopping = True
+        self.suspects.stop()
+        for node in self._nodes:
+            node.reload_at = None
+
+    def container_lost(self, reason: str) -> None:
+        """The container process is gone, and with it all nodes."""
+        self._lost_loading = self._under_way()
+        self._send = None
+        self._questions.clear()
+        self._to_ask.clear()
+        for node in self._nodes:
+            node.reload_at = None
+            self._apply(node, NodeInput.CONTAINER_LOST, Facts(reason=reason))
+
+    def container_comes_back(self, blame: str) -> None:
+        """The lost container is going to be started again.
+
+        ``blame`` says how it ended where a load may be the cause, else it is empty.
+        """
+        self.suspects.container_died(self._lost_loading if blame else (), blame)
+
+    def wait_for_probe(self, index: int) -> None:
+        """Report that the library of a node is loaded in a scratch process first."""
+        facts = Facts(reason="its library is loaded in a scratch process first")
+        self._reports.state(self._nodes[index], facts)
+
+    def refuse(self, index: int, reason: str, finding: Finding | None = None) -> None:
+        """Let a node fail that the container does not get."""
+        node = self._nodes[index]
+        self._reports.refusal(node, reason, finding)
+        self._apply(node, NodeInput.REFUSED, Facts(reason=reason))
+
+    def load_cleared(self) -> None:
+        """Load the nodes whose library was found to be good, if it is their turn."""
+        if self._send is None or self._stopping:
+            return
+        since = self._clock() - _ALONE_LIMIT
+        for index in self.suspects.due(self._under_way(since)):
+            self._apply(self._nodes[index], NodeInput.CONTAINER_READY)
+
+    def _under_way(self, since: float = 0.0) -> list[int]:
+        nodes = (each for each in self._nodes if each.record.state in _UNDER_WAY)
+        return [node.index for node in nodes if node.record.sent_at >= since]
+
+    def unload(self, index: int) -> None:
+        """Have a node unloaded; it does not come back with its container either."""
+        self._apply(self._nodes[index], NodeInput.UNLOAD_REQUESTED)
+        self._ask()
+
+    def hear(self, message: Accepted | Rejected | ComponentEvent | Status) -> None:
+        """Take what the container said."""
+        match message:
+            case Accepted():
+                facts = Facts(attempt=message.attempt, unique_id=message.unique_id)
+                self._about_attempt(NodeInput.ACCEPTED, facts)
+            case Rejected():
+                self._hear_rejected(message)
+            case ComponentEvent():
+                self._hear_event(message)
+            case Status():
+                self._hear_status(message)
+            case _:
+                assert_never(message)
+        self._ask()
+        self.load_cleared()
+
+    def hear_silence(self, listed: Iterable[NodeStatus]) -> None:
+        """Tell once of each node that is loaded and stays in its callbacks for long."""
+        silent = {each.attempt: each.silence_ns / 1e9 for each in listed}
+        for node in self._nodes:
+            is_loaded = node.record.state is NodeState.LOADED
+            seconds = silent.get(node.record.attempt, 0.0) if is_loaded else 0.0
+            if seconds < self._silence:
+                if node.told_silent and is_loaded:
+                    self._reports.state(node, NOTHING)
+                node.told_silent = False
+            elif not node.told_silent:
+                node.told_silent = True
+                reason = f"it has been in its callbacks for {seconds:.0f} s and does nothing else"
+                _log.warning("%s: %s", node.name, reason)
+                self._reports.state(node, Facts(reason=reason))
+
+    def slow_reload(self, limit: float) -> str:
+        """Name a node whose reload takes ``limit`` seconds and thrice its usual time; or empty."""
+        now = self._clock()
+        for node in self._nodes:
+            record = node.record
+            is_under_way = record.is_reload and record.state in _UNDER_WAY
+            if is_under_way and now - record.sent_at > limit + 3 * node.took:
+                return node.name
+        return ""
+
+    def next_deadline(self) -> float | None:
+        """When `on_time` has to be called next; None when nothing is due."""
+        times = [
+            at
+            for node in self._nodes
+            for at in (node.record.ask_at, node.reload_at)
+            if at is not None
+        ]
+        return min(times, default=None)
+
+    def on_time(self) -> None:
+        """Do what is due."""
+        now = self._clock()
+        for node in self._nodes:
+            if node.reload_at is not None and now >= node.reload_at:
+                self._reload(node)
+            if is_silent(node.record, now):
+                self._apply(node, NodeInput.SILENT)
+        self._ask()
+        self.load_cleared()
+
+    def _hear_rejected(self, message: Rejected) -> None:
+        facts = Facts(attempt=message.attempt, unique_id=message.unique_id, reason=message.reason)
+        if message.attempt:
+            self._about_attempt(NodeInput.REJECTED, facts)
+            return
+        for node in self._nodes:
+            if message.unique_id and node.record.unique_id == message.unique_id:
+                self._apply(node, NodeInput.UNLOAD_REJECTED, facts)
+                return
+        _log.warning("%s rejected a request: %s", self._container, message.reason)
+
+    def _hear_event(self, event: ComponentEvent) -> None:
+        self._reports.event(event)
+        if event.attempt:
+            self._about_attempt(INPUT_OF_EVENT[event.kind], facts_of_event(event))
+
+    def _hear_status(self, status: Status) -> None:
+        asked = self._questions.pop(status.query_id, None)
+        if asked is None:
+            _log.debug("%s answered question %d again", self._container, status.query_id)
+            return
+        if status.dropped_frames:
+            _log.warning(
+                "%s has lost %d frames so far: its outgoing queue was full",
+                self._container,
+                status.dropped_frames,
+            )
+        for answer in read_answer(asked, status.nodes):
+            facts = facts_of_status(answer.asked, answer.listed)
+            self._apply(self._nodes[answer.asked.position], answer.said, facts)
+
+    def _about_attempt(self, said: NodeInput, facts: Facts) -> None:
+        for node in self._nodes:
+            if node.record.attempt == facts.attempt:
+                self._apply(node, said, facts)
+                return
+        _log.info("%s: %s of old attempt %d is ignored", self._container, said, facts.attempt)
+
+    def _apply(self, node: MirroredNode, said: NodeInput, facts: Facts = NOTHING) -> None:
+        before = node.record
+        result = step(
+            before,
+            said,
+            now=self._clock(),
+            patience=self._patience,
+            next_attempt=self._attempts.upcoming,
+            attempt=facts.attempt,
+            unique_id=facts.unique_id,
+        )
+        if result.ignored:
+            _log.info("%s in %s: %s", node.name, self._container, result.ignored)
+            return
+        node.record = record = result.record
+        node.pid = facts.pid or (node.pid if record.attempt == before.attempt else 0)
+        if record.attempt != before.attempt:
+            node.loaded_at = None
+            self._attempts.use()
+        if record.state is not before.state and record.state is NodeState.LOADED:
+            node.loaded_at = self._clock()
+            node.took = node.loaded_at - record.sent_at
+        if NodeAction.REPORT_UNASKED in result.actions and not self._stopping and not facts.reason:
+            facts = replace(facts, reason="not at the supervisor's request")
+        over = before.state in _UNDER_WAY and record.state not in _UNDER_WAY
+        if over and said is not NodeInput.CONTAINER_LOST:
+            self.suspects.survived(node.index)
+        if NodeAction.REPORT_CRASHED in result.actions:
+            node.crashes += 1
+        if NodeAction.SEND_LOAD in result.actions and record.is_reload:
+            node.reloads += 1
+        # A new request is published by its action, which knows why, and so is what has a sequel.
+        told_later = record.state is NodeState.REQUESTED or NodeAction.FOLLOW_UP in result.actions
+        if not told_later and (
+            record.state is not before.state or NodeAction.REPORT_SLOW in result.actions
+        ):
+            self._reports.state(node, facts)
+        for action in result.actions:
+            self._execute(node, action, facts)
+
+    def _execute(self, node: MirroredNode, action: NodeAction, facts: Facts) -> None:
+        name = node.name
+        match action:
+            case NodeAction.SEND_LOAD:
+                self._send_load(node, "")
+            case NodeAction.RESEND_LOAD:
+                _log.warning("%s: %s does not know the load, sent anew", name, self._container)
+                self._send_load(node, "the container did not know the load; sent anew")
+            case NodeAction.SEND_QUERY:
+                self._to_ask[node.index] = node
+            case NodeAction.SEND_CANCEL:
+                self._request(Cancel(unique_id=node.record.unique_id))
+            case NodeAction.SEND_UNLOAD:
+                self._request(Unload(unique_id=node.record.unique_id))
+            case NodeAction.FOLLOW_UP:
+                self._follow_up(node, facts)
+            case NodeAction.REPORT_CONFIRMED:
+                _log.warning("%s is loaded: no event came, %s was asked", name, self._container)
+                self._reports.confirmation(node, facts)
+            case NodeAction.REPORT_SLOW:
+                _log.warning("%s: %s", name, facts.reason)
+                if node.record.is_reload:
+                    self._escalation.reload_hangs(f"{name} is not loaded again: {facts.reason}")
+            case NodeAction.REPORT_FAILED:
+                _told.error("%s could not be loaded: %s", name, facts.reason)
+            case NodeAction.REPORT_FORGOTTEN:
+                _log.error("%s: %s does not know it any more", name, self._container)
+            case NodeAction.REPORT_CRASHED:
+                # Not as an error: the state that follows is told as one, with the sequel.
+                _log.info("%s crashed: %s", name, facts.reason)
+            case NodeAction.REPORT_GAVE_UP:
+                _told.error("%s is not loaded again: %s", name, facts.reason)
+            case NodeAction.REPORT_UNASKED if not self._stopping:
+                _told.warning("%s is unloaded: %s", name, facts.reason)
+            case (
+                NodeAction.REPORT_UNASKED
+                | NodeAction.REPORT_LOADED
+                | NodeAction.REPORT_UNLOADED
+                | NodeAction.REPORT_LOST
+            ):
+                _log.debug("%s is %s", name, node.record.state)
+            case _:
+                assert_never(action)
+
+    def _send_load(self, node: MirroredNode, reason: str) -> None:
+        self._reports.state(node, Facts(reason=reason))
+        self._request(load_request(node.config, node.record.attempt), node)
+
+    def _request(self, message: Outgoing, node: MirroredNode | None = None) -> None:
+        if self._send is None:
+            return
+        try:
+            self._send(message)
+        except EncodeError as error:
+            if node is None:
+                raise
+            facts = Facts(attempt=node.record.attempt, reason=str(error))
+            self._apply(node, NodeInput.REJECTED, facts)
+        except ControlError as error:
+            # Whoever reads the channel learns it as well and deals with the container.
+            _log.debug("%s: a request was not sent: %s", self._container, error)
+
+    def _ask(self) -> None:
+        """Put one question about all nodes that one is due for."""
+        if not self._to_ask:
+            return
+        asked = tuple(
+            Asked(node.index, node.record.attempt, node.record.unique_id)
+            for node in self._to_ask.values()
+        )
+        self._to_ask.clear()
+        if self._questions:
+            _log.warning(
+                "%s has not answered %d question(s) about its nodes yet",
+                self._container,
+                len(self._questions),
+            )
+        while len(self._questions) >= _OPEN_QUESTIONS:
+            del self._questions[next(iter(self._questions))]
+        self._query_id += 1
+        self._questions[self._query_id] = asked
+        self._request(Query(query_id=self._query_id, unique_ids=ids_to_ask(asked)))
+
+    def _follow_up(self, node: MirroredNode, facts: Facts) -> None:
+        """Decide what follows from a crash or a failed reload, tell it, do it."""
+        if self._stopping:
+            self._reports.state(node, facts)
+            return
+        now = self._clock()
+        lived = 0.0 if node.loaded_at is None else now - node.loaded_at
+        node.loaded_at = None
+        verdict = node.follower.follow_up(now=now, lived=lived)
+        match verdict:
+            case Restart(delay):
+                when = f"in {delay:.2f} s" if delay else "at once"
+                self._tell_sequel(node, facts, f"it is loaded again {when}")
+                node.reload_at = now + delay
+                if not delay:
+                    self._reload(node)
+            case GiveUp(reason):
+                self._give_up(node, facts, reason)
+            case Ignore():
+                self._tell_sequel(node, facts, "it stays away")
+            case StopContainer():
+                self._give_up(node, facts, "its container is stopped")
+                self._escalation.stop_container(f"{node.name} crashed: {facts.reason}")
+            case Shutdown():
+                self._tell_sequel(node, facts, "everything is stopped")
+                self._escalation.shut_down(f"{node.name} crashed: {facts.reason}")
+            case _:
+                assert_never(verdict)
+
+    def _tell_sequel(self, node: MirroredNode, facts: Facts, sequel: str) -> None:
+        self._reports.state(node, replace(facts, reason=f"{facts.reason}; {sequel}"))
+
+    def _give_up(self, node: MirroredNode, facts: Facts, why: str) -> None:
+        self._reports.state(node, facts)
+        self._apply(node, NodeInput.GIVEN_UP, Facts(reason=f"{facts.reason}; {why}"))
+
+    def _reload(self, node: MirroredNode) -> None:
+        node.reload_at = None
+        self._apply(node, NodeInput.RELOAD_DUE)

@@ -1,0 +1,146 @@
+"""Keeps the nodes that may have taken their container down from doing so again.
+
+What is decided is in :mod:`play_launch.core.suspects`; here the libraries are probed.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections import defaultdict
+from typing import TYPE_CHECKING, Protocol
+
+from play_launch.actors.container.node_facts import telling_frame
+from play_launch.actors.deadline import first_of
+from play_launch.core.suspects import Suspects
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Sequence
+
+    from play_launch.actors.container.library_probes import LibraryProbes
+    from play_launch.config.model import ComposableNodeConfig, ContainerConfig
+    from play_launch.core.probe import Finding
+
+_log = logging.getLogger(__name__)
+
+
+class SuspectLoads(Protocol):
+    """What is done with the nodes, by their places in the declaration."""
+
+    def wait_for_probe(self, index: int) -> None:
+        """Report that the library of a node is loaded in a scratch process first."""
+
+    def refuse(self, index: int, reason: str, finding: Finding | None = None) -> None:
+        """Let the node fail: it is not sent to the container."""
+
+    def load_cleared(self) -> None:
+        """Load the nodes that are due."""
+
+
+class SuspectNodes:
+    """The suspects of one container; `run` has to run meanwhile."""
+
+    def __init__(
+        self, config: ContainerConfig, probes: LibraryProbes | None, loads: SuspectLoads
+    ) -> None:
+        """Know the container; nobody is ever suspected where ``probes`` is None."""
+        self._config = config
+        self._probes = probes
+        self._loads = loads
+        self._suspects = Suspects()
+        self._to_probe: asyncio.Queue[list[int]] = asyncio.Queue()
+        self._stopped = asyncio.Event()
+
+    async def run(self) -> None:
+        """Probe libraries until it is cancelled or `stop` is called; then no process is left."""
+        await first_of(self._serve(), self._stopped.wait())
+
+    def stop(self) -> None:
+        """Probe nothing any more: the container is stopped."""
+        self._stopped.set()
+
+    def container_died(self, under_way: Collection[int], reason: str) -> None:
+        """Take a death; the nodes that were being loaded have become suspects."""
+        if self._probes is None:
+            return
+        probe, refused = self._suspects.container_died(under_way)
+        if under_way:
+            _log.warning("%s ended while it was loading %s", self._name, self._names(under_way))
+        for index in refused:
+            deaths = self._suspects.of(index).deaths
+            why = f"it took the container down {deaths} times while it was loaded: {reason}"
+            self._loads.refuse(index, why)
+        for index in probe:
+            self._loads.wait_for_probe(index)
+        if probe:
+            self._to_probe.put_nowait(probe)
+
+    def excuse_death(self) -> bool:
+        """Return whether a death now costs the container no restart: a suspect was being loaded."""
+        return self._suspects.excuse_death()
+
+    def survived(self, index: int) -> None:
+        """The load of a node has come to an end, and its container lives."""
+        self._suspects.survived(index)
+
+    def holds(self, index: int) -> bool:
+        """Whether the container does not get the node yet, or not at all."""
+        return self._suspects.holds(index)
+
+    def due(self, under_way: Collection[int]) -> list[int]:
+        """Choose the nodes that are loaded now, while others are being loaded."""
+        return self._suspects.due(under_way)
+
+    @property
+    def _name(self) -> str:
+        return self._config.full_name
+
+    def _node(self, index: int) -> ComposableNodeConfig:
+        return self._config.composable_nodes[index]
+
+    def _names(self, indices: Collection[int]) -> str:
+        first = self._node(min(indices)).declared_full_name
+        return f"{first} and {len(indices) - 1} more" if len(indices) > 1 else first
+
+    async def _serve(self) -> None:
+        async with asyncio.TaskGroup() as tasks:
+            while True:
+                for group in await self._by_library(await self._to_probe.get()):
+                    tasks.create_task(self._probe(group))
+
+    async def _by_library(self, indices: Sequence[int]) -> list[list[int]]:
+        assert self._probes is not None
+        groups: defaultdict[str, list[int]] = defaultdict(list)
+        for index in indices:
+            library = await self._probes.library_of(self._config, self._node(index))
+            groups[library].append(index)
+        return list(groups.values())
+
+    async def _probe(self, group: list[int]) -> None:
+        """Probe nodes of one library, in most cases by the first of them."""
+        assert self._probes is not None
+        while group:
+            first = self._node(group[0])
+            finding = await self._probes.probe(self._config, first)
+            same = {first.plugin}
+            settled = [
+                index
+                for index in group
+                if finding is None or finding.is_about_library or self._node(index).plugin in same
+            ]
+            group = [index for index in group if index not in settled]
+            for index in settled:
+                self._conclude(index, finding)
+            self._loads.load_cleared()
+
+    def _conclude(self, index: int, finding: Finding | None) -> None:
+        loads = finding is None or finding.loads
+        self._suspects.probe_ended(index, loads=loads)
+        if finding is not None and not loads:
+            reason = finding.error
+            if finding.backtrace:
+                reason += f" at {telling_frame(finding.backtrace)}"
+            where = (
+                f"in a scratch process, tried because {self._name} ended while it loaded the node"
+            )
+            self._loads.refuse(index, f"{reason} ({where})", finding)

@@ -1,0 +1,121 @@
+"""Notices that a container process is frozen, and what it counts of its own troubles."""
+
+from __future__ import annotations
+
+import logging
+from typing import TYPE_CHECKING, Final
+
+from play_launch.core.episode import Episode
+from play_launch.core.watchdog import Verdict, Watch, WatchLimits, answered, begin, look
+from play_launch.wire.channel import ControlError
+from play_launch.wire.messages import Query
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from play_launch.wire.messages import Outgoing, Status
+
+_log = logging.getLogger(__name__)
+
+_FIRST_QUERY: Final = 1 << 63
+"""Our questions are counted from here on, those about nodes from 1."""
+_NO_NODE: Final = (0,)
+"""Containers number their nodes from 1; a question about this one has a short answer."""
+
+
+class ContainerWatch:
+    """Watches one container process after the other; times are seconds of the loop's clock."""
+
+    def __init__(self, container: str, *, clock: Callable[[], float], limits: WatchLimits) -> None:
+        """Watch nothing yet."""
+        self._container = container
+        self._clock = clock
+        self._limits = limits
+        self._query_id = _FIRST_QUERY
+        self._send: Callable[[Outgoing], None] | None = None
+        self._watch: Watch | None = None
+        self._leaked = Episode()
+        self._unquiesced = Episode()
+        self._dead_locks: tuple[str, ...] = ()
+
+    @property
+    def may_hold_dead_locks(self) -> bool:
+        """Whether a node died so suddenly that a lock may stay locked for ever."""
+        return self._unquiesced.count > 0
+
+    @property
+    def probably_holds_dead_locks(self) -> bool:
+        """Whether, besides, cleaning up after a node failed: what waits for such a lock does."""
+        return self.may_hold_dead_locks and self._leaked.count > 0
+
+    @property
+    def waits_for_the_dead(self) -> str:
+        """What is known to wait for ever for a lock that a dead node holds; empty: nothing."""
+        more = len(self._dead_locks) - 1
+        return (self._dead_locks[0] + (f" (and {more} more)" if more else "")) if more >= 0 else ""
+
+    def begin(self, send: Callable[[Outgoing], None]) -> None:
+        """Watch a process that has just said hello."""
+        self._send = send
+        self._watch = begin(self._clock(), self._limits)
+        self._leaked, self._unquiesced = Episode(), Episode()
+        self._dead_locks = ()
+
+    def end(self) -> None:
+        """The process ends, or is being stopped: silence means nothing any more."""
+        self._watch = None
+
+    def hear(self, status: Status) -> bool:
+        """Take an answer; False when it is none to us."""
+        self._read_counts(status)
+        self._dead_locks = status.dead_locks
+        if status.query_id < _FIRST_QUERY:
+            return False
+        if self._watch is not None and status.query_id == self._query_id:
+            self._watch = answered(self._watch, self._clock(), self._limits)
+        return True
+
+    def next_deadline(self) -> float | None:
+        """When `on_time` has to be called next; None when nothing is due."""
+        return None if self._watch is None else self._watch.due
+
+    def on_time(self) -> str:
+        """Do what is due; why the process counts as frozen, empty as long as it does not."""
+        if self._watch is None:
+            return ""
+        self._watch, verdict = look(self._watch, self._clock(), self._limits)
+        match verdict:
+            case Verdict.ASK:
+                self._ask()
+            case Verdict.FROZEN:
+                self._watch = None
+                return f"it is frozen: no answer for {self._limits.patience:g} s"
+            case Verdict.WAIT:
+                pass
+        return ""
+
+    def _ask(self) -> None:
+        assert self._send is not None
+        self._query_id += 1
+        try:
+            self._send(Query(query_id=self._query_id, unique_ids=_NO_NODE))
+        except ControlError as error:
+            # Whoever reads the channel learns it as well and deals with the container.
+            _log.debug("%s: a question was not sent: %s", self._container, error)
+
+    def _read_counts(self, status: Status) -> None:
+        now = self._clock()
+        if self._leaked.see(status.leaked, now):
+            _log.warning(
+                "%s: what %d of %d crashed nodes held stays until its end: cleaning up failed",
+                self._container,
+                status.leaked,
+                status.crashes,
+            )
+        if self._unquiesced.see(status.unquiesced, now):
+            _log.warning(
+                "%s: %d of %d nodes died too suddenly to be sure that no lock stays locked",
+                self._container,
+                status.unquiesced,
+                status.crashes,
+            )

@@ -1,0 +1,436 @@
+"""The dialogue with a container that only has ROS's composition services.
+
+To the container's actor it is a control channel like any other: it says hello, takes loads, tells
+events and answers questions. What the container's answers mean is decided in
+:mod:`play_launch.core.composition`; here requests are sent and waited for.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections import Counter
+from typing import TYPE_CHECKING, Any, assert_never
+
+from play_launch.actors.stock.ports import STOCK_LIMITS, StockLimits
+from play_launch.actors.stock.reports import ContainerIdentity, Request, StockReports
+from play_launch.core.composition import Composition
+from play_launch.core.composition_words import (
+    Action,
+    AskList,
+    Remark,
+    SendLoad,
+    SendUnload,
+    Stage,
+    TellFailed,
+    TellLoaded,
+    TellRejected,
+    TellUnloaded,
+    Wanted,
+)
+from play_launch.core.events import ComponentEventKind
+from play_launch.wire.channel import ChannelClosedError, ControlError
+from play_launch.wire.messages import (
+    Cancel,
+    Hello,
+    Incoming,
+    Load,
+    Outgoing,
+    Query,
+    Rejected,
+    Shutdown,
+    Status,
+    Unload,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Coroutine
+
+    from play_launch.actors.stock.ports import CompositionServices
+    from play_launch.ros.composition import ListedNode, LoadReply
+
+_log = logging.getLogger(__name__)
+
+_WATCH = (0,)
+"""What the actor asks for when it only wants to know whether the other side lives."""
+
+
+_FIRST_LISTS = 8
+"""Answers to so many first questions are waited for."""
+_BREATH = 0.05
+"""Seconds from one of them to the next at least: while the graph changes, it changes a lot."""
+_UNLOADS = 2
+"""How often a node is asked to go when a container is let go."""
+
+
+class CannotBeAskedError(ControlError):
+    """There is no service by which a container can be asked to end."""
+
+
+class StockLink:
+    """Speaks for one container process, from its start to its end."""
+
+    def __init__(
+        self,
+        container: ContainerIdentity,
+        services: CompositionServices,
+        *,
+        hello: Hello,
+        encode: Callable[[Load], object],
+        places: asyncio.Semaphore,
+        loading_timeout: float,
+        limits: StockLimits = STOCK_LIMITS,
+    ) -> None:
+        """Say nothing yet.
+
+        Args:
+            container: Whom it is about.
+            services: The way to it.
+            hello: What to say in its name; completed with what is found.
+            encode: Makes the request for a load; raises what `send` may raise.
+            places: Bounds how many containers load a node at the same time.
+            loading_timeout: Seconds after which a silent load is looked for in the list.
+            limits: Other times.
+        """
+        self._name = container.name
+        self._services = services
+        self._hello = hello
+        self._encode = encode
+        self._places = places
+        self._timeout = loading_timeout
+        self._limits = limits
+        self._loop = asyncio.get_running_loop()
+        self._reports = StockReports(container, self._loop.time)
+        self._composition = Composition()
+        self._requests: dict[int, Request] = {}
+        self._questions: list[Query] = []
+        self._said: asyncio.Queue[Incoming | ControlError] = asyncio.Queue()
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._late_list: asyncio.Future[Any] | None = None
+        self._changed = asyncio.Event()
+        self._heard_at = self._loop.time()
+        self._is_told_silent = False
+        self._is_stopping = False
+        self._is_closed = False
+        self.is_greeted = False
+        self.on_list: Callable[[tuple[ListedNode, ...]], None] = lambda _: None
+        """Called with every list before anything is concluded from it."""
+
+    @property
+    def composition(self) -> Composition:
+        """What is known about the container's nodes."""
+        return self._composition
+
+    async def handshake(self, hello: Hello) -> Hello:
+        """Wait until the container answers; the supervisor's own hello has no place in ROS."""
+        del hello
+        await self._services.ready()
+        nodes = await self._first_list()
+        self._composition.serially = not await self._services.constructs_in_background()
+        self._composition.begin(nodes)
+        self._heard_at = self._loop.time()
+        self.is_greeted = True
+        self._start(self._look_now_and_then())
+        there = f"{len(nodes)} node(s) were there already"
+        return Hello(
+            version=self._hello.version,
+            pid=self._reports.container.pid,
+            start_time=self._reports.container.start_time,
+            full_node_name=self._name,
+            mode="stock",
+            rmw_implementation=self._hello.rmw_implementation,
+            domain_id=self._hello.domain_id,
+            notes=(there,) if nodes else (),
+        )
+
+    async def receive(self) -> Incoming:
+        """Wait for the next word in the container's name."""
+        said = await self._said.get()
+        if isinstance(said, ControlError):
+            self._said.put_nowait(said)
+            raise said
+        return said
+
+    def send(self, message: Outgoing) -> None:
+        """Take a request; raises ControlError, and EncodeError for a load that cannot be sent."""
+        if self._is_closed:
+            raise ChannelClosedError("the dialogue with the container is over")
+        match message:
+            case Load():
+                self._requests[message.attempt] = Request(message, self._encode(message))
+                self._do(self._composition.load(message.attempt, _wanted(message)))
+            case Query(unique_ids=ids) if ids == _WATCH:
+                # It asks whether we live. Silence of the container is no reason to kill it.
+                self._say(Status(query_id=message.query_id))
+            case Query():
+                self._questions.append(message)
+                self._do(self._composition.ask_about(self._overdue()))
+            case Unload():
+                self._do(self._composition.unload(message.unique_id))
+            case Shutdown():
+                self._is_stopping = True
+                self._composition.stop()
+                raise CannotBeAskedError("a stock container is asked to end by a signal")
+            case Cancel() | Hello():
+                # A constructor cannot be cancelled; what it makes is unloaded when it is there.
+                pass
+            case _:
+                assert_never(message)
+
+    def end(self, reason: str, *, in_order: bool) -> None:
+        """The container is gone; ``in_order`` is whether it ended as it should when asked to."""
+        if in_order and self._is_stopping:
+            for record in self._composition.loaded():
+                self._tell_unloaded(
+                    record.attempt, record.unique_id, record.full_name, "with its container"
+                )
+        self._said.put_nowait(ChannelClosedError(reason))
+
+    async def unload_all(self) -> None:
+        """Load nothing more and unload what was loaded by us; what had been there stays."""
+        self._composition.stop()
+        asked: Counter[int] = Counter()
+        while True:
+            changed = self._changed
+            for record in self._composition.loaded():
+                asked[record.unique_id] += not record.adopted
+                if not record.adopted and asked[record.unique_id] <= _UNLOADS:
+                    self._do(self._composition.unload(record.unique_id))
+            if not self._composition.unfinished():
+                return
+            await changed.wait()
+
+    def close(self) -> None:
+        """End the dialogue; the container does not notice."""
+        self._is_closed = True
+        for task in self._tasks:
+            task.cancel()
+        self._services.close()
+
+    def look(self) -> None:
+        """Compare what is known with the container's list, now."""
+        if self.is_greeted and not self._is_closed:
+            self._do(self._composition.look())
+
+    async def _first_list(self) -> tuple[ListedNode, ...]:
+        # The services of a container that has just been killed are still in the graph, so the first
+        # questions may have gone to nobody. ListNodes may be asked any number of times.
+        asked: list[asyncio.Future[Any]] = []
+        pause = self._limits.first_list
+        try:
+            while True:
+                asked.append(self._services.list_nodes())
+                changed = self._loop.create_task(self._services.graph_change())
+                try:
+                    await asyncio.sleep(_BREATH)
+                    await asyncio.wait(
+                        [*asked, changed], timeout=pause, return_when=asyncio.FIRST_COMPLETED
+                    )
+                finally:
+                    changed.cancel()
+                for future in asked:
+                    if future.done():
+                        nodes: tuple[ListedNode, ...] = future.result()
+                        return nodes
+                pause = min(2 * pause, self._limits.list_nodes)
+                while len(asked) > _FIRST_LISTS:
+                    asked.pop(0).cancel()
+        finally:
+            for future in asked:
+                future.cancel()
+
+    def _overdue(self) -> list[int]:
+        """The attempts that have been silent for as long as silence is just silence."""
+        return [attempt for attempt, request in self._requests.items() if self._is_overdue(request)]
+
+    def _is_overdue(self, request: Request) -> bool:
+        return request.sent_at is not None and self._loop.time() - request.sent_at >= self._timeout
+
+    def _do(self, actions: list[Action]) -> None:
+        changed, self._changed = self._changed, asyncio.Event()
+        changed.set()
+        for action in actions:
+            match action:
+                case SendLoad(attempt):
+                    self._start(self._load(attempt))
+                case SendUnload(unique_id):
+                    self._start(self._unload(unique_id))
+                case AskList(serial, delay):
+                    self._start(self._list(serial, delay))
+                case TellLoaded():
+                    self._tell_loaded(action)
+                case TellFailed(attempt, reason):
+                    load = self._requests.pop(attempt).load
+                    self._say(
+                        self._reports.event(ComponentEventKind.LOAD_FAILED, load, message=reason)
+                    )
+                case TellUnloaded(attempt, unique_id, full_name, reason):
+                    self._tell_unloaded(attempt, unique_id, full_name, reason)
+                case TellRejected(unique_id, reason):
+                    self._say(Rejected(attempt=0, unique_id=unique_id, reason=reason))
+                case Remark(text):
+                    _log.warning("%s: %s", self._name, text)
+                case _:
+                    assert_never(action)
+        self._answer_questions()
+
+    def _say(self, message: Incoming) -> None:
+        self._said.put_nowait(message)
+
+    def _tell_loaded(self, told: TellLoaded) -> None:
+        self._say(
+            self._reports.event(
+                ComponentEventKind.LOADED,
+                self._requests[told.attempt].load,
+                unique_id=told.unique_id,
+                full_name=told.full_name,
+                message=told.remark,
+                confirmed_by=told.confirmed_by,
+            )
+        )
+
+    def _tell_unloaded(self, attempt: int, unique_id: int, full_name: str, reason: str) -> None:
+        self._say(
+            self._reports.event(
+                ComponentEventKind.UNLOADED,
+                self._requests.pop(attempt).load,
+                unique_id=unique_id,
+                full_name=full_name,
+                message=reason,
+            )
+        )
+
+    def _answer_questions(self) -> None:
+        """Answer, unless the container itself is being asked."""
+        if not self._questions or self._composition.is_asking:
+            return
+        known = [
+            (record, request)
+            for attempt, request in self._requests.items()
+            if (record := self._composition.find(attempt)) is not None
+        ]
+        nodes = tuple(self._reports.status(record, request) for record, request in known)
+        for question in self._questions:
+            self._say(Status(query_id=question.query_id, nodes=nodes))
+        self._questions.clear()
+        for attempt in self._requests.keys() - {record.attempt for record, _ in known}:
+            del self._requests[attempt]
+
+    async def _load(self, attempt: int) -> None:
+        request = self._requests[attempt]
+        await self._services.ready()
+        async with self._places:
+            reply = self._services.load_node(request.message)
+            request.sent_at = self._loop.time()
+            request.cpu_time_ns = self._reports.container.cpu_time_ns()
+            self._composition.sent(attempt)
+            self._say(self._reports.event(ComponentEventKind.LOADING, request.load))
+            reply.add_done_callback(lambda _: self._loaded(attempt, reply))
+            # A constructor that takes longer than that keeps nobody else waiting.
+            await asyncio.wait({reply}, timeout=self._timeout)
+
+    def _loaded(self, attempt: int, reply: asyncio.Future[LoadReply]) -> None:
+        if reply.cancelled() or self._is_closed:
+            return
+        self._heard()
+        answer = reply.result()
+        self._do(
+            self._composition.answered(
+                attempt,
+                success=answer.success,
+                unique_id=answer.unique_id,
+                full_name=answer.full_node_name,
+                reason=answer.error_message,
+            )
+        )
+
+    async def _unload(self, unique_id: int) -> None:
+        await self._services.ready()
+        reply = self._services.unload_node(unique_id)
+        await asyncio.wait({reply}, timeout=self._limits.unload_node)
+        success, reason = False, f"no answer within {self._limits.unload_node:g} s"
+        if reply.done():
+            self._heard()
+            success, reason = reply.result().success, reply.result().error_message
+        if not success:
+            _log.warning("%s: node %d is not unloaded: %s", self._name, unique_id, reason)
+        self._do(self._composition.unload_answered(unique_id, success=success, reason=reason))
+
+    async def _list(self, serial: int, delay: float) -> None:
+        await asyncio.sleep(delay)
+        reply = self._services.list_nodes()
+        await asyncio.wait({reply}, timeout=self._limits.list_nodes)
+        if reply.done():
+            self._listed(serial, reply)
+            return
+        # It may come when the container has nothing else to do any more.
+        reply.add_done_callback(lambda _: self._listed(serial, reply))
+        if self._late_list is not None:
+            self._late_list.cancel()
+        self._late_list = reply
+        self._tell_silence()
+        self._do(self._composition.list_unanswered(serial))
+
+    def _listed(self, serial: int, reply: asyncio.Future[tuple[ListedNode, ...]]) -> None:
+        if reply.cancelled() or self._is_closed:
+            return
+        self._heard()
+        nodes = reply.result()
+        for attempt, request in self._requests.items():
+            if self._composition.stage(attempt) is Stage.SENT and self._is_overdue(request):
+                request.container_answers = True
+        self.on_list(nodes)
+        self._do(self._composition.listed(serial, nodes))
+
+    async def _look_now_and_then(self) -> None:
+        greeted = self._loop.time()
+        while True:
+            await asyncio.sleep(self._limits.look)
+            if self._composition.current is None:
+                self.look()
+            if greeted and self._loop.time() - greeted > self._limits.lease:
+                servers = await self._services.servers()
+                if len(servers) > 1:
+                    greeted = 0.0  # told once
+                    _log.warning(
+                        "%d containers are called %s: each of them gets every request",
+                        len(servers),
+                        self._name,
+                    )
+
+    def _heard(self) -> None:
+        self._heard_at = self._loop.time()
+        if self._is_told_silent:
+            self._is_told_silent = False
+            _log.warning("%s answers again", self._name)
+
+    def _tell_silence(self) -> None:
+        silent = self._loop.time() - self._heard_at
+        if self._composition.current is None and silent > self._limits.silence:
+            if not self._is_told_silent:
+                _log.warning(
+                    "%s has not answered for %.0f s: its executor is busy, or it is frozen",
+                    self._name,
+                    silent,
+                )
+            self._is_told_silent = True
+
+    def _start(self, work: Coroutine[Any, Any, None]) -> None:
+        task = self._loop.create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._finished)
+
+    def _finished(self, task: asyncio.Task[None]) -> None:
+        self._tasks.discard(task)
+        if not task.cancelled() and (error := task.exception()) is not None:
+            _log.error("%s: %s", self._name, error, exc_info=error)
+            self._said.put_nowait(ControlError(f"the dialogue has failed: {error}"))
+
+
+def _wanted(load: Load) -> Wanted:
+    """What the node will be called, as far as that is declared."""
+    namespace = load.node_namespace
+    label = f"{load.package_name}/{load.plugin_name}"
+    if not load.node_name:
+        return Wanted(namespace=namespace, label=label)
+    return Wanted(f"{namespace.rstrip('/')}/{load.node_name}", namespace, label)

@@ -1,0 +1,137 @@
+"""Shows a run while it happens, without ever making it wait for a slow terminal."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import sys
+import threading
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
+
+from play_launch.cli.show.streams import let_go_of
+from play_launch.core.events import OutputLine, RunEvent
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from play_launch.core.view import SystemView
+
+_log = logging.getLogger(__name__)
+
+_LAST_WORDS: Final = 2.0
+"""Seconds that the end waits for a terminal which takes no more."""
+
+
+class Shown(NamedTuple):
+    """An event and the view before and after it."""
+
+    event: RunEvent
+    before: SystemView
+    after: SystemView
+
+
+class Style(Protocol):
+    """One way to show a run. All but :meth:`wants` is called in the display's thread."""
+
+    def wants(self, event: RunEvent) -> bool:
+        """Whether an event shows in this style; called for every event, so it must be quick."""
+
+    def show(self, batch: Sequence[Shown], missed: int) -> float | None:
+        """Show events; ``missed`` lines of output before the last of them are not among them.
+
+        Returns the seconds after which to be called again even though nothing has happened, or
+        None.
+        """
+
+    def close(self) -> None:
+        """Leave the terminal as it was."""
+
+
+@dataclass(frozen=True, slots=True)
+class DisplayLimits:
+    """Sizes and times of a display."""
+
+    lines: int = 5_000
+    """Lines of output waiting to be shown; further ones are left out and counted."""
+    other_events: int = 100_000
+    """Room for other events; it is used up only when nobody reads what is shown."""
+    batch: float = 0.05
+    """Seconds between two writes."""
+
+
+class Display:
+    """Takes events on any thread and shows them from one of its own.
+
+    A terminal can be stopped (Ctrl-S) and a pipe can be full; both would block whoever writes.
+    When stdout takes no more (its reader has gone, the disk is full, the terminal was closed),
+    showing ends, and the run goes on.
+    """
+
+    def __init__(self, style: Style, limits: DisplayLimits | None = None) -> None:
+        """Start the thread."""
+        self._style = style
+        self._limits = limits or DisplayLimits()
+        self._lock = threading.Lock()
+        self._queue: list[Shown] = []
+        self._missed = 0
+        self._closing = False
+        self._gone = False
+        self._wake = threading.Event()
+        self._end = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="display", daemon=True)
+        self._thread.start()
+
+    @property
+    def reader_is_gone(self) -> bool:
+        """Whether stdout's reader has closed it."""
+        return self._gone
+
+    def publish(self, event: RunEvent, before: SystemView, after: SystemView) -> None:
+        """Show an event soon; never blocks."""
+        if self._gone or not self._style.wants(event):
+            return
+        room = self._limits.lines
+        if not isinstance(event, OutputLine):
+            room += self._limits.other_events
+        with self._lock:
+            waiting = len(self._queue)
+            if self._closing or waiting >= room:
+                self._missed += 1
+                return
+            self._queue.append(Shown(event, before, after))
+        if not waiting:
+            self._wake.set()
+
+    def close(self) -> None:
+        """Show what is waiting and leave the terminal as it was."""
+        with self._lock:
+            self._closing = True
+        self._end.set()
+        self._wake.set()
+        self._thread.join(_LAST_WORDS)
+
+    def _run(self) -> None:
+        again: float | None = 0.0
+        try:
+            while True:
+                self._wake.wait(again)
+                self._end.wait(self._limits.batch)
+                self._wake.clear()
+                with self._lock:
+                    batch, self._queue = self._queue, []
+                    missed, self._missed = self._missed, 0
+                    closing = self._closing
+                again = self._style.show(batch, missed)
+                if closing:
+                    return
+        except OSError as error:
+            # A terminal that was closed answers EIO; SIGHUP tells the run what to do about it.
+            self._gone = True
+            let_go_of(sys.stdout)
+            if not isinstance(error, BrokenPipeError):
+                _log.warning("nothing more is shown, stdout takes no more: %s", error.strerror)
+        finally:
+            # Also after a mistake of ours: the cursor must come back.
+            with contextlib.suppress(OSError, ValueError):
+                self._style.close()

@@ -1,0 +1,120 @@
+"""What an event says to a person who reads along, in lines that stay."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from play_launch.cli.show.status import container_status, duration, ending
+from play_launch.core.events import (
+    TOLD_LOGGER,
+    ContainerState,
+    LogRecord,
+    NodeState,
+    NodeStateChanged,
+    OutputLine,
+    ProcessEvent,
+    ProcessEventKind,
+    RunEvent,
+)
+from play_launch.recording.console_format import ERROR, INFO, WARN, line_level
+
+if TYPE_CHECKING:
+    from play_launch.core.view import ProcessView, SystemView
+
+OWN_NAME: Final = "play-launch"
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """One line to show."""
+
+    stamp_ns: int
+    source: str
+    """Process, container or ``play-launch``."""
+    text: str
+    level: int = INFO
+    is_progress: bool = False
+    """It only tells what a live view shows anyway."""
+
+
+def line_of(event: RunEvent, before: SystemView, after: SystemView) -> Line | None:
+    """Return the line for an event, given the view before and after it; most events have none."""
+    match event:
+        case OutputLine():
+            text = f"{event.text} [cut]" if event.truncated else event.text
+            return Line(event.stamp_ns, event.process, text, line_level(event))
+        case LogRecord() if event.level >= WARN and event.name != TOLD_LOGGER:
+            return Line(event.stamp_ns, OWN_NAME, event.message, event.level)
+        case NodeStateChanged():
+            return _node_line(event, before, after)
+        case ProcessEvent():
+            return _process_line(event, before)
+        case _:
+            return None
+
+
+def _node_line(event: NodeStateChanged, before: SystemView, after: SystemView) -> Line | None:
+    container = after.containers[event.container]
+    known = before.containers.get(event.container)
+    was = known.nodes.get(event.index) if known else None
+    repeated = was is not None and was.state is event.state
+    reason = f": {event.reason}" if event.reason else ""
+    match event.state:
+        case NodeState.LOADED if not repeated:
+            took = f" after {duration(event.elapsed_ns)}" if event.elapsed_ns else ""
+            again = " again" if event.reloads else ""
+            # In an isolated container it is the pid of a process that holds nothing else.
+            pid = f", pid {event.pid}" if event.pid not in (0, container.process.pid) else ""
+            count = f"({container.loaded}/{container.total})"
+            text = f"{event.node} loaded{again}{took} {count}{pid}{reason}"
+            # A reason says that something was not as usual; that is worth a line of its own.
+            usual = not reason and not again
+            return Line(event.stamp_ns, event.container, text, is_progress=usual)
+        case NodeState.LOADING if repeated:
+            text = container_status(container, event.stamp_ns) + reason
+            return Line(event.stamp_ns, event.container, text, is_progress=True)
+        case NodeState.LOAD_FAILED | NodeState.CRASHED | NodeState.GAVE_UP if not repeated:
+            text = f"{event.node} {_VERBS[event.state]}{reason}"
+            return Line(event.stamp_ns, event.container, text, ERROR)
+        case NodeState.LOST if not repeated:
+            return Line(event.stamp_ns, event.container, f"{event.node} lost{reason}", WARN)
+        # In an orderly stop nobody wonders; an unload that was asked for has no reason.
+        case NodeState.UNLOADED if reason and container.state is ContainerState.RUNNING:
+            return Line(event.stamp_ns, event.container, f"{event.node} unloaded{reason}", WARN)
+        case _:
+            return None
+
+
+_VERBS: Final = {
+    NodeState.LOAD_FAILED: "failed to load",
+    NodeState.CRASHED: "crashed",
+    NodeState.GAVE_UP: "is not loaded again",
+}
+
+
+def _process_line(event: ProcessEvent, before: SystemView) -> Line | None:
+    match event.kind:
+        case ProcessEventKind.STARTED:
+            # Without a pid it is a container that somebody else starts.
+            text = f"started, pid {event.pid}" if event.pid else "attaching"
+            return Line(event.stamp_ns, event.name, text, is_progress=True)
+        case ProcessEventKind.EXITED:
+            text = event.message or ending(event.exit_code, event.signal)
+            ended_badly = event.exit_code != 0 or event.signal != 0
+            level = ERROR if ended_badly and not _was_stopping(event.name, before) else INFO
+            return Line(event.stamp_ns, event.name, text, level, is_progress=level == INFO)
+        case ProcessEventKind.RESTARTING:
+            text = event.message or f"restarting, {event.restarts} times so far"
+            return Line(event.stamp_ns, event.name, text, WARN)
+        case ProcessEventKind.GAVE_UP:
+            return Line(event.stamp_ns, event.name, event.message or "not started again", ERROR)
+        case ProcessEventKind.READY | ProcessEventKind.STOPPING:
+            return None
+
+
+def _was_stopping(name: str, view: SystemView) -> bool:
+    process: ProcessView | None = view.processes.get(name)
+    if container := view.containers.get(name):
+        process = container.process
+    return process is not None and process.kind is ProcessEventKind.STOPPING

@@ -1,0 +1,191 @@
+"""What a run came to: the last thing that is shown."""
+
+from __future__ import annotations
+
+from typing import IO, TYPE_CHECKING, Final
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from play_launch.cli.check import counted
+from play_launch.cli.show.status import container_status, is_complete, process_status
+from play_launch.core.events import NodeState
+
+if TYPE_CHECKING:
+    from play_launch.core.view import ContainerView, ProcessView, SystemView
+    from play_launch.recording.recorder import RecordingSummary
+
+_PIPE_WIDTH: Final = 200
+"""Columns of a table that no terminal limits."""
+_BYTES: Final = (("GB", 1_000_000_000), ("MB", 1_000_000), ("kB", 1_000))
+
+
+def print_summary(
+    view: SystemView,
+    recording: RecordingSummary,
+    *,
+    stream: IO[str],
+    colour: bool,
+) -> None:
+    """Print a table of containers and processes, what is not there and why, and the recording.
+
+    ``view`` is the system at the moment its end began.
+    """
+    terminal = stream.isatty()
+    console = Console(
+        file=stream,
+        width=None if terminal else _PIPE_WIDTH,
+        no_color=not colour,
+        force_terminal=colour,
+        highlight=False,
+        soft_wrap=False,
+    )
+    if view.containers:
+        console.print(_containers(view))
+    if view.processes:
+        console.print(_processes(view))
+    if view.crashed:
+        console.print(_crashed(view))
+    for node in (*view.failed, *view.unloaded):
+        reason = f": {node.reason}" if node.reason else ""
+        console.print(
+            Text(f"{node.node} ({node.container}): {node.state.value}{reason}", style="red"),
+            soft_wrap=True,
+        )
+    # Not wrapped and not cut, so that the path can be copied.
+    console.print(Text(recording_line(recording)), soft_wrap=True)
+    if recording.error:
+        console.print(
+            Text(f"the recording stopped early: {recording.error}", "red"), soft_wrap=True
+        )
+
+
+def recording_line(recording: RecordingSummary) -> str:
+    """``Recording: /x/session.mcap (1,234 messages, 56 kB)``."""
+    facts = [f"{recording.messages:,} messages", size(recording.bytes)]
+    if recording.dropped:
+        facts.append(f"{recording.dropped:,} events dropped")
+    return f"Recording: {recording.path} ({', '.join(facts)})"
+
+
+def size(count: int) -> str:
+    """Write a number of bytes for people, in powers of ten."""
+    for unit, factor in _BYTES:
+        if count >= factor:
+            return f"{count / factor:.3g} {unit}"
+    return f"{count} bytes"
+
+
+def summary_object(
+    view: SystemView, recording: RecordingSummary, *, exit_code: int
+) -> dict[str, object]:
+    """Give the same for machines."""
+    return {
+        "event": "summary",
+        "exit_code": exit_code,
+        "containers": [_container_object(each) for each in view.containers.values()],
+        "processes": [_process_object(each) for each in view.processes.values()],
+        "recording": {
+            "path": str(recording.path),
+            "messages": recording.messages,
+            "dropped": recording.dropped,
+            "bytes": recording.bytes,
+            "error": recording.error,
+        },
+    }
+
+
+def _container_object(container: ContainerView) -> dict[str, object]:
+    return {
+        "name": container.name,
+        "state": container.state.value,
+        "nodes": container.total,
+        "loaded": container.loaded,
+        "failed": [node.node for node in container.failed],
+        "unloaded": [node.node for node in container.unloaded],
+        "waiting": [node.node for node in container.waiting],
+        "restarts": container.process.restarts,
+        "pid": container.process.pid,
+        "mechanism": container.mechanism,
+        "crashes": container.crashes,
+        "details": [
+            {
+                "name": node.node,
+                "state": node.state.value,
+                "pid": node.pid,
+                "crashes": node.crashes,
+                "reloads": node.reloads,
+            }
+            for node in container.nodes.values()
+        ],
+    }
+
+
+def _process_object(process: ProcessView) -> dict[str, object]:
+    return {
+        "name": process.name,
+        "state": process_status(process),
+        "failed": process.failed,
+        "restarts": process.restarts,
+    }
+
+
+def _containers(view: SystemView) -> Table:
+    table = _table("container", "nodes", "loaded", "failed", "restarts", "")
+    for container in view.containers.values():
+        table.add_row(
+            Text(container.name),
+            str(container.total),
+            str(container.loaded),
+            _alarming(len(container.failed)),
+            _alarming(container.process.restarts),
+            Text("" if is_complete(container) else container_status(container), "yellow"),
+        )
+    if len(view.containers) > 1:
+        table.add_section()
+        failed = sum(len(each.failed) for each in view.containers.values())
+        restarts = sum(each.process.restarts for each in view.containers.values())
+        name = counted(len(view.containers), "container")
+        table.add_row(
+            name, str(view.total), str(view.loaded), _alarming(failed), _alarming(restarts), ""
+        )
+    return table
+
+
+def _crashed(view: SystemView) -> Table:
+    table = _table("node that crashed", "crashes", "reloads", "pid", "state")
+    for node in view.crashed:
+        is_there = node.state is NodeState.LOADED
+        table.add_row(
+            Text(node.node),
+            _alarming(node.crashes),
+            str(node.reloads),
+            str(node.pid) if is_there else "",
+            Text(node.state.value, "" if is_there else "red"),
+        )
+    return table
+
+
+def _processes(view: SystemView) -> Table:
+    table = _table("process", "state", "restarts")
+    for process in view.processes.values():
+        state = Text(process_status(process), "red" if process.failed else "")
+        table.add_row(Text(process.name), state, _alarming(process.restarts))
+    return table
+
+
+def _table(first: str, *others: str) -> Table:
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, header_style="bold")
+    table.add_column(first, overflow="fold")
+    for name in others:
+        is_text = name in {"", "state"}
+        table.add_column(
+            name, justify="left" if is_text else "right", overflow="fold", min_width=len(name)
+        )
+    return table
+
+
+def _alarming(number: int) -> Text:
+    return Text(str(number), "red" if number else "")

@@ -1,0 +1,126 @@
+"""Parameters of the configuration as a parameter file of ROS; types are kept."""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import yaml
+
+from play_launch.config.model import ParameterConfig, ParameterType
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+_SCALARS = {
+    ParameterType.BOOL: ParameterType.BOOL,
+    ParameterType.INTEGER: ParameterType.INTEGER,
+    ParameterType.DOUBLE: ParameterType.DOUBLE,
+    ParameterType.STRING: ParameterType.STRING,
+    ParameterType.BOOL_ARRAY: ParameterType.BOOL,
+    ParameterType.INTEGER_ARRAY: ParameterType.INTEGER,
+    ParameterType.DOUBLE_ARRAY: ParameterType.DOUBLE,
+    ParameterType.STRING_ARRAY: ParameterType.STRING,
+}
+
+
+class ParameterFileError(Exception):
+    """A parameter cannot be written into a parameter file of ROS."""
+
+    def __init__(self, name: str, reason: str) -> None:
+        super().__init__(f"parameter {name}: {reason}")
+        self.name = name
+
+
+def parameter_file_text(parameters: Iterable[ParameterConfig]) -> str:
+    """Make a parameter file that gives every node of a process these parameters.
+
+    rcl's parser guesses types from the spelling, so each value is spelled as the type it has:
+    doubles with a point or an exponent, strings in quotes. Of two values for one name the later
+    one holds.
+
+    Raises:
+        ParameterFileError: For what such a file cannot express: byte arrays, empty arrays, and
+            doubles next to 0 that rcl would read as strings.
+    """
+    values = {parameter.name: _node(parameter) for parameter in parameters}
+    pairs = [(_scalar(ParameterType.STRING, name), node) for name, node in values.items()]
+    tree = _mapping("/**", _mapping("ros__parameters", yaml.MappingNode(_MAP, pairs)))
+    return str(yaml.serialize(tree, width=float("inf"), allow_unicode=True))
+
+
+def write_parameter_file(parameters: Iterable[ParameterConfig], directory: Path) -> Path:
+    """Write a parameter file with a name of its own into `directory`; its owner deletes it.
+
+    Raises:
+        ParameterFileError: As `parameter_file_text`.
+        OSError: When it cannot be written.
+    """
+    text = parameter_file_text(parameters)
+    descriptor, name = tempfile.mkstemp(prefix="parameters-", suffix=".yaml", dir=directory)
+    with os.fdopen(descriptor, "w", encoding="utf-8") as file:
+        file.write(text)
+    return Path(name)
+
+
+_MAP = "tag:yaml.org,2002:map"
+_SEQUENCE = "tag:yaml.org,2002:seq"
+_TAGS = {
+    ParameterType.BOOL: "tag:yaml.org,2002:bool",
+    ParameterType.INTEGER: "tag:yaml.org,2002:int",
+    ParameterType.DOUBLE: "tag:yaml.org,2002:float",
+    ParameterType.STRING: "tag:yaml.org,2002:str",
+}
+
+
+def _mapping(key: str, value: yaml.Node) -> yaml.MappingNode:
+    return yaml.MappingNode(_MAP, [(_scalar(ParameterType.STRING, key), value)])
+
+
+def _node(parameter: ParameterConfig) -> yaml.Node:
+    kind, value = parameter.value.type, parameter.value.value
+    if kind not in _SCALARS:
+        raise ParameterFileError(parameter.name, "a parameter file cannot hold a byte array")
+    if not isinstance(value, tuple):
+        if kind is ParameterType.DOUBLE and _is_subnormal(value):
+            raise ParameterFileError(parameter.name, _SUBNORMAL)
+        return _scalar(kind, value)
+    if not value:
+        raise ParameterFileError(
+            parameter.name, "a parameter file cannot hold an empty array, it would have no type"
+        )
+    items = [_scalar(_SCALARS[kind], item) for item in value]
+    if kind is ParameterType.DOUBLE_ARRAY and any(map(_is_subnormal, value)):
+        raise ParameterFileError(parameter.name, _SUBNORMAL)
+    return yaml.SequenceNode(_SEQUENCE, items, flow_style=True)
+
+
+_SUBNORMAL = f"ROS reads a number nearer to 0 than {sys.float_info.min} as a string"
+
+
+def _is_subnormal(value: object) -> bool:
+    # strtod(3) reports a range error for them, by which rcl takes them for no number.
+    return isinstance(value, float) and 0 < abs(value) < sys.float_info.min
+
+
+def _scalar(kind: ParameterType, value: object) -> yaml.ScalarNode:
+    if kind is ParameterType.STRING:
+        return yaml.ScalarNode(_TAGS[kind], str(value), style='"')
+    if kind is ParameterType.BOOL:
+        return yaml.ScalarNode(_TAGS[kind], "true" if value else "false")
+    if kind is ParameterType.INTEGER:
+        return yaml.ScalarNode(_TAGS[kind], str(value))
+    return yaml.ScalarNode(_TAGS[kind], _double(float(str(value))))
+
+
+def _double(value: float) -> str:
+    """Spell a double so that both YAML 1.1 and rcl's parser read a double: 1.0, 1.0e+300, .inf."""
+    text = repr(value)
+    if text in {"inf", "-inf", "nan"}:
+        return text.replace("inf", ".inf").replace("nan", ".nan")
+    if "e" in text and "." not in text:
+        return text.replace("e", ".0e")
+    return text

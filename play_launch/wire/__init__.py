@@ -1,0 +1,1 @@
+"""The control channel to a container: frames, messages and the types on it."""

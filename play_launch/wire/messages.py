@@ -1,0 +1,161 @@
+"""What travels on the control channel, as plain values; `codec` makes frames of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import TYPE_CHECKING, TypeAlias
+
+from play_launch.core.events import ComponentEvent
+from play_launch.wire.frames import PROTOCOL_VERSION
+
+if TYPE_CHECKING:
+    from play_launch.config.model import ParameterConfig
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Hello:
+    """First message in each direction (ControlHello).
+
+    From the supervisor only `version`, `pid` and `start_time` say anything. `start_time` is in
+    clock ticks after boot. `mechanism` is how an isolated container isolates its nodes, and
+    `notes` what that choice rests on.
+    """
+
+    version: str
+    protocol_version: int = PROTOCOL_VERSION
+    pid: int = 0
+    start_time: int = 0
+    full_node_name: str = ""
+    mode: str = ""
+    thread_num: int = 0
+    backends: tuple[str, ...] = ()
+    rmw_implementation: str = ""
+    domain_id: int = 0
+    mechanism: str = ""
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Load:
+    """Load one node (ControlLoad); empty names are the component's own, log_level 0 is unset."""
+
+    attempt: int
+    package_name: str
+    plugin_name: str
+    node_name: str = ""
+    node_namespace: str = ""
+    log_level: int = 0
+    remap_rules: tuple[str, ...] = ()
+    parameters: tuple[ParameterConfig, ...] = ()
+    extra_arguments: tuple[ParameterConfig, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Accepted:
+    """The load was taken up (ControlAccepted)."""
+
+    attempt: int
+    unique_id: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rejected:
+    """A request was not taken up (ControlRejected).
+
+    `attempt` is that of a load, else 0; `unique_id` names the node it was about, or 0.
+    """
+
+    attempt: int
+    unique_id: int
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Query:
+    """Which nodes do you have? No `unique_ids` means all (ControlQuery)."""
+
+    query_id: int
+    unique_ids: tuple[int, ...] = ()
+
+
+class NodeStatusState(IntEnum):
+    """`play_launch_msgs/NodeStatus.state`."""
+
+    CONSTRUCTING = 0
+    LOADED = 1
+    UNLOADING = 2
+    QUEUED = 255
+    """No container sends it: a load that waits on our side, in the queue of a stock container."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NodeStatus:
+    """One node as its container sees it.
+
+    `elapsed_ns` is the time in this state and `cpu_time_ns` what its constructor used up (0 once
+    loaded), in nanoseconds; `start_time` is in clock ticks after boot. `silence_ns` is the time
+    since the node's executor last came round between two callbacks, or -1 where that is not known.
+    `note` says in words what there is to say besides: what a node waits for whose constructor has
+    not begun.
+    """
+
+    unique_id: int
+    attempt: int
+    state: NodeStatusState
+    full_node_name: str
+    pid: int = 0
+    start_time: int = 0
+    elapsed_ns: int = 0
+    cpu_time_ns: int = 0
+    note: str = ""
+    silence_ns: int = -1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Status:
+    """The answer to the query of the same `query_id` (ControlStatus).
+
+    A node that was asked about and is not listed does not exist; those that have been silent for
+    5 s are always listed. The numbers are counted since the container's start: frames that its full
+    queue dropped, nodes that crashed, of these cleaned up after and not cleaned up after, and
+    deaths in the middle of something that others use, too. `dead_locks` says, a line each, which
+    threads will wait for ever, because the holder of the lock has died.
+    """
+
+    query_id: int
+    nodes: tuple[NodeStatus, ...] = ()
+    dropped_frames: int = 0
+    crashes: int = 0
+    undertaken: int = 0
+    leaked: int = 0
+    unquiesced: int = 0
+    dead_locks: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cancel:
+    """Give up a load (ControlCancel)."""
+
+    unique_id: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Unload:
+    """Unload a node (ControlUnload)."""
+
+    unique_id: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shutdown:
+    """Unload everything and exit with status 0 (ControlShutdown)."""
+
+    reason: str = ""
+
+
+Incoming: TypeAlias = Hello | Accepted | Rejected | ComponentEvent | Status
+"""What a container sends."""
+Outgoing: TypeAlias = Hello | Load | Query | Cancel | Unload | Shutdown
+"""What a supervisor sends."""
+Message: TypeAlias = Incoming | Outgoing
