@@ -76,7 +76,7 @@ ObservableComponentManager::ObservableComponentManager(NodeHost& host,
 
 void ObservableComponentManager::add_sink(EventSink& sink) {
   const std::lock_guard lock(mutex_);
-  sinks_.push_back(&sink);
+  sinks_.insert(sinks_.begin(), &sink);
 }
 
 void ObservableComponentManager::remove_sink(EventSink& sink) {

@@ -53,7 +53,8 @@ class ObservableComponentManager final : public NodeHostObserver {
   /// `host` must outlive the manager's last call into it, the manager all of the host's nodes.
   ObservableComponentManager(NodeHost& host, const ProcessIdentity& process);
 
-  /// The sink is told of all events until remove_sink() returns.
+  /// The sink gets all events until remove_sink() returns, before those that were added earlier:
+  /// the control channel comes last and is served first.
   void add_sink(EventSink& sink);
   void remove_sink(EventSink& sink);
 

@@ -32,6 +32,7 @@ class ClonedNode final : public IsolatedNode {
   std::string why_it_left() const override;
   NodeDeath death() override;
   bool is_cleaned_up() override;
+  void on_death_reported() override { donor_.begin_burial(); }
   void ask_to_leave() override { program_.cancel(); }
   bool signal(int number) override { return donor_.signal(number); }
   void abandon() override { donor_.end_burial(); }

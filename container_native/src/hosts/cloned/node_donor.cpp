@@ -1,6 +1,11 @@
 #include "hosts/cloned/node_donor.hpp"
 
+#include <linux/futex.h>
+#include <sys/syscall.h>
+#include <unistd.h>
+
 #include <chrono>
+#include <ctime>
 #include <system_error>
 #include <utility>
 
@@ -15,6 +20,8 @@ namespace {
 /// processor may be amidst the middleware.
 constexpr std::chrono::milliseconds kBurialCpuLimit{1000};
 constexpr std::chrono::milliseconds kBurialLimit{3000};
+/// The burial does not depend on the report, and the monitor may be busy with other nodes.
+constexpr std::chrono::nanoseconds kReportLimit = std::chrono::milliseconds(20);
 
 std::string no_process(int error) {
   return "cannot start a process for the node: " + std::generic_category().message(error);
@@ -48,11 +55,25 @@ void NodeDonor::donate() noexcept {
     return;
   }
   const NodeLife how = ending(program_.life(), end_.clean());
+  program_.reach(how);
   if (how == NodeLife::died) {
     lock_watch_.begin();
+    wait_for_report();
   }
-  program_.reach(how);
   bury();
+}
+
+void NodeDonor::begin_burial() noexcept {
+  reported_ = 1;
+  ::syscall(SYS_futex, &reported_, FUTEX_WAKE_PRIVATE, 1, nullptr, nullptr, 0);
+}
+
+void NodeDonor::wait_for_report() const noexcept {
+  static_assert(sizeof reported_ == sizeof(std::uint32_t));
+  const timespec limit{0, kReportLimit.count()};
+  if (reported_ == 0) {
+    ::syscall(SYS_futex, &reported_, FUTEX_WAIT_PRIVATE, 0, &limit, nullptr, 0);
+  }
 }
 
 void NodeDonor::bury() {

@@ -2,6 +2,7 @@
 
 #include <signal.h>
 
+#include <atomic>
 #include <cstdint>
 #include <string>
 
@@ -28,6 +29,9 @@ class NodeDonor {
   isolation::CrashSlot& slot() { return slot_; }
   const isolation::CrashSlot& slot() const { return slot_; }
   bool signal(int number) { return isolation::send_signal(slot_, number); }
+  /// The death is reported. Until then, for a short time, the donor leaves the processor to those
+  /// who report it: people wait for the report, nobody for the burial.
+  void begin_burial() noexcept;
   void end_burial() { isolation::send_signal(burial_slot_, SIGKILL); }
 
   /// How the node's process ended; NodeLife::ended or died.
@@ -37,6 +41,7 @@ class NodeDonor {
 
  private:
   void donate() noexcept;
+  void wait_for_report() const noexcept;
   void bury();
   void donated() noexcept { program_.reach(NodeLife::buried); }
 
@@ -51,7 +56,8 @@ class NodeDonor {
   isolation::CrashSlot burial_slot_;
   isolation::ChildEnd end_;
   isolation::ChildEnd burial_end_;
-  bool gave_back_ = false;  // the memory of its threads
+  std::atomic<std::uint32_t> reported_{0};  // a futex
+  bool gave_back_ = false;                  // the memory of its threads
 
   isolation::DonorThread thread_;  // last: it uses all of the above
 };

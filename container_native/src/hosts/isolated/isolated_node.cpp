@@ -40,12 +40,14 @@ void IsolatedNode::make(LifeCall call, NodeHostObserver& observer) {
       break;
     case LifeCall::load_crashed:
       observer.on_load_crashed(unique_id_, death());
+      on_death_reported();
       break;
     case LifeCall::gone:
       observer.on_gone(unique_id_, why_it_left());
       break;
     case LifeCall::crashed:
       observer.on_crashed(unique_id_, death());
+      on_death_reported();
       break;
     case LifeCall::buried:
       observer.on_buried(unique_id_, is_cleaned_up());

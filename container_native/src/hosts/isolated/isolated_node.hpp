@@ -62,6 +62,8 @@ class IsolatedNode {
   virtual NodeDeath death() = 0;
   /// Once, with NodeLife::died and NodeLife::buried: whether nothing of the node is left.
   virtual bool is_cleaned_up() = 0;
+  /// The death is reported: what is done about it may begin.
+  virtual void on_death_reported() {}
   virtual void ask_to_leave() = 0;
   /// False: it has no process, as long as its library is being opened.
   virtual bool signal(int number) = 0;
