@@ -135,7 +135,7 @@ class NativeLauncher:
         self._ros = ros
         self._container = container
         self._guard_program = guard
-        self._guard: SessionGuard | None = None
+        self._guards: list[SessionGuard] = []
         self._policy = policy
         self._parameters = parameters
         self._cleaning = asyncio.Lock()
@@ -262,8 +262,8 @@ class NativeLauncher:
     async def close(self) -> None:
         """Remove our own files."""
         await asyncio.to_thread(self._parameters.remove)
-        if self._guard is not None:
-            await asyncio.to_thread(self._guard.close)
+        for guard in self._guards:
+            await asyncio.to_thread(guard.close)
         if self._stock.is_open:
             await asyncio.to_thread(self._stock.close)
             # As long as we took part ourselves, we held what dead containers had left.
@@ -278,12 +278,13 @@ class NativeLauncher:
         control_fd: int | None = None,
     ) -> NativeProcess:
         try:
-            if self._guard is None or not self._guard.is_alive:
-                self._guard = SessionGuard.start(self._guard_program)
+            # One that is lost is kept: what it has started would end with it.
+            if not (self._guards and self._guards[-1].is_alive):
+                self._guards.append(SessionGuard.start(self._guard_program))
             child = spawn(
                 argv,
                 env=environment,
-                guard=self._guard,
+                guard=self._guards[-1],
                 pass_fds=() if control_fd is None else (control_fd,),
                 on_output=on_output,
                 # Our containers end in order when their control channel does.

@@ -291,9 +291,7 @@ class ProcessSection(Section):
         "respawn_max_retries": "restart: {max_restarts: ...}",
     }
 
-    command: Annotated[list[Text], Field(min_length=1), AfterValidator(_check_command)] | None = (
-        None
-    )
+    command: Command | None = None
     package: Package | None = None
     executable: Executable | None = None
     name: OwnNodeName | None = None

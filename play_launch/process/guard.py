@@ -7,6 +7,7 @@ answered within a millisecond, like a fork of our own, so it may be made on the 
 from __future__ import annotations
 
 import array
+import errno
 import os
 import socket
 import struct
@@ -25,7 +26,7 @@ _STATUS: Final = 2
 _REAP: Final = 3
 _ANSWER: Final = struct.Struct("=3i")
 _ANSWER_LIMIT: Final = 10.0
-"""Seconds after which a guard that does not answer counts as dead."""
+"""Seconds after which a guard that does not answer counts as lost."""
 _END_LIMIT: Final = 5.0
 """Seconds in which it ends everything; uninterruptible processes may take longer."""
 
@@ -68,14 +69,15 @@ class SessionGuard:
     def __init__(self, ours: socket.socket, process: subprocess.Popen[bytes]) -> None:
         self._socket = ours
         self._process = process
+        self._is_lost = False
 
     @classmethod
-    def start(cls, program: Path) -> Self:
-        """Start it; raises OSError."""
+    def start(cls, program: Path, *, answer_limit: float = _ANSWER_LIMIT) -> Self:
+        """Start it; raises OSError. It is lost when an answer takes longer than the limit."""
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with ExitStack() as on_failure, theirs:
             on_failure.callback(ours.close)
-            ours.settimeout(_ANSWER_LIMIT)
+            ours.settimeout(answer_limit)
             number = theirs.fileno()
             process = subprocess.Popen(
                 [program, "--session", str(number)],
@@ -96,8 +98,11 @@ class SessionGuard:
 
     @property
     def is_alive(self) -> bool:
-        """Whether it still runs."""
-        return self._process.poll() is None
+        """Whether it runs and can be asked.
+
+        One that is lost may still run. What it has started lives on until `close`.
+        """
+        return not self._is_lost and self._process.poll() is None
 
     def spawn(
         self,
@@ -159,10 +164,16 @@ class SessionGuard:
 
     def _ask(self, request: bytes, descriptors: Sequence[int] = ()) -> tuple[int, int, int]:
         rights = (socket.SOL_SOCKET, socket.SCM_RIGHTS, array.array("i", descriptors))
-        self._socket.sendmsg([request], [rights] if descriptors else [])
-        answer = self._socket.recv(_ANSWER.size)
-        if len(answer) != _ANSWER.size:
-            raise ConnectionResetError(104, "the guard of the session is gone")
+        if not self._is_lost:
+            try:
+                self._socket.sendmsg([request], [rights] if descriptors else [])
+                answer = self._socket.recv(_ANSWER.size)
+            except (TimeoutError, ConnectionError):
+                answer = b""
+            # Whatever comes later would be taken for the answer to another request.
+            self._is_lost = len(answer) != _ANSWER.size
+        if self._is_lost:
+            raise ConnectionResetError(errno.ECONNRESET, "the guard of the session does not answer")
         result, code, status = _ANSWER.unpack(answer)
         return result, code, status
 

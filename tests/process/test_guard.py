@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import os
 import select
 import signal
@@ -176,6 +177,40 @@ async def test_a_guard_that_was_killed_takes_its_children_along_and_says_so(guar
     with pytest.raises(SpawnError):
         spawn(shell("sleep 600"), env=environment(), guard=session)
     session.close()
+
+
+@pytest.mark.anyio
+async def test_a_guard_that_answers_too_late_is_lost_and_its_children_live_on(
+    guard: Path, tmp_path: Path
+) -> None:
+    session = SessionGuard.start(guard, answer_limit=0.1)
+    child = spawn(shell("sleep 600"), env=environment(), guard=session)
+    started = tmp_path / "started"
+    os.kill(session.pid, signal.SIGSTOP)
+    with pytest.raises(SpawnError, match="does not answer") as late:
+        spawn(
+            shell(f"echo $$ > {started}.new; mv {started}.new {started}; sleep 600"),
+            env=environment(),
+            guard=session,
+        )
+    assert late.value.errno == errno.ECONNRESET
+    assert not session.is_alive
+    os.kill(session.pid, signal.SIGCONT)
+    async with asyncio.timeout(10):
+        while not started.exists():
+            await asyncio.sleep(0.01)
+    with pytest.raises(ChildProcessError):
+        session.ended(child.pid)
+    assert child.is_running, "the late answer is not taken for that of another request"
+    with pytest.raises(SpawnError):
+        spawn(shell("sleep 600"), env=environment(), guard=session)
+    child.send_signal(signal.SIGKILL)
+    async with asyncio.timeout(5):
+        assert (await child.gone()).is_lost
+    late_pid = int(started.read_text())
+    assert psutil.pid_exists(late_pid)
+    await asyncio.to_thread(session.close)
+    assert not psutil.pid_exists(late_pid)
 
 
 @pytest.mark.anyio
