@@ -21,5 +21,5 @@ def _loop_is_never_blocked() -> Iterator[None]:
         for name in ("os.stat", "os.access"):
             blockbuster.functions[name].can_block_in("process/child.py", "_check_program")
             blockbuster.functions[name].can_block_in("install/command.py", "find_executable")
-            blockbuster.functions[name].can_block_in("actors/wiring.py", "start_process")
+            blockbuster.functions[name].can_block_in("actors/launcher.py", "start_process")
         yield
