@@ -132,6 +132,7 @@ def _description(config: ReplayConfig) -> SessionDescription:
         name=config.name,
         config_name=config.source.name,
         config_text=config.text,
+        parameter_files=[(file.path.name, file.text) for file in config.parameter_files],
         resolved_config=json.dumps(describe_values(config), indent=2, ensure_ascii=False),
         argv=sys.argv,
         environ=os.environ,

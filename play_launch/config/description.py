@@ -30,6 +30,7 @@ def describe(config: ReplayConfig) -> dict[str, object]:
         "version": 1,
         "name": config.name,
         "source": str(config.source),
+        "parameter_files": [str(file.path) for file in config.parameter_files],
         "duration": config.duration,
         "log_dir": None if config.log_dir is None else str(config.log_dir),
         "graph_daemon": config.graph_daemon,

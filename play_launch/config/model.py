@@ -204,11 +204,20 @@ class ProcessConfig:
     line: int = 0
 
 
+@dataclass(frozen=True, slots=True)
+class ParameterFile:
+    """A parameter file that a configuration names, and its bytes, for the recording."""
+
+    path: Path
+    text: bytes
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReplayConfig:
     """A whole system.
 
-    `source` is the file it was read from and `text` its bytes, for the recording. `duration`
+    `source` is the file it was read from and `text` its bytes, for the recording, as are
+    `parameter_files`, each once and in the order in which they were read. `duration`
     is the seconds after which the system is stopped, None for never. `graph_daemon` says whether
     the graph daemon of the ROS domain runs before the nodes, and is asked what it sees.
     """
@@ -216,6 +225,7 @@ class ReplayConfig:
     name: str
     source: Path
     text: bytes
+    parameter_files: tuple[ParameterFile, ...] = ()
     duration: float | None = None
     log_dir: Path | None = None
     graph_daemon: bool = False

@@ -12,6 +12,7 @@ import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from play_launch.config.model import ParameterFile
 from play_launch.config.parameters import flatten
 from play_launch.config.problems import excerpt, join_path
 from play_launch.config.source import Refused, decode, read_bytes
@@ -48,6 +49,12 @@ class ParameterFiles:
         self._directory = directory
         self._report = report
         self._sections: dict[Path, list[_Section] | Refused] = {}
+        self._read_files: list[ParameterFile] = []
+
+    @property
+    def read(self) -> tuple[ParameterFile, ...]:
+        """The files that were read so far, in that order."""
+        return tuple(self._read_files)
 
     def select(self, source: Node, path: str, full_name: str | None) -> dict[str, ParameterValue]:
         """Return what the file named at `source` holds for the node `full_name`."""
@@ -86,6 +93,7 @@ class ParameterFiles:
         content = read_bytes(file)
         if isinstance(content, Refused):
             return content
+        self._read_files.append(ParameterFile(file, content))
         text = decode(content, str(file))
         if isinstance(text, Refused):
             return text

@@ -36,7 +36,7 @@ from play_launch.config.yaml_tree import Mapping, Node, Sequence
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from play_launch.config.model import ComposableNodeConfig
+    from play_launch.config.model import ComposableNodeConfig, ParameterFile
     from play_launch.config.report import Report
 
 _LOADING_TIMEOUT = 10.0  # seconds
@@ -73,6 +73,7 @@ def resolve_document(
         name=source.stem if document.name is None else document.name,
         source=source,
         text=content,
+        parameter_files=resolver.parameter_files,
         duration=document.duration,
         log_dir=log_dir,
         graph_daemon=bool(document.graph_daemon),
@@ -120,6 +121,10 @@ class _Resolver:
             _LOADING,
             report,
         )
+
+    @property
+    def parameter_files(self) -> tuple[ParameterFile, ...]:
+        return self._files.read
 
     def containers(self) -> tuple[ContainerConfig, ...]:
         resolved: list[ContainerConfig] = []

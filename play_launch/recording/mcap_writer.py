@@ -109,13 +109,13 @@ class McapBagWriter:
     def attach(self, name: str, media_type: str, data: bytes, *, time: int) -> None:
         """Put a file of its own into the bag."""
         with self._failing():
-            self._writer.add_attachment(time, time, name, media_type, data)
+            self._writer.add_attachment(time, time, _text(name), media_type, data)
             self._mark()
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Put a record of names and values into the bag."""
         with self._failing():
-            self._writer.add_metadata(name, dict(values))
+            self._writer.add_metadata(name, {key: _text(value) for key, value in values.items()})
             self._mark()
 
     def flush(self) -> None:
@@ -216,6 +216,11 @@ class _AppendingFile:
 
     def __del__(self) -> None:
         self.close()
+
+
+def _text(text: str) -> str:
+    """Text as MCAP can hold it: a file name that is not Unicode is written with escapes."""
+    return text.encode("utf-8", "backslashreplace").decode()
 
 
 def _sync_folder(folder: Path) -> None:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from play_launch.recording import facts
+from play_launch.recording.cdr import text_bytes
 from play_launch.recording.errors import RecordingError
 from play_launch.recording.mcap_writer import McapBagWriter
 from play_launch.recording.recorder import Recorder, RecorderLimits
@@ -41,7 +42,8 @@ class SessionDescription:
     argv: Sequence[str]
     environ: Mapping[str, str]
     """The supervisor's environment; it is redacted before it is written."""
-    parameter_files: Sequence[Path] = ()
+    parameter_files: Sequence[tuple[str, bytes]] = ()
+    """File names and contents, in the order in which the configuration names them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,13 +88,14 @@ def write_head(writer: BagWriter, description: SessionDescription, session_id: s
     now = time.time_ns()
     suffix = Path(description.config_name).suffix or ".yaml"
     writer.attach(f"config{suffix}", "application/yaml", description.config_text, time=now)
-    for number, path in enumerate(description.parameter_files):
+    for number, (name, text) in enumerate(description.parameter_files):
         # Numbered: files of the same name may come from different folders.
-        writer.attach(
-            f"parameters/{number}-{path.name}", "application/yaml", _content(path), time=now
-        )
+        writer.attach(f"parameters/{number}-{name}", "application/yaml", text, time=now)
     writer.attach(
-        "resolved_config.json", "application/json", description.resolved_config.encode(), time=now
+        "resolved_config.json",
+        "application/json",
+        text_bytes(description.resolved_config),
+        time=now,
     )
     environment = facts.redacted_environment(description.environ)
     writer.attach("environment.json", "application/json", _json(environment), time=now)
@@ -119,13 +122,6 @@ def write_head(writer: BagWriter, description: SessionDescription, session_id: s
     )
 
 
-def _content(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        # Whoever reads parameters from it reports that; the recording only says what it saw.
-        return f"# cannot read {path}: {error.strerror}\n".encode()
-
-
 def _json(values: Mapping[str, object]) -> bytes:
-    return json.dumps(values, indent=2, ensure_ascii=False).encode("utf-8", "backslashreplace")
+    # What is not Unicode becomes an escape, which JSON reads back as it was.
+    return text_bytes(json.dumps(values, indent=2, ensure_ascii=False))

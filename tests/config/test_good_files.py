@@ -37,6 +37,10 @@ def test_top_level(full: ReplayConfig) -> None:
     assert full.name == "full_demo"
     assert full.source == FULL
     assert full.text == FULL.read_bytes()
+    common = GOOD / "params" / "common.yaml"
+    assert [(file.path, file.text) for file in full.parameter_files] == [
+        (common, common.read_bytes())
+    ]
     assert full.duration == 120.0
     assert full.log_dir == GOOD / "logs"
     assert full.graph_daemon

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from mcap.exceptions import EndOfFile
-from mcap.records import Channel, McapRecord, Message
+from mcap.records import Attachment, Channel, McapRecord, Message
 from mcap.stream_reader import StreamReader
 from rosbags.highlevel import AnyReader
 from zstandard import ZstdError
@@ -49,6 +49,11 @@ def records(path: Path) -> Iterator[McapRecord]:
     """All records up to the point where the file is cut."""
     with path.open("rb") as file, contextlib.suppress(EndOfFile, struct.error, ZstdError):
         yield from StreamReader(file, validate_crcs=True).records
+
+
+def attachments(path: Path) -> dict[str, bytes]:
+    """Contents of the attachments by name."""
+    return {each.name: each.data for each in records(path) if isinstance(each, Attachment)}
 
 
 def raw_messages(path: Path, topic: str) -> list[Message]:

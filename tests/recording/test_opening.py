@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-def description(*parameter_files: Path) -> SessionDescription:
+def description(*parameter_files: tuple[str, bytes]) -> SessionDescription:
     return SessionDescription(
         name="demo",
         config_name="my.yml",
@@ -35,11 +35,10 @@ def fail_test(message: str) -> None:
 
 
 def test_the_head_of_a_recording_tells_everything_about_the_run(tmp_path: Path) -> None:
-    parameters = tmp_path / "p.yaml"
-    parameters.write_text("a: 1\n", encoding="utf-8")
-    gone = tmp_path / "gone.yaml"
     session = open_session(
-        description(parameters, gone), on_failure=fail_test, log_folder=tmp_path / "logs"
+        description(("p.yaml", b"a: 1\n"), ("p.yaml", b"a: 2\n")),
+        on_failure=fail_test,
+        log_folder=tmp_path / "logs",
     )
     # Complete before anything has happened: a crash in the first moment keeps it.
     found = list(records(session.folder.bag.with_name("session.mcap.active")))
@@ -48,14 +47,14 @@ def test_the_head_of_a_recording_tells_everything_about_the_run(tmp_path: Path) 
     assert [*attachments] == [
         "config.yml",
         "parameters/0-p.yaml",
-        "parameters/1-gone.yaml",
+        "parameters/1-p.yaml",
         "resolved_config.json",
         "environment.json",
         "host.json",
     ]
     assert attachments["config.yml"].data == b"version: 1 # as given\n"
     assert attachments["parameters/0-p.yaml"].data == b"a: 1\n"
-    assert b"No such file" in attachments["parameters/1-gone.yaml"].data
+    assert attachments["parameters/1-p.yaml"].data == b"a: 2\n"
     assert json.loads(attachments["environment.json"].data)["ROS_DOMAIN_ID"] == "7"
     assert b"hidden" not in attachments["environment.json"].data
     assert json.loads(attachments["host.json"].data)["cpus"] > 0
