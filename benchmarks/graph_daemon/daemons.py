@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from play_launch.graph_daemon.address import daemon_address
-from play_launch.graph_daemon.port import listen_within
+from play_launch.graph_daemon.control.port import listen_within
 
 _LIMIT = 60.0
 _ROS2 = "import sys; sys.argv[0] = 'ros2'; from ros2cli.cli import main; sys.exit(main())"

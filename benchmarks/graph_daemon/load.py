@@ -11,7 +11,7 @@ import xmlrpc.client
 from dataclasses import dataclass, field
 
 from play_launch.graph_daemon.address import DaemonAddress
-from play_launch.graph_daemon.client import DaemonError, GraphClient
+from play_launch.graph_daemon.client.graph_client import DaemonError, GraphClient
 
 _CHUNK = 1 << 20
 

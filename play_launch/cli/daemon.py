@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from play_launch.graph_daemon.address import DaemonAddress
-    from play_launch.graph_daemon.takeover import Occupant
+    from play_launch.graph_daemon.control.takeover import Occupant
 
 daemon_app = typer.Typer(
     name="daemon",
@@ -50,7 +50,7 @@ def start(
     """
     address, seconds = _address(), _seconds(idle_timeout)
     _require_ros()
-    from play_launch.graph_daemon.control import (  # noqa: PLC0415
+    from play_launch.graph_daemon.control.start_stop import (  # noqa: PLC0415
         PortHeldError,
         StartError,
         start_daemon,
@@ -76,8 +76,8 @@ def start(
 def stop() -> None:
     """Stop the daemon of this ROS_DOMAIN_ID, ours or ros2cli's; the port is free afterwards."""
     address = _address()
-    from play_launch.graph_daemon.control import PortHeldError, stop_daemon  # noqa: PLC0415
-    from play_launch.graph_daemon.takeover import Kind  # noqa: PLC0415
+    from play_launch.graph_daemon.control.start_stop import PortHeldError, stop_daemon  # noqa: PLC0415
+    from play_launch.graph_daemon.control.takeover import Kind  # noqa: PLC0415
 
     try:
         occupant = stop_daemon(address)
@@ -98,8 +98,8 @@ def status(as_json: _Json = False) -> None:
     """
     import json  # noqa: PLC0415
 
+    from play_launch.graph_daemon.control.takeover import Kind, look, settings_warnings  # noqa: PLC0415
     from play_launch.graph_daemon.settings import compared_settings  # noqa: PLC0415
-    from play_launch.graph_daemon.takeover import Kind, look, settings_warnings  # noqa: PLC0415
 
     address = _address()
     occupant = look(address)
@@ -133,8 +133,9 @@ def run(idle_timeout: _IdleTimeout = "0s") -> None:
     import asyncio  # noqa: PLC0415
     import logging  # noqa: PLC0415
 
-    from play_launch.graph_daemon.control import PortHeldError, acquire  # noqa: PLC0415
-    from play_launch.graph_daemon.daemon import WARM, Daemon  # noqa: PLC0415
+    from play_launch.graph_daemon.contract import WARM  # noqa: PLC0415
+    from play_launch.graph_daemon.control.start_stop import PortHeldError, acquire  # noqa: PLC0415
+    from play_launch.graph_daemon.server.daemon import Daemon  # noqa: PLC0415
 
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(message)s")
     try:
@@ -163,7 +164,7 @@ for _verb in (start, stop, status, run, patch, unpatch):
 
 def describe(address: DaemonAddress, occupant: Occupant) -> list[str]:
     """Describe in lines who serves a domain."""
-    from play_launch.graph_daemon.takeover import Kind  # noqa: PLC0415
+    from play_launch.graph_daemon.control.takeover import Kind  # noqa: PLC0415
 
     domain = f"domain {address.domain}"
     pid = f"pid {occupant.holder.pid}" if occupant.holder else "unknown pid"

@@ -12,7 +12,7 @@ from play_launch.cli.show.terminal import say
 from play_launch.core.exit_code import ExitCode
 
 if TYPE_CHECKING:
-    from play_launch.graph_daemon.patch.errors import PatchError
+    from play_launch.ros2cli_patch.errors import PatchError
 
 _CHANGES = (
     "listens with a queue of 512 connections, not 5",
@@ -58,9 +58,9 @@ def patch(
     daemon. 'play-launch daemon unpatch' takes it away.
     """
     # Only when it runs: help comes up faster.
-    from play_launch.graph_daemon.patch.errors import PatchError  # noqa: PLC0415
-    from play_launch.graph_daemon.patch.install import Action, plan_patch  # noqa: PLC0415
-    from play_launch.graph_daemon.patch.target import find_target  # noqa: PLC0415
+    from play_launch.ros2cli_patch.errors import PatchError  # noqa: PLC0415
+    from play_launch.ros2cli_patch.install import Action, plan_patch  # noqa: PLC0415
+    from play_launch.ros2cli_patch.target import find_target  # noqa: PLC0415
 
     try:
         plan = plan_patch(find_target(python), for_user=user, force=force)
@@ -88,13 +88,13 @@ def patch(
 
 def unpatch(dry_run: _DryRun = False, python: _Python = None, force: _Force = False) -> None:
     """Take away what 'play-launch daemon patch' has put beside ros2cli."""
-    from play_launch.graph_daemon.patch.errors import PatchError  # noqa: PLC0415
-    from play_launch.graph_daemon.patch.install import (  # noqa: PLC0415
+    from play_launch.ros2cli_patch.errors import PatchError  # noqa: PLC0415
+    from play_launch.ros2cli_patch.install import (  # noqa: PLC0415
         overlays,
         refuse_edited,
         remove,
     )
-    from play_launch.graph_daemon.patch.target import find_target  # noqa: PLC0415
+    from play_launch.ros2cli_patch.target import find_target  # noqa: PLC0415
 
     try:
         found = overlays(find_target(python, needs_ros2cli=False))
@@ -115,7 +115,7 @@ def unpatch(dry_run: _DryRun = False, python: _Python = None, force: _Force = Fa
 
 
 def _give_up(error: PatchError) -> NoReturn:
-    from play_launch.graph_daemon.patch.errors import VerificationError  # noqa: PLC0415
+    from play_launch.ros2cli_patch.errors import VerificationError  # noqa: PLC0415
 
     failed = isinstance(error, VerificationError)
     fail(str(error), ExitCode.NODE_FAILED if failed else ExitCode.USAGE)

@@ -15,7 +15,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 from play_launch.graph_daemon.address import DomainError, daemon_address
-from play_launch.graph_daemon.client import (
+from play_launch.graph_daemon.client.graph_client import (
     DEFAULT_TIMEOUT,
     DaemonError,
     GraphClient,
@@ -99,7 +99,7 @@ def _run(options: argparse.Namespace) -> int:
 def _start(address: DaemonAddress) -> None:
     """Start our daemon; returns when it knows the graph."""
     # Takes longer to import than all the rest, and is needed once.
-    from play_launch.graph_daemon.control import StartError, start_daemon  # noqa: PLC0415
+    from play_launch.graph_daemon.control.start_stop import StartError, start_daemon  # noqa: PLC0415
 
     sys.stderr.write(f"starting the graph daemon of ROS domain {address.domain}\n")
     try:

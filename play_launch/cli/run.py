@@ -106,7 +106,7 @@ def _graph_daemon(
 ) -> contextlib.AbstractAsyncContextManager[None]:
     if not config.graph_daemon:
         return contextlib.nullcontext()
-    from play_launch.graph_daemon.observer import observed_graph  # noqa: PLC0415
+    from play_launch.graph_daemon.control.observer import observed_graph  # noqa: PLC0415
 
     return observed_graph({**os.environ, **config.environment}, sink)
 

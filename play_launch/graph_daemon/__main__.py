@@ -10,7 +10,8 @@ import os
 import socket
 
 from play_launch.graph_daemon.address import DOMAIN_VARIABLE, DaemonAddress
-from play_launch.graph_daemon.daemon import WARM, Daemon
+from play_launch.graph_daemon.contract import WARM
+from play_launch.graph_daemon.server.daemon import Daemon
 
 
 def main() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from play_launch.graph_daemon.methods import GRAPH_METHODS
+from play_launch.graph_daemon.contract import GRAPH_METHODS
 from tests.graph_daemon.scene import NODES, SERVICE, TOPICS
 
 Call = tuple[str, list[Any]]

@@ -13,7 +13,7 @@ PACKAGE = Path(__file__).resolve().parents[2] / "play_launch"
 LAYERS = (
     {"core", "config", "fastdds"},
     {"wire", "install", "process", "recording", "ros"},
-    {"actors", "graph_daemon"},
+    {"actors", "graph_daemon", "ros2cli_patch"},
     {"reporting", "doctor"},
     {"cli"},
 )
@@ -51,6 +51,22 @@ def test_imports_point_downwards(path: Path) -> None:
         return
     for other in imported(path) - {package}:
         assert LEVEL[other] < LEVEL[package], f"{path}: {package} may not import {other}"
+
+
+# What the rooms of the graph daemon may import of one another.
+DAEMON_ROOMS: dict[str, set[str]] = {"server": set(), "client": set(), "control": {"client"}}
+
+
+@pytest.mark.parametrize("room", DAEMON_ROOMS)
+def test_rooms_of_the_graph_daemon_are_apart(room: str) -> None:
+    # The client must come up at once, and the daemon's process holds no more than it needs.
+    paths = sorted((PACKAGE / "graph_daemon" / room).rglob("*.py"))
+    assert len(paths) > 1
+    for path in paths:
+        text = path.read_text(encoding="utf-8")
+        others = DAEMON_ROOMS.keys() - DAEMON_ROOMS[room] - {room}
+        wrong = [other for other in others if f"play_launch.graph_daemon.{other}" in text]
+        assert not wrong, f"{path}: {room} may not import {wrong}"
 
 
 def test_every_package_has_a_layer() -> None:

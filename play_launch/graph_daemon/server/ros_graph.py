@@ -1,0 +1,236 @@
+"""A node that looks at the graph: all that this package wants of rclpy is here.
+
+rclpy does not tell when the graph changes. rcl does, by a guard condition of the node, so two calls
+of rcl are made past rclpy, on pointers that rclpy gives out.
+"""
+
+# rclpy is typed in parts only.
+# mypy: disable-error-code="no-untyped-call,attr-defined"
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import logging
+import os
+import threading
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from uuid import uuid4
+
+import rclpy
+import rclpy.action
+from rclpy.context import Context
+from rclpy.guard_condition import GuardCondition
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from play_launch.fastdds.announcement import quick_announcement
+from play_launch.graph_daemon.address import NODE_PREFIX
+from play_launch.graph_daemon.contract import GRAPH_METHODS
+from play_launch.graph_daemon.server.ros_values import to_wire
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from play_launch.graph_daemon.server.service import Graph
+
+COALESCING: Final = 0.05
+"""Seconds after a change in which others are not reported; afterwards they are, as one."""
+_DISCOVERY_TOPIC: Final = "ros_discovery_info"
+"""Every participant of ROS publishes here which nodes it has."""
+_UNKNOWN_NODE: Final = "_NODE_NAME_UNKNOWN_"
+_LOOK: Final = 0.5
+_RCL_OK: Final = 0
+_LONGEST_WAIT: Final = 1_000_000_000
+"""Nanoseconds; a lost wake-up delays the end by this."""
+
+_log = logging.getLogger(__name__)
+
+
+def rmw_implementation() -> str:
+    """Return the identifier of the middleware in use."""
+    return str(rclpy.get_rmw_implementation_identifier())
+
+
+class Met(NamedTuple):
+    """Whom a participant has met."""
+
+    participants: int
+    """How many it knows, itself too; 0 with a middleware that does not show them."""
+    nameless: int
+    """How many publishers it knows whose nodes it does not know yet."""
+
+
+class GuardConditionError(RuntimeError):
+    """rcl does not give out the graph's guard condition."""
+
+    def __init__(self, what: str) -> None:
+        super().__init__(f"the changes of the graph cannot be watched: {what}")
+
+
+class RosGraph:
+    """A node in a context, so a DDS participant, of its own.
+
+    Its name, parameters and topics are those of ros2cli's daemon. The methods may be called from
+    any thread, `close` once.
+
+    Args:
+        domain: For the node's name; the domain itself is that of the environment.
+        on_change: Called in a thread of the graph's own after each change of the graph, for a
+            storm of changes once in `COALESCING`.
+    """
+
+    def __init__(self, domain: int, on_change: Callable[[], None]) -> None:
+        self._on_change = on_change
+        self._stopping = threading.Event()
+        self._context = Context()
+        rclpy.init(args=[], context=self._context)
+        try:
+            with quick_announcement(os.environ, rmw_implementation()):
+                self._node = Node(
+                    f"{NODE_PREFIX}{domain}_{uuid4().hex}",
+                    context=self._context,
+                    start_parameter_services=False,
+                    parameter_overrides=[
+                        Parameter("use_sim_time", value=False),
+                        Parameter("start_type_description_service", value=False),
+                    ],
+                    automatically_declare_parameters_from_overrides=True,
+                )
+            self._name = str(self._node.get_name())
+            self._wake = GuardCondition(callback=None, callback_group=None, context=self._context)
+            self._watch = _Watch(self._node, self._wake, self._context)
+        except BaseException:
+            self._context.try_shutdown()
+            raise
+        self._thread = threading.Thread(target=self._run, name="graph", daemon=True)
+        self._thread.start()
+
+    @property
+    def name(self) -> str:
+        """The name of the node, without its namespace, which is the root."""
+        return self._name
+
+    def call(self, method: str, *arguments: object) -> Any:
+        """Call one of `GRAPH_METHODS`; raises what rclpy raises."""
+        return _function(self._node, method)(*arguments)
+
+    def nodes(self) -> list[tuple[str, str]]:
+        """Return name and namespace of every node, this one too."""
+        return list(self._node.get_node_names_and_namespaces())
+
+    def met(self) -> Met:
+        """Return how far this participant has got to know the others."""
+        participants = self._node.get_publishers_info_by_topic(_DISCOVERY_TOPIC, no_mangle=True)
+        speakers = self._node.get_publishers_info_by_topic("/rosout")
+        nameless = sum(speaker.node_name == _UNKNOWN_NODE for speaker in speakers)
+        return Met(len(participants), nameless)
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._stopping.set()
+        self._wake.trigger()
+        self._thread.join()
+        self._watch.close()
+        self._wake.destroy()
+        self._node.destroy_node()
+        self._context.try_shutdown()
+
+    def _run(self) -> None:
+        try:
+            while not self._stopping.is_set():
+                if self._watch.wait():
+                    self._on_change()
+                    self._stopping.wait(COALESCING)
+        except Exception:  # noqa: BLE001 - in a thread it would go unnoticed
+            _log.exception("changes of the graph are not reported; looking twice a second instead")
+            while not self._stopping.wait(_LOOK):
+                self._on_change()
+
+
+class _Watch:
+    """rcl's wait set with the graph's guard condition and one to wake it up."""
+
+    def __init__(self, node: Node, wake: GuardCondition, context: Context) -> None:
+        # The extension is linked against rcl, so rcl's functions are found through it.
+        self._rcl = ctypes.CDLL(rclpy_implementation.__file__)
+        get = self._rcl.rcl_node_get_graph_guard_condition
+        get.restype = ctypes.c_void_p
+        get.argtypes = [ctypes.c_void_p]
+        self._add = self._rcl.rcl_wait_set_add_guard_condition
+        self._add.restype = ctypes.c_int
+        self._add.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.POINTER(ctypes.c_size_t)]
+        with node.handle:
+            self._graph = get(node.handle.pointer)
+        if not self._graph:
+            raise GuardConditionError("the node has no guard condition")
+        self._wake = wake
+        handle: Any = context.handle
+        with handle:
+            self._set = rclpy_implementation.WaitSet(0, 2, 0, 0, 0, 0, handle)
+
+    def wait(self) -> bool:
+        """Wait for a change or to be woken; whether there was a change."""
+        self._set.clear_entities()
+        with self._wake.handle:
+            self._set.add_guard_condition(self._wake.handle)
+            index = ctypes.c_size_t()
+            code = self._add(self._set.pointer, self._graph, ctypes.byref(index))
+            if code != _RCL_OK:
+                raise GuardConditionError(f"rcl_wait_set_add_guard_condition returned {code}")
+            # Lets other threads of Python run meanwhile.
+            self._set.wait(_LONGEST_WAIT)
+        return bool(self._set.is_ready("guard_condition", index.value))
+
+    def close(self) -> None:
+        self._set.destroy_when_not_in_use()
+
+
+_ACTION_FUNCTIONS: Final[dict[str, Any]] = {
+    "get_action_names_and_types": rclpy.action.get_action_names_and_types,
+    "get_action_server_names_and_types_by_node": (
+        rclpy.action.get_action_server_names_and_types_by_node
+    ),
+    "get_action_client_names_and_types_by_node": (
+        rclpy.action.get_action_client_names_and_types_by_node
+    ),
+}
+
+
+def graph_functions(graph: Callable[[], Graph]) -> dict[str, Callable[..., Any]]:
+    """Return the functions behind `GRAPH_METHODS`, as far as this rclpy has them.
+
+    They look at whatever ``graph`` returns when they are called, carry rclpy's documentation, and
+    answer in what XML-RPC can tell.
+    """
+    functions: dict[str, Callable[..., Any]] = {}
+    for method in GRAPH_METHODS:
+        original = _ACTION_FUNCTIONS.get(method) or getattr(Node, method, None)
+        if original is not None:
+            functions[method] = _on_wire(method, original, graph)
+    return functions
+
+
+def _on_wire(
+    method: str, original: Callable[..., Any], graph: Callable[[], Graph]
+) -> Callable[..., Any]:
+    # Only these answer in classes of rclpy; to look through all others would double their costs.
+    convert = to_wire if method.endswith("_info_by_topic") else _unchanged
+
+    @functools.wraps(original)
+    def function(*arguments: object) -> Any:
+        return convert(graph().call(method, *arguments))
+
+    return function
+
+
+def _unchanged(value: object) -> object:
+    return value
+
+
+def _function(node: Node, method: str) -> Callable[..., Any]:
+    action = _ACTION_FUNCTIONS.get(method)
+    function: Callable[..., Any]
+    function = functools.partial(action, node) if action else getattr(node, method)
+    return function

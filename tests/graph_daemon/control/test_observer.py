@@ -1,0 +1,139 @@
+"""What a replay records of the graph."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+from collections import Counter
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from play_launch.core.events import GraphChanged, RunEvent
+from play_launch.graph_daemon.address import DaemonAddress
+from play_launch.graph_daemon.contract import LISTENING
+from play_launch.graph_daemon.control.observer import FORSAKEN, changes, observed_graph
+from play_launch.graph_daemon.control.start_stop import start_daemon, stop_daemon
+from play_launch.graph_daemon.control.takeover import Kind, look
+from play_launch.recording.convert import Converter
+from tests.graph_daemon.control.occupants import occupied
+from tests.support.ros import Probe
+
+names = st.lists(st.sampled_from(["/a", "/b", "/c"])).map(Counter)
+
+
+class Heard:
+    """An event sink that keeps events."""
+
+    def __init__(self) -> None:
+        self.events: list[GraphChanged] = []
+
+    def publish(self, event: RunEvent) -> None:
+        assert isinstance(event, GraphChanged)
+        self.events.append(event)
+
+    def has(self, appeared: str = "", vanished: str = "") -> bool:
+        return any(
+            (appeared in event.appeared if appeared else vanished in event.vanished)
+            for event in self.events
+        )
+
+    async def until(self, *, appeared: str = "", vanished: str = "") -> None:
+        while not self.has(appeared, vanished):
+            await asyncio.sleep(0.02)
+
+
+@given(names, names)
+def test_changes_lead_from_one_list_to_the_other(before: Counter[str], now: Counter[str]) -> None:
+    event = changes(before, now, 5)
+    if event is None:
+        assert before == now
+        return
+    reached = before + Counter(event.appeared)
+    reached.subtract(event.vanished)
+    assert +reached == now
+    assert event.nodes == now.total()
+    assert not set(event.appeared) & set(event.vanished)
+
+
+def test_a_change_is_recorded_in_words() -> None:
+    event = GraphChanged(stamp_ns=1, appeared=("/a", "/b"), vanished=("/c",), nodes=2)
+    (recorded,) = Converter().convert(event)
+    assert recorded.topic.name == "/play_launch/graph"
+    assert b"appeared /a, /b; vanished /c; 2 nodes" in recorded.data
+
+
+def test_nodes_that_come_and_go_are_told(address: DaemonAddress, logs: Path) -> None:
+    async def scenario(heard: Heard) -> None:
+        async with observed_graph(os.environ, heard):
+            occupant = await asyncio.to_thread(look, address)
+            assert occupant.kind is Kind.OURS
+            # Should this process be killed, the daemon does not stay for ever.
+            assert occupant.status["idle_timeout"] == FORSAKEN
+            probe = await asyncio.to_thread(Probe, "visitor")
+            await heard.until(appeared="/visitor")
+            await asyncio.to_thread(probe.__exit__, None, None, None)
+            await heard.until(vanished="/visitor")
+
+    heard = Heard()
+    asyncio.run(asyncio.wait_for(scenario(heard), 120))
+    assert look(address).kind is Kind.NOBODY
+    assert not any("_ros2cli_daemon_" in str(event) for event in heard.events)
+
+
+def test_a_daemon_that_ran_before_goes_on(address: DaemonAddress, logs: Path) -> None:
+    started = start_daemon(address, wait_for=LISTENING)
+
+    async def scenario() -> None:
+        async with observed_graph(os.environ, Heard()):
+            pass
+
+    asyncio.run(asyncio.wait_for(scenario(), 120))
+    assert look(address).status["pid"] == started.pid
+    stop_daemon(address)
+    assert started.process is not None
+    assert started.process.wait(60) == 0
+
+
+def test_without_a_daemon_the_system_runs_all_the_same(
+    address: DaemonAddress, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.WARNING)
+    ran = []
+
+    async def scenario() -> None:
+        async with observed_graph(os.environ, Heard()):
+            ran.append(True)
+
+    with occupied("other", address.port):
+        asyncio.run(asyncio.wait_for(scenario(), 120))
+    assert ran == [True]
+    assert "no graph daemon" in caplog.text
+    assert "has the daemon's port" in caplog.text
+
+
+def test_a_daemon_that_dies_is_told_once(
+    address: DaemonAddress, logs: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    import signal
+
+    from play_launch.fastdds.shared_memory import sweep
+
+    caplog.set_level(logging.WARNING)
+
+    async def scenario() -> None:
+        async with observed_graph(os.environ, Heard()):
+            occupant = await asyncio.to_thread(look, address)
+            assert occupant.holder is not None
+            os.kill(occupant.holder.pid, signal.SIGKILL)
+            while "does not answer" not in caplog.text:
+                await asyncio.sleep(0.02)
+            await asyncio.sleep(1.2)
+
+    asyncio.run(asyncio.wait_for(scenario(), 120))
+    assert caplog.text.count("does not answer") == 1
+    # What the killed one left, unless another program of this machine was faster.
+    sweep()

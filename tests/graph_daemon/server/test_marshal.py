@@ -1,0 +1,117 @@
+"""Marshalling is that of `xmlrpc.client`, with ROS's own elements besides."""
+
+from __future__ import annotations
+
+import xmlrpc.client
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from play_launch.graph_daemon.server.marshal import (
+    DocumentTypeError,
+    Tagged,
+    TaggedStruct,
+    dump_fault,
+    dump_response,
+    parse_call,
+)
+from play_launch.graph_daemon.server.methods import Call, parse
+from tests.graph_daemon.wire import read
+
+scalars = (
+    st.none()
+    | st.booleans()
+    | st.integers(-(2**31), 2**31 - 1)
+    | st.floats(allow_nan=False)
+    | st.text()
+    | st.binary(max_size=200)
+)
+values = st.recursive(
+    scalars,
+    lambda inner: st.lists(inner) | st.lists(inner).map(tuple) | st.dictionaries(st.text(), inner),
+    max_leaves=20,
+)
+
+
+def reference(value: Any) -> bytes:
+    text = xmlrpc.client.dumps((value,), methodresponse=True, allow_none=True)
+    return text.encode("utf-8", "xmlcharrefreplace")
+
+
+@given(values)
+def test_plain_values_are_written_as_python_does(value: Any) -> None:
+    assert dump_response(value) == reference(value)
+
+
+@given(st.text())
+def test_faults_are_written_as_python_does(text: str) -> None:
+    fault = xmlrpc.client.Fault(1, f"<class 'ValueError'>:{text}")
+    written = xmlrpc.client.dumps(fault, allow_none=True).encode("utf-8", "xmlcharrefreplace")
+    assert dump_fault(ValueError(text)) == written
+    assert dump_fault(fault) == written
+
+
+@pytest.mark.parametrize("value", [2**31, -(2**31) - 1, 2**63])
+def test_an_integer_beyond_32_bits_is_an_error(value: int) -> None:
+    with pytest.raises(OverflowError):
+        dump_response([value])
+
+
+@pytest.mark.parametrize("value", [object(), {1: 2}, {1, 2}, range(3)])
+def test_what_xml_rpc_does_not_know_is_an_error(value: object) -> None:
+    with pytest.raises(TypeError):
+        dump_response(value)
+
+
+def test_elements_of_ros_are_written() -> None:
+    value = TaggedStruct(
+        "rclpy.qos.QoSProfile", {"lifespan": Tagged("rclpy.duration.Duration", "5")}
+    )
+    assert read(dump_response([value])) == [
+        ["rclpy.qos.QoSProfile", {"lifespan": ["rclpy.duration.Duration", "5"]}]
+    ]
+
+
+@given(st.text(st.characters(codec="utf-8", exclude_categories=("Cc", "Cs"))), st.lists(scalars))
+def test_calls_are_read_as_python_does(method: str, arguments: list[Any]) -> None:
+    body = xmlrpc.client.dumps(tuple(arguments), method, allow_none=True).encode()
+    try:
+        expected = xmlrpc.client.loads(body)
+    except Exception as error:  # noqa: BLE001 - whatever it is, it must be the same
+        with pytest.raises(type(error)):
+            parse_call(body)
+        return
+    found, name = parse_call(body)[1], parse_call(body)[0]
+    assert (found, name) == expected
+
+
+@given(st.binary() | st.text().map(str.encode) | values.map(dump_response))
+def test_whatever_comes_is_a_call_or_answered_by_a_fault(body: bytes) -> None:
+    found = parse(body)
+    if isinstance(found, bytes):
+        assert read(found)[0] == "fault"
+    else:
+        assert isinstance(found, Call)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
+def test_a_document_type_is_refused(encoding: str) -> None:
+    entities = "".join(f'<!ENTITY e{i} "{f"&e{i - 1};" * 10}">' for i in range(1, 12))
+    text = (
+        f'<?xml version="1.0"?><!DOCTYPE d [<!ENTITY e0 "x">{entities}]>'
+        "<methodCall><methodName>get_name</methodName>"
+        "<params><param><value>&e11;</value></param></params></methodCall>"
+    )
+    with pytest.raises(DocumentTypeError):
+        parse_call(text.encode(encoding))
+
+
+def test_deep_nesting_ends_in_an_answer() -> None:
+    depth = 1_000
+    inside = "<value><array><data>" * depth + "</data></array></value>" * depth
+    params = f"<params><param>{inside}</param></params>"
+    found = parse(f"<methodCall><methodName>m</methodName>{params}</methodCall>".encode())
+    assert isinstance(found, Call)
+    assert found.method == "m"

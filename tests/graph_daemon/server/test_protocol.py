@@ -1,0 +1,132 @@
+"""The daemon's answers, beside those recorded from ros2cli's daemon (0.32.2, rclpy 7.1)."""
+
+from __future__ import annotations
+
+import hashlib
+import http.client
+import json
+import xmlrpc.client
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from play_launch.graph_daemon.address import DaemonAddress
+from play_launch.graph_daemon.contract import GRAPH_METHODS, STATUS_METHOD
+from tests.graph_daemon.calls import Call, calls
+from tests.graph_daemon.wire import ask, comparable, post, read, request_body
+
+RECORDED = Path(__file__).parent / "recorded" / "ros2cli_0_32_2.jsonl"
+
+
+def recorded() -> list[dict[str, Any]]:
+    return [json.loads(line) for line in RECORDED.read_text(encoding="utf-8").splitlines()]
+
+
+def test_the_recording_holds_every_call() -> None:
+    assert [(entry["method"], entry["arguments"]) for entry in recorded()] == calls()
+    assert len(calls()) >= 72
+    assert {method for method, _ in calls()} >= set(GRAPH_METHODS)
+
+
+@pytest.mark.parametrize(
+    ("call", "entry"),
+    list(zip(calls(), recorded(), strict=True)),
+    ids=[f"{method}{arguments!r}"[:60] for method, arguments in calls()],
+)
+def test_the_answer_is_the_recorded_one(
+    known_scene: DaemonAddress, call: Call, entry: dict[str, Any]
+) -> None:
+    method, arguments = call
+    status, body = post(known_scene, request_body(method, arguments))
+    assert status == 200
+    answer = comparable(method, read(body))
+    if "sha256" in entry:
+        # A text of rclpy or Python, which is not repeated in the recording.
+        assert hashlib.sha256(answer.encode()).hexdigest() == entry["sha256"]
+    else:
+        assert answer == entry["answer"]
+
+
+def test_a_plain_client_gets_plain_values(known_scene: DaemonAddress) -> None:
+    with xmlrpc.client.ServerProxy(known_scene.url, allow_none=True) as proxy:
+        assert proxy.get_namespace() == "/"
+        assert proxy.count_publishers("/chatter") == 1
+        nodes: Any = proxy.get_node_names_and_namespaces()
+        assert ["camera", "/sensing"] in nodes
+        with pytest.raises(xmlrpc.client.Fault) as caught:
+            proxy.get_name(1)
+        assert caught.value.faultCode == 1
+
+
+def test_our_own_method_is_not_listed(daemon: DaemonAddress) -> None:
+    status = json.loads(ask(daemon, STATUS_METHOD))
+    assert status["daemon"] == "play_launch"
+    assert STATUS_METHOD not in ask(daemon, "system.listMethods")
+
+
+def test_a_changed_graph_is_answered_at_once(known_scene: DaemonAddress) -> None:
+    """The node of `Probe` is unknown, known and unknown again, through a warm cache."""
+    from tests.graph_daemon.waiting import until
+    from tests.support.ros import Probe
+
+    def is_known() -> bool:
+        return ["newcomer", "/"] in ask(known_scene, "get_node_names_and_namespaces")
+
+    assert not is_known()
+    with Probe("newcomer"):
+        until(is_known, "the new node")
+    until(lambda: not is_known(), "the end of the node")
+
+
+@pytest.mark.parametrize(
+    ("path", "body", "status"),
+    [
+        ("/", b"", 404),
+        ("/RPC2", b"", 404),
+        ("/ros2cli", b"", 404),
+        ("/ros2cli/", b"", 200),
+        ("/ros2cli/", b"\0\xff", 200),
+        ("/ros2cli/", b"<methodCall/>", 200),
+    ],
+)
+def test_what_is_no_call_is_told_so(
+    daemon: DaemonAddress, path: str, body: bytes, status: int
+) -> None:
+    answered, answer = post(daemon, body, path=path)
+    assert answered == status
+    if status == 200:
+        assert read(answer)[0] == "fault"
+
+
+def test_other_methods_of_http_are_refused(daemon: DaemonAddress) -> None:
+    connection = http.client.HTTPConnection(daemon.host, daemon.port, timeout=60)
+    connection.request("GET", daemon.path)
+    assert connection.getresponse().status == 501
+    connection.close()
+
+
+@pytest.mark.parametrize(
+    "header", [("Origin", "http://example.org"), ("Host", "example.org:11511")]
+)
+def test_a_page_of_the_web_cannot_shut_it_down(
+    daemon: DaemonAddress, header: tuple[str, str]
+) -> None:
+    connection = http.client.HTTPConnection(daemon.host, daemon.port, timeout=60)
+    body = request_body("system.shutdown", [])
+    connection.request("POST", daemon.path, body, dict([header]))
+    assert connection.getresponse().status == 403
+    connection.close()
+    assert post(daemon, request_body("get_namespace", []))[0] == 200
+
+
+def test_one_connection_serves_many_calls(daemon: DaemonAddress) -> None:
+    connection = http.client.HTTPConnection(daemon.host, daemon.port, timeout=60)
+    ports = set()
+    for _ in range(3):
+        connection.request("POST", daemon.path, request_body("get_namespace", []))
+        answer = connection.getresponse()
+        assert read(answer.read()) == "/"
+        ports.add(connection.sock.getsockname())
+    connection.close()
+    assert len(ports) == 1

@@ -1,0 +1,185 @@
+"""When requests are answered, and from which state of the graph."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Awaitable, Callable
+
+from play_launch.graph_daemon.server.reply_cache import ReplyCache
+from play_launch.graph_daemon.server.service import Completeness, GraphService
+from tests.graph_daemon.server.graphs import FakeGraph
+from tests.graph_daemon.wire import read, request_body
+
+WAIT = 60.0
+NODES = request_body("get_node_names_and_namespaces", [])
+METHODS = ("get_node_names_and_namespaces", "get_topic_names_and_types", "get_name")
+
+
+class Service(GraphService):
+    """A service on made-up graphs; answers do not outlive a change unless the cache says so."""
+
+    def __init__(
+        self, here: Callable[[], int] = lambda: 1, cache: ReplyCache | None = None
+    ) -> None:
+        self.ended = 0
+
+        def functions() -> dict[str, Callable[..., object]]:
+            def of(method: str) -> Callable[..., object]:
+                return lambda *arguments: self.graph.call(method, *arguments)
+
+            return {method: of(method) for method in METHODS}
+
+        def end() -> None:
+            self.ended += 1
+
+        super().__init__(
+            functions(),
+            participants_here=here,
+            status=lambda: "the status",
+            shutdown=end,
+            cache=cache or ReplyCache(hold=0.0),
+        )
+
+    def ask(self, body: bytes) -> list[object]:
+        """Ask; returns a list that the answer is put into."""
+        answers: list[object] = []
+        self.answer(body, lambda answer: answers.append(read(answer)))
+        return answers
+
+
+def run(scenario: Callable[[], Awaitable[None]]) -> None:
+    async def limited() -> None:
+        await asyncio.wait_for(scenario(), WAIT)
+
+    asyncio.run(limited())
+
+
+def test_requests_about_the_graph_wait_until_it_is_quiet() -> None:
+    async def scenario() -> None:
+        service, graph = Service(), FakeGraph()
+        service.use(graph)
+        waiting = service.ask(NODES)
+        assert service.ask(request_body("system.play_launch_status", [])) == ["the status"]
+        assert service.ask(request_body("system.listMethods", [])) != []
+        assert service.ask(request_body("unknown", [])) != []
+        assert waiting == []
+        assert not service.is_warm
+        graph.known.add("talker")
+        await service.wait_warm()
+        assert waiting == [[["daemon", "/"], ["talker", "/"]]]
+        assert service.ask(NODES) == waiting
+
+    run(scenario)
+
+
+def test_it_is_not_warm_while_a_participant_is_missing() -> None:
+    async def scenario() -> None:
+        service, graph = Service(here=lambda: 3), FakeGraph()
+        graph.participants = 2
+        service.use(graph)
+        waiting = service.ask(NODES)
+        await asyncio.sleep(0.8)
+        assert waiting == []
+        graph.participants = 3
+        await service.wait_warm()
+        assert waiting != []
+
+    run(scenario)
+
+
+def test_it_gets_warm_although_a_participant_stays_away() -> None:
+    async def scenario() -> None:
+        service = Service(here=lambda: 3)
+        service.use(FakeGraph())
+        await service.wait_warm()
+        assert service.ask(NODES) != []
+
+    run(scenario)
+
+
+def test_the_graph_is_asked_once_for_each_change() -> None:
+    async def scenario() -> None:
+        service, graph = Service(), FakeGraph()
+        service.use(graph)
+        await service.wait_warm()
+        for _ in range(5):
+            service.ask(NODES)
+        assert len(graph.calls) == 1
+        assert service.cached_replies == 4
+        generation = service.generation
+        # From any thread, and at once: the loop does not run in between.
+        thread = threading.Thread(target=service.changed)
+        thread.start()
+        thread.join()
+        assert service.generation == generation + 1
+        graph.known.add("newcomer")
+        assert ["newcomer", "/"] in service.ask(NODES)[0]  # type: ignore[operator]
+        assert len(graph.calls) == 2
+
+    run(scenario)
+
+
+def test_in_a_storm_an_answer_serves_more_than_one_client() -> None:
+    async def scenario() -> None:
+        cache = ReplyCache(longest=WAIT, hold=1e9, longest_hold=WAIT)
+        service, graph = Service(cache=cache), FakeGraph()
+        service.use(graph)
+        await service.wait_warm()
+        graph.during_call = service.changed
+        for _ in range(16):
+            service.ask(NODES)
+            service.changed()
+        assert len(graph.calls) == 1
+
+    run(scenario)
+
+
+def test_a_change_while_the_graph_is_asked_makes_the_answer_old() -> None:
+    async def scenario() -> None:
+        service, graph = Service(), FakeGraph()
+        service.use(graph)
+        await service.wait_warm()
+        graph.during_call = service.changed
+        service.ask(NODES)
+        graph.during_call = lambda: None
+        service.ask(NODES)
+        service.ask(NODES)
+        assert len(graph.calls) == 2
+
+    run(scenario)
+
+
+def test_a_fault_is_an_answer() -> None:
+    async def scenario() -> None:
+        service = Service()
+        service.use(FakeGraph())
+        await service.wait_warm()
+        body = request_body("get_name", [1])
+        text = "<class 'ValueError'>:get_name is not made up"
+        assert service.ask(body) == [["fault", 1, text]]
+
+    run(scenario)
+
+
+def test_the_end_answers_who_waits_and_is_told_on() -> None:
+    async def scenario() -> None:
+        service = Service()
+        service.use(FakeGraph())
+        waiting = service.ask(NODES)
+        assert service.ask(request_body("system.shutdown", [])) == [None]
+        assert service.ended == 1
+        service.close()
+        assert waiting != []
+
+    run(scenario)
+
+
+def test_who_is_missing() -> None:
+    assert Completeness(3, 3, 0).is_complete
+    assert not Completeness(2, 3, 0).is_complete
+    assert not Completeness(3, 3, 1).is_complete
+    # A middleware that does not show participants.
+    assert Completeness(0, 3, 0).is_complete
+    # Participants of other machines.
+    assert Completeness(5, 3, 0).is_complete
