@@ -68,7 +68,7 @@ def test_help_does_not_import_what_is_slow() -> None:
         "from play_launch.cli.app import main\n"
         "sys.argv = ['play-launch', '--help']\n"
         "try:\n    main()\nexcept SystemExit:\n    pass\n"
-        "slow = {'pydantic', 'rclpy', 'mcap', 'yaml', 'asyncio'} & set(sys.modules)\n"
+        "slow = {'pydantic', 'rclpy', 'mcap', 'psutil', 'yaml', 'asyncio'} & set(sys.modules)\n"
         "print(sorted(slow), file=sys.stderr)\n"
     )
     result = subprocess.run(

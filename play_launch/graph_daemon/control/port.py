@@ -14,15 +14,16 @@ import time
 from typing import TYPE_CHECKING, Final
 
 from play_launch.graph_daemon.contract import BACKLOG
-from play_launch.graph_daemon.control.sockets import read_tcp, time_wait_ports
+from play_launch.graph_daemon.control.sockets import time_wait_ports
 
 if TYPE_CHECKING:
     from play_launch.graph_daemon.address import DaemonAddress
 
 _IP_LOCAL_PORT_RANGE: Final = 51
 """See ip(7); Python has no name for it."""
-_PAUSE: Final = 0.02
-"""Seconds between two attempts."""
+_FIRST_PAUSE: Final = 0.02
+_LONGEST_PAUSE: Final = 0.16
+"""Seconds between two attempts; each looks at the sockets of all processes."""
 _ASSASSINATION: Final = 0.005
 """Seconds that the exchange of three packets over loopback is given."""
 
@@ -58,6 +59,7 @@ def listen_within(address: DaemonAddress, seconds: float) -> socket.socket:
     Raises as `listen` does, when the time is over.
     """
     deadline = time.monotonic() + seconds
+    pause = _FIRST_PAUSE
     while True:
         try:
             return listen(address)
@@ -65,7 +67,8 @@ def listen_within(address: DaemonAddress, seconds: float) -> socket.socket:
             if time.monotonic() > deadline:
                 raise
             if not end_time_wait(address):
-                time.sleep(_PAUSE)
+                time.sleep(pause)
+                pause = min(2 * pause, _LONGEST_PAUSE)
 
 
 def is_free(address: DaemonAddress) -> bool:
@@ -86,7 +89,7 @@ def end_time_wait(address: DaemonAddress) -> int:
     that, and the reset ends the TIME_WAIT (RFC 1337 calls it an assassination; the setting
     net.ipv4.tcp_rfc1337 prevents it, and then one has to wait).
     """
-    ports = time_wait_ports(read_tcp(), address.port)
+    ports = time_wait_ports(address.port)
     for port in ports:
         with (
             contextlib.suppress(OSError),

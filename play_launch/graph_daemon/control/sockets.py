@@ -1,33 +1,18 @@
-"""Who holds the daemon's port: read from the kernel's tables, without asking anybody."""
+"""Who holds the daemon's port: found in the kernel's tables, without asking anybody."""
 
 from __future__ import annotations
 
-import os
+import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
-_PROC: Final = Path("/proc")
+import psutil
+
 _MODULE: Final = "play_launch.graph_daemon"
 _PROGRAM: Final = "play-launch"
-_START_TIME: Final = 19
-"""Field 22 of proc_pid_stat(5), counted behind the program's name: clock ticks after boot."""
-_LISTENING: Final = "0A"
-_TIME_WAIT: Final = "06"
-_ANYWHERE: Final = "00000000"
-_LOOPBACK: Final = "0100007F"
-"""127.0.0.1, as a little-endian kernel writes it."""
-
-
-@dataclass(frozen=True, slots=True)
-class TcpEntry:
-    """A line of ``/proc/net/tcp``; addresses are its hexadecimal digits."""
-
-    address: str
-    port: int
-    peer_port: int
-    state: str
-    inode: int
+_LOOPBACK: Final = "127.0.0.1"
+_REACHED_FROM_LOOPBACK: Final = frozenset({_LOOPBACK, "0.0.0.0", "::", f"::ffff:{_LOOPBACK}"})  # noqa: S104 - compared with, not bound to
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,97 +51,67 @@ class Holder:
         )
 
 
-def parse_tcp(table: str) -> list[TcpEntry]:
-    """Read a table like ``/proc/net/tcp`` or ``tcp6``; lines that are none are left out."""
-    entries = []
-    for line in table.splitlines():
-        fields = line.split()
-        try:
-            address, _, port = fields[1].rpartition(":")
-            peer_port = fields[2].rpartition(":")[2]
-            entry = TcpEntry(
-                address, int(port, 16), int(peer_port, 16), fields[3].upper(), int(fields[9])
-            )
-        except (IndexError, ValueError):
-            continue
-        entries.append(entry)
-    return entries
-
-
-def time_wait_ports(entries: list[TcpEntry], port: int) -> list[int]:
+def time_wait_ports(port: int) -> list[int]:
     """Return the peers' ports of connections that keep loopback's ``port`` busy though closed."""
     return [
-        entry.peer_port
-        for entry in entries
-        if entry.port == port and entry.state == _TIME_WAIT and entry.address == _LOOPBACK
+        entry.raddr.port
+        for entry in _tcp()
+        if entry.status == psutil.CONN_TIME_WAIT
+        and (entry.laddr.ip, entry.laddr.port) == (_LOOPBACK, port)
     ]
-
-
-def listening_inodes(entries: list[TcpEntry], port: int) -> set[int]:
-    """Return the inodes of sockets that listen on ``port`` of loopback, or of every address."""
-    return {
-        entry.inode
-        for entry in entries
-        if entry.port == port
-        and entry.state == _LISTENING
-        and (entry.address == _LOOPBACK or set(entry.address) == set(_ANYWHERE))
-    }
-
-
-def read_tcp() -> list[TcpEntry]:
-    """Read the tables of this network namespace."""
-    entries = []
-    for name in ("tcp", "tcp6"):
-        try:
-            entries += parse_tcp((_PROC / "net" / name).read_text(encoding="ascii"))
-        except (OSError, UnicodeDecodeError):
-            continue
-    return entries
 
 
 def holder_of(port: int) -> Holder | None:
-    """Return who listens on ``port`` of loopback; None when nobody does."""
-    inodes = listening_inodes(read_tcp(), port)
-    if not inodes:
-        return None
-    wanted = {f"socket:[{inode}]" for inode in inodes}
-    holders = [
-        Holder(int(process.name), _command(process))
-        for process in _PROC.iterdir()
-        if process.name.isdigit() and _has_one_of(process, wanted)
+    """Return who listens on ``port`` of loopback, or of every address; None when nobody does."""
+    pids = [
+        entry.pid or 0
+        for entry in _tcp()
+        if entry.status == psutil.CONN_LISTEN
+        and entry.laddr.port == port
+        and entry.laddr.ip in _REACHED_FROM_LOOPBACK
     ]
-    # While a daemon is being started, its starter has the socket, too.
-    return max(holders, key=lambda holder: holder.is_daemon, default=Holder(0, ()))
+    # While a daemon is being started, its starter has the socket, too; psutil names one of them.
+    holders = [holder for pid in pids for holder in (_holder(pid), *_children(pid))]
+    return max(holders, key=lambda holder: holder.is_daemon, default=None)
 
 
 def age_of(pid: int) -> float:
     """Return the seconds since a process began; 0 when it is gone."""
     try:
-        # The name of the program, in parentheses, may hold anything.
-        fields = (_PROC / str(pid) / "stat").read_text(errors="replace").rpartition(")")[2].split()
-        uptime = float((_PROC / "uptime").read_text(encoding="ascii").split()[0])
-        return max(0.0, uptime - int(fields[_START_TIME]) / os.sysconf("SC_CLK_TCK"))
-    except (OSError, IndexError, ValueError):
+        return max(0.0, time.time() - psutil.Process(pid).create_time())
+    except (psutil.Error, OSError):
         return 0.0
 
 
-def _has_one_of(process: Path, links: set[str]) -> bool:
+def is_stopped(pid: int) -> bool:
+    """Whether a process is stopped, by SIGSTOP or a debugger."""
     try:
-        files = list((process / "fd").iterdir())
-    except OSError:
+        status = psutil.Process(pid).status()
+    except (psutil.Error, OSError):
         return False
-    for file in files:
-        try:
-            if os.readlink(file) in links:  # noqa: PTH115 - a socket is no path
-                return True
-        except OSError:
-            continue
-    return False
+    return status in {psutil.STATUS_STOPPED, psutil.STATUS_TRACING_STOP}
 
 
-def _command(process: Path) -> tuple[str, ...]:
+def _tcp() -> list[Any]:
+    """List the TCP sockets of this network namespace; none where the kernel hides them."""
     try:
-        words = (process / "cmdline").read_bytes().split(b"\0")
-    except OSError:
-        return ()
-    return tuple(word.decode("utf-8", "replace") for word in words if word)
+        entries = psutil.net_connections("tcp")
+    except (psutil.Error, OSError, RuntimeError):
+        return []
+    return [entry for entry in entries if entry.laddr]
+
+
+def _holder(pid: int) -> Holder:
+    try:
+        return Holder(pid, tuple(psutil.Process(pid).cmdline()) if pid else ())
+    except (psutil.Error, OSError):
+        return Holder(pid, ())
+
+
+def _children(pid: int) -> list[Holder]:
+    """Return those children of a process which are daemons."""
+    try:
+        found = [_holder(child.pid) for child in psutil.Process(pid).children()] if pid else []
+    except (psutil.Error, OSError):
+        return []
+    return [holder for holder in found if holder.is_daemon]

@@ -23,9 +23,8 @@ from play_launch.graph_daemon.client.graph_client import (
 from play_launch.graph_daemon.contract import GRAPH_METHODS, SHUTDOWN_METHOD, STATUS_METHOD
 from play_launch.graph_daemon.control.background import START_LIMIT
 from play_launch.graph_daemon.control.port import PortBusyError, listen_within
-from play_launch.graph_daemon.control.sockets import Holder, age_of, holder_of
+from play_launch.graph_daemon.control.sockets import Holder, age_of, holder_of, is_stopped
 from play_launch.graph_daemon.settings import differences
-from play_launch.process.identity import NoSuchProcessError, read_stat
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -185,10 +184,7 @@ def _methods(address: DaemonAddress, client: GraphClient) -> object:
 
 
 def _is_stopped(holder: Holder | None) -> bool:
-    try:
-        return holder is not None and holder.pid > 0 and read_stat(holder.pid).state in "Tt"
-    except NoSuchProcessError:
-        return False
+    return holder is not None and holder.pid > 0 and is_stopped(holder.pid)
 
 
 def end(address: DaemonAddress, occupant: Occupant, limit: float = STOP_LIMIT) -> None:

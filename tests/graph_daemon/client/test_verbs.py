@@ -295,7 +295,7 @@ try:
     entry.main()
 finally:
     heavy = {"typer", "click", "rich", "pydantic", "rclpy", "xmlrpc", "asyncio", "http", "yaml"}
-    print("imported:", *sorted(heavy & set(sys.modules)), file=sys.stderr)
+    print("imported:", *sorted((heavy | {"psutil"}) & set(sys.modules)), file=sys.stderr)
 """
 
 

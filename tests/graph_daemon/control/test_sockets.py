@@ -1,42 +1,109 @@
-"""Who holds a port, read from the kernel's tables."""
+"""Who holds a port, by the kernel's tables."""
 
 from __future__ import annotations
 
 import os
+import signal
 import socket
+import subprocess
 import sys
+from pathlib import Path
 
+import psutil
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from play_launch.graph_daemon.control.sockets import (
     Holder,
     age_of,
     holder_of,
-    listening_inodes,
-    parse_tcp,
-    read_tcp,
+    is_stopped,
     time_wait_ports,
 )
-
-
-@given(st.text())
-def test_what_is_no_table_has_no_entries(text: str) -> None:
-    for entry in parse_tcp(text):
-        assert entry.port >= 0
 
 
 def test_a_listener_of_ours_is_ours() -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = listener.getsockname()[1]
-        (inode,) = listening_inodes(read_tcp(), port)
-        assert inode == os.fstat(listener.fileno()).st_ino
         holder = holder_of(port)
         assert holder is not None
         assert holder.pid == os.getpid()
         assert sys.executable.rsplit("/", 1)[-1] in str(holder)
     assert holder_of(port) is None
+
+
+@pytest.mark.parametrize("daemon_first", [True, False])
+def test_a_daemon_that_is_being_started_counts_before_its_starter(
+    daemon_first: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Both have the socket, and psutil names one of them.
+    program = "import sys; print(flush=True); sys.stdin.read()"
+    with (
+        socket.create_server(("127.0.0.1", 0)) as listener,
+        subprocess.Popen(
+            [sys.executable, "-c", program, "--name", "ros2-daemon"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            pass_fds=[listener.fileno()],
+        ) as daemon,
+    ):
+        assert daemon.stdout is not None
+        assert daemon.stdout.readline() == b"\n"
+        named = daemon.pid if daemon_first else os.getpid()
+        entries = [
+            entry._replace(pid=named if entry.pid else None)
+            for entry in psutil.net_connections("tcp")
+        ]
+        monkeypatch.setattr(psutil, "net_connections", lambda _kind: entries)
+        holder = holder_of(listener.getsockname()[1])
+        assert daemon.stdin is not None
+        daemon.stdin.close()
+    assert holder is not None
+    assert holder.pid == daemon.pid
+    assert holder.is_ros2_daemon
+
+
+def test_a_listener_of_another_user_has_no_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Also where /proc is mounted with hidepid.
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        hidden = [entry._replace(pid=None) for entry in psutil.net_connections("tcp")]
+        monkeypatch.setattr(psutil, "net_connections", lambda _kind: hidden)
+        holder = holder_of(listener.getsockname()[1])
+    assert holder == Holder(0, ())
+    assert str(holder) == "a process of another user"
+    assert not holder.is_daemon
+
+
+def test_a_process_that_is_gone_meanwhile_has_no_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        gone = [entry._replace(pid=2**22 + 1) for entry in psutil.net_connections("tcp")]
+        monkeypatch.setattr(psutil, "net_connections", lambda _kind: gone)
+        assert holder_of(listener.getsockname()[1]) == Holder(2**22 + 1, ())
+
+
+def test_without_proc_nobody_is_known(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(psutil, "PROCFS_PATH", str(tmp_path))
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        assert holder_of(listener.getsockname()[1]) is None
+        assert time_wait_ports(listener.getsockname()[1]) == []
+    assert age_of(os.getpid()) == 0
+    assert not is_stopped(os.getpid())
+
+
+def test_a_table_that_is_none_holds_nobody(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "net").mkdir()
+    (tmp_path / "net" / "tcp").write_text("head\nnonsense\n")
+    monkeypatch.setattr(psutil, "PROCFS_PATH", str(tmp_path))
+    assert holder_of(11511) is None
+
+
+def test_a_stopped_process_is_known() -> None:
+    with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as process:
+        assert not is_stopped(process.pid)
+        process.send_signal(signal.SIGSTOP)
+        os.waitid(os.P_PID, process.pid, os.WSTOPPED)
+        assert is_stopped(process.pid)
+        process.kill()
+    assert not is_stopped(process.pid)
 
 
 @pytest.mark.parametrize("where", ["0.0.0.0", "::"])
@@ -59,7 +126,7 @@ def test_a_closed_connection_shows_with_its_peers_port() -> None:
             assert client.recv(1) == b""
         assert accepted.recv(1) == b""
         accepted.close()
-    assert peer in time_wait_ports(read_tcp(), port)
+    assert peer in time_wait_ports(port)
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from play_launch.graph_daemon.control.port import (
     listen,
     listen_within,
 )
-from play_launch.graph_daemon.control.sockets import Holder, read_tcp, time_wait_ports
+from play_launch.graph_daemon.control.sockets import Holder, time_wait_ports
 from play_launch.graph_daemon.control.takeover import (
     Action,
     Kind,
@@ -154,10 +154,10 @@ def leave_time_wait(address: DaemonAddress, count: int) -> None:
 
 def test_what_closed_connections_leave_is_ended(address: DaemonAddress) -> None:
     leave_time_wait(address, 20)
-    assert len(time_wait_ports(read_tcp(), address.port)) == 20
+    assert len(time_wait_ports(address.port)) == 20
     assert not is_free(address)
     listen_within(address, 10.0).close()
-    assert time_wait_ports(read_tcp(), address.port) == []
+    assert time_wait_ports(address.port) == []
 
 
 def test_ending_them_disturbs_no_living_connection(address: DaemonAddress) -> None:
