@@ -1,28 +1,18 @@
-"""The graph's own event, which rclpy does not offer: something appeared, or went away.
-
-rcl has a guard condition for it in every node. rclpy neither exposes it nor waits for it (its
-``wait_for_service`` sleeps and looks again), but its wait sets and nodes tell their addresses, so
-that rcl itself can put the one into the other.
-"""
+"""The graph's own event for rclpy's executors: something appeared, or went away."""
 
 from __future__ import annotations
 
-import ctypes
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from rclpy.waitable import NumberOfEntities, Waitable
+
+from play_launch.ros.graph_guard import GraphGuard, GraphGuardError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from rclpy.callback_groups import CallbackGroup
     from rclpy.node import Node
-
-_LIBRARY: Final = "librcl.so"
-
-
-class GraphEventsUnavailableError(Exception):
-    """This rclpy or rcl does not have what is needed; look at the graph now and then instead."""
 
 
 class GraphEvents(Waitable):
@@ -32,34 +22,23 @@ class GraphEvents(Waitable):
         """Belong to a node; add it with ``node.add_waitable``.
 
         Raises:
-            GraphEventsUnavailableError: Where the guard condition cannot be had.
+            GraphGuardError: Where the guard condition cannot be had.
         """
         super().__init__(group)  # type: ignore[no-untyped-call]
         self._on_change = on_change
         self._index: int | None = None
-        try:
-            rcl = ctypes.CDLL(_LIBRARY)
-            find = rcl.rcl_node_get_graph_guard_condition
-            self._add = rcl.rcl_wait_set_add_guard_condition
-            address = node.handle.pointer
-        except (OSError, AttributeError) as error:
-            raise GraphEventsUnavailableError(str(error)) from error
-        find.argtypes, find.restype = [ctypes.c_void_p], ctypes.c_void_p
-        self._add.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.POINTER(ctypes.c_size_t)]
-        self._add.restype = ctypes.c_int
-        self._guard = find(address)
-        if not self._guard:
-            raise GraphEventsUnavailableError("rcl gives no guard condition for the graph")
+        self._guard = GraphGuard(node)
 
     def get_num_entities(self) -> NumberOfEntities:
-        """Tell the executor how much room to make."""
+        """Return how much room the executor is to make."""
         return NumberOfEntities(num_gcs=1)  # type: ignore[no-untyped-call]
 
     def add_to_wait_set(self, wait_set: Any) -> None:
         """Put the guard condition into the executor's wait set."""
-        index = ctypes.c_size_t()
-        added = self._add(wait_set.pointer, self._guard, ctypes.byref(index)) == 0
-        self._index = index.value if added else None
+        try:
+            self._index = self._guard.add_to(wait_set)
+        except GraphGuardError:
+            self._index = None
 
     def is_ready(self, wait_set: Any) -> bool:
         """Whether the graph has changed."""

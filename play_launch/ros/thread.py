@@ -15,7 +15,8 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from play_launch.fastdds.announcement import quick_announcement
-from play_launch.ros.graph import GraphEvents, GraphEventsUnavailableError
+from play_launch.ros.graph import GraphEvents
+from play_launch.ros.graph_guard import GraphGuardError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -187,7 +188,7 @@ class RosThread:
         """Listen to the graph; the seconds after which to look where that cannot be done."""
         try:
             events = GraphEvents(node, node.default_callback_group, self._graph_changed)
-        except GraphEventsUnavailableError as error:
+        except GraphGuardError as error:
             _log.debug("no events of the graph, so it is looked at: %s", error)
             return GRAPH_POLL
         node.add_waitable(events)

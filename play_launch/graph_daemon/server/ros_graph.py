@@ -1,15 +1,10 @@
-"""A node that looks at the graph: all that this package wants of rclpy is here.
-
-rclpy does not tell when the graph changes. rcl does, by a guard condition of the node, so two calls
-of rcl are made past rclpy, on pointers that rclpy gives out.
-"""
+"""A node that looks at the graph: all that this package wants of rclpy is here."""
 
 # rclpy is typed in parts only.
 # mypy: disable-error-code="no-untyped-call,attr-defined"
 
 from __future__ import annotations
 
-import ctypes
 import functools
 import logging
 import os
@@ -29,6 +24,7 @@ from play_launch.fastdds.announcement import quick_announcement
 from play_launch.graph_daemon.address import NODE_PREFIX
 from play_launch.graph_daemon.contract import GRAPH_METHODS
 from play_launch.graph_daemon.server.ros_values import to_wire
+from play_launch.ros.graph_guard import GraphGuard
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -41,7 +37,6 @@ _DISCOVERY_TOPIC: Final = "ros_discovery_info"
 """Every participant of ROS publishes here which nodes it has."""
 _UNKNOWN_NODE: Final = "_NODE_NAME_UNKNOWN_"
 _LOOK: Final = 0.5
-_RCL_OK: Final = 0
 _LONGEST_WAIT: Final = 1_000_000_000
 """Nanoseconds; a lost wake-up delays the end by this."""
 
@@ -60,13 +55,6 @@ class Met(NamedTuple):
     """How many it knows, itself too; 0 with a middleware that does not show them."""
     nameless: int
     """How many publishers it knows whose nodes it does not know yet."""
-
-
-class GuardConditionError(RuntimeError):
-    """rcl does not give out the graph's guard condition."""
-
-    def __init__(self, what: str) -> None:
-        super().__init__(f"the changes of the graph cannot be watched: {what}")
 
 
 class RosGraph:
@@ -153,18 +141,7 @@ class _Watch:
     """rcl's wait set with the graph's guard condition and one to wake it up."""
 
     def __init__(self, node: Node, wake: GuardCondition, context: Context) -> None:
-        # The extension is linked against rcl, so rcl's functions are found through it.
-        self._rcl = ctypes.CDLL(rclpy_implementation.__file__)
-        get = self._rcl.rcl_node_get_graph_guard_condition
-        get.restype = ctypes.c_void_p
-        get.argtypes = [ctypes.c_void_p]
-        self._add = self._rcl.rcl_wait_set_add_guard_condition
-        self._add.restype = ctypes.c_int
-        self._add.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.POINTER(ctypes.c_size_t)]
-        with node.handle:
-            self._graph = get(node.handle.pointer)
-        if not self._graph:
-            raise GuardConditionError("the node has no guard condition")
+        self._graph = GraphGuard(node)
         self._wake = wake
         handle: Any = context.handle
         with handle:
@@ -175,13 +152,10 @@ class _Watch:
         self._set.clear_entities()
         with self._wake.handle:
             self._set.add_guard_condition(self._wake.handle)
-            index = ctypes.c_size_t()
-            code = self._add(self._set.pointer, self._graph, ctypes.byref(index))
-            if code != _RCL_OK:
-                raise GuardConditionError(f"rcl_wait_set_add_guard_condition returned {code}")
+            index = self._graph.add_to(self._set)
             # Lets other threads of Python run meanwhile.
             self._set.wait(_LONGEST_WAIT)
-        return bool(self._set.is_ready("guard_condition", index.value))
+        return bool(self._set.is_ready("guard_condition", index))
 
     def close(self) -> None:
         self._set.destroy_when_not_in_use()

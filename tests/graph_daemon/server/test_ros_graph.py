@@ -13,6 +13,7 @@ from play_launch.graph_daemon.server import ros_graph
 from play_launch.graph_daemon.server.replacement import Replacer
 from play_launch.graph_daemon.server.ros_graph import RosGraph, graph_functions, rmw_implementation
 from play_launch.graph_daemon.server.service import GraphService
+from play_launch.ros.graph_guard import GraphGuardError
 from tests.graph_daemon.waiting import LIMIT, until
 from tests.support.ros import Probe
 
@@ -78,7 +79,7 @@ def test_where_changes_are_not_reported_it_is_looked_all_the_time(
     ros_domain: int, changes: Changes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def broken(_: object) -> bool:
-        raise ros_graph.GuardConditionError("by the test")
+        raise GraphGuardError("by the test")
 
     monkeypatch.setattr(ros_graph._Watch, "wait", broken)
     monkeypatch.setattr(ros_graph, "_LOOK", 0.01)
