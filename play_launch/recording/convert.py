@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, assert_never
+from dataclasses import dataclass, fields
+from operator import attrgetter
+from typing import TYPE_CHECKING, Final, NamedTuple, assert_never
 
 from play_launch.core.events import (
     ComponentEvent,
@@ -19,25 +21,21 @@ from play_launch.core.events import (
     RunEvent,
 )
 from play_launch.recording import topics
-from play_launch.recording.cdr import log_message, text_bytes
+from play_launch.recording.cdr import log_message, message
 from play_launch.recording.console_format import ERROR, INFO, WARN, line_level
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from play_launch.recording.topics import Topic
 
-_NANOSECONDS: Final = 1_000_000_000
-
-_ON_THE_WAY: Final = frozenset({NodeState.REQUESTED, NodeState.LOADING})
-_STATE_LEVELS: Final[dict[NodeState | ContainerState, int]] = {
-    NodeState.LOAD_FAILED: ERROR,
-    NodeState.CRASHED: ERROR,
-    NodeState.GAVE_UP: ERROR,
-    NodeState.LOST: ERROR,
-    ContainerState.BACKOFF: WARN,
-    ContainerState.GAVE_UP: ERROR,
-}
+_FAILED: Final = frozenset(
+    {
+        NodeState.LOAD_FAILED,
+        NodeState.CRASHED,
+        NodeState.GAVE_UP,
+        NodeState.LOST,
+        ContainerState.GAVE_UP,
+    }
+)
 
 
 class Recorded(NamedTuple):
@@ -63,104 +61,152 @@ def is_failure(event: RunEvent) -> bool:
         case LogRecord():
             return event.level >= ERROR
         case NodeStateChanged() | ContainerStateChanged():
-            return _STATE_LEVELS.get(event.state, INFO) >= ERROR
+            return event.state in _FAILED
         case _:
             return False
 
 
-class Converter:
-    """Turns events into CDR messages.
+def convert(event: RunEvent) -> tuple[Recorded, ...]:
+    """Return the messages that record ``event``, in the order to be written.
 
-    Importing the message classes costs tens of milliseconds, so that happens at the first event
-    that needs them, in the thread that converts. Nothing here calls ``rclpy.init``.
+    Raises:
+        struct.error: When a number does not fit into its field.
     """
-
-    def __init__(self) -> None:
-        """A converter of its own for each thread."""
-        self._messages: _Messages | None = None
-
-    def convert(self, event: RunEvent) -> tuple[Recorded, ...]:
-        """Return the messages that record ``event``, in the order to be written."""
-        match event:
-            case OutputLine():
-                return (self.output(event)[0],)
-            case LogRecord():
-                data = log_message(
-                    event.stamp_ns,
-                    event.level,
-                    event.name,
-                    event.message,
-                    file=event.file,
-                    function=event.function,
-                    line=event.line,
-                )
-                everything = Recorded(topics.LOG_ALL, data)
-                if event.level < WARN:
-                    return (everything,)
-                return (everything, Recorded(topics.LOG, data))
-            case NodeStateChanged():
-                return (Recorded(topics.STATES, _node_state(event)),)
-            case ContainerStateChanged():
-                return (Recorded(topics.STATES, _container_state(event)),)
-            case ComponentEvent():
-                return (Recorded(topics.COMPONENT_EVENTS, self._loaded().component(event)),)
-            case ProcessEvent():
-                return (Recorded(topics.PROCESS_EVENTS, self._loaded().process(event)),)
-            case GraphChanged():
-                return (Recorded(topics.GRAPH, _graph(event)),)
-        assert_never(event)
-
-    def output(self, line: OutputLine) -> tuple[Recorded, int]:
-        """Return the message for a line of output, and the level the line was written at."""
-        level = line_level(line)
-        data = log_message(
-            line.stamp_ns,
-            level,
-            line.process,
-            line.text + " [cut]" if line.truncated else line.text,
-            file=line.stream.value,
-            function=f"pid {line.pid}",
-        )
-        return Recorded(topics.OUTPUT, data), level
-
-    def _loaded(self) -> _Messages:
-        if self._messages is None:
-            self._messages = _Messages()
-        return self._messages
+    match event:
+        case OutputLine():
+            return (convert_output(event)[0],)
+        case LogRecord():
+            data = log_message(
+                event.stamp_ns,
+                event.level,
+                event.name,
+                event.message,
+                file=event.file,
+                function=event.function,
+                line=event.line,
+            )
+            everything = Recorded(topics.LOG_ALL, data)
+            if event.level < WARN:
+                return (everything,)
+            return (everything, Recorded(topics.LOG, data))
+        case NodeStateChanged() | ContainerStateChanged() | ProcessEvent():
+            data = message(_STATE_FIELDS, _state_values(state_of(event)))
+            return (Recorded(topics.STATES, data),)
+        case ComponentEvent():
+            data = message(_COMPONENT_FIELDS, _component_values(event))
+            return (Recorded(topics.COMPONENT_EVENTS, data),)
+        case GraphChanged():
+            return (Recorded(topics.GRAPH, _graph(event)),)
+    assert_never(event)
 
 
-def _node_state(event: NodeStateChanged) -> bytes:
-    facts = [
-        f"{label} {value}"
-        for label, value in (
-            ("pid", event.pid),
-            ("unique_id", event.unique_id),
-            ("attempt", event.attempt),
-            ("crashes", event.crashes),
-            ("reloads", event.reloads),
-        )
-        if value
-    ]
-    if event.cpu_time_ns:
-        facts.append(f"cpu {event.cpu_time_ns / _NANOSECONDS:.1f} s")
-    text = event.state.value
-    if event.elapsed_ns:
-        elapsed = f"{event.elapsed_ns / _NANOSECONDS:.3f} s"
-        if event.state in _ON_THE_WAY:
-            text += f" for {elapsed}"
-        else:
-            facts.append(f"{elapsed} after the load was sent")
-    if facts:
-        text += f" ({', '.join(facts)})"
-    return log_message(
-        event.stamp_ns,
-        _STATE_LEVELS.get(event.state, INFO),
-        event.node,
-        _with_reason(text, event.reason),
-        file=event.container,
-        function=event.state.value,
-        line=event.index,
+def convert_output(line: OutputLine) -> tuple[Recorded, int]:
+    """Return the message for a line of output, and the level the line was written at."""
+    level = line_level(line)
+    data = log_message(
+        line.stamp_ns,
+        level,
+        line.process,
+        line.text + " [cut]" if line.truncated else line.text,
+        file=line.stream.value,
+        function=f"pid {line.pid}",
     )
+    return Recorded(topics.OUTPUT, data), level
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class State:
+    """The fields of ``play_launch_msgs/StateEvent``, in order; what they mean is said there."""
+
+    stamp_ns: int
+    kind: int
+    name: str
+    container: str = ""
+    state: str = ""
+    reason: str = ""
+    mechanism: str = ""
+    start_time: int = 0
+    unique_id: int = 0
+    attempt: int = 0
+    elapsed_ns: int = 0
+    cpu_time_ns: int = 0
+    pid: int = 0
+    exit_code: int = 0
+    signal: int = 0
+    index: int = 0
+    crashes: int = 0
+    restarts: int = 0
+    command: tuple[str, ...] = ()
+
+
+_STATE_FIELDS: Final = "tBsssssQQQqqiiiIIIS"
+_state_values: Final = attrgetter(*(field.name for field in fields(State)))
+_NODE, _CONTAINER, _PROCESS = range(3)
+
+
+def state_of(event: NodeStateChanged | ContainerStateChanged | ProcessEvent) -> State:
+    """Everything that a change of state says; a state's word is its name in small letters."""
+    match event:
+        case NodeStateChanged():
+            return State(
+                stamp_ns=event.stamp_ns,
+                kind=_NODE,
+                name=event.node,
+                container=event.container,
+                state=event.state.name.lower(),
+                reason=event.reason,
+                unique_id=event.unique_id,
+                attempt=event.attempt,
+                elapsed_ns=event.elapsed_ns,
+                cpu_time_ns=event.cpu_time_ns,
+                pid=event.pid,
+                index=event.index,
+                crashes=event.crashes,
+                restarts=event.reloads,
+            )
+        case ContainerStateChanged():
+            return State(
+                stamp_ns=event.stamp_ns,
+                kind=_CONTAINER,
+                name=event.container,
+                container=event.container,
+                state=event.state.name.lower(),
+                reason=event.reason,
+                mechanism=event.mechanism,
+            )
+        case ProcessEvent():
+            return State(
+                stamp_ns=event.stamp_ns,
+                kind=_PROCESS,
+                name=event.name,
+                state=event.kind.name.lower(),
+                reason=event.message,
+                start_time=event.start_time,
+                pid=event.pid,
+                exit_code=event.exit_code,
+                signal=event.signal,
+                restarts=event.restarts,
+                command=event.command,
+            )
+
+
+_COMPONENT_FIELDS: Final = "tBQQssssiQiiSs"
+_component_values: Final = attrgetter(
+    "stamp_ns",
+    "kind",
+    "unique_id",
+    "attempt",
+    "full_node_name",
+    "package_name",
+    "plugin_name",
+    "error_message",
+    "pid",
+    "start_time",
+    "exit_code",
+    "signal",
+    "backtrace",
+    "confirmed_by",
+)
 
 
 def _graph(event: GraphChanged) -> bytes:
@@ -171,84 +217,3 @@ def _graph(event: GraphChanged) -> bytes:
     ]
     text = f"{'; '.join(parts)}; {event.nodes} nodes"
     return log_message(event.stamp_ns, INFO, "graph", text)
-
-
-def _container_state(event: ContainerStateChanged) -> bytes:
-    text = event.state.value
-    if event.mechanism:
-        text += f" (nodes isolated by {event.mechanism})"
-    return log_message(
-        event.stamp_ns,
-        _STATE_LEVELS.get(event.state, INFO),
-        event.container,
-        _with_reason(text, event.reason),
-        file=event.container,
-        function=event.state.value,
-    )
-
-
-def _with_reason(text: str, reason: str) -> str:
-    return f"{text}: {reason}" if reason else text
-
-
-class _Messages:
-    """The generated classes and rclpy's serialiser, imported on construction."""
-
-    def __init__(self) -> None:
-        # ruff: disable[PLC0415]
-        from builtin_interfaces.msg import Time
-        from play_launch_msgs.msg import ComponentEvent as ComponentMessage
-        from play_launch_msgs.msg import ProcessEvent as ProcessMessage
-        from rclpy.serialization import serialize_message
-
-        # ruff: enable[PLC0415]
-
-        # rosidl generates classes without type information that mypy could use.
-        self._time: Callable[..., Any] = Time
-        self._component: Callable[..., Any] = ComponentMessage
-        self._process: Callable[..., Any] = ProcessMessage
-        self._serialize: Callable[[Any], bytes] = serialize_message
-
-    def component(self, event: ComponentEvent) -> bytes:
-        return self._serialize(
-            self._component(
-                stamp=self._stamp(event.stamp_ns),
-                event_type=int(event.kind),
-                unique_id=event.unique_id,
-                attempt=event.attempt,
-                full_node_name=_text(event.full_node_name),
-                package_name=_text(event.package_name),
-                plugin_name=_text(event.plugin_name),
-                error_message=_text(event.error_message),
-                pid=event.pid,
-                start_time=event.start_time,
-                exit_code=event.exit_code,
-                signal=event.signal,
-                backtrace=[_text(frame) for frame in event.backtrace],
-                confirmed_by=_text(event.confirmed_by),
-            )
-        )
-
-    def process(self, event: ProcessEvent) -> bytes:
-        return self._serialize(
-            self._process(
-                stamp=self._stamp(event.stamp_ns),
-                event_type=int(event.kind),
-                name=_text(event.name),
-                pid=event.pid,
-                start_time=event.start_time,
-                exit_code=event.exit_code,
-                signal=event.signal,
-                restarts=event.restarts,
-                message=_text(event.message),
-                command=[_text(word) for word in event.command],
-            )
-        )
-
-    def _stamp(self, stamp_ns: int) -> Any:
-        seconds, nanoseconds = divmod(max(stamp_ns, 0), _NANOSECONDS)
-        return self._time(sec=min(seconds, 2**31 - 1), nanosec=nanoseconds)
-
-
-def _text(text: str) -> str:
-    return text_bytes(text).decode()

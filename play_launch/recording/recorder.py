@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 from play_launch.core.events import LogRecord, OutputLine, RunEvent
 from play_launch.recording import topics
 from play_launch.recording.console_format import ERROR, WARN
-from play_launch.recording.convert import Converter, is_failure
+from play_launch.recording.convert import convert, convert_output, is_failure
 from play_launch.recording.errors import RecordingError
 
 if TYPE_CHECKING:
@@ -84,7 +84,6 @@ class Recorder:
         self._writer = writer
         self._on_failure = on_failure
         self._limits = limits or RecorderLimits()
-        self._converter = Converter()
         self._channels: dict[Topic, int] = {
             topic: writer.register(topic) for topic in topics.ALL_TOPICS
         }
@@ -225,10 +224,10 @@ class Recorder:
         polite = len(batch) < _FLOOD
         self._unwritten = len(batch)
         output_channel = self._channels[topics.OUTPUT]
-        output, write = self._converter.output, self._writer.write
+        write = self._writer.write
         for number, (received, event) in enumerate(batch):
             if isinstance(event, OutputLine):
-                (_, data), level = output(event)
+                (_, data), level = convert_output(event)
                 write(output_channel, data, log_time=received, publish_time=max(event.stamp_ns, 0))
                 self._handed += 1
                 self._unflushed += 1
@@ -244,10 +243,10 @@ class Recorder:
 
     def _write(self, received: int, event: RunEvent) -> None:
         try:
-            recorded = self._converter.convert(event)
+            recorded = convert(event)
         except Exception as error:  # noqa: BLE001 - one odd event must not end the recording
             self._lost += 1
-            recorded = self._converter.convert(_unconvertible(received, event, error))
+            recorded = convert(_unconvertible(received, event, error))
         for topic, data in recorded:
             self._writer.write(
                 self._channels[topic],

@@ -51,13 +51,10 @@ class Topic:
 COMPONENT_EVENTS: Final = Topic(
     "/play_launch/events", "play_launch_msgs/msg/ComponentEvent", depth=100, latched=True
 )
-PROCESS_EVENTS: Final = Topic(
-    "/play_launch/process_events", "play_launch_msgs/msg/ProcessEvent", depth=100, latched=True
-)
-STATES: Final = Topic("/play_launch/states", "rcl_interfaces/msg/Log")
+STATES: Final = Topic("/play_launch/states", "play_launch_msgs/msg/StateEvent", latched=True)
 GRAPH: Final = Topic("/play_launch/graph", "rcl_interfaces/msg/Log")
 OUTPUT: Final = Topic("/play_launch/output", "rcl_interfaces/msg/Log")
 LOG: Final = Topic("/play_launch/log", "rcl_interfaces/msg/Log")
 LOG_ALL: Final = Topic("/play_launch/log/all", "rcl_interfaces/msg/Log")
 
-ALL_TOPICS: Final = (COMPONENT_EVENTS, PROCESS_EVENTS, STATES, GRAPH, OUTPUT, LOG, LOG_ALL)
+ALL_TOPICS: Final = (COMPONENT_EVENTS, STATES, GRAPH, OUTPUT, LOG, LOG_ALL)

@@ -20,7 +20,14 @@ ROOT = Path(__file__).resolve().parents[2]
 CONFIG = ROOT / "configs" / "crash_isolation.yaml"
 
 LOADED, UNLOADED, LOAD_FAILED, CRASHED, LOADING = range(5)
-STARTED, READY, EXITED, RESTARTING, GAVE_UP, STOPPING = range(6)
+STARTED, READY, EXITED, RESTARTING, STOPPING = [
+    "started",
+    "ready",
+    "exited",
+    "restarting",
+    "stopping",
+]
+NODE, CONTAINER, PROCESS = range(3)
 
 NEIGHBOURS = {"/talker", "/listener", "/camera", "/detector"}
 
@@ -161,14 +168,20 @@ def test_the_recording_tells_it_all(crashing: Replay) -> None:
     assert len(by_node["/unlucky"]) == len(components(crashing, "/unlucky", "crashed"))
     assert {each.signal for each in by_node["/unlucky"]} == {signal.SIGSEGV}
     assert all(each.backtrace and each.pid and each.start_time for each in crashes)
-    ready = [each for each in bag["/play_launch/process_events"] if each.event_type == READY]
-    (lab,) = [each for each in ready if each.name == "/lab"]
-    assert lab.message.startswith("isolated by ")
-    states = [(each.name, each.msg) for each in bag["/play_launch/states"]]
-    assert any(name == "/hopeless" and text.startswith("gave up") for name, text in states)
-    assert any(
-        name == "/lab" and text.startswith("running (nodes isolated by") for name, text in states
-    )
+    states = bag["/play_launch/states"]
+    (lab,) = [
+        each for each in states if (each.kind, each.name, each.state) == (PROCESS, "/lab", READY)
+    ]
+    assert lab.reason.startswith("isolated by ")
+    (hopeless,) = [each for each in states if each.state == "gave_up"]
+    assert (hopeless.kind, hopeless.name, hopeless.container) == (NODE, "/hopeless", "/lab")
+    assert (hopeless.crashes, hopeless.restarts) == (4, 3)
+    (running,) = [
+        each
+        for each in states
+        if (each.kind, each.name, each.state) == (CONTAINER, "/lab", "running")
+    ]
+    assert running.mechanism in {"shared_memory", "process"}
 
 
 @pytest.mark.parametrize("listener", ["listener", "far_listener"])
@@ -340,9 +353,9 @@ def test_a_frozen_container_is_killed_and_comes_back_with_its_nodes(
         replay.read_all()
     assert replay.process.returncode == 128 + signal.SIGTERM
     chain = [
-        each.event_type
-        for each in read_bag(replay.bag)["/play_launch/process_events"]
-        if each.name == "/victim"
+        each.state
+        for each in read_bag(replay.bag)["/play_launch/states"]
+        if each.kind == PROCESS and each.name == "/victim"
     ]
     assert chain == [
         *(STARTED, READY, STOPPING, EXITED, RESTARTING),

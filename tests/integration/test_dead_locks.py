@@ -14,7 +14,14 @@ from rosbags.highlevel import AnyReader
 
 from tests.support.replay import Replay, alive, replaying
 
-STARTED, READY, EXITED, RESTARTING, GAVE_UP, STOPPING = range(6)
+STARTED, READY, EXITED, RESTARTING, STOPPING = [
+    "started",
+    "ready",
+    "exited",
+    "restarting",
+    "stopping",
+]
+PROCESS = 2
 
 CONFIG = """
 version: 1
@@ -125,10 +132,11 @@ def test_a_container_whose_living_nodes_wait_for_a_dead_one_is_started_anew(
     ]
     with AnyReader([replay.bag]) as reader:
         chain = [
-            message.event_type
+            message.state
             for connection, _, raw in reader.messages()
-            if connection.topic == "/play_launch/process_events"
+            if connection.topic == "/play_launch/states"
             and (message := read(reader, raw, connection.msgtype)).name == "/lab"
+            and message.kind == PROCESS
         ]
     assert chain == [
         *(STARTED, READY, STOPPING, EXITED, RESTARTING),

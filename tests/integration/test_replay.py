@@ -24,7 +24,9 @@ ROOT = Path(__file__).resolve().parents[2]
 DEMO = ROOT / "configs" / "demo.yaml"
 
 LOADED, UNLOADED, LOAD_FAILED, CRASHED, LOADING = range(5)
-STARTED, READY, EXITED, RESTARTING, GAVE_UP, STOPPING = range(6)
+STARTED, READY, STOPPING, EXITED = "started", "ready", "stopping", "exited"
+GAVE_UP = "gave_up"
+PROCESS = 2
 
 
 def write(path: Path, text: str) -> Path:
@@ -75,10 +77,10 @@ def test_the_demo_runs_talks_and_stops_and_its_recording_tells_the_story(tmp_pat
     assert len(by_node) == 8
     for node, kinds in by_node.items():
         assert kinds == [LOADING, LOADED, UNLOADED], node
-    processes = bag["/play_launch/process_events"]
-    by_process: dict[str, list[int]] = {}
+    processes = [each for each in bag["/play_launch/states"] if each.kind == PROCESS]
+    by_process: dict[str, list[str]] = {}
     for each in processes:
-        by_process.setdefault(each.name, []).append(each.event_type)
+        by_process.setdefault(each.name, []).append(each.state)
     assert by_process == {
         name: [STARTED, READY, STOPPING, EXITED]
         for name in ("/chat", "/sensing/camera", "/monitor")
@@ -220,9 +222,9 @@ def test_a_dead_container_comes_back_with_its_nodes_within_bounds(tmp_path: Path
         replay.read_all()
     assert replay.process.returncode == 128 + signal.SIGTERM
     kinds = Counter(
-        each.event_type
-        for each in read_bag(replay.bag)["/play_launch/process_events"]
-        if each.name == "/victim"
+        each.state
+        for each in read_bag(replay.bag)["/play_launch/states"]
+        if each.kind == PROCESS and each.name == "/victim"
     )
     assert kinds[STARTED] == 3
     assert kinds[GAVE_UP] == 1

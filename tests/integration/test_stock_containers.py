@@ -103,7 +103,7 @@ def test_real_components_are_loaded_talk_and_are_recorded(tmp_path: Path) -> Non
     assert ready["message"].startswith("stock, rmw_fastrtps_cpp, domain ")
     with replay.bag.open("rb") as bag:
         topics = {channel.topic for _, channel, _ in make_reader(bag).iter_messages()}
-    assert {"/play_launch/events", "/play_launch/process_events"} <= topics
+    assert {"/play_launch/events", "/play_launch/states"} <= topics
 
 
 def test_a_killed_container_comes_back_with_its_nodes(tmp_path: Path) -> None:

@@ -13,6 +13,15 @@ from mcap.stream_reader import StreamReader
 from rosbags.highlevel import AnyReader
 from zstandard import ZstdError
 
+from play_launch.core.events import (
+    ContainerState,
+    ContainerStateChanged,
+    NodeState,
+    NodeStateChanged,
+    ProcessEvent,
+    ProcessEventKind,
+)
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
@@ -66,3 +75,45 @@ def raw_messages(path: Path, topic: str) -> list[Message]:
         elif isinstance(record, Message) and record.channel_id in channels:
             found.append(record)
     return found
+
+
+def state_event(message: Any) -> NodeStateChanged | ContainerStateChanged | ProcessEvent:
+    """The event that a ``play_launch_msgs/StateEvent`` records."""
+    stamp_ns = message.stamp.sec * 1_000_000_000 + message.stamp.nanosec
+    if message.kind == message.NODE:
+        return NodeStateChanged(
+            stamp_ns=stamp_ns,
+            container=message.container,
+            node=message.name,
+            index=message.index,
+            state=NodeState[message.state.upper()],
+            elapsed_ns=message.elapsed_ns,
+            reason=message.reason,
+            pid=message.pid,
+            cpu_time_ns=message.cpu_time_ns,
+            unique_id=message.unique_id,
+            attempt=message.attempt,
+            crashes=message.crashes,
+            reloads=message.restarts,
+        )
+    if message.kind == message.CONTAINER:
+        return ContainerStateChanged(
+            stamp_ns=stamp_ns,
+            container=message.name,
+            state=ContainerState[message.state.upper()],
+            reason=message.reason,
+            mechanism=message.mechanism,
+        )
+    assert message.kind == message.PROCESS
+    return ProcessEvent(
+        stamp_ns=stamp_ns,
+        kind=ProcessEventKind[message.state.upper()],
+        name=message.name,
+        pid=message.pid,
+        start_time=message.start_time,
+        exit_code=message.exit_code,
+        signal=message.signal,
+        restarts=message.restarts,
+        message=message.reason,
+        command=tuple(message.command),
+    )

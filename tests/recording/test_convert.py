@@ -1,19 +1,15 @@
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import pytest
 from play_launch_msgs.msg import ComponentEvent as ComponentMessage
-from play_launch_msgs.msg import ProcessEvent as ProcessMessage
 from rcl_interfaces.msg import Log
 from rclpy.serialization import deserialize_message
 
 from play_launch.core.events import (
     ComponentEvent,
     ComponentEventKind,
-    ContainerState,
-    ContainerStateChanged,
     LogRecord,
     NodeState,
     NodeStateChanged,
@@ -23,16 +19,13 @@ from play_launch.core.events import (
     RunEvent,
     Stream,
 )
-from play_launch.recording.convert import Converter, is_failure
+from play_launch.recording.convert import convert, is_failure
 
 STAMP = 1_700_000_000_123_456_789
 
 
 def converted(event: RunEvent, message_type: type = Log) -> dict[str, Any]:
-    return {
-        topic.name: deserialize_message(data, message_type)
-        for topic, data in Converter().convert(event)
-    }
+    return {topic.name: deserialize_message(data, message_type) for topic, data in convert(event)}
 
 
 def line(text: str, stream: Stream = Stream.STDOUT) -> OutputLine:
@@ -135,90 +128,6 @@ def test_component_events_keep_every_field() -> None:
         assert getattr(message, name) == getattr(event, name), name
 
 
-def test_process_events_keep_every_field() -> None:
-    event = ProcessEvent(
-        stamp_ns=STAMP,
-        kind=ProcessEventKind.RESTARTING,
-        name="/c",
-        pid=44,
-        start_time=2**50,
-        exit_code=1,
-        signal=9,
-        restarts=2,
-        message="again in 100 ms",
-        command=("a", "b c"),
-    )
-    message = converted(event, ProcessMessage)["/play_launch/process_events"]
-    assert message.event_type == ProcessMessage.RESTARTING
-    assert (message.stamp.sec, message.stamp.nanosec) == divmod(STAMP, 10**9)
-    assert message.command == ["a", "b c"]
-    for name in ["name", "pid", "start_time", "exit_code", "signal", "restarts", "message"]:
-        assert getattr(message, name) == getattr(event, name), name
-
-
-def test_states_of_nodes_and_containers_are_readable() -> None:
-    slow = NodeStateChanged(
-        stamp_ns=STAMP,
-        container="/c",
-        node="/n",
-        index=4,
-        state=NodeState.LOADING,
-        elapsed_ns=12_500_000_000,
-        pid=9,
-        cpu_time_ns=3_000_000_000,
-        unique_id=1,
-        attempt=2,
-        reason="its constructor runs",
-    )
-    message = converted(slow)["/play_launch/states"]
-    assert (message.name, message.file, message.function, message.line) == (
-        "/n",
-        "/c",
-        "loading",
-        4,
-    )
-    assert message.msg == (
-        "loading for 12.500 s (pid 9, unique_id 1, attempt 2, cpu 3.0 s): its constructor runs"
-    )
-    done = replace(slow, state=NodeState.LOADED, reason="")
-    assert converted(done)["/play_launch/states"].msg == (
-        "loaded (pid 9, unique_id 1, attempt 2, cpu 3.0 s, 12.500 s after the load was sent)"
-    )
-    ended = ContainerStateChanged(
-        stamp_ns=STAMP, container="/c", state=ContainerState.GAVE_UP, reason="5 restarts in 60 s"
-    )
-    message = converted(ended)["/play_launch/states"]
-    assert (message.level, message.msg) == (40, "gave up: 5 restarts in 60 s")
-
-
-def test_crashes_and_how_nodes_are_isolated_are_in_the_states() -> None:
-    given_up = NodeStateChanged(
-        stamp_ns=STAMP,
-        container="/c",
-        node="/n",
-        index=0,
-        state=NodeState.GAVE_UP,
-        pid=9,
-        crashes=4,
-        reloads=3,
-        reason="exited with signal 11 (SIGSEGV)",
-    )
-    assert is_failure(given_up)
-    message = converted(given_up)["/play_launch/states"]
-    assert (message.level, message.msg) == (
-        40,
-        "gave up (pid 9, crashes 4, reloads 3): exited with signal 11 (SIGSEGV)",
-    )
-    running = ContainerStateChanged(
-        stamp_ns=STAMP,
-        container="/c",
-        state=ContainerState.RUNNING,
-        mechanism="shared_memory",
-    )
-    message = converted(running)["/play_launch/states"]
-    assert message.msg == "running (nodes isolated by shared_memory)"
-
-
 def component(kind: ComponentEventKind) -> ComponentEvent:
     return ComponentEvent(
         stamp_ns=STAMP,
@@ -239,5 +148,9 @@ def test_failures_are_told_from_the_rest() -> None:
     assert not is_failure(exited)
     killed = ProcessEvent(stamp_ns=STAMP, kind=ProcessEventKind.EXITED, name="/c", signal=9)
     assert is_failure(killed)
+    given_up = NodeStateChanged(
+        stamp_ns=STAMP, container="/c", node="/n", index=0, state=NodeState.GAVE_UP
+    )
+    assert is_failure(given_up)
     assert is_failure(LogRecord(stamp_ns=STAMP, level=40, name="n", message="m"))
     assert not is_failure(line("[ERROR] lines are looked at when they are written"))

@@ -135,10 +135,10 @@ def test_every_event_is_read_back_by_rosbags(tmp_path: Path) -> None:
     assert summary.bytes == summary.path.stat().st_size
     found = messages(summary.path)
     assert [(read.topic, read.type_name.rpartition("/")[2]) for read in found] == [
-        ("/play_launch/process_events", "ProcessEvent"),
-        ("/play_launch/states", "Log"),
+        ("/play_launch/states", "StateEvent"),
+        ("/play_launch/states", "StateEvent"),
         ("/play_launch/events", "ComponentEvent"),
-        ("/play_launch/states", "Log"),
+        ("/play_launch/states", "StateEvent"),
         ("/play_launch/output", "Log"),
         ("/play_launch/log/all", "Log"),
         ("/play_launch/log/all", "Log"),

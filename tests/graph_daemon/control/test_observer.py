@@ -18,7 +18,7 @@ from play_launch.graph_daemon.contract import LISTENING
 from play_launch.graph_daemon.control.observer import FORSAKEN, changes, observed_graph
 from play_launch.graph_daemon.control.start_stop import start_daemon, stop_daemon
 from play_launch.graph_daemon.control.takeover import Kind, look
-from play_launch.recording.convert import Converter
+from play_launch.recording.convert import convert
 from tests.graph_daemon.control.occupants import occupied
 from tests.support.ros import Probe
 
@@ -61,7 +61,7 @@ def test_changes_lead_from_one_list_to_the_other(before: Counter[str], now: Coun
 
 def test_a_change_is_recorded_in_words() -> None:
     event = GraphChanged(stamp_ns=1, appeared=("/a", "/b"), vanished=("/c",), nodes=2)
-    (recorded,) = Converter().convert(event)
+    (recorded,) = convert(event)
     assert recorded.topic.name == "/play_launch/graph"
     assert b"appeared /a, /b; vanished /c; 2 nodes" in recorded.data
 
