@@ -40,6 +40,7 @@ from play_launch.install.ros import (
 from play_launch.process.child import SpawnError, spawn
 from play_launch.process.guard import SessionGuard
 from play_launch.process.identity import read_stat
+from play_launch.process.machine import shared_memory_problem, shared_memory_room
 from play_launch.process.stop import StopPolicy, stop
 from play_launch.wire.channel import ControlChannel, control_pair
 from play_launch.wire.codec import preload
@@ -157,6 +158,9 @@ class NativeLauncher:
         ros = ros_installation()
         container, guard = component_container(), spawn_guard()
         preload()
+        uses_fastdds = _uses_fastdds(config)
+        if uses_fastdds:
+            _complain_of_shared_memory(config)
         limits = config.stop
         policy = StopPolicy(ask=limits.ask, sigint=limits.sigint, sigterm=limits.sigterm)
         return cls(
@@ -167,7 +171,7 @@ class NativeLauncher:
             parameters=ParameterFiles(config.nodes),
             stock=StockContainers.of(config),
             allocator=_allocator(config),
-            uses_fastdds=_uses_fastdds(config),
+            uses_fastdds=uses_fastdds,
         )
 
     def hello(self) -> Hello:
@@ -344,6 +348,14 @@ def _uses_fastdds(config: ReplayConfig) -> bool:
         *(each.environment for each in config.nodes),
     )
     return any(asks_for_fastdds({**os.environ, **each}) for each in declared)
+
+
+def _complain_of_shared_memory(config: ReplayConfig) -> None:
+    processes = len(config.containers) + len(config.nodes)
+    isolated = (each for each in config.containers if each.container_type.is_isolated)
+    participants = processes + sum(len(each.composable_nodes) for each in isolated)
+    if problem := shared_memory_problem(shared_memory_room(), participants):
+        _log.warning("%s", problem)
 
 
 def _allocator(config: ReplayConfig) -> Path | None:

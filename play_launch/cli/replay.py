@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import os
 from datetime import datetime
@@ -56,6 +57,7 @@ def replay(
     With a mistake in the configuration nothing is started; every problem is named with its place.
     """
     loaded = _load(config, duration)
+    _require_machine()
     _require_ros()
     _require_log_folder(loaded)
     _require_time_zone()
@@ -100,6 +102,38 @@ def _require_time_zone() -> None:
         datetime.now().astimezone()
     except ValueError:
         fail(f"TZ={os.environ.get('TZ', '')} is no time zone: it is a day or more away from UTC")
+
+
+def _require_machine() -> None:
+    from play_launch.process.machine import (  # noqa: PLC0415
+        ADDRESS_SPACE_FIX,
+        PROC_FIX,
+        SHARED_MEMORY_FIX,
+        address_space,
+        address_space_problem,
+        full_shared_memory,
+        proc_problem,
+        shared_memory_room,
+    )
+
+    if problem := proc_problem():
+        fail(f"{problem}; nothing was started; fix: {PROC_FIX}")
+    if problem := address_space_problem(address_space()):
+        fail(f"{problem}; nothing was started; fix: {ADDRESS_SPACE_FIX}")
+    if full_shared_memory(shared_memory_room()):
+        _sweep()
+        if problem := full_shared_memory(shared_memory_room()):
+            fail(f"{problem}; nothing was started; fix: {SHARED_MEMORY_FIX}")
+
+
+def _sweep() -> None:
+    """Remove what dead processes left of Fast DDS, which may be what fills shared memory."""
+    import asyncio  # noqa: PLC0415
+
+    from play_launch.fastdds.shared_memory import sweep_shared_memory  # noqa: PLC0415
+
+    with contextlib.suppress(OSError):
+        asyncio.run(sweep_shared_memory())
 
 
 def _require_ros() -> None:

@@ -64,6 +64,8 @@ class KernelFacts:
 
     release: str
     has_pidfd: bool
+    proc_problem: str = ""
+    """Why ``/proc`` does not show us."""
     cgroup: str = ""
     """Folder of our own control group, version 2; empty where there is none."""
     cgroup_is_writable: bool = False
@@ -85,6 +87,7 @@ class LimitFacts:
     nproc: Limit
     core: Limit
     memlock: Limit
+    address_space: Limit
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -39,6 +39,13 @@ from play_launch.install.ros import (
     ament_prefixes,
     ros_installation,
 )
+from play_launch.process.machine import (
+    address_space,
+    address_space_problem,
+    full_shared_memory,
+    proc_problem,
+    shared_memory_room,
+)
 from play_launch.recording.facts import versions
 from play_launch.recording.session import default_log_folder
 
@@ -78,6 +85,11 @@ def gather() -> MachineFacts:
     ros = _ros(installation, problem, os.environ)
     if installation is None:
         container = ContainerFacts(problem="it cannot be asked without ROS")
+    elif address_space_problem(address_space()):
+        container = ContainerFacts(problem="it is not asked: the address space is too small")
+    elif full_shared_memory(shared_memory_room()):
+        # The messages that it speaks would be the end of this process.
+        container = ContainerFacts(problem="it is not asked: shared memory is full")
     else:
         with _middleware(ros.rmw_in_use):
             container = probe_container(installation, os.environ)
@@ -193,6 +205,7 @@ def _kernel() -> KernelFacts:
     return KernelFacts(
         release=platform.release(),
         has_pidfd=has_pidfd,
+        proc_problem=proc_problem(),
         cgroup=cgroup,
         cgroup_is_writable=is_writable,
     )
@@ -204,6 +217,7 @@ def _limits() -> LimitFacts:
         nproc=_limit(resource.RLIMIT_NPROC),
         core=_limit(resource.RLIMIT_CORE),
         memlock=_limit(resource.RLIMIT_MEMLOCK),
+        address_space=_limit(resource.RLIMIT_AS),
     )
 
 

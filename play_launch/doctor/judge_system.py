@@ -6,8 +6,18 @@ from typing import TYPE_CHECKING, Final
 
 from play_launch.doctor.finding import Finding, fail, ok, warn
 from play_launch.fastdds.middleware import is_fastdds
+from play_launch.process.machine import (
+    ADDRESS_SPACE_FIX,
+    PROC_FIX,
+    SHARED_MEMORY_FIX,
+    Room,
+    address_space_problem,
+    full_shared_memory,
+)
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from play_launch.doctor.facts import (
         KernelFacts,
         Limit,
@@ -21,6 +31,8 @@ ENOUGH_FILES: Final = 4096
 """A system of 150 processes needs some ten for each in the supervisor, and hundreds in a node."""
 ENOUGH_PROCESSES: Final = 4096
 """Threads count: a DDS participant has about ten."""
+ENOUGH_ADDRESS_SPACE: Final = 8 * 1024**3
+"""The nodes of an isolated container have one, and each thread reserves 8 MiB or more of it."""
 ENOUGH_SHARED_MEMORY: Final = 256 * 1024**2
 """Fast DDS takes half a megabyte for each participant, and large messages take their own size."""
 ENOUGH_DISK: Final = 1024**3
@@ -50,12 +62,18 @@ def judge_kernel(facts: KernelFacts) -> list[Finding]:
                 "use Linux 5.3 or newer, where nothing (seccomp) forbids pidfd_open",
             )
         ]
-    return [ok("kernel", f"Linux {facts.release}"), ok("control groups", _cgroup(facts))]
+    findings = [ok("kernel", f"Linux {facts.release}"), ok("control groups", _cgroup(facts))]
+    if facts.proc_problem:
+        findings.append(fail("/proc", facts.proc_problem, "nothing can be started", PROC_FIX))
+    else:
+        findings.append(ok("/proc", "mounted"))
+    return findings
 
 
 def judge_limits(facts: LimitFacts) -> list[Finding]:
     """Judge the limits of getrlimit(2)."""
     findings = [
+        _address_space(facts.address_space),
         _at_least(
             "open files",
             facts.nofile,
@@ -90,6 +108,11 @@ def judge_shared_memory(facts: SharedMemoryFacts, rmw: str = "") -> list[Finding
         facts: What was found.
         rmw: The middleware in use; empty where it is not known.
     """
+    room = None
+    if facts.total is not None and facts.free is not None:
+        room = Room(facts.total, facts.free)
+    if problem := full_shared_memory(room):
+        return [fail("shared memory", problem, "nothing can be started", SHARED_MEMORY_FIX)]
     if rmw and not is_fastdds(rmw):
         return [ok("shared memory", f"not judged: {rmw} is in use, and it is Fast DDS's matter")]
     if not facts.is_writable or facts.total is None or facts.free is None:
@@ -108,7 +131,7 @@ def judge_shared_memory(facts: SharedMemoryFacts, rmw: str = "") -> list[Finding
                 "shared memory",
                 says,
                 "when it is full, participants cannot be created and large messages are lost",
-                "in docker: --shm-size 1g; else mount -o remount,size=1g /dev/shm",
+                SHARED_MEMORY_FIX,
             )
         ]
     else:
@@ -154,6 +177,20 @@ def judge_recording(facts: RecordingFacts) -> list[Finding]:
         ]
     room = "" if facts.free is None else f", {_size(facts.free)} free"
     return [ok("recordings", f"{facts.folder}{room}")]
+
+
+def _address_space(limit: Limit) -> Finding:
+    problem = address_space_problem(limit.soft)
+    if problem:
+        return fail("address space", problem, "nothing can be started", ADDRESS_SPACE_FIX)
+    return _at_least(
+        "address space",
+        limit,
+        ENOUGH_ADDRESS_SPACE,
+        "nodes cannot allocate memory, and fail with std::bad_alloc",
+        ADDRESS_SPACE_FIX,
+        write=_size,
+    )
 
 
 def _cgroup(facts: KernelFacts) -> str:
@@ -243,11 +280,19 @@ def _domain(facts: NetworkFacts) -> Finding:
     return ok("domain", f"{text}, ports {first} to {last}")
 
 
-def _at_least(subject: str, limit: Limit, enough: int, costs: str, way_out: str) -> Finding:
+def _at_least(
+    subject: str,
+    limit: Limit,
+    enough: int,
+    costs: str,
+    way_out: str,
+    *,
+    write: Callable[[int], str] = "{:,}".format,
+) -> Finding:
     if limit.soft is None or limit.soft >= enough:
-        return ok(subject, "unlimited" if limit.soft is None else f"{limit.soft:,}")
-    hard = "unlimited" if limit.hard is None else f"{limit.hard:,}"
-    return warn(subject, f"{limit.soft:,} (at most {hard})", costs, way_out)
+        return ok(subject, "unlimited" if limit.soft is None else write(limit.soft))
+    hard = "unlimited" if limit.hard is None else write(limit.hard)
+    return warn(subject, f"{write(limit.soft)} (at most {hard})", costs, way_out)
 
 
 def _size(size: int | None) -> str:

@@ -19,6 +19,7 @@ from play_launch.process.exit import Exit
 from play_launch.process.guard import Ourselves, Parent, SessionGuard
 from play_launch.process.identity import ProcessIdentity, ProcessStat, read_stat
 from play_launch.process.lines import Line, LineReader
+from play_launch.process.machine import explained
 from play_launch.process.session import session_members, signal_each, wait_all_ended
 
 OutputCallback: TypeAlias = Callable[[Stream, Sequence[Line]], None]
@@ -176,7 +177,7 @@ class Child:
             ended = self._parent.ended(self.pid)
             if ended is None:
                 return  # not yet: the pidfd stays readable and calls again
-            self._exit = ended
+            self._exit = explained(ended)
         except ChildProcessError:
             self._exit = Exit.lost()
         self._loop.remove_reader(self._pidfd)

@@ -13,12 +13,14 @@ class Exit:
 
     `code` is 0 where a signal ended it, `signal` is 0 where none did. Where somebody else took
     the status away, `is_lost` is set and `code` is 255.
+    `hint` is what the machine has to do with it.
     """
 
     code: int = 0
     signal: int = 0
     core_dumped: bool = False
     is_lost: bool = False
+    hint: str = ""
 
     @property
     def ok(self) -> bool:
@@ -43,7 +45,8 @@ class Exit:
         if not self.signal:
             return f"exited with status {self.code}"
         core = ", core dumped" if self.core_dumped else ""
-        return f"exited with signal {self.signal} ({_signal_name(self.signal)}{core})"
+        hint = f": {self.hint}" if self.hint else ""
+        return f"exited with signal {self.signal} ({_signal_name(self.signal)}{core}){hint}"
 
     def __repr__(self) -> str:
         return f"<Exit: {self}>"

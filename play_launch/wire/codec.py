@@ -55,7 +55,12 @@ def preload() -> None:
     Raises:
         ImportError: When rclpy or play_launch_msgs is not there or does not load.
     """
-    _ros()
+    try:
+        _ros()
+    except ImportError:
+        raise
+    except Exception as error:  # rosidl's own type of error is none of ImportError
+        raise ImportError(str(error)) from error
 
 
 def encode_message(message: Message) -> bytes:

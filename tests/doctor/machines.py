@@ -34,7 +34,13 @@ CONTAINER = ContainerFacts(
 )
 KERNEL = KernelFacts(release="6.8.0", has_pidfd=True, cgroup="/x", cgroup_is_writable=True)
 UNLIMITED = Limit(soft=None, hard=None)
-LIMITS = LimitFacts(nofile=UNLIMITED, nproc=UNLIMITED, core=UNLIMITED, memlock=UNLIMITED)
+LIMITS = LimitFacts(
+    nofile=UNLIMITED,
+    nproc=UNLIMITED,
+    core=UNLIMITED,
+    memlock=UNLIMITED,
+    address_space=UNLIMITED,
+)
 SHARED_MEMORY = SharedMemoryFacts(total=8 * GIBIBYTE, free=8 * GIBIBYTE, is_writable=True)
 NETWORK = NetworkFacts(
     loopback_works=True, loopback_has_multicast=True, ephemeral_ports=(32768, 60999)

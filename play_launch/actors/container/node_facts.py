@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 from play_launch.core.events import ComponentEventKind
 from play_launch.core.node_table import NodeInput
 from play_launch.process.exit import Exit
+from play_launch.process.machine import explained
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -51,7 +52,7 @@ def facts_of_event(event: ComponentEvent) -> Facts:
     """Take them from what the container told; the reason of a crash says where it happened."""
     reason = event.error_message
     if event.kind is ComponentEventKind.CRASHED:
-        ending = str(Exit(code=event.exit_code, signal=event.signal))
+        ending = str(explained(Exit(code=event.exit_code, signal=event.signal)))
         reason = f"{ending}: {reason}" if reason else ending
         if event.backtrace:
             reason += f" at {telling_frame(event.backtrace)}"

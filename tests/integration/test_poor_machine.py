@@ -1,0 +1,177 @@
+"""Machines that lack what every system needs: one message with the fix, and nothing started."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from typing import TYPE_CHECKING, Any
+
+import pytest
+import yaml
+
+from tests.support.mounts import NO_PROC, mounted, small_shared_memory
+from tests.support.replay import COMMAND
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+TALKER = {"package": "play_launch_demo", "plugin": "play_launch_demo::Talker", "name": "talker"}
+FILL = "dd if=/dev/zero of=/dev/shm/full bs=4k"
+
+
+def configuration(folder: Path, **values: Any) -> Path:
+    chat = {"name": "chat", "composable_nodes": [TALKER]}
+    path = folder / "robot.yaml"
+    path.write_text(yaml.safe_dump({"version": 1, "containers": [chat], **values}))
+    return path
+
+
+def replay(config: Path, *arguments: str) -> list[object]:
+    return [COMMAND, "replay", config, "--log-dir", config.parent / "logs", *arguments]
+
+
+def run(command: list[Any], **options: Any) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        command, capture_output=True, text=True, check=False, timeout=120, **options
+    )
+
+
+def finding(result: subprocess.CompletedProcess[str], subject: str) -> dict[str, Any]:
+    report = json.loads(result.stdout)["findings"]
+    found: dict[str, Any] = next(each for each in report if each["subject"] == subject)
+    return found
+
+
+def limited(size: int) -> list[str]:
+    code = (
+        "import os, resource, sys; "
+        f"resource.setrlimit(resource.RLIMIT_AS, ({size}, {size})); "
+        "os.execv(sys.argv[1], sys.argv[1:])"
+    )
+    return [sys.executable, "-c", code]
+
+
+def test_without_proc_nothing_is_started(tmp_path: Path) -> None:
+    config = configuration(tmp_path)
+    result = run(mounted(NO_PROC, *replay(config)))
+    assert result.returncode == 2
+    assert result.stderr.count("\n") == 1
+    assert "/proc is not mounted" in result.stderr
+    assert "nothing was started; fix: mount -t proc" in result.stderr
+    assert not (tmp_path / "logs").exists()
+
+
+def test_without_proc_the_doctor_says_so() -> None:
+    result = run(mounted(NO_PROC, COMMAND, "doctor", "--json"))
+    assert result.returncode == 1
+    assert result.stderr == ""
+    assert finding(result, "/proc")["level"] == "fail"
+
+
+SIZES = [pytest.param(size << 20, id=f"{size} MiB") for size in (100, 150, 300, 1023)]
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_with_a_small_address_space_nothing_is_started(tmp_path: Path, size: int) -> None:
+    result = run([*limited(size), *replay(configuration(tmp_path))])
+    assert result.returncode == 2
+    assert result.stderr.count("\n") == 1
+    assert f"limited to {size >> 20:,} MiB (ulimit -v)" in result.stderr
+    assert "nothing was started; fix: ulimit -v unlimited" in result.stderr
+    assert not (tmp_path / "logs").exists()
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_with_a_small_address_space_the_doctor_says_so(size: int) -> None:
+    result = run([*limited(size), COMMAND, "doctor", "--json"])
+    assert result.returncode == 1
+    assert result.stderr == ""
+    assert finding(result, "address space")["level"] == "fail"
+
+
+def test_an_address_space_of_a_gibibyte_is_enough(tmp_path: Path) -> None:
+    result = run([*limited(1 << 30), *replay(configuration(tmp_path), "--duration", "1s")])
+    assert result.returncode == 0, result.stdout + result.stderr
+
+
+def test_little_shared_memory_is_reported_at_the_start(tmp_path: Path) -> None:
+    config = configuration(tmp_path)
+    command = mounted(small_shared_memory("8m"), *replay(config, "--duration", "1s"))
+    result = run(command)
+    assert result.returncode == 0
+    assert "/dev/shm has 8 MiB of 8 MiB free, this system needs 16 MiB" in result.stdout
+    assert "fix: in docker: --shm-size" in result.stdout
+    found = finding(
+        run(mounted(small_shared_memory("8m"), COMMAND, "doctor", "--json")), "shared memory"
+    )
+    assert found["level"] == "warn"
+    assert "8 MiB" in found["says"]
+
+
+def test_enough_shared_memory_is_not_reported(tmp_path: Path) -> None:
+    config = configuration(tmp_path)
+    command = mounted(small_shared_memory("64m"), *replay(config, "--duration", "1s"))
+    assert "/dev/shm" not in run(command).stdout
+
+
+def test_full_shared_memory_is_refused(tmp_path: Path) -> None:
+    mount = f"{small_shared_memory('2m')} && ! {FILL} 2> /dev/null"
+    result = run(mounted(mount, *replay(configuration(tmp_path))))
+    assert result.returncode == 2
+    assert result.stderr.count("\n") == 1
+    assert "/dev/shm is full (0 MiB of 2 MiB free)" in result.stderr
+    assert "nothing was started; fix: in docker" in result.stderr
+    report = run(mounted(mount, COMMAND, "doctor", "--json"))
+    assert report.returncode == 1
+    assert report.stderr == ""
+    assert finding(report, "shared memory")["level"] == "fail"
+
+
+def test_shared_memory_that_the_dead_have_filled_is_cleaned_up(tmp_path: Path) -> None:
+    left = "/dev/shm/fastrtps_0123456789abcdef"
+    fill = f": > {left}_el && ! dd if=/dev/zero of={left} bs=4k 2> /dev/null"
+    mount = f"{small_shared_memory('24m')} && {fill}"
+    result = run(mounted(mount, *replay(configuration(tmp_path), "--duration", "1s")))
+    assert result.returncode == 0, result.stderr
+    assert "/dev/shm" not in result.stdout
+
+
+@pytest.mark.parametrize("kind", ["standard", "isolated", "process"])
+def test_a_death_of_a_bus_error_names_shared_memory_that_is_full(tmp_path: Path, kind: str) -> None:
+    """Whoever dies of it: a container, a node of an isolated one, an ordinary executable."""
+    filler = ["sh", "-c", f"sleep infinity & {FILL}; echo $!; wait"]
+    chat = {"name": "chat", "composable_nodes": [TALKER]}
+    if kind == "isolated":
+        chat["container_type"] = kind
+    config = configuration(
+        tmp_path, containers=[chat], nodes=[{"name": "filler", "command": filler}]
+    )
+    command = mounted(small_shared_memory("8m"), *replay(config, "--json"))
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        pids: dict[str, int] = {}
+        reason = ""
+        assert process.stdout is not None
+        for line in process.stdout:
+            event = json.loads(line)
+            if event["event"] == "process" and event["kind"] == "started":
+                pids["standard" if event["name"] == "/chat" else "process"] = event["pid"]
+            if event["event"] == "node" and event["state"] == "loaded":
+                pids["isolated"] = event["pid"]
+            if event["event"] == "output" and event["text"].isdecimal():
+                pids["full"] = int(event["text"])
+            if pids.keys() >= {"full", "isolated", "standard"} and "sent" not in pids:
+                pids["sent"] = 1
+                os.kill(pids[kind], signal.SIGBUS)
+            if event["event"] == "process" and event["kind"] == "exited" and kind != "isolated":
+                reason = event["message"]
+            if event["event"] == "node" and event["state"] in {"crashed", "requested"}:
+                reason = event["reason"]
+            if "SIGBUS" in reason:
+                process.send_signal(signal.SIGINT)
+                break
+        process.stdout.read()
+    assert "exited with signal 7 (SIGBUS): /dev/shm is full (0 MiB of 8 MiB free); fix:" in reason
