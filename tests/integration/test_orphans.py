@@ -13,6 +13,8 @@ import yaml
 from tests.process.test_guard import ESCAPES, escaping
 from tests.support.replay import Replay, alive, replaying
 
+ESCAPED = 7
+"""Processes that `ESCAPES` let loose."""
 LIMIT = 1.0
 """Seconds from the death of the supervisor to that of everything else."""
 
@@ -80,3 +82,38 @@ def test_an_orderly_stop_leaves_nothing_either(tmp_path: Path) -> None:
         replay.read_all()
         assert replay.process.returncode == 128 + signal.SIGINT
         assert not alive(left)
+
+
+def test_containers_and_their_nodes_do_not_outlive_supervisor_and_guard_killed_together(
+    tmp_path: Path,
+) -> None:
+    """The documented limit: what got away from its parent stays, and nothing else."""
+    config = tmp_path / "config.yaml"
+    values = configuration()
+    containers = values["containers"]
+    containers += [
+        {**each, "name": f"{each['name']}_mt", "container_type": kind, "composable_nodes": []}
+        for each, kind in zip(containers, ("mt", "isolated_mt"), strict=True)
+    ]
+    containers.append({**containers[1], "name": "processes", "isolation": "process"})
+    containers[-1]["composable_nodes"] = [talker("talker_process")]
+    values["nodes"].append({"name": "plain", "command": ["sleep", "600"]})
+    config.write_text(yaml.safe_dump(values), encoding="utf-8")
+    with replaying(config, tmp_path / "logs") as replay:
+        everything = started(replay)
+        (guard,) = psutil.Process(replay.pid).children()
+        direct = guard.children()
+        containers = [each for each in direct if "component_container" in each.cmdline()[0]]
+        assert len(containers) == len(values["containers"])
+        nodes = [node for each in containers for node in each.children(recursive=True)]
+        assert len(nodes) >= 2
+        os.kill(replay.pid, signal.SIGKILL)
+        os.kill(guard.pid, signal.SIGKILL)
+        replay.process.wait()
+        psutil.wait_procs([*direct, *nodes], timeout=LIMIT)
+        left = alive(everything)
+        for each in left:
+            each.kill()
+    gone = [guard, *containers, *nodes]
+    assert not [each for each in left if each in gone]
+    assert len(left) <= ESCAPED, "one that ties itself to nobody, jobs, sessions, a fork, a daemon"
