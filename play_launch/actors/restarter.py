@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import random
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from play_launch.core.crash import CrashPolicy, FollowUp, follow_up
-from play_launch.core.restart import GiveUp, Restart, RestartBounds, RestartHistory, decide
+from play_launch.core.crash import FollowUp, OnCrash, follow_up
+from play_launch.core.restart import GiveUp, Restart, RestartHistory, RestartLimits, decide
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-
-    from play_launch.config.model import OnCrash, RestartLimits
 
 
 class Restarter:
@@ -19,7 +18,7 @@ class Restarter:
 
     def __init__(self, limits: RestartLimits, jitter: Callable[[], float] = random.random) -> None:
         """Take the limits; ``jitter`` gives random numbers in [0, 1)."""
-        self._bounds = _bounds(limits)
+        self._limits = limits
         self._jitter = jitter
         self._history = RestartHistory()
 
@@ -32,7 +31,7 @@ class Restarter:
         """Decide about a death now, after that many seconds of life; see `core.restart`."""
         self._history, verdict = decide(
             self._history,
-            self._bounds,
+            self._limits,
             now=now,
             lived=lived,
             jitter=self._jitter(),
@@ -51,8 +50,8 @@ class CrashFollower:
         jitter: Callable[[], float] = random.random,
     ) -> None:
         """Take policy and limits; ``jitter`` gives random numbers in [0, 1)."""
-        self._policy = CrashPolicy(policy.value)
-        self._bounds = _bounds(limits, first_at_once=True)
+        self._policy = policy
+        self._limits = replace(limits, first_at_once=True)
         self._jitter = jitter
         self._history = RestartHistory()
 
@@ -61,19 +60,9 @@ class CrashFollower:
         self._history, verdict = follow_up(
             self._policy,
             self._history,
-            self._bounds,
+            self._limits,
             now=now,
             lived=lived,
             jitter=self._jitter(),
         )
         return verdict
-
-
-def _bounds(limits: RestartLimits, *, first_at_once: bool = False) -> RestartBounds:
-    return RestartBounds(
-        max_restarts=limits.max_restarts,
-        within=limits.within,
-        initial=limits.initial,
-        maximum=limits.maximum,
-        first_at_once=first_at_once,
-    )

@@ -7,17 +7,17 @@ from play_launch.config.model import (
     ContainerConfig,
     ContainerType,
     Isolation,
-    OnCrash,
     ParameterConfig,
     ParameterPayload,
     ParameterType,
     ParameterValue,
     ProcessConfig,
     ReplayConfig,
-    RestartLimits,
     StopLimits,
 )
 from play_launch.config.problems import ConfigError, Place, Problem
+from play_launch.core.crash import OnCrash
+from play_launch.core.restart import RestartLimits
 
 __all__ = [
     "ComposableNodeConfig",

@@ -5,16 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from play_launch.config.model import ContainerType, OnCrash
 from play_launch.config.restart import merge_restart
+from play_launch.core.crash import OnCrash
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from play_launch.config.model import RestartLimits
+    from play_launch.config.model import ContainerType
     from play_launch.config.report import Report
     from play_launch.config.schema import ComposableNodeSection, ContainerSection, LoadingSection
     from play_launch.config.yaml_tree import Mapping
+    from play_launch.core.restart import RestartLimits
 
 ISOLATED_KEYS: Final = ("isolation", "core_dumps", "auto_reload_on_crash", "on_crash")
 """Keys of containers that say something for isolated ones only."""

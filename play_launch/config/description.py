@@ -16,8 +16,8 @@ if TYPE_CHECKING:
         ParameterPayload,
         ProcessConfig,
         ReplayConfig,
-        RestartLimits,
     )
+    from play_launch.core.restart import RestartLimits
 
 
 def describe(config: ReplayConfig) -> dict[str, object]:

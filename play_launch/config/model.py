@@ -10,6 +10,9 @@ from enum import IntEnum, StrEnum
 from types import MappingProxyType
 from typing import TYPE_CHECKING, TypeAlias
 
+from play_launch.core.crash import OnCrash
+from play_launch.core.restart import RestartLimits
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
@@ -43,15 +46,6 @@ class Isolation(StrEnum):
     """By shared memory where the machine can do it, else by ordinary processes."""
     SHARED_MEMORY = "shared_memory"
     PROCESS = "process"
-
-
-class OnCrash(StrEnum):
-    """What follows when a node of an isolated container crashes."""
-
-    RELOAD = "reload"
-    IGNORE = "ignore"
-    STOP_CONTAINER = "stop_container"
-    SHUTDOWN = "shutdown"
 
 
 class ParameterType(IntEnum):
@@ -98,19 +92,6 @@ class ParameterConfig:
 
 
 @dataclass(frozen=True, slots=True)
-class RestartLimits:
-    """How often something is brought back: at most `max_restarts` times `within` seconds.
-
-    The pause before a restart grows from `initial` to `maximum` seconds.
-    """
-
-    max_restarts: int = 5
-    within: float = 60.0
-    initial: float = 0.1
-    maximum: float = 30.0
-
-
-@dataclass(frozen=True, slots=True)
 class StopLimits:
     """Seconds to wait after asking, after SIGINT and after SIGTERM before going further."""
 
@@ -143,7 +124,7 @@ class ComposableNodeConfig:
     extra_arguments: tuple[ParameterConfig, ...] = ()
     log_level: str | None = None
     on_crash: OnCrash = OnCrash.RELOAD
-    restart: RestartLimits = RestartLimits()
+    restart: RestartLimits = field(default_factory=RestartLimits)
     line: int = 0
 
 
@@ -171,7 +152,7 @@ class ContainerConfig:
     log_level: str | None = None
     environment: Mapping[str, str] = field(default_factory=_no_environment)
     ros_arguments: tuple[str, ...] = ()
-    restart: RestartLimits = RestartLimits()
+    restart: RestartLimits = field(default_factory=RestartLimits)
     loading_timeout: float = 10.0
     probe_timeout: float = 60.0
     composable_nodes: tuple[ComposableNodeConfig, ...] = ()
@@ -199,7 +180,7 @@ class ProcessConfig:
     environment: Mapping[str, str] = field(default_factory=_no_environment)
     ros_arguments: tuple[str, ...] = ()
     respawn: bool = False
-    restart: RestartLimits = RestartLimits()
+    restart: RestartLimits = field(default_factory=RestartLimits)
     log_level: str | None = None
     line: int = 0
 

@@ -17,10 +17,8 @@ from play_launch.config.model import (
     ContainerConfig,
     ContainerType,
     Isolation,
-    OnCrash,
     ProcessConfig,
     ReplayConfig,
-    RestartLimits,
     StopLimits,
 )
 from play_launch.config.names import join_full_name
@@ -32,6 +30,8 @@ from play_launch.config.schema import ContainerSection, DocumentSection, Loading
 from play_launch.config.stock import resolve_stock
 from play_launch.config.validation import items_of, validate_mapping
 from play_launch.config.yaml_tree import Mapping, Node, Sequence
+from play_launch.core.crash import OnCrash
+from play_launch.core.restart import RestartLimits
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING
 
 from play_launch.config.crash import merge_node
 from play_launch.config.environment import resolve_environment
-from play_launch.config.model import ComposableNodeConfig, ProcessConfig, RestartLimits
+from play_launch.config.model import ComposableNodeConfig, ProcessConfig
 from play_launch.config.parameters import resolve_parameters
 from play_launch.config.remappings import resolve_remappings
 from play_launch.config.restart import merge_restart
 from play_launch.config.schema import ComposableNodeSection, ProcessSection
 from play_launch.config.validation import validate_mapping
 from play_launch.config.yaml_tree import Mapping, Node
+from play_launch.core.restart import RestartLimits
 
 if TYPE_CHECKING:
     from collections.abc import Mapping as Variables

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from play_launch.config.model import RestartLimits
+from play_launch.core.restart import RestartLimits
 
 if TYPE_CHECKING:
     from play_launch.config.report import Report

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 from play_launch.core.restart import GiveUp, Restart, decide
 
 if TYPE_CHECKING:
-    from play_launch.core.restart import RestartBounds, RestartHistory
+    from play_launch.core.restart import RestartHistory, RestartLimits
 
 
-class CrashPolicy(StrEnum):
-    """What is wanted; the names are those of ``on_crash`` in the configuration."""
+class OnCrash(StrEnum):
+    """What follows when a node of an isolated container crashes: ``on_crash``."""
 
     RELOAD = "reload"
     IGNORE = "ignore"
@@ -40,9 +40,9 @@ FollowUp = Restart | GiveUp | Ignore | StopContainer | Shutdown
 
 
 def follow_up(
-    policy: CrashPolicy,
+    policy: OnCrash,
     history: RestartHistory,
-    bounds: RestartBounds,
+    bounds: RestartLimits,
     *,
     now: float,
     lived: float,
@@ -54,11 +54,11 @@ def follow_up(
     loaded to the crash, 0 for a reload that failed.
     """
     match policy:
-        case CrashPolicy.RELOAD:
+        case OnCrash.RELOAD:
             return decide(history, bounds, now=now, lived=lived, jitter=jitter)
-        case CrashPolicy.IGNORE:
+        case OnCrash.IGNORE:
             return history, Ignore()
-        case CrashPolicy.STOP_CONTAINER:
+        case OnCrash.STOP_CONTAINER:
             return history, StopContainer()
-        case CrashPolicy.SHUTDOWN:
+        case OnCrash.SHUTDOWN:
             return history, Shutdown()

@@ -24,17 +24,17 @@ CONTEXT_EXIT_CODE: Final = 79
 """Of a container whose nodes share one process, when one of them shut the ROS context down."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RestartBounds:
-    """Times are in seconds."""
+@dataclass(frozen=True, slots=True)
+class RestartLimits:
+    """How often something is started again: at most `max_restarts` times `within` seconds."""
 
-    max_restarts: int
-    within: float
-    """Length of the window; also how long a life is healthy."""
-    initial: float
-    """First pause."""
-    maximum: float
-    """Longest pause."""
+    max_restarts: int = 5
+    within: float = 60.0
+    """Length of the window in seconds; also how long a life is healthy."""
+    initial: float = 0.1
+    """First pause in seconds."""
+    maximum: float = 30.0
+    """Longest pause in seconds."""
     first_at_once: bool = False
     """Whether the first restart after a healthy life comes without a pause."""
 
@@ -66,7 +66,7 @@ class GiveUp:
 
 def decide(
     history: RestartHistory,
-    bounds: RestartBounds,
+    bounds: RestartLimits,
     *,
     now: float,
     lived: float,
@@ -97,7 +97,7 @@ def decide(
     return after, Restart(delay)
 
 
-def _pause(bounds: RestartBounds, streak: int) -> float:
+def _pause(bounds: RestartLimits, streak: int) -> float:
     """Give the full pause after that many restarts without a healthy life in between."""
     if bounds.first_at_once:
         if streak == 0:

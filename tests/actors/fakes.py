@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 from play_launch.config.model import (
     ComposableNodeConfig,
     ContainerConfig,
-    OnCrash,
     ProcessConfig,
     ReplayConfig,
-    RestartLimits,
 )
+from play_launch.core.crash import OnCrash
 from play_launch.core.events import ComponentEvent, ComponentEventKind, Stream
+from play_launch.core.restart import RestartLimits
 from play_launch.process.exit import Exit
 from play_launch.process.lines import Line
 from play_launch.wire.channel import (

@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from play_launch.config.model import OnCrash, RestartLimits
+from play_launch.core.crash import OnCrash
 from play_launch.core.events import (
     ComponentEventKind,
     ContainerState,
     NodeState,
     ProcessEventKind,
 )
+from play_launch.core.restart import RestartLimits
 from play_launch.wire.messages import Load
 
 from .fakes import FakeContainer, FakeLauncher, Held, container, node, system

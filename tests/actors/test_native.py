@@ -24,7 +24,6 @@ from play_launch.config.model import (
     ParameterType,
     ParameterValue,
     ProcessConfig,
-    RestartLimits,
     StopLimits,
 )
 from play_launch.core.events import (
@@ -35,6 +34,7 @@ from play_launch.core.events import (
     ProcessEventKind,
     RunEvent,
 )
+from play_launch.core.restart import RestartLimits
 
 from .fakes import system
 from .running import Running

@@ -12,14 +12,7 @@ import pytest
 
 from play_launch.config import ConfigError, ParameterType, load_config, schema
 from play_launch.config.durations import LONGEST_DURATION, parse_duration
-from play_launch.config.model import (
-    ContainerConfig,
-    ContainerType,
-    Isolation,
-    OnCrash,
-    RestartLimits,
-    StopLimits,
-)
+from play_launch.config.model import ContainerConfig, ContainerType, Isolation, StopLimits
 from play_launch.config.names import (
     LONGEST_FULL_NAME,
     LONGEST_NAMESPACE,
@@ -28,6 +21,8 @@ from play_launch.config.names import (
 )
 from play_launch.config.source import LARGEST_FILE
 from play_launch.config.yaml_composer import ARRAY_TAGS, DEEPEST, MOST_VALUES
+from play_launch.core.crash import OnCrash
+from play_launch.core.restart import RestartLimits
 from play_launch.core.watchdog import WatchLimits
 
 REFERENCE = Path(__file__).parents[2] / "docs" / "config.md"

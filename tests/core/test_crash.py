@@ -5,18 +5,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from play_launch.core.crash import (
-    CrashPolicy,
     FollowUp,
     Ignore,
+    OnCrash,
     Shutdown,
     StopContainer,
     follow_up,
 )
-from play_launch.core.restart import GiveUp, Restart, RestartBounds, RestartHistory
+from play_launch.core.restart import GiveUp, Restart, RestartHistory, RestartLimits
 
 JITTER = st.floats(0, 1, exclude_max=True)
 BOUNDS = st.builds(
-    RestartBounds,
+    RestartLimits,
     max_restarts=st.integers(0, 6),
     within=st.floats(0.1, 100),
     initial=st.floats(0.001, 2),
@@ -28,14 +28,14 @@ BOUNDS = st.builds(
 @pytest.mark.parametrize(
     ("policy", "expected"),
     [
-        (CrashPolicy.IGNORE, Ignore()),
-        (CrashPolicy.STOP_CONTAINER, StopContainer()),
-        (CrashPolicy.SHUTDOWN, Shutdown()),
+        (OnCrash.IGNORE, Ignore()),
+        (OnCrash.STOP_CONTAINER, StopContainer()),
+        (OnCrash.SHUTDOWN, Shutdown()),
     ],
 )
 @given(bounds=BOUNDS, lived=st.floats(0, 1000), jitter=JITTER)
 def test_only_a_reload_uses_up_restarts(
-    policy: CrashPolicy, expected: FollowUp, bounds: RestartBounds, lived: float, jitter: float
+    policy: OnCrash, expected: FollowUp, bounds: RestartLimits, lived: float, jitter: float
 ) -> None:
     before = RestartHistory(recent=(1.0,), streak=2, total=3)
     assert follow_up(policy, before, bounds, now=5.0, lived=lived, jitter=jitter) == (
@@ -46,7 +46,7 @@ def test_only_a_reload_uses_up_restarts(
 
 @given(BOUNDS, st.lists(st.tuples(st.floats(0, 1.5), JITTER), max_size=60))
 def test_reloads_are_bounded_and_the_first_after_a_healthy_life_is_at_once(
-    bounds: RestartBounds, lives: list[tuple[float, float]]
+    bounds: RestartLimits, lives: list[tuple[float, float]]
 ) -> None:
     reloads: list[float] = []
     history, now, unwell = RestartHistory(), 0.0, 0
@@ -56,7 +56,7 @@ def test_reloads_are_bounded_and_the_first_after_a_healthy_life_is_at_once(
         if lived >= bounds.within:
             unwell = 0
         history, verdict = follow_up(
-            CrashPolicy.RELOAD, history, bounds, now=now, lived=lived, jitter=jitter
+            OnCrash.RELOAD, history, bounds, now=now, lived=lived, jitter=jitter
         )
         if isinstance(verdict, GiveUp):
             recent = [due for due in reloads if now - due < bounds.within]
@@ -76,8 +76,6 @@ def test_reloads_are_bounded_and_the_first_after_a_healthy_life_is_at_once(
 
 
 def test_reloading_can_be_switched_off() -> None:
-    never = RestartBounds(max_restarts=0, within=60.0, initial=0.1, maximum=1.0)
-    _, verdict = follow_up(
-        CrashPolicy.RELOAD, RestartHistory(), never, now=0.0, lived=5.0, jitter=0.0
-    )
+    never = RestartLimits(max_restarts=0, within=60.0, initial=0.1, maximum=1.0)
+    _, verdict = follow_up(OnCrash.RELOAD, RestartHistory(), never, now=0.0, lived=5.0, jitter=0.0)
     assert isinstance(verdict, GiveUp)

@@ -8,13 +8,13 @@ from hypothesis import strategies as st
 from play_launch.core.restart import (
     GiveUp,
     Restart,
-    RestartBounds,
     RestartHistory,
+    RestartLimits,
     decide,
 )
 
 BOUNDS = st.builds(
-    RestartBounds,
+    RestartLimits,
     max_restarts=st.integers(0, 6),
     within=st.floats(0.1, 100),
     initial=st.floats(0.001, 2),
@@ -25,7 +25,7 @@ JITTER = st.floats(0, 1, exclude_max=True)
 
 @given(BOUNDS, st.lists(st.tuples(st.floats(0, 0.6), JITTER), max_size=60))
 def test_no_window_holds_more_restarts_than_allowed(
-    bounds: RestartBounds, lives: list[tuple[float, float]]
+    bounds: RestartLimits, lives: list[tuple[float, float]]
 ) -> None:
     history, now, restarts = RestartHistory(), 0.0, []
     for part, jitter in lives:
@@ -44,7 +44,7 @@ def test_no_window_holds_more_restarts_than_allowed(
 
 @given(BOUNDS, st.lists(st.tuples(st.floats(0, 100), st.booleans()), max_size=40))
 def test_what_does_not_count_always_restarts_and_uses_nothing_up(
-    bounds: RestartBounds, deaths: list[tuple[float, bool]]
+    bounds: RestartLimits, deaths: list[tuple[float, bool]]
 ) -> None:
     """A history with uncounted deaths decides about the counted ones as one without them."""
     everything, counted = RestartHistory(), RestartHistory()
@@ -64,7 +64,7 @@ def test_what_does_not_count_always_restarts_and_uses_nothing_up(
 
 
 def test_pauses_grow_to_the_maximum_and_start_anew_after_a_healthy_life() -> None:
-    bounds = RestartBounds(max_restarts=100, within=60.0, initial=0.1, maximum=1.0)
+    bounds = RestartLimits(max_restarts=100, within=60.0, initial=0.1, maximum=1.0)
     history, delays = RestartHistory(), []
     for _ in range(6):
         history, verdict = decide(history, bounds, now=0.0, lived=0.0, jitter=0.0)
@@ -76,7 +76,7 @@ def test_pauses_grow_to_the_maximum_and_start_anew_after_a_healthy_life() -> Non
 
 
 def test_the_first_restart_can_be_at_once() -> None:
-    bounds = RestartBounds(
+    bounds = RestartLimits(
         max_restarts=100, within=60.0, initial=0.1, maximum=0.3, first_at_once=True
     )
     history, delays = RestartHistory(), []
@@ -88,6 +88,6 @@ def test_the_first_restart_can_be_at_once() -> None:
 
 
 def test_giving_up_says_why() -> None:
-    never = RestartBounds(max_restarts=0, within=60.0, initial=0.1, maximum=1.0)
+    never = RestartLimits(max_restarts=0, within=60.0, initial=0.1, maximum=1.0)
     _, verdict = decide(RestartHistory(), never, now=0.0, lived=5.0, jitter=0.0)
     assert verdict == GiveUp("restarting is switched off")

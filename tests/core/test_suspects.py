@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from play_launch.core.restart import Restart, RestartBounds, RestartHistory, decide
+from play_launch.core.restart import Restart, RestartHistory, RestartLimits, decide
 from play_launch.core.suspects import MOST_DEATHS, Stage, Suspects
 
 NODES = range(6)
@@ -76,7 +76,7 @@ def test_every_innocent_node_is_loaded_and_the_deaths_are_bounded(
     """A container of which any node that is being loaded may bring the end first."""
     suspects = Suspects()
     history = RestartHistory()
-    once = RestartBounds(max_restarts=1, within=60.0, initial=0.1, maximum=1.0)
+    once = RestartLimits(max_restarts=1, within=60.0, initial=0.1, maximum=1.0)
     deaths = 0
     loaded: set[int] = set()
     probing: list[int] = []

@@ -11,7 +11,8 @@ PACKAGE = Path(__file__).resolve().parents[2] / "play_launch"
 
 # From the bottom up. A package may import those of lower layers, never its neighbours.
 LAYERS = (
-    {"core", "config", "fastdds"},
+    {"core"},
+    {"config", "fastdds"},
     {"wire", "install", "process", "recording", "ros"},
     {"actors", "graph_daemon", "ros2cli_patch"},
     {"reporting", "doctor"},
