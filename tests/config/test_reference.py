@@ -136,13 +136,17 @@ def test_keys_of_restart() -> None:
     assert sorted(listed) == sorted(keys)
 
 
+NOT_WRITTEN = {"first_at_once"}
+"""Fields that no key sets: whose limits they are says it."""
+
+
 @pytest.mark.parametrize(
     ("title", "defaults"), [("stop", StopLimits()), ("restart", RestartLimits())]
 )
 def test_defaults(title: str, defaults: StopLimits | RestartLimits) -> None:
     listed = re.findall(r"^\| `(\w+)` \|.*\| ([\d.]+ ?\w*) \|$", section(title), re.MULTILINE)
     assert {key: parse_duration(written) for key, written in listed} == {
-        key: getattr(defaults, key) for key in defaults.__slots__
+        key: getattr(defaults, key) for key in defaults.__slots__ if key not in NOT_WRITTEN
     }
 
 
