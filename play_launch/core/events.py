@@ -11,7 +11,7 @@ Units: ``stamp_ns`` is wall-clock time in nanoseconds since the epoch; ``elapsed
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
 from typing import Final, Protocol
 
@@ -103,6 +103,8 @@ class ComponentEvent:
     ``"status"`` and ``"list_nodes"``: it was asked, by the control channel or the service of that
     name. ``"probe"``: a scratch process loaded the library. ``"supervisor"``: it was decided by us.
     """
+    received: bytes = field(default=b"", compare=False, repr=False)
+    """The message in CDR as its container sent it, for the recording; else empty."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -93,7 +93,8 @@ def convert(event: RunEvent) -> tuple[Recorded, ...]:
             data = message(_STATE_FIELDS, _state_values(state_of(event)))
             return (Recorded(topics.STATES, data),)
         case ComponentEvent():
-            data = message(_COMPONENT_FIELDS, _component_values(event))
+            # As its container sent it, if one did.
+            data = event.received or message(_COMPONENT_FIELDS, _component_values(event))
             return (Recorded(topics.COMPONENT_EVENTS, data),)
         case GraphChanged():
             return (Recorded(topics.GRAPH, _graph(event)),)

@@ -23,9 +23,7 @@ from play_launch.wire.frames import (
 from play_launch.wire.messages import (
     Cancel,
     Hello,
-    Incoming,
     Load,
-    Outgoing,
     Query,
     Shutdown,
     Unload,
@@ -33,6 +31,8 @@ from play_launch.wire.messages import (
 
 if TYPE_CHECKING:
     from types import TracebackType
+
+    from play_launch.wire.messages import Incoming, Outgoing
 
 CONTROL_FD_VARIABLE = "PLAY_LAUNCH_CONTROL_FD"
 """Environment variable that names the container's end."""
@@ -275,10 +275,6 @@ class ControlChannel:
             self.skipped_frames += 1
             _log.warning("%s sent a frame of unknown kind %d", self.container, frame.kind)
             return None
-        if not isinstance(message, Incoming):
-            self._frames.clear()
-            text = f"the container sent a {type(message).__name__}, which only a supervisor may"
-            raise self._fail(ProtocolViolationError(text))
         return message
 
     def _fail(self, error: ControlError) -> ControlError:

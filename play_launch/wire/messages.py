@@ -158,4 +158,3 @@ Incoming: TypeAlias = Hello | Accepted | Rejected | ComponentEvent | Status
 """What a container sends."""
 Outgoing: TypeAlias = Hello | Load | Query | Cancel | Unload | Shutdown
 """What a supervisor sends."""
-Message: TypeAlias = Incoming | Outgoing

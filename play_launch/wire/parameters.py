@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from play_launch.config.model import ParameterConfig, ParameterType, ParameterValue
+from play_launch.config.model import ParameterConfig, ParameterType
 
 _FIELDS = {
     ParameterType.BOOL: "bool_value",
@@ -16,12 +16,6 @@ _FIELDS = {
     ParameterType.INTEGER_ARRAY: "integer_array_value",
     ParameterType.DOUBLE_ARRAY: "double_array_value",
     ParameterType.STRING_ARRAY: "string_array_value",
-}
-_ARRAYS = {
-    ParameterType.BOOL_ARRAY,
-    ParameterType.INTEGER_ARRAY,
-    ParameterType.DOUBLE_ARRAY,
-    ParameterType.STRING_ARRAY,
 }
 
 
@@ -42,18 +36,3 @@ def to_parameter_message(parameter: ParameterConfig) -> Any:
         value = list(value)
     setattr(message.value, _FIELDS[parameter.value.type], value)
     return message
-
-
-def from_parameter_message(message: Any) -> ParameterConfig:
-    """Read a `rcl_interfaces/msg/Parameter`.
-
-    Raises:
-        ValueError: When its type is none that a value can have.
-    """
-    kind = ParameterType(message.value.type)
-    value: Any = getattr(message.value, _FIELDS[kind])
-    if kind is ParameterType.BYTE_ARRAY:
-        value = b"".join(value)
-    elif kind in _ARRAYS:
-        value = tuple(value)
-    return ParameterConfig(message.name, ParameterValue(kind, value))

@@ -61,8 +61,9 @@ def test_nodes_load_talk_stop_and_are_recorded(tmp_path: Path) -> None:
     for name in ("/talker", "/listener"):
         kinds = [event.event_type for event in events if event.full_node_name == name]
         assert kinds == [4, 0, 1], "loading, loaded, unloaded"
-    ended = [read.message for read in found if read.topic == "/play_launch/process_events"][-1]
-    assert (ended.event_type, ended.exit_code, ended.signal) == (2, 0, 0)
+    states = [read.message for read in found if read.topic == "/play_launch/states"]
+    ended = [state for state in states if state.kind == state.PROCESS][-1]
+    assert (ended.state, ended.exit_code, ended.signal) == ("exited", 0, 0)
     assert any("I heard" in read.message.msg for read in found if "output" in read.topic)
 
 

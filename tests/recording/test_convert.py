@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -126,6 +127,13 @@ def test_component_events_keep_every_field() -> None:
         "confirmed_by",
     ]:
         assert getattr(message, name) == getattr(event, name), name
+
+
+def test_what_a_container_sent_is_recorded_as_it_came() -> None:
+    event = replace(component(ComponentEventKind.LOADED), received=b"as it came")
+    ((topic, data),) = convert(event)
+    assert (topic.name, data) == ("/play_launch/events", b"as it came")
+    assert event == component(ComponentEventKind.LOADED)
 
 
 def component(kind: ComponentEventKind) -> ComponentEvent:

@@ -20,20 +20,22 @@ from play_launch.wire.channel import (
     VersionMismatchError,
     control_pair,
 )
-from play_launch.wire.codec import EncodeError, decode_message, encode_message
+from play_launch.wire.codec import EncodeError, encode_message
 from play_launch.wire.frames import FrameDecoder, encode_frame
 from play_launch.wire.messages import (
     Accepted,
     Cancel,
     Hello,
+    Incoming,
     Load,
-    Message,
+    Outgoing,
     Query,
     Rejected,
     Shutdown,
     Status,
     Unload,
 )
+from tests.wire.peer import frame_of, outgoing
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator
@@ -65,22 +67,20 @@ class Container:
         self.socket = end
         self.other_end = other_end
         self._decoder = FrameDecoder()
-        self._received: list[Message] = []
+        self._received: list[Outgoing] = []
 
-    async def say(self, *messages: Message) -> None:
-        await self.write(b"".join(encode_message(message) for message in messages))
+    async def say(self, *messages: Incoming) -> None:
+        await self.write(b"".join(frame_of(message) for message in messages))
 
     async def write(self, data: bytes) -> None:
         await asyncio.get_running_loop().sock_sendall(self.socket, data)
 
-    async def hear(self) -> Message:
+    async def hear(self) -> Outgoing:
         while not self._received:
             data = await asyncio.get_running_loop().sock_recv(self.socket, 65536)
             assert data, "the supervisor closed the channel"
             for frame in self._decoder.feed(data):
-                message = decode_message(frame)
-                assert message is not None
-                self._received.append(message)
+                self._received.append(outgoing(frame))
         return self._received.pop(0)
 
 
@@ -99,7 +99,7 @@ async def channel(container: Container) -> AsyncIterator[ControlChannel]:
         yield opened
 
 
-async def receive(channel: ControlChannel) -> Message:
+async def receive(channel: ControlChannel) -> Incoming:
     async with asyncio.timeout(20):
         return await channel.receive()
 
@@ -125,7 +125,7 @@ async def test_everything_is_understood_on_both_sides(
         Unload(unique_id=4),
         Shutdown(reason="enough"),
     ]
-    answers: list[Message] = [
+    answers: list[Incoming] = [
         Accepted(attempt=1, unique_id=1),
         Rejected(attempt=2, unique_id=0, reason="no"),
         Status(query_id=5),
@@ -164,7 +164,7 @@ async def test_sending_to_the_dead_loses_nothing_that_they_said(
 async def test_an_end_inside_a_frame_is_an_end(
     channel: ControlChannel, container: Container
 ) -> None:
-    await container.write(encode_message(event(1))[:-3])
+    await container.write(frame_of(event(1))[:-3])
     container.socket.close()
     with pytest.raises(ChannelClosedError, match="inside a frame"):
         await receive(channel)
@@ -194,7 +194,7 @@ async def test_rubbish_ends_the_channel_after_what_was_said(
 async def test_a_message_for_containers_is_refused(
     channel: ControlChannel, container: Container
 ) -> None:
-    await container.say(LOAD)
+    await container.write(encode_message(LOAD))
     with pytest.raises(ProtocolViolationError, match="only a supervisor may"):
         await receive(channel)
 

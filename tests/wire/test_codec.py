@@ -9,10 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from play_launch.config.model import ParameterConfig, ParameterType, ParameterValue
+from play_launch.core.events import ComponentEvent
 from play_launch.wire.codec import EncodeError, MessageError, decode_message, encode_message
 from play_launch.wire.frames import Frame, FrameDecoder, FrameKind
-from play_launch.wire.messages import Accepted, Load, Message, Query
-from tests.wire.values import MESSAGES
+from play_launch.wire.messages import Cancel, Incoming, Load, Outgoing, Query
+from tests.wire.peer import frame_of, outgoing
+from tests.wire.values import INCOMING, OUTGOING
 
 
 def one_frame(data: bytes) -> Frame:
@@ -20,15 +22,23 @@ def one_frame(data: bytes) -> Frame:
     return frame
 
 
-@given(MESSAGES)
-def test_every_message_comes_back_as_it_was(message: Message) -> None:
-    frame = one_frame(encode_message(message))
-    assert decode_message(frame, container="/container") == message
+@given(INCOMING)
+def test_what_a_container_sends_is_read_as_it_was(message: Incoming) -> None:
+    frame = one_frame(frame_of(message))
+    read = decode_message(frame, container="/container")
+    assert read == message
+    if isinstance(read, ComponentEvent):
+        assert read.received == frame.payload
 
 
-@given(MESSAGES, st.data())
-def test_a_damaged_payload_is_an_error_of_ours(message: Message, data: st.DataObject) -> None:
-    frame = one_frame(encode_message(message))
+@given(OUTGOING)
+def test_what_a_container_is_sent_is_what_was_meant(message: Outgoing) -> None:
+    assert outgoing(one_frame(encode_message(message))) == message
+
+
+@given(INCOMING, st.data())
+def test_a_damaged_payload_is_an_error_of_ours(message: Incoming, data: st.DataObject) -> None:
+    frame = one_frame(frame_of(message))
     kind = FrameKind(frame.kind)
     kept = data.draw(st.integers(0, len(frame.payload) - 1))
     damaged = frame._replace(payload=frame.payload[:kept])
@@ -53,8 +63,8 @@ def test_an_unknown_kind_of_event_is_an_error() -> None:
 @pytest.mark.parametrize(
     "message",
     [
-        Accepted(attempt=-1, unique_id=0),
-        Accepted(attempt=2**64, unique_id=0),
+        Cancel(unique_id=-1),
+        Cancel(unique_id=2**64),
         Query(query_id=1, unique_ids=(-1,)),
         Load(attempt=1, package_name="p", plugin_name="c", log_level=256),
         Load(
@@ -66,7 +76,7 @@ def test_an_unknown_kind_of_event_is_an_error() -> None:
         Load(attempt=1, package_name="p" * 2**24, plugin_name="c"),
     ],
 )
-def test_what_does_not_fit_is_an_error_of_ours(message: Message) -> None:
+def test_what_does_not_fit_is_an_error_of_ours(message: Outgoing) -> None:
     with pytest.raises(EncodeError, match=type(message).__name__) as caught:
         encode_message(message)
     assert caught.value.message is message

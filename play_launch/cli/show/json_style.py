@@ -32,7 +32,9 @@ _TYPES: Final[dict[type[RunEvent], str]] = {
     ContainerStateChanged: "container",
     GraphChanged: "graph",
 }
-_FIELDS: Final = {kind: tuple(field.name for field in fields(kind)) for kind in _TYPES}
+_FIELDS: Final = {
+    kind: tuple(field.name for field in fields(kind) if field.compare) for kind in _TYPES
+}
 
 
 def event_object(event: RunEvent) -> dict[str, object]:
