@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
 import threading
 import time
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
@@ -14,6 +15,8 @@ from play_launch.graph_daemon.server.reply_cache import ReplyCache
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
+
+_log = logging.getLogger(__name__)
 
 
 class Graph(Protocol):
@@ -89,6 +92,7 @@ class GraphService:
         self._warm = asyncio.Event()
         self._waiting: list[tuple[bytes, Callable[[bytes], None]]] = []
         self._timer: asyncio.TimerHandle | None = None
+        self._look_failed = False
         self.last_request = time.monotonic()
         """When the last call came, on the monotonic clock."""
         self.cached_replies = 0
@@ -181,12 +185,21 @@ class GraphService:
     def _look(self) -> None:
         """Open the gate when it is time."""
         now = time.monotonic()
-        complete = self._pulse.is_quiet(now) and self.completeness().is_complete
+        complete = self._pulse.is_quiet(now) and self._is_complete()
         if self._pulse.is_warm(now, complete=complete):
             self._answer_waiting()
             return
         delay = self._pulse.look_again_at(now) - now
         self._timer = self._loop.call_later(delay, self._look)
+
+    def _is_complete(self) -> bool:
+        try:
+            return self.completeness().is_complete
+        except Exception:  # noqa: BLE001 - whatever rclpy raises, the gate opens at its deadline
+            if not self._look_failed:
+                _log.exception("who is missing in the graph cannot be determined")
+            self._look_failed = True
+            return False
 
     def _answer_waiting(self) -> None:
         self._warm.set()

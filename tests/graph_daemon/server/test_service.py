@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import sys
 import threading
 from collections.abc import Awaitable, Callable
+
+import pytest
 
 from play_launch.graph_daemon.server.reply_cache import ReplyCache
 from play_launch.graph_daemon.server.service import Completeness, GraphService
@@ -96,6 +99,33 @@ def test_it_gets_warm_although_a_participant_stays_away() -> None:
         assert service.ask(NODES) != []
 
     run(scenario)
+
+
+@pytest.mark.parametrize("failures", [1, sys.maxsize])
+def test_it_gets_warm_although_looking_fails(
+    failures: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def scenario() -> None:
+        service, graph = Service(), FakeGraph()
+        met = graph.met
+        left = failures
+
+        def fails_at_first() -> tuple[int, int]:
+            nonlocal left
+            left -= 1
+            if left >= 0:
+                raise RuntimeError("by the test")
+            return met()
+
+        graph.met = fails_at_first  # type: ignore[method-assign]
+        service.use(graph)
+        waiting = service.ask(NODES)
+        await service.wait_warm()
+        assert waiting != []
+
+    run(scenario)
+    # Once, however often it fails.
+    assert caplog.text.count("RuntimeError: by the test") == 1
 
 
 def test_the_graph_is_asked_once_for_each_change() -> None:
