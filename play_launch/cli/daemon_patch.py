@@ -20,6 +20,7 @@ _CHANGES = (
     "answers about the graph are given again for 200 ms",
     "the network's interfaces are looked at every 30 s, not at each call",
     "the machine's own addresses are remembered for 30 s",
+    "web pages are refused",
     "calls are not printed",
     "the loop comes round every 200 ms and sees signals",
 )

@@ -99,6 +99,42 @@ def read_answer(connection: socket.socket) -> Any:
             return xmlrpc.client.loads(received[head + 4 :])[0][0]
 
 
+@pytest.mark.parametrize(
+    "header",
+    [
+        "Origin: http://example.org",
+        "origin: null",
+        "Host: example.org",
+        "HOST:example.org:11511",
+        "Host: 127.0.0.1.example.org",
+        "Host: 127.0.0.1\r\nHost: example.org",
+    ],
+)
+def test_a_page_of_the_web_cannot_shut_it_down(daemon: Daemon, header: str) -> None:
+    asked = request("system.shutdown").replace(b"\r\n", f"\r\n{header}\r\n".encode(), 1)
+    with daemon.connect() as connection:
+        connection.sendall(asked)
+        assert connection.recv(1 << 20).startswith(b"HTTP/1.0 403 Forbidden\r\n")
+    assert daemon.call("get_count") == 1
+    assert daemon.process.poll() is None
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "127.0.0.1:11511", "LocalHost:1", "[::1]:11511"])
+def test_this_machine_by_any_of_its_names_is_answered(daemon: Daemon, host: str) -> None:
+    asked = request("get_count").replace(b"\r\n", f"\r\nHost: {host}\r\n".encode(), 1)
+    with daemon.connect() as connection:
+        connection.sendall(asked)
+        assert read_answer(connection) == 1
+
+
+def test_a_header_in_the_body_is_none(daemon: Daemon) -> None:
+    body = xmlrpc.client.dumps(("\r\nOrigin: x\r\nHost: y\r\n",), "echo").encode()
+    head = f"POST /ros2cli/ HTTP/1.1\r\nContent-Length: {len(body)}\r\n\r\n"
+    with daemon.connect() as connection:
+        connection.sendall(head.encode() + body)
+        assert connection.recv(1 << 20).startswith(b"HTTP/1.0 200 ")
+
+
 def test_answers_about_the_graph_are_given_again_for_a_while(daemon: Daemon) -> None:
     asked = [daemon.call("get_count") for _ in range(200)]
     assert asked[0] == 1

@@ -42,8 +42,11 @@ LARGEST_BODY = 1024 * 1024
 
 _LOOP = "_play_launch_loop"
 _LENGTH = re.compile(rb"^content-length:[ \t]*(\d{1,9})[ \t]*\r?$", re.IGNORECASE | re.MULTILINE)
+_ORIGIN_OR_HOST = re.compile(rb"\n(origin|host)[ \t]*:[ \t]*([^\r\n]*?)[ \t]*\r?\n", re.IGNORECASE)
+_OUR_HOST = re.compile(rb"(127\.0\.0\.1|localhost|\[::1\])(:[0-9]{1,5})?", re.IGNORECASE)
 _CHUNK = 64 * 1024
 _TOO_LARGE = b"HTTP/1.0 413 Request Entity Too Large\r\nContent-Length: 0\r\n\r\n"
+_FORBIDDEN = b"HTTP/1.0 403 Forbidden\r\nContent-Length: 0\r\n\r\n"
 
 
 def apply(module: ModuleType) -> None:
@@ -202,7 +205,9 @@ class Loop:
             connection.answer = memoryview(_TOO_LARGE)
         elif 0 < length <= len(connection.received):
             request = bytes(connection.received[:length])
-            connection.answer = memoryview(self._answer(request, connection.address))
+            forbidden = _is_of_the_web(request)
+            answer = _FORBIDDEN if forbidden else self._answer(request, connection.address)
+            connection.answer = memoryview(answer)
         else:
             return
         connection.is_answered = True
@@ -297,6 +302,19 @@ def _request_length(received: bytearray) -> int | None:
     length = _LENGTH.search(received, 0, end + 1)
     body = int(length[1]) if length else 0
     return end + 4 + body if body <= LARGEST_BODY else None
+
+
+def _is_of_the_web(request: bytes) -> bool:
+    """Whether a page of the web asks, which may not, and not shut the daemon down.
+
+    Only browsers send an origin; and a name that was made to point to this machine is not ours.
+    """
+    # Each line with the end of the one before it, which is the end of a match, too.
+    head = request[: request.find(b"\r\n\r\n") + 2].replace(b"\n", b"\n\n")
+    return any(
+        name.lower() == b"origin" or not _OUR_HOST.fullmatch(value)
+        for name, value in _ORIGIN_OR_HOST.findall(head)
+    )
 
 
 def _asks_for_the_graph(request: bytes) -> bool:
