@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from play_launch.actors.ports import StartError
-from play_launch.actors.stock.starter import StockContainers
 from play_launch.config.model import ContainerType, Isolation
 from play_launch.fastdds.middleware import asks_for_fastdds
 from play_launch.fastdds.shared_memory import sweep_shared_memory
@@ -43,13 +42,13 @@ from play_launch.process.identity import read_stat
 from play_launch.process.machine import shared_memory_problem, shared_memory_room
 from play_launch.process.stop import StopPolicy, stop
 from play_launch.wire.channel import ControlChannel, control_pair
-from play_launch.wire.codec import preload
 from play_launch.wire.messages import Hello
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from play_launch.actors.ports import ControlLink, ManagedProcess, OutputCallback
+    from play_launch.actors.stock.starter import StockContainers
     from play_launch.config.model import (
         ComposableNodeConfig,
         ContainerConfig,
@@ -125,7 +124,7 @@ class NativeLauncher:
         guard: Path,
         policy: StopPolicy,
         parameters: ParameterFiles,
-        stock: StockContainers,
+        stock: StockContainers | None = None,
         allocator: Path | None = None,
         uses_fastdds: bool = True,
     ) -> None:
@@ -148,16 +147,14 @@ class NativeLauncher:
 
     @classmethod
     def of(cls, config: ReplayConfig) -> NativeLauncher:
-        """Find everything that the system needs; reads folders, imports rclpy, writes files.
+        """Find everything that the system needs; reads folders, writes files.
 
         Raises:
             NotInstalledError: When ROS or a program of ours is not there.
             MixedInstallationError: When ROS is there twice.
-            ImportError: When ROS does not load into this Python.
         """
         ros = ros_installation()
         container, guard = component_container(), spawn_guard()
-        preload()
         uses_fastdds = _uses_fastdds(config)
         if uses_fastdds:
             _complain_of_shared_memory(config)
@@ -169,7 +166,7 @@ class NativeLauncher:
             guard=guard,
             policy=policy,
             parameters=ParameterFiles(config.nodes),
-            stock=StockContainers.of(config),
+            stock=_stock_containers(config),
             allocator=_allocator(config),
             uses_fastdds=uses_fastdds,
         )
@@ -183,8 +180,10 @@ class NativeLauncher:
     ) -> tuple[ManagedProcess, ControlLink]:
         """Start a container, or attach to it, with a way to talk to it; raises StartError."""
         if config.attach:
+            assert self._stock is not None
             return self._stock.attach(config)
         if config.container_type is ContainerType.STOCK:
+            assert self._stock is not None
             process = self._start_stock(config, on_output)
             return process, self._stock.talk_to(config, process)
         argv = container_argv(
@@ -268,7 +267,7 @@ class NativeLauncher:
         await asyncio.to_thread(self._parameters.remove)
         for guard in self._guards:
             await asyncio.to_thread(guard.close)
-        if self._stock.is_open:
+        if self._stock is not None and self._stock.is_open:
             await asyncio.to_thread(self._stock.close)
             # As long as we took part ourselves, we held what dead containers had left.
             await self.clean_up()
@@ -336,6 +335,15 @@ def _write(config: ProcessConfig, folder: Path) -> Path | ParameterFileError:
         return write_parameter_file(config.parameters, folder)
     except ParameterFileError as error:
         return error
+
+
+def _stock_containers(config: ReplayConfig) -> StockContainers | None:
+    if not any(each.container_type is ContainerType.STOCK for each in config.containers):
+        return None
+    # A quarter of all modules of ours, for one type of container.
+    from play_launch.actors.stock.starter import StockContainers  # noqa: PLC0415
+
+    return StockContainers.of(config)
 
 
 def _shares_memory(config: ContainerConfig) -> bool:

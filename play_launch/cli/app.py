@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import signal
 import sys
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
     # Until the run takes its signals, Ctrl-C just ends the process. A KeyboardInterrupt in the
@@ -16,13 +16,10 @@ if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 import typer
+from typer.core import TyperGroup
 
-from play_launch.cli.check import check
-from play_launch.cli.daemon import daemon_app
-from play_launch.cli.doctor import doctor
-from play_launch.cli.graph_commands import add_graph_commands
-from play_launch.cli.replay import replay
-from play_launch.cli.version import print_version, version
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 # \b keeps the lines of a paragraph as they are.
 _EPILOG = """\b
@@ -41,35 +38,92 @@ Exit codes:
   128+n  ended by signal n (130 after Ctrl-C)
 """
 
+_PLAIN: dict[str, Any] = {
+    # Plain help: it is wrapped to the terminal's width, and comes up twice as fast.
+    "rich_markup_mode": None,
+    "add_completion": False,
+    # A traceback is for mistakes of ours only, and then Python's own form is the useful one.
+    "pretty_exceptions_enable": False,
+    "context_settings": {"help_option_names": ["-h", "--help"]},
+}
+
+
+_VERBS = (
+    "replay",
+    "check",
+    "doctor",
+    "version",
+    "node",
+    "topic",
+    "service",
+    "graph",
+    "daemon",
+)
+"""In the order of the help."""
+
+
+def _typer_of(verb: str) -> typer.Typer:
+    # What the other verbs import would slow down the start of a system.
+    callback: Callable[..., None]
+    match verb:
+        case "replay":
+            from play_launch.cli.replay import replay as callback  # noqa: PLC0415
+        case "check":
+            from play_launch.cli.check import check as callback  # noqa: PLC0415
+        case "doctor":
+            from play_launch.cli.doctor import doctor as callback  # noqa: PLC0415
+        case "version":
+            from play_launch.cli.version import version as callback  # noqa: PLC0415
+        case "daemon":
+            from play_launch.cli.daemon import daemon_app  # noqa: PLC0415
+
+            return daemon_app
+        case _:
+            from play_launch.cli.graph_commands import graph_command  # noqa: PLC0415
+
+            return graph_command(verb)
+    made = typer.Typer(**_PLAIN)
+    made.command()(callback)
+    return made
+
+
+class _Verbs(TyperGroup):
+    """Imports a verb when it is asked for."""
+
+    def list_commands(self, ctx: Any) -> list[str]:  # noqa: ARG002 - typer's signature
+        return list(_VERBS)
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        if cmd_name not in _VERBS:
+            # The error proposes a similar one of `commands`.
+            for verb in _VERBS:
+                self.get_command(ctx, verb)
+        elif cmd_name not in self.commands:
+            self.commands[cmd_name] = typer.main.get_command(_typer_of(cmd_name))
+        return self.commands.get(cmd_name)
+
+
 app = typer.Typer(
     name="play-launch",
+    cls=_Verbs,
     help="Bring up a whole ROS 2 system from one YAML file, and record what happens.",
     epilog=_EPILOG,
     no_args_is_help=True,
-    context_settings={"help_option_names": ["-h", "--help"]},
-    # Plain help: it is wrapped to the terminal's width, and comes up twice as fast.
-    rich_markup_mode=None,
-    add_completion=False,
-    # A traceback is for mistakes of ours only, and then Python's own form is the useful one.
-    pretty_exceptions_enable=False,
+    **_PLAIN,
 )
-app.command()(replay)
-app.command()(check)
-app.command()(doctor)
-app.command()(version)
-app.add_typer(daemon_app)
-add_graph_commands(app)
 
 
 def _version_option(asked: bool) -> None:
     if asked:
+        from play_launch.cli.version import print_version  # noqa: PLC0415
+
         print_version(as_json=False)
         raise typer.Exit
 
 
 @app.callback()
 def _options(
-    _version: Annotated[
+    _asked: Annotated[
         bool,
         typer.Option(
             "--version", callback=_version_option, is_eager=True, help="Print versions and exit."

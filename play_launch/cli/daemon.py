@@ -25,6 +25,7 @@ daemon_app = typer.Typer(
     "use it as it is.",
     no_args_is_help=True,
     rich_markup_mode=None,
+    add_completion=False,
 )
 
 _IdleTimeout = Annotated[

@@ -9,10 +9,11 @@ from play_launch.cli.graph import GROUPS, main
 _UNPARSED = {"ignore_unknown_options": True, "allow_extra_args": True, "help_option_names": []}
 
 
-def add_graph_commands(app: typer.Typer) -> None:
-    """Add ``node``, ``topic``, ``service`` and ``graph`` to ``app``."""
-    for group, text in GROUPS.items():
-        app.command(group, help=text, context_settings=_UNPARSED, add_help_option=False)(_run)
+def graph_command(group: str) -> typer.Typer:
+    """Make the command ``node``, ``topic``, ``service`` or ``graph``."""
+    made = typer.Typer(add_completion=False, rich_markup_mode=None)
+    made.command(group, help=GROUPS[group], context_settings=_UNPARSED, add_help_option=False)(_run)
+    return made
 
 
 def _run(context: typer.Context) -> None:

@@ -61,7 +61,6 @@ def replay(
     _require_ros()
     _require_log_folder(loaded)
     _require_time_zone()
-    # With pydantic, rclpy and rich, this would slow down --help by half a second.
     from play_launch.cli.run import RunOptions, run  # noqa: PLC0415
     from play_launch.install.ros import NotInstalledError  # noqa: PLC0415
     from play_launch.recording.errors import RecordingError  # noqa: PLC0415
@@ -143,6 +142,7 @@ def _require_ros() -> None:
         MixedInstallationError,
         NotInstalledError,
         component_container,
+        python_packages_problem,
         ros_installation,
         spawn_guard,
     )
@@ -158,12 +158,10 @@ def _require_ros() -> None:
         fail(str(error))
     if problem is not None:
         fail(problem)
-    try:
-        from play_launch.wire.codec import preload  # noqa: PLC0415
-
-        preload()
-    except ImportError as error:
+    # Imported when the first container runs: it takes as long as a container's start.
+    problem = python_packages_problem()
+    if problem is not None:
         fail(
-            f"ROS does not work in this Python: {error}. Source a ROS 2 installation that fits "
+            f"ROS does not work in this Python: {problem}. Source a ROS 2 installation that fits "
             "this Python, or install the wheels (pip install 'play-launch-py[jazzy]')"
         )

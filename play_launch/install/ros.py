@@ -12,6 +12,8 @@ import sys
 import sysconfig
 from dataclasses import dataclass
 from enum import StrEnum
+from importlib.machinery import EXTENSION_SUFFIXES
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,6 +21,11 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
 _PROGRAMS = Path("lib") / "play_launch_container"
+_PYTHON_PACKAGES = {
+    "rclpy": "_rclpy_pybind11",
+    "play_launch_msgs": "play_launch_msgs_s__rosidl_typesupport_c",
+}
+"""What the control channel needs, with the compiled part of each."""
 _MARKER = Path("share") / "rcl" / "package.xml"
 
 
@@ -123,6 +130,29 @@ def spawn_guard(environ: Mapping[str, str] | None = None, *, prefix: Path | None
         NotInstalledError: When it is nowhere.
     """
     return _program("spawn_guard", environ, prefix)
+
+
+def python_packages_problem() -> str | None:
+    """Say what of ROS's Python packages is not there for this Python; imports none of them.
+
+    Their compiled parts are looked for as well: those of another version of Python, as of a
+    sourced installation in an environment that has its own Python, cannot be loaded.
+    """
+    for name, compiled in _PYTHON_PACKAGES.items():
+        spec = find_spec(name)
+        if spec is None:
+            return f"there is no package {name}"
+        folders = [Path(folder) for folder in spec.submodule_search_locations or ()]
+        if not any(
+            (folder / f"{compiled}{suffix}").is_file()
+            for folder in folders
+            for suffix in EXTENSION_SUFFIXES
+        ):
+            return (
+                f"{compiled} in {', '.join(map(str, folders)) or name} is not for Python "
+                f"{sys.version_info.major}.{sys.version_info.minor}"
+            )
+    return None
 
 
 def ament_prefixes(environ: Mapping[str, str]) -> list[Path]:

@@ -12,7 +12,13 @@ import socket
 from collections import deque
 from typing import TYPE_CHECKING, Self
 
-from play_launch.wire.codec import MessageError, decode_message, encode_message
+from play_launch.wire.codec import (
+    MessageError,
+    decode_message,
+    encode_message,
+    is_loaded,
+    preload,
+)
 from play_launch.wire.frames import (
     MAX_FRAME_LENGTH,
     PROTOCOL_VERSION,
@@ -57,7 +63,11 @@ class ProtocolViolationError(ControlError):
     """The container sent what cannot be understood."""
 
 
-class VersionMismatchError(ControlError):
+class IncompatibleError(ControlError):
+    """The two sides have no language in common; another start changes nothing."""
+
+
+class VersionMismatchError(IncompatibleError):
     """The container speaks another version of the protocol."""
 
     def __init__(self, version: int) -> None:
@@ -66,6 +76,13 @@ class VersionMismatchError(ControlError):
             f"version {PROTOCOL_VERSION}: install both from the same release"
         )
         self.version = version
+
+
+class MessagesMissingError(IncompatibleError):
+    """ROS or the messages of the protocol do not load into this Python."""
+
+    def __init__(self, error: ImportError) -> None:
+        super().__init__(f"ROS does not work in this Python: {error} (see play-launch doctor)")
 
 
 class ChannelOverflowError(ControlError):
@@ -168,7 +185,14 @@ class ControlChannel:
             VersionMismatchError: When it speaks another version; it is not answered then.
             ProtocolViolationError: When it says something else first.
             ChannelClosedError: When it is gone before.
+            MessagesMissingError: When its messages cannot be read here.
         """
+        if not is_loaded():
+            # Here, because the container starts meanwhile, on another core.
+            try:
+                await asyncio.to_thread(preload)
+            except ImportError as error:
+                raise self._fail(MessagesMissingError(error)) from error
         first = await self.receive()
         if not isinstance(first, Hello):
             raise self._fail(

@@ -4,11 +4,12 @@ Only what a supervisor sends is encoded and only what a container sends is decod
 the fields of its dataclass, by name; what differs is spelled out.
 
 rclpy and the generated messages are imported on the first conversion (about 0.1 s): call
-`preload` before the event loop has work to do.
+`preload` in another thread before.
 """
 
 from __future__ import annotations
 
+import threading
 from dataclasses import fields
 from functools import cache
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -56,18 +57,27 @@ class EncodeError(Exception):
         self.message = message
 
 
+def is_loaded() -> bool:
+    """Whether `preload` has nothing left to do."""
+    return _ros.cache_info().currsize > 0
+
+
 def preload() -> None:
-    """Import what the conversions need.
+    """Import what the conversions need, once, whichever thread comes first.
 
     Raises:
         ImportError: When rclpy or play_launch_msgs is not there or does not load.
     """
     try:
-        _ros()
+        with _loading:
+            _ros()
     except ImportError:
         raise
     except Exception as error:  # rosidl's own type of error is none of ImportError
         raise ImportError(str(error)) from error
+
+
+_loading = threading.Lock()
 
 
 def encode_message(message: Outgoing) -> bytes:

@@ -77,6 +77,12 @@ def test_help_does_not_import_what_is_slow() -> None:
     assert result.stderr.strip() == "[]"
 
 
+def test_a_similar_verb_is_proposed() -> None:
+    result = runner.invoke(app, ["repla"], prog_name="play-launch")
+    assert result.exit_code == 2
+    assert "'replay'" in result.stderr
+
+
 def test_version_is_told_for_people_and_machines() -> None:
     people = runner.invoke(app, ["version"])
     assert people.exit_code == 0
@@ -160,18 +166,13 @@ def test_what_is_not_installed_is_a_sentence(
     assert result.stderr == "error: it is not there: install it\n"
 
 
-def test_a_ros_that_does_not_load_is_a_sentence(
+def test_a_ros_for_another_python_is_a_sentence(
     good: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def refuse() -> None:
-        raise ImportError("librmw_x.so: cannot open shared object file")
-
-    from play_launch.wire import codec
-
-    monkeypatch.setattr(codec, "preload", refuse)
+    monkeypatch.setattr(ros, "python_packages_problem", lambda: "there is no package rclpy")
     result = runner.invoke(app, ["replay", str(good)])
-    assert result.exit_code == 2
-    assert "librmw_x.so" in result.stderr
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert "ROS does not work in this Python: there is no package rclpy. Source" in result.stderr
 
 
 def test_an_interruption_outside_a_run_is_quiet(monkeypatch: pytest.MonkeyPatch) -> None:

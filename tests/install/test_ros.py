@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from importlib.machinery import EXTENSION_SUFFIXES, PathFinder
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from play_launch.install.ros import (
     NotInstalledError,
     RosSource,
     component_container,
+    python_packages_problem,
     ros_installation,
     spawn_guard,
 )
@@ -99,3 +101,40 @@ def test_this_environment_has_all() -> None:
     assert ros_installation().prefix == Path(sys.prefix)
     assert os.access(component_container(), os.X_OK)
     assert os.access(spawn_guard(), os.X_OK)
+
+
+def python_packages(folder: Path, suffix: str) -> None:
+    for package, compiled in (
+        ("rclpy", "_rclpy_pybind11"),
+        ("play_launch_msgs", "play_launch_msgs_s__rosidl_typesupport_c"),
+    ):
+        (folder / package).mkdir()
+        (folder / package / "__init__.py").touch()
+        (folder / package / f"{compiled}{suffix}").touch()
+
+
+@pytest.fixture
+def import_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder in which alone Python looks for packages that are not imported yet."""
+    for package in ("rclpy", "play_launch_msgs"):
+        monkeypatch.delitem(sys.modules, package, raising=False)
+    monkeypatch.setattr(sys, "path", [str(tmp_path)])
+    monkeypatch.setattr(sys, "meta_path", [PathFinder])
+    return tmp_path
+
+
+@pytest.mark.parametrize("suffix", EXTENSION_SUFFIXES)
+def test_pythons_packages_are_there(import_path: Path, suffix: str) -> None:
+    python_packages(import_path, suffix)
+    assert python_packages_problem() is None
+
+
+def test_pythons_packages_are_missing(import_path: Path) -> None:
+    assert python_packages_problem() == "there is no package rclpy"
+
+
+def test_pythons_packages_are_for_another_python(import_path: Path) -> None:
+    python_packages(import_path, ".cpython-38-x86_64-linux-gnu.so")
+    problem = python_packages_problem()
+    assert problem is not None
+    assert problem.startswith(f"_rclpy_pybind11 in {import_path / 'rclpy'} is not for Python 3.")

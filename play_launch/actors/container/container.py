@@ -34,7 +34,7 @@ from play_launch.core.restart import GiveUp
 from play_launch.wire.channel import (
     ChannelClosedError,
     ControlError,
-    VersionMismatchError,
+    IncompatibleError,
 )
 from play_launch.wire.messages import Hello, Shutdown, Status
 
@@ -282,7 +282,7 @@ class ContainerActor:
                 else:
                     self._nodes.hear(message)
                     self._deadlines_changed.set()
-        except VersionMismatchError as error:
+        except IncompatibleError as error:
             self._apply(ContainerInput.HELLO_MISMATCH, str(error))
         except ChannelClosedError as error:
             said_everything.set()
