@@ -1,4 +1,4 @@
-"""Runs a daemon for as long as a system runs, and tells which nodes come and go."""
+"""Runs a daemon for as long as a system runs, and publishes which nodes come and go."""
 
 from __future__ import annotations
 
@@ -29,7 +29,9 @@ if TYPE_CHECKING:
     from play_launch.graph_daemon.address import DaemonAddress
 
 LOOK: Final = 0.5
-"""Seconds between two questions whether the graph has changed; one takes half a millisecond."""
+"""Seconds between two questions whether the graph has changed, while it changes."""
+LONGEST_LOOK: Final = 2.0
+"""Seconds between them at rest; a question takes the daemon one to two milliseconds."""
 FORSAKEN: Final = 60.0
 """Seconds without a question after which the daemon ends by itself: we ask all the time, so then
 we were killed."""
@@ -49,12 +51,20 @@ def changes(before: Counter[str], now: Counter[str], stamp_ns: int) -> GraphChan
     )
 
 
+def next_look(pause: float, *, changed: bool) -> float:
+    """Return the seconds until the next question, ``pause`` being those before this one.
+
+    A graph that has changed changes again soon; at rest the pauses grow.
+    """
+    return LOOK if changed else min(1.25 * pause, LONGEST_LOOK)
+
+
 @contextlib.asynccontextmanager
 async def observed_graph(environment: Mapping[str, str], sink: EventSink) -> AsyncIterator[None]:
     """Have a daemon serve while the block runs, and publish a `GraphChanged` for each change.
 
     A daemon that ran before goes on afterwards; one that was started for the block is stopped. The
-    block runs in any case: what keeps the daemon from starting is told by a warning.
+    block runs in any case: what keeps the daemon from starting is logged as a warning.
 
     Args:
         environment: That of the system's processes, for domain and discovery.
@@ -74,9 +84,9 @@ async def observed_graph(environment: Mapping[str, str], sink: EventSink) -> Asy
         _log.warning("no graph daemon: %s", error)
         yield
         return
-    tell = _log.info if started.started else _log.warning
+    log = _log.info if started.started else _log.warning
     for message in started.messages:
-        tell("graph daemon: %s", message)
+        log("graph daemon: %s", message)
     observer = _Observer(address, sink)
     watching = asyncio.create_task(observer.run())
     try:
@@ -111,33 +121,42 @@ class _Observer:
 
     async def run(self) -> None:
         """Look again and again; ends by cancellation."""
+        pause = LOOK
         while True:
-            await self.look()
-            await asyncio.sleep(LOOK)
+            changed = await self.look()
+            pause = next_look(pause, changed=changed)
+            await asyncio.sleep(pause)
 
-    async def look(self) -> None:
-        """Publish what has changed since the last look."""
+    async def look(self) -> bool:
+        """Publish what has changed since the last look; whether a change is to be expected soon."""
         try:
             status = json.loads(str(await asyncio.to_thread(self._client.call, STATUS_METHOD)))
-            generation = int(status["generation"])
-            # Before that it would keep us waiting, and a list that is not complete is no change.
-            if not status["warm"] or generation == self._generation:
-                return
+            generation, unchanged_for = int(status["generation"]), float(status["unchanged_for"])
+            stamp_ns = time.time_ns() - round(1e9 * unchanged_for)
+            # Before that the daemon does not answer, and a list that is not complete is no change.
+            if not status["warm"]:
+                return True
+            if generation == self._generation:
+                self._failing = False
+                return False
             nodes = await asyncio.to_thread(self._client.nodes)
         except (DaemonError, ValueError, KeyError, TypeError) as error:
             if not self._failing:
                 _log.warning("the graph daemon does not answer: %s", error)
             self._failing = True
-            return
+            return True
         self._failing = False
         self._generation = generation
-        event = self._fold(node.full_name for node in nodes if not _is_daemon(node.name))
+        event = self._fold(
+            (node.full_name for node in nodes if not _is_daemon(node.name)), stamp_ns
+        )
         if event is not None:
             self._sink.publish(event)
+        return True
 
-    def _fold(self, nodes: Iterable[str]) -> GraphChanged | None:
+    def _fold(self, nodes: Iterable[str], stamp_ns: int) -> GraphChanged | None:
         now = Counter(nodes)
-        event = changes(self._known, now, time.time_ns())
+        event = changes(self._known, now, stamp_ns)
         self._known = now
         return event
 

@@ -101,25 +101,24 @@ class Daemon:
                 await self._close(tasks)
 
     def status(self) -> DaemonStatus:
-        """Tell how it is."""
+        """Return how it is."""
         now = time.monotonic()
         service, server = self._service, self._server
-        known = service.completeness()
-        own = service.graph.name
+        known = service.population()
         pulse = service.pulse
         chosen = self._transports
         return DaemonStatus(
             pid=os.getpid(),
             domain=self._address.domain,
             rmw=self._rmw,
-            node=own,
+            node=service.graph.name,
             age=now - self._started,
             warm=service.is_warm,
             settled=pulse.is_quiet(now) and known.is_complete,
             generation=service.generation,
             unchanged_for=pulse.quiet_for(now),
             changes_per_second=pulse.rate(now),
-            nodes=sum(name != own for name, _ in service.graph.nodes()),
+            nodes=known.nodes,
             participants=known.participants,
             participants_here=known.participants_here,
             replacements=self._replacer.replacements,

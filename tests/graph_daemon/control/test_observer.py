@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import os
+import time
 from collections import Counter
 from pathlib import Path
 
@@ -15,7 +16,14 @@ from hypothesis import strategies as st
 from play_launch.core.events import GraphChanged, RunEvent
 from play_launch.graph_daemon.address import DaemonAddress
 from play_launch.graph_daemon.contract import LISTENING
-from play_launch.graph_daemon.control.observer import FORSAKEN, changes, observed_graph
+from play_launch.graph_daemon.control.observer import (
+    FORSAKEN,
+    LONGEST_LOOK,
+    LOOK,
+    changes,
+    next_look,
+    observed_graph,
+)
 from play_launch.graph_daemon.control.start_stop import start_daemon, stop_daemon
 from play_launch.graph_daemon.control.takeover import Kind, look
 from play_launch.recording.convert import convert
@@ -59,6 +67,23 @@ def test_changes_lead_from_one_list_to_the_other(before: Counter[str], now: Coun
     assert not set(event.appeared) & set(event.vanished)
 
 
+@given(st.lists(st.floats(0.0, 100.0), max_size=20))
+def test_at_rest_it_is_asked_seldom_and_in_a_storm_not_often(moments: list[float]) -> None:
+    """Each question takes time of the daemon, which is to need next to none at rest."""
+    pending = sorted(moments)
+    now, pause, looks = 0.0, LOOK, 0
+    while now < 120.0:
+        changed = bool(pending) and pending[0] <= now
+        # What changed is seen before the longest pause is over.
+        assert not changed or now - pending[0] <= LONGEST_LOOK
+        pending = [moment for moment in pending if moment > now]
+        pause = next_look(pause, changed=changed)
+        assert LOOK <= pause <= LONGEST_LOOK
+        now += pause
+        looks += 1
+    assert looks <= 120.0 / LONGEST_LOOK + 5 * (len(moments) + 1)
+
+
 def test_a_change_is_recorded_in_words() -> None:
     event = GraphChanged(stamp_ns=1, appeared=("/a", "/b"), vanished=("/c",), nodes=2)
     (recorded,) = convert(event)
@@ -73,8 +98,11 @@ def test_nodes_that_come_and_go_are_told(address: DaemonAddress, logs: Path) -> 
             assert occupant.kind is Kind.OURS
             # Should this process be killed, the daemon does not stay for ever.
             assert occupant.status["idle_timeout"] == FORSAKEN
+            before = time.time_ns()
             probe = await asyncio.to_thread(Probe, "visitor")
             await heard.until(appeared="/visitor")
+            # The time of the change, not that of the question.
+            assert before <= heard.events[-1].stamp_ns <= time.time_ns()
             await asyncio.to_thread(probe.__exit__, None, None, None)
             await heard.until(vanished="/visitor")
 

@@ -8,9 +8,11 @@ import threading
 from collections.abc import Awaitable, Callable
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from play_launch.graph_daemon.server.reply_cache import ReplyCache
-from play_launch.graph_daemon.server.service import Completeness, GraphService
+from play_launch.graph_daemon.server.service import LONGEST_COUNT, GraphService, Population
 from tests.graph_daemon.server.graphs import FakeGraph
 from tests.graph_daemon.wire import read, request_body
 
@@ -206,10 +208,54 @@ def test_the_end_answers_who_waits_and_is_told_on() -> None:
 
 
 def test_who_is_missing() -> None:
-    assert Completeness(3, 3, 0).is_complete
-    assert not Completeness(2, 3, 0).is_complete
-    assert not Completeness(3, 3, 1).is_complete
+    assert Population(9, 3, 3, 0).is_complete
+    assert not Population(9, 2, 3, 0).is_complete
+    assert not Population(9, 3, 3, 1).is_complete
     # A middleware that does not show participants.
-    assert Completeness(0, 3, 0).is_complete
+    assert Population(9, 0, 3, 0).is_complete
     # Participants of other machines.
-    assert Completeness(5, 3, 0).is_complete
+    assert Population(9, 5, 3, 0).is_complete
+
+
+@given(st.lists(st.sampled_from(["ask", "change", "wait", "join"]), max_size=40))
+def test_at_rest_nobody_counts(steps: list[str]) -> None:
+    """A replay asks twice a second how the graph is: that must not look at the graph each time."""
+
+    async def scenario() -> None:
+        here = 1
+        service, graph = Service(here=lambda: here), FakeGraph()
+        with pytest.MonkeyPatch.context() as patch:
+            now = 1000.0
+            patch.setattr("time.monotonic", lambda: now)
+            service.use(graph)
+            counted = due = 0
+            met = graph.met
+
+            def count() -> tuple[int, int]:
+                nonlocal counted
+                counted += 1
+                return met()
+
+            graph.met = count  # type: ignore[method-assign]
+            fresh, last = False, now
+            for step in steps:
+                match step:
+                    case "change":
+                        graph.known.add(f"node{len(graph.known)}")
+                        service.changed()
+                        fresh = False
+                    case "wait":
+                        now += 0.6 * LONGEST_COUNT
+                    case "join":
+                        here += 1
+                    case "ask":
+                        if not fresh or now - last > LONGEST_COUNT:
+                            due, fresh, last = due + 1, True, now
+                        population = service.population()
+                        assert population.nodes == len(graph.known) - 1
+                        # The kernel's count is always that of now.
+                        assert population.participants_here == here
+                assert counted == due
+        service.close()
+
+    run(scenario)
