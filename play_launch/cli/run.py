@@ -20,11 +20,10 @@ from play_launch.cli.signals import RunSignals
 from play_launch.config.description import describe as describe_values
 from play_launch.core.events import LogRecord, OutputLine, RunEvent
 from play_launch.core.view import SystemView
-from play_launch.recording.log_handler import LOGGER_NAME, EventLogHandler
+from play_launch.recording.log_handler import log_published
 from play_launch.recording.opening import Session, SessionDescription, open_session
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from pathlib import Path
 
     from play_launch.actors.system import Outcome
@@ -62,7 +61,7 @@ class RunSink:
     def publish_log(self, event: LogRecord) -> None:
         """Take a record of the log, in any thread; it changes nothing in the view."""
         self._recorder.publish(event)
-        self._display.publish(event, self._view, self._view)
+        self._display.publish_log(event)
 
 
 def run(config: ReplayConfig, options: RunOptions) -> int:
@@ -81,7 +80,7 @@ def run(config: ReplayConfig, options: RunOptions) -> int:
         display = Display(_style(options))
         sink = RunSink(session.recorder, display)
         try:
-            with _logging_to(sink):
+            with log_published(sink.publish_log):
                 outcome = asyncio.run(_until_the_end(config, sink, signals))
         finally:
             display.close()
@@ -109,22 +108,6 @@ def _graph_daemon(
     from play_launch.graph_daemon.control.observer import observed_graph  # noqa: PLC0415
 
     return observed_graph({**os.environ, **config.environment}, sink)
-
-
-@contextlib.contextmanager
-def _logging_to(sink: RunSink) -> Iterator[None]:
-    logger = logging.getLogger(LOGGER_NAME)
-    handler = EventLogHandler(sink.publish_log)
-    logger.addHandler(handler)
-    before = logger.level, logger.propagate
-    logger.setLevel(logging.DEBUG)
-    # The display shows what a person needs; another copy on stderr would disturb it.
-    logger.propagate = False
-    try:
-        yield
-    finally:
-        logger.removeHandler(handler)
-        logger.level, logger.propagate = before
 
 
 def _description(config: ReplayConfig) -> SessionDescription:

@@ -1,20 +1,98 @@
-"""The supervisor's own log as events, so that it is recorded like everything else."""
+"""The supervisor's own log as events, so that it is recorded and shown like everything else.
+
+What Python itself reports goes the same way, where it would be printed on stderr, across the live
+view, and be missing from the recording: errors in callbacks and tasks of asyncio, exceptions in
+threads and destructors, warnings.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import logging
+import sys
+import threading
+from logging.handlers import QueueHandler, QueueListener
+from queue import SimpleQueue
 from typing import TYPE_CHECKING, Final
 
 from play_launch.core.events import LogRecord
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
 LOGGER_NAME: Final = "play_launch"
 """The logger above all of this package's."""
 
 _NANOSECONDS: Final = 1_000_000_000
 _HIGHEST: Final = 50
+_python_log = logging.getLogger("python")
+
+
+@contextlib.contextmanager
+def log_published(publish: Callable[[LogRecord], None]) -> Iterator[None]:
+    """Publish all that is logged, and print none of it.
+
+    Our own log comes in full and in the thread that logs; everybody else's from WARN on (asyncio's,
+    Python's warnings, exceptions that nobody can catch) and from a thread of its own. ``publish``
+    must be callable from any thread.
+    """
+    handler = EventLogHandler(publish)
+    # Destructors log in the midst of anything, perhaps while their thread holds a lock that
+    # `publish` takes. The queue may be entered at any time, also a second time by one thread.
+    queue: SimpleQueue[logging.LogRecord] = SimpleQueue()
+    listener = QueueListener(queue, handler)
+    listener.start()
+    try:
+        with _handled(handler, QueueHandler(queue)), _uncaught_logged():
+            yield
+    finally:
+        listener.stop()
+
+
+@contextlib.contextmanager
+def _handled(ours: logging.Handler, others: logging.Handler) -> Iterator[None]:
+    logger, root = logging.getLogger(LOGGER_NAME), logging.getLogger()
+    before = logger.level, logger.propagate
+    logger.addHandler(ours)
+    logger.setLevel(logging.DEBUG)
+    logger.propagate = False
+    root.addHandler(others)
+    logging.captureWarnings(capture=True)
+    try:
+        yield
+    finally:
+        logging.captureWarnings(capture=False)
+        root.removeHandler(others)
+        logger.removeHandler(ours)
+        logger.level, logger.propagate = before
+
+
+@contextlib.contextmanager
+def _uncaught_logged() -> Iterator[None]:
+    before = sys.unraisablehook, threading.excepthook
+    sys.unraisablehook, threading.excepthook = _log_unraisable, _log_end_of_thread
+    try:
+        yield
+    finally:
+        sys.unraisablehook, threading.excepthook = before
+
+
+def _log_unraisable(unraisable: sys.UnraisableHookArgs) -> None:
+    error = unraisable.exc_value or unraisable.exc_type()
+    words = unraisable.err_msg or "Exception ignored in"
+    _python_log.error(
+        "%s: %r", words, unraisable.object, exc_info=(type(error), error, unraisable.exc_traceback)
+    )
+
+
+def _log_end_of_thread(end: threading.ExceptHookArgs) -> None:
+    if issubclass(end.exc_type, SystemExit):  # the usual way to end a thread
+        return
+    error = end.exc_value or end.exc_type()
+    name = end.thread.name if end.thread else "?"
+    _python_log.error(
+        "Exception in thread %s", name, exc_info=(type(error), error, end.exc_traceback)
+    )
 
 
 class EventLogHandler(logging.Handler):
@@ -39,7 +117,7 @@ class EventLogHandler(logging.Handler):
                 stamp_ns=int(record.created * _NANOSECONDS),
                 level=_ros_level(record.levelno),
                 name=record.name,
-                message=message,
+                message=message.rstrip(),
                 file=record.filename,
                 function=record.funcName or "",
                 line=record.lineno,

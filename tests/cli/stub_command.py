@@ -2,7 +2,8 @@
 
 The system has one container. What its node prints and how it ends comes from the environment
 variable ``STUB``: words out of ``deaf`` (ends on the second request only), ``flood`` (prints
-without end), ``slow`` (a second node never loads), ``ends`` (ends by itself), ``failing``.
+without end), ``slow`` (a second node never loads), ``ends`` (ends by itself), ``failing``,
+``troubled`` (Python has something to report).
 """
 
 from __future__ import annotations
@@ -10,8 +11,10 @@ from __future__ import annotations
 import asyncio
 import os
 import sys
+import threading
 import time
 import types
+import warnings
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -40,6 +43,27 @@ class Outcome:
 
     exit_code: int
     view: SystemView
+
+
+class BadEnd:
+    """Cannot be destroyed without an error."""
+
+    def __del__(self) -> None:
+        raise ValueError("destructor failed")
+
+
+async def trouble() -> None:
+    def fail(what: str) -> None:
+        raise ValueError(f"{what} failed")
+
+    asyncio.get_running_loop().call_soon(fail, "callback")
+    BadEnd()
+    thread = threading.Thread(target=fail, args=("thread",))
+    thread.start()
+    thread.join()
+    warnings.warn("about to fail", UserWarning, stacklevel=1)
+    task = asyncio.create_task(asyncio.to_thread(fail, "task"))
+    await asyncio.wait({task})
 
 
 async def run_system(config: ReplayConfig, sink: EventSink, stop: StopRequests) -> Outcome:
@@ -73,6 +97,8 @@ async def run_system(config: ReplayConfig, sink: EventSink, stop: StopRequests) 
             )
         )
     say("node is up")
+    if "troubled" in script:
+        await trouble()
     while "flood" in script and not stop.requested.is_set():
         for _ in range(100):
             say("flood " * 20)

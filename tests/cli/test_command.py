@@ -228,3 +228,37 @@ def test_the_recording_survives_a_sigkill(start: Start, tmp_path: Path) -> None:
     process.kill()
     process.communicate()
     assert raw_messages(active, "/play_launch/output")
+
+
+@pytest.mark.parametrize("stub", ["ends troubled", "slow troubled"])
+def test_what_python_reports_is_shown_and_recorded_once(
+    start: Start, tmp_path: Path, stub: str
+) -> None:
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 30, 200, 0, 0))
+    process = start("--duration", "2s", stub=stub, stdout=theirs, stderr=theirs)
+    os.close(theirs)
+    seen = b""
+    while True:
+        try:
+            seen += os.read(ours, 65536)
+        except OSError:  # EIO: the last writer has closed its side
+            break
+    os.close(ours)
+    process.communicate()
+    lines = seen.decode().splitlines()
+    recorded = messages(tmp_path / "logs" / "latest" / "session.mcap")
+    logged = [read.message for read in recorded if read.topic == "/play_launch/log"]
+    for text, logger in (
+        ("ValueError: callback failed", "asyncio"),
+        ("ValueError: task failed", "asyncio"),
+        ("ValueError: destructor failed", "python"),
+        ("ValueError: thread failed", "python"),
+        ("UserWarning: about to fail", "py.warnings"),
+    ):
+        (line,) = [line for line in lines if text in line]
+        assert "[play-launch] " in line
+        (message,) = [each for each in logged if text in each.msg]
+        assert message.name == logger
+    # Nothing of it stands across the view: who writes there is named.
+    assert not any(line.startswith(("Traceback", "Exception", "Task")) for line in lines)

@@ -149,6 +149,25 @@ def test_quiet_leaves_output_away_in_every_style() -> None:
         assert style.wants(node("/c", 0, NodeState.LOADED))
 
 
+def test_a_record_of_the_log_leaves_the_live_view_as_it_is() -> None:
+    # It comes from any thread, and what that thread knows of the view may be older.
+    stream = io.StringIO()
+    style = LiveStyle(
+        Console(file=stream, force_terminal=True, width=80), quiet=False, colour=False
+    )
+    heard: list[Shown] = []
+    collecting = StubStyle()
+    collecting.show = lambda batch, _: heard.extend(batch)  # type: ignore[assignment, method-assign]
+    display = Display(collecting)
+    for shown in folded(container("/c"), node("/c", 0, NodeState.LOADED)):
+        display.publish(*shown)
+    display.publish_log(LogRecord(stamp_ns=1, level=30, name="n", message="late"))
+    display.close()
+    assert style.show(heard, 0) is None, "all that is declared is there: nothing to draw again"
+    style.close()
+    assert "late" in stream.getvalue()
+
+
 def test_json_has_one_object_for_each_event() -> None:
     stream = io.StringIO()
     component = ComponentEvent(
@@ -161,6 +180,7 @@ def test_json_has_one_object_for_each_event() -> None:
         package_name="p",
         plugin_name="p::N",
         backtrace=("f",),
+        received=b"not for this",
     )
     events: list[RunEvent] = [
         component,

@@ -10,21 +10,21 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 from play_launch.cli.show.streams import let_go_of
-from play_launch.core.events import OutputLine, RunEvent
+from play_launch.core.events import LogRecord, OutputLine, RunEvent
+from play_launch.core.view import SystemView
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from play_launch.core.view import SystemView
-
 _log = logging.getLogger(__name__)
+_NO_VIEW: Final = SystemView()
 
 _LAST_WORDS: Final = 2.0
 """Seconds that the end waits for a terminal which takes no more."""
 
 
 class Shown(NamedTuple):
-    """An event and the view before and after it."""
+    """An event and the view before and after it; a record of the log has none."""
 
     event: RunEvent
     before: SystemView
@@ -102,6 +102,10 @@ class Display:
             self._queue.append(Shown(event, before, after))
         if not waiting:
             self._wake.set()
+
+    def publish_log(self, event: LogRecord) -> None:
+        """Show a record of the log, in any thread: it neither changes the view nor needs one."""
+        self.publish(event, _NO_VIEW, _NO_VIEW)
 
     def close(self) -> None:
         """Show what is waiting and leave the terminal as it was."""

@@ -85,8 +85,9 @@ class LiveStyle:
                 redirect_stderr=False,
             )
             self._live.start()
-        if batch:
-            self._view = batch[-1].after
+        for shown in batch:
+            if not isinstance(shown.event, LogRecord):
+                self._view = shown.after
         lines = [line for line in (line_of(*shown) for shown in batch) if line]
         lines = [line for line in lines if not line.is_progress]
         if missed:
