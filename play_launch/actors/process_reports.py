@@ -1,10 +1,11 @@
-"""What is told about a process that we own."""
+"""What is reported about a process that we own."""
 
 from __future__ import annotations
 
-import asyncio
 import logging
 from typing import TYPE_CHECKING, Final
+
+import anyio
 
 from play_launch.core.events import ProcessEvent, ProcessEventKind
 
@@ -31,37 +32,38 @@ class ProcessReports:
         self._name = name
         self._publisher = publisher
         self._process: ManagedProcess | None = None
-        self.restarts = 0
 
-    def started(self, process: ManagedProcess) -> None:
-        """Tell it; what follows is about this process."""
+    def started(self, process: ManagedProcess, restarts: int) -> None:
+        """Report it; what follows is about this process."""
         self._process = process
-        self.publish(ProcessEventKind.STARTED, command=process.argv)
+        self.publish(ProcessEventKind.STARTED, restarts, command=process.argv)
 
-    def exited(self, exit_: Exit, killed_because: str = "") -> None:
-        """Tell how it ended, and why if that was our doing."""
+    def exited(self, exit_: Exit, restarts: int, killed_because: str = "") -> None:
+        """Report how it ended, and why if that was our doing."""
         self.publish(
             ProcessEventKind.EXITED,
+            restarts,
             message=f"{killed_because}; {exit_}" if killed_because else str(exit_),
             exit_code=exit_.code,
             signal=exit_.signal,
         )
 
     def on_output(self, stream: Stream, lines: Sequence[Line]) -> None:
-        """Tell what it wrote."""
+        """Publish what it wrote."""
         pid = self._process.pid if self._process is not None else 0
         self._publisher.publish_output(self._name, pid, stream, lines)
 
     def publish(
         self,
         kind: ProcessEventKind,
+        restarts: int,
         *,
         message: str = "",
         exit_code: int = 0,
         signal: int = 0,
         command: tuple[str, ...] = (),
     ) -> None:
-        """Tell something about the latest process."""
+        """Report something about the latest process; ``restarts``: of its member so far."""
         self._publisher.publish(
             ProcessEvent(
                 stamp_ns=self._publisher.stamp_ns(),
@@ -71,16 +73,20 @@ class ProcessReports:
                 start_time=self._process.start_time if self._process is not None else 0,
                 exit_code=exit_code,
                 signal=signal,
-                restarts=self.restarts,
+                restarts=restarts,
                 message=message,
                 command=command,
             )
         )
 
     async def gone(self, process: ManagedProcess) -> None:
-        """Wait until nothing of an ended process is left, and complain if that takes too long."""
-        try:
-            async with asyncio.timeout(GONE_LIMIT):
-                await process.gone()
-        except TimeoutError:
-            _log.exception("%s (pid %d): something of it is left", self._name, process.pid)
+        """Wait until nothing of an ended process is left; report it when that takes too long."""
+        with anyio.move_on_after(GONE_LIMIT) as scope:
+            await process.gone()
+        if scope.cancelled_caught:
+            _log.error(
+                "%s (pid %d): %g s after its end, something of it is left",
+                self._name,
+                process.pid,
+                GONE_LIMIT,
+            )

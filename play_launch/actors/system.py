@@ -4,24 +4,29 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import math
 import os
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
-from play_launch.actors.container.container import ContainerActor
+import anyio
+
+from play_launch.actors.container.container import ContainerMember
 from play_launch.actors.container.library_probes import LibraryProbes
 from play_launch.actors.container.limits import LIMITS, Limits
 from play_launch.actors.container.nodes import AttemptNumbers
-from play_launch.actors.deadline import happens_before
 from play_launch.actors.launcher import NativeLauncher
-from play_launch.actors.process_node import ProcessActor
+from play_launch.actors.process_node import ProcessMember
 from play_launch.actors.publisher import Publisher
 from play_launch.config.model import ContainerType
 from play_launch.core.exit_code import exit_code
+from play_launch.core.member import MemberInput
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable
 
+    from play_launch.actors.member import Member
     from play_launch.actors.ports import Launcher
     from play_launch.actors.stop_requests import StopRequests
     from play_launch.config.model import ContainerConfig, ReplayConfig
@@ -55,13 +60,130 @@ STOCK_STARTS: Final = 4
 until they are found in the graph."""
 
 
-def _starts_of(
-    container: ContainerConfig, places: asyncio.Semaphore, stock_places: asyncio.Semaphore
+def _slots_of(
+    container: ContainerConfig, slots: asyncio.Semaphore, stock_slots: asyncio.Semaphore
 ) -> asyncio.Semaphore:
     if container.attach:
-        # Waiting for somebody else's container takes no place from those that start.
+        # Waiting for somebody else's container takes no slot from those that start.
         return asyncio.Semaphore(1)
-    return stock_places if container.container_type is ContainerType.STOCK else places
+    return stock_slots if container.container_type is ContainerType.STOCK else slots
+
+
+class System:
+    """The members of a running system by their full names, and what can be asked of them.
+
+    Belongs to the thread of the event loop.
+    """
+
+    def __init__(
+        self,
+        config: ReplayConfig,
+        publisher: Publisher,
+        stop: StopRequests,
+        *,
+        launcher: Launcher,
+        limits: Limits = LIMITS,
+        starts: int | None = None,
+    ) -> None:
+        """Know the members; ``starts`` is how many containers start up at the same time."""
+        self._config = config
+        self._publisher = publisher
+        self._stop = stop
+        attempts = AttemptNumbers()
+        starts = starts or default_starts()
+        slots = asyncio.Semaphore(starts)
+        stock_slots = asyncio.Semaphore(STOCK_STARTS * starts)
+        probes = LibraryProbes(launcher, publisher)
+        self._containers = {
+            container.full_name: ContainerMember(
+                container,
+                launcher=launcher,
+                publisher=publisher,
+                stop=stop,
+                attempts=attempts,
+                slots=_slots_of(container, slots, stock_slots),
+                probes=None if container.container_type is ContainerType.STOCK else probes,
+                limits=limits,
+            )
+            for container in config.containers
+        }
+        processes = {
+            process.full_name: ProcessMember(
+                process, launcher=launcher, publisher=publisher, stop=stop
+            )
+            for process in config.nodes
+        }
+        self._members: dict[str, Member] = {**self._containers, **processes}
+
+    def start(self, member: str) -> None:
+        """Have a container or executable run that does not; KeyError for an unknown name."""
+        self._members[member].post(MemberInput.START)
+
+    def stop(self, member: str, reason: str) -> None:
+        """Have one stopped, for good; the others are left alone."""
+        self._members[member].post(MemberInput.STOP, reason)
+
+    def restart(self, member: str, reason: str) -> None:
+        """Have one replaced by a new process, or started."""
+        self._members[member].post(MemberInput.RESTART, reason)
+
+    def load(self, container: str, index: int) -> None:
+        """Have a composable node loaded, by its place in the declaration of its container."""
+        member = self._containers[container]
+        member.deliver(partial(member.nodes.load, index))
+
+    def unload(self, container: str, index: int) -> None:
+        """Have one unloaded, for good."""
+        member = self._containers[container]
+        member.deliver(partial(member.nodes.unload, index))
+
+    def reload(self, container: str, index: int) -> None:
+        """Have one replaced by a new one, or loaded."""
+        member = self._containers[container]
+        member.deliver(partial(member.nodes.reload, index))
+
+    async def run(self) -> Outcome:
+        """Run it to its end, see `run_system`."""
+        until = None
+        if self._config.duration is not None:
+            until = asyncio.get_running_loop().time() + self._config.duration
+        for container in self._containers.values():
+            container.announce()
+        self._publisher.remember_view_before(self._stop)
+        members = self._members.values()
+        try:
+            async with anyio.create_task_group() as tasks:
+                for member in members:
+                    member.begin(tasks)
+                tasks.start_soon(self._end_with_members)
+                if not await _happens_before(self._stop.requested, until):
+                    reason = f"its duration of {self._config.duration:g} s is over"
+                    self._stop.request(reason=reason)
+                _log.info("stopping: %s", self._stop.reason)
+                for member in members:
+                    member.post(MemberInput.STOP, self._stop.reason)
+                for member in members:
+                    await member.rests()
+                tasks.cancel_scope.cancel()
+        finally:
+            for member in members:
+                member.close()
+        view = self._publisher.view_before_stop
+        return Outcome(
+            exit_code=exit_code(view, self._stop.signum),
+            view=view,
+            final_view=self._publisher.view,
+            reason=self._stop.reason,
+            signum=self._stop.signum,
+        )
+
+    async def _end_with_members(self) -> None:
+        """Ask for the end when nothing runs any more, nor is going to by itself."""
+        members = self._members.values()
+        while not all(member.is_at_rest for member in members):
+            for member in members:
+                await member.rests()
+        self._stop.request(reason="nothing is left to run")
 
 
 async def run_system(
@@ -72,6 +194,7 @@ async def run_system(
     launcher: Launcher | None = None,
     limits: Limits = LIMITS,
     starts: int | None = None,
+    on_begin: Callable[[System], None] = lambda _system: None,
 ) -> Outcome:
     """Run a system from its start to the end of its last process.
 
@@ -85,76 +208,25 @@ async def run_system(
         launcher: Starts the processes; None for the real one.
         limits: Time limits for containers.
         starts: How many containers start up at the same time; None for `default_starts`.
+        on_begin: Gets the system, to operate it while it runs.
     """
     if launcher is None:
         launcher = await asyncio.to_thread(NativeLauncher.of, config)
     try:
         # A participant that gets a port number of a dead one stumbles over what that one left.
         await launcher.clean_up()
-        return await _run(
+        system = System(
             config, Publisher(sink), stop, launcher=launcher, limits=limits, starts=starts
         )
+        on_begin(system)
+        return await system.run()
     finally:
         await launcher.clean_up()
         await launcher.close()
 
 
-async def _run(
-    config: ReplayConfig,
-    publisher: Publisher,
-    stop: StopRequests,
-    *,
-    launcher: Launcher,
-    limits: Limits,
-    starts: int | None,
-) -> Outcome:
-    loop = asyncio.get_running_loop()
-    until = None if config.duration is None else loop.time() + config.duration
-    attempts = AttemptNumbers()
-    starts = starts or default_starts()
-    places = asyncio.Semaphore(starts)
-    probes = LibraryProbes(launcher, publisher)
-    stock_places = asyncio.Semaphore(STOCK_STARTS * starts)
-    containers = [
-        ContainerActor(
-            container,
-            launcher=launcher,
-            publisher=publisher,
-            stop=stop,
-            attempts=attempts,
-            starts=_starts_of(container, places, stock_places),
-            probes=None if container.container_type is ContainerType.STOCK else probes,
-            limits=limits,
-        )
-        for container in config.containers
-    ]
-    processes = [
-        ProcessActor(process, launcher=launcher, publisher=publisher, stop=stop)
-        for process in config.nodes
-    ]
-    for container in containers:
-        container.announce()
-    publisher.remember_view_before(stop)
-    actors: list[ContainerActor | ProcessActor] = [*containers, *processes]
-    async with asyncio.TaskGroup() as tasks:
-        running = [tasks.create_task(actor.run()) for actor in actors]
-        tasks.create_task(_end_with(running, stop))
-        if not await happens_before(stop.requested, until):
-            stop.request(reason=f"its duration of {config.duration:g} s is over")
-        _log.info("stopping: %s", stop.reason)
-    view = publisher.view_before_stop
-    return Outcome(
-        exit_code=exit_code(view, stop.signum),
-        view=view,
-        final_view=publisher.view,
-        reason=stop.reason,
-        signum=stop.signum,
-    )
-
-
-async def _end_with(running: Iterable[asyncio.Task[None]], stop: StopRequests) -> None:
-    """Ask for the end when every actor has ended by itself."""
-    for task in running:
-        await asyncio.wait({task})
-    if not stop.requested.is_set():
-        stop.request(reason="nothing is left to run")
+async def _happens_before(event: asyncio.Event, when: float | None) -> bool:
+    """Wait for an event; False when the loop's clock comes to ``when`` first (None: never)."""
+    with anyio.CancelScope(deadline=math.inf if when is None else when):
+        await event.wait()
+    return event.is_set()

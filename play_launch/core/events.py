@@ -59,12 +59,14 @@ class NodeState(StrEnum):
 
 
 class ContainerState(StrEnum):
-    """What is known about one container process."""
+    """What is known about one container, or another member of the system."""
 
     STOPPED = "stopped"
     STARTING = "starting"
-    """Spawned; it has not said hello."""
+    """Waits for its turn to start, or was spawned and has not said hello."""
     RUNNING = "running"
+    KILLING = "killing"
+    """It was sent SIGKILL, for it no longer answers; its end has not been seen."""
     BACKOFF = "backoff"
     """Dead; waits before it is started again."""
     GAVE_UP = "gave up"

@@ -38,10 +38,29 @@ _RELOAD_FAILURES: Final = frozenset(
     {
         (NodeState.REQUESTED, NodeInput.REJECTED),
         (NodeState.REQUESTED, NodeInput.LOAD_FAILED),
+        (NodeState.REQUESTED, NodeInput.STATUS_UNKNOWN_AGAIN),
         (NodeState.LOADING, NodeInput.LOAD_FAILED),
+        (NodeState.LOADING, NodeInput.STATUS_UNKNOWN_AGAIN),
     }
 )
 """Where a failed load is a failed reload, if it was one."""
+
+_WANTED: Final = {
+    NodeInput.UNLOAD_REQUESTED: False,
+    NodeInput.LOAD_REQUESTED: True,
+    NodeInput.RELOAD_REQUESTED: True,
+    NodeInput.WANTED: True,
+}
+"""Inputs that say whether it is wanted."""
+
+_REPLACING: Final = frozenset({NodeInput.LOAD_REQUESTED, NodeInput.RELOAD_REQUESTED})
+
+_LEFT: Final = frozenset(
+    (NodeState.UNLOADING, said)
+    for said, (state, _) in TABLE[NodeState.UNLOADING].items()
+    if state in {NodeState.UNLOADED, NodeState.CRASHED} and said is not NodeInput.CONTAINER_LOST
+)
+"""Where a node that was being unloaded is gone, and its container is there."""
 
 _LOADS_ANEW: Final = frozenset({NodeInput.CONTAINER_READY, NodeInput.RELOAD_DUE})
 
@@ -68,8 +87,10 @@ class NodeRecord:
     resent: bool = False
     is_reload: bool = False
     """Whether that load followed a crash."""
-    unwanted: bool = False
-    """We asked for it to be unloaded; a new container process does not get it either."""
+    wanted: bool = True
+    """Whether somebody wants it; an unwanted node does not come back with its container either."""
+    replaces: bool = False
+    """Whether it is loaded again as soon as it has left: that was asked for while it was there."""
     sent_at: float = 0.0
     """When that load was sent, in seconds."""
     ask_at: float | None = None
@@ -103,16 +124,20 @@ def step(
     """
     if why := _mismatch(record, said, attempt, unique_id):
         return Step(record, ignored=why)
-    if record.unwanted and said in _LOADS_ANEW:
+    if not record.wanted and said in _LOADS_ANEW:
         return Step(record, ignored="nobody wants it any more")
     if said is NodeInput.STATUS_UNKNOWN and record.resent:
         said = NodeInput.STATUS_UNKNOWN_AGAIN
     if record.is_reload and (record.state, said) in _RELOAD_FAILURES:
         said = NodeInput.RELOAD_FAILED
+    if record.replaces and (record.state, said) in _LEFT:
+        said = NodeInput.REPLACED
     state, actions = TABLE[record.state][said]
 
-    unwanted = record.unwanted or said is NodeInput.UNLOAD_REQUESTED
-    after = replace(record, state=state, unwanted=unwanted)
+    wanted = _WANTED.get(said, record.wanted)
+    asked = said in _REPLACING or (record.replaces and said not in _WANTED)
+    replaces = state is NodeState.UNLOADING and asked
+    after = replace(record, state=state, wanted=wanted, replaces=replaces)
     if said in FROM_CONTAINER and unique_id and not record.unique_id:
         after = replace(after, unique_id=unique_id)
     if NodeAction.SEND_LOAD in actions or NodeAction.RESEND_LOAD in actions:

@@ -20,6 +20,14 @@ class NodeInput(StrEnum):
     CONTAINER_READY = auto()
     CONTAINER_LOST = auto()
     UNLOAD_REQUESTED = auto()
+    LOAD_REQUESTED = auto()
+    """It is wanted, and its container is ready."""
+    RELOAD_REQUESTED = auto()
+    """It is wanted, as a new one; its container is ready."""
+    WANTED = auto()
+    """It is wanted when its container is ready."""
+    REPLACED = auto()
+    """It left as it was unloaded, and is wanted again by now."""
     RELOAD_DUE = auto()
     """The pause after a crash is over."""
     GIVEN_UP = auto()
@@ -138,11 +146,22 @@ TABLE: Final[Mapping[NodeState, Mapping[NodeInput, Transition]]] = {
             Said.CONTAINER_READY: _NEW_LOAD,
             Said.UNLOAD_REQUESTED: (State.UNLOADED, Do.REPORT_UNLOADED),
         },
-        {Said.REFUSED, Said.CONTAINER_LOST, Said.UNLOAD_REJECTED, *_TIMERS, *FROM_CONTAINER},
+        {
+            Said.LOAD_REQUESTED,
+            Said.RELOAD_REQUESTED,
+            Said.WANTED,
+            Said.REPLACED,
+            Said.REFUSED,
+            Said.CONTAINER_LOST,
+            Said.UNLOAD_REJECTED,
+            *_TIMERS,
+            *FROM_CONTAINER,
+        },
     ),
     State.REQUESTED: _row(
         State.REQUESTED,
         {
+            Said.RELOAD_REQUESTED: (State.UNLOADING,),
             Said.ACCEPTED: (State.LOADING,),
             Said.LOADING: (State.LOADING,),
             Said.REJECTED: _FAILED,
@@ -163,6 +182,9 @@ TABLE: Final[Mapping[NodeState, Mapping[NodeInput, Transition]]] = {
             Said.UNLOAD_REQUESTED: (State.UNLOADING,),
         },
         {
+            Said.LOAD_REQUESTED,
+            Said.WANTED,
+            Said.REPLACED,
             Said.REFUSED,
             Said.CONTAINER_READY,
             Said.RELOAD_DUE,
@@ -174,6 +196,7 @@ TABLE: Final[Mapping[NodeState, Mapping[NodeInput, Transition]]] = {
     State.LOADING: _row(
         State.LOADING,
         {
+            Said.RELOAD_REQUESTED: (State.UNLOADING, Do.SEND_CANCEL),
             Said.LOADED: (State.LOADED, Do.REPORT_LOADED),
             Said.LOAD_FAILED: _FAILED,
             Said.RELOAD_FAILED: _FAILED_AGAIN,
@@ -191,6 +214,9 @@ TABLE: Final[Mapping[NodeState, Mapping[NodeInput, Transition]]] = {
             Said.REJECTED: (State.LOADING, Do.SEND_QUERY),
         },
         {
+            Said.LOAD_REQUESTED,
+            Said.WANTED,
+            Said.REPLACED,
             Said.REFUSED,
             Said.CONTAINER_READY,
             Said.RELOAD_DUE,
@@ -204,6 +230,7 @@ TABLE: Final[Mapping[NodeState, Mapping[NodeInput, Transition]]] = {
     State.LOADED: _row(
         State.LOADED,
         {
+            Said.RELOAD_REQUESTED: (State.UNLOADING, Do.SEND_UNLOAD),
             Said.UNLOADED: _UNASKED,
             Said.CRASHED: _CRASH,
             Said.CONTAINER_LOST: _LOST,
@@ -217,6 +244,9 @@ TABLE: Final[Mapping[NodeState, Mapping[NodeInput, Transition]]] = {
             Said.RELOAD_FAILED: (State.LOADED, Do.SEND_QUERY),
         },
         {
+            Said.LOAD_REQUESTED,
+            Said.WANTED,
+            Said.REPLACED,
             Said.REFUSED,
             Said.CONTAINER_READY,
             *_TIMERS,
@@ -232,6 +262,7 @@ TABLE: Final[Mapping[NodeState, Mapping[NodeInput, Transition]]] = {
     State.UNLOADING: _row(
         State.UNLOADING,
         {
+            Said.REPLACED: _NEW_LOAD,
             Said.ACCEPTED: (State.UNLOADING, Do.SEND_CANCEL),
             Said.REJECTED: (State.UNLOADED, Do.REPORT_UNLOADED),
             # The constructor was quicker than the cancellation.
@@ -250,6 +281,9 @@ TABLE: Final[Mapping[NodeState, Mapping[NodeInput, Transition]]] = {
             Said.STATUS_UNKNOWN_AGAIN: (State.UNLOADED, Do.REPORT_UNLOADED),
         },
         {
+            Said.LOAD_REQUESTED,
+            Said.RELOAD_REQUESTED,
+            Said.WANTED,
             Said.REFUSED,
             Said.CONTAINER_READY,
             Said.RELOAD_DUE,
@@ -264,19 +298,35 @@ TABLE: Final[Mapping[NodeState, Mapping[NodeInput, Transition]]] = {
         State.LOAD_FAILED,
         # A new container process is a new chance.
         {
+            Said.LOAD_REQUESTED: _NEW_LOAD,
+            Said.RELOAD_REQUESTED: _NEW_LOAD,
             Said.CONTAINER_READY: _NEW_LOAD,
             Said.RELOAD_DUE: _NEW_LOAD,
             Said.GIVEN_UP: (State.GAVE_UP, Do.REPORT_GAVE_UP),
             Said.UNLOAD_REQUESTED: (State.UNLOADED, Do.REPORT_UNLOADED),
         },
-        {Said.REFUSED, Said.CONTAINER_LOST, Said.UNLOAD_REJECTED, Said.SILENT, *FROM_CONTAINER},
+        {
+            Said.WANTED,
+            Said.REPLACED,
+            Said.REFUSED,
+            Said.CONTAINER_LOST,
+            Said.UNLOAD_REJECTED,
+            Said.SILENT,
+            *FROM_CONTAINER,
+        },
     ),
     State.UNLOADED: _row(
         State.UNLOADED,
         # A new container process is brought up as declared: a container that was ended from
         # outside tells that it unloads its nodes, too.
-        {Said.CONTAINER_READY: _NEW_LOAD},
         {
+            Said.LOAD_REQUESTED: _NEW_LOAD,
+            Said.RELOAD_REQUESTED: _NEW_LOAD,
+            Said.CONTAINER_READY: _NEW_LOAD,
+        },
+        {
+            Said.WANTED,
+            Said.REPLACED,
             Said.REFUSED,
             Said.CONTAINER_LOST,
             Said.UNLOAD_REQUESTED,
@@ -288,18 +338,34 @@ TABLE: Final[Mapping[NodeState, Mapping[NodeInput, Transition]]] = {
     State.CRASHED: _row(
         State.CRASHED,
         {
+            Said.LOAD_REQUESTED: _NEW_LOAD,
+            Said.RELOAD_REQUESTED: _NEW_LOAD,
             Said.RELOAD_DUE: _NEW_LOAD,
             Said.GIVEN_UP: (State.GAVE_UP, Do.REPORT_GAVE_UP),
             Said.CONTAINER_LOST: _LOST,
             Said.UNLOAD_REQUESTED: (State.UNLOADED, Do.REPORT_UNLOADED),
         },
-        {Said.REFUSED, Said.CONTAINER_READY, Said.SILENT, Said.UNLOAD_REJECTED, *FROM_CONTAINER},
+        {
+            Said.WANTED,
+            Said.REPLACED,
+            Said.REFUSED,
+            Said.CONTAINER_READY,
+            Said.SILENT,
+            Said.UNLOAD_REJECTED,
+            *FROM_CONTAINER,
+        },
     ),
     State.GAVE_UP: _row(
         State.GAVE_UP,
-        {Said.UNLOAD_REQUESTED: (State.UNLOADED, Do.REPORT_UNLOADED)},
+        {
+            Said.LOAD_REQUESTED: _NEW_LOAD,
+            Said.RELOAD_REQUESTED: _NEW_LOAD,
+            Said.UNLOAD_REQUESTED: (State.UNLOADED, Do.REPORT_UNLOADED),
+        },
         # It does not come back with its container either: it may be what brought that down.
         {
+            Said.WANTED,
+            Said.REPLACED,
             Said.REFUSED,
             Said.CONTAINER_READY,
             Said.CONTAINER_LOST,
@@ -311,10 +377,19 @@ TABLE: Final[Mapping[NodeState, Mapping[NodeInput, Transition]]] = {
     State.LOST: _row(
         State.LOST,
         {
+            Said.LOAD_REQUESTED: _NEW_LOAD,
+            Said.RELOAD_REQUESTED: _NEW_LOAD,
             Said.CONTAINER_READY: _NEW_LOAD,
             Said.REFUSED: _FAILED,
             Said.UNLOAD_REQUESTED: (State.UNLOADED, Do.REPORT_UNLOADED),
         },
-        {Said.CONTAINER_LOST, Said.UNLOAD_REJECTED, *_TIMERS, *FROM_CONTAINER},
+        {
+            Said.WANTED,
+            Said.REPLACED,
+            Said.CONTAINER_LOST,
+            Said.UNLOAD_REJECTED,
+            *_TIMERS,
+            *FROM_CONTAINER,
+        },
     ),
 }

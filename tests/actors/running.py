@@ -7,7 +7,7 @@ from contextlib import asynccontextmanager
 from typing import TYPE_CHECKING
 
 from play_launch.actors.stop_requests import StopRequests
-from play_launch.actors.system import Outcome, run_system
+from play_launch.actors.system import Outcome, System, run_system
 from play_launch.core.events import (
     ContainerState,
     ContainerStateChanged,
@@ -35,7 +35,16 @@ class Running:
         self.view = SystemView()
         self.outcome: Outcome | None = None
         self.task: asyncio.Task[Outcome] | None = None
+        self.system: System | None = None
         self._published = asyncio.Event()
+
+    @property
+    def operated(self) -> System:
+        assert self.system is not None
+        return self.system
+
+    def begins(self, system: System) -> None:
+        self.system = system
 
     @property
     def launcher(self) -> FakeLauncher:
@@ -119,7 +128,14 @@ async def running(
     """Run a system inside the block; at its end it is stopped, and nothing may be left."""
     system = Running(launcher)
     system.task = task = asyncio.create_task(
-        run_system(config, system, system.stop, launcher=launcher, starts=starts)
+        run_system(
+            config,
+            system,
+            system.stop,
+            launcher=launcher,
+            starts=starts,
+            on_begin=system.begins,
+        )
     )
     try:
         yield system

@@ -345,34 +345,3 @@ def test_everything_that_is_declared_is_known_from_the_start() -> None:
 
     sys = run(main())
     assert ProcessEventKind.STARTED in sys.process_events("/p")
-
-
-def test_an_unload_that_was_asked_for_is_final() -> None:
-    async def main() -> None:
-        from play_launch.actors.container.container import ContainerActor
-        from play_launch.actors.container.nodes import AttemptNumbers
-        from play_launch.actors.publisher import Publisher
-
-        fakes = FakeLauncher()
-        watching = Running(fakes)
-        actor = ContainerActor(
-            container("c", "a", "b"),
-            launcher=fakes,
-            publisher=Publisher(watching),
-            stop=watching.stop,
-            attempts=AttemptNumbers(),
-            starts=asyncio.Semaphore(1),
-        )
-        actor.announce()
-        task = asyncio.create_task(actor.run())
-        await watching.until_loaded(2)
-        actor.unload(0)
-        await watching.until(lambda: bool(watching.node_events("/a", NodeState.UNLOADED)))
-        fakes.containers["/c"][0].crash()
-        await watching.until_state("/c", ContainerState.BACKOFF)
-        await watching.until_loaded(1)
-        assert watching.view.containers["/c"].nodes[0].state is NodeState.UNLOADED
-        watching.stop.request()
-        await task
-
-    run(main())

@@ -193,6 +193,16 @@ class OneNode(RuleBasedStateMachine):
         if really == 0:
             self.apply(NodeInput.UNLOAD_REQUESTED)
 
+    @rule(really=st.integers(0, 3), again=st.booleans())
+    def load_or_reload(self, really: int, again: bool) -> None:
+        if really:
+            return
+        self.reload_planned = False
+        if not self.alive:
+            self.apply(NodeInput.WANTED)
+        else:
+            self.apply(NodeInput.RELOAD_REQUESTED if again else NodeInput.LOAD_REQUESTED)
+
     @rule()
     def ready_is_told_twice(self) -> None:
         if self.record.state in WAITING or self.record.state is NodeState.LOADED:
@@ -227,7 +237,7 @@ class OneNode(RuleBasedStateMachine):
 
     @invariant()
     def nobody_loads_what_is_unwanted(self) -> None:
-        assert not (self.record.unwanted and self.record.state is NodeState.LOADED)
+        assert self.record.wanted or self.record.state is not NodeState.LOADED
 
     @invariant()
     def asks_only_while_waiting(self) -> None:

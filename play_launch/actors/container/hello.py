@@ -18,10 +18,10 @@ def description(hello: Hello) -> str:
     return "; ".join([facts, *hello.notes])
 
 
-def what_is_lacking(config: ContainerConfig, hello: Hello) -> str:
+def isolation_shortfall(config: ContainerConfig, hello: Hello) -> str:
     """Say how its nodes are isolated otherwise than they would be at best; empty if they are not.
 
-    The text is the same for all containers that this befalls for the same reasons.
+    The text is the same for all containers with the same reasons.
     """
     wanted = config.isolation
     at_best = Isolation.SHARED_MEMORY if wanted is Isolation.AUTO else wanted

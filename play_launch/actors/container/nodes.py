@@ -20,13 +20,14 @@ from play_launch.actors.container.node_facts import (
     facts_of_status,
 )
 from play_launch.actors.container.node_reports import MirroredNode, NodeReports
+from play_launch.actors.container.questions import Questions
 from play_launch.actors.container.suspect_nodes import SuspectNodes
 from play_launch.actors.restarter import CrashFollower
 from play_launch.core.crash import Ignore, Shutdown, StopContainer
 from play_launch.core.events import TOLD_LOGGER, ComponentEvent, NodeState
 from play_launch.core.lifecycle import is_silent, step
 from play_launch.core.node_table import NodeAction, NodeInput
-from play_launch.core.questions import Asked, ids_to_ask, read_answer
+from play_launch.core.questions import Asked
 from play_launch.core.restart import GiveUp, Restart
 from play_launch.wire.channel import ControlError
 from play_launch.wire.codec import EncodeError
@@ -34,7 +35,6 @@ from play_launch.wire.messages import (
     Accepted,
     Cancel,
     Outgoing,
-    Query,
     Rejected,
     Status,
     Unload,
@@ -53,9 +53,6 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 _told = logging.getLogger(TOLD_LOGGER)
-
-_OPEN_QUESTIONS: Final = 16
-"""Questions whose answers are still expected; older ones are given up."""
 
 _ALONE_LIMIT: Final = 60.0
 """Seconds for which a load can keep others waiting that have to be alone."""
@@ -88,10 +85,12 @@ class ContainerNodes:
         clock: Callable[[], float],
         jitter: Callable[[], float] = random.random,
         silence: float,
+        deliver: Callable[[Callable[[], None]], None],
         probes: LibraryProbes | None = None,
     ) -> None:
         """Know the declared nodes; ``attempts`` and ``probes`` are shared by all containers.
 
+        ``deliver`` has something done to the container's member, from a task.
         Without ``probes`` every node is loaded whenever the container is ready.
         """
         self._container = config.full_name
@@ -104,14 +103,13 @@ class ContainerNodes:
         self._send: Callable[[Outgoing], None] | None = None
         self._stopping = False
         self._lost_loading: list[int] = []
-        self._query_id = 0
-        self._questions: dict[int, tuple[Asked, ...]] = {}
+        self._questions = Questions(config.full_name)
         self._to_ask: dict[int, MirroredNode] = {}
         self._nodes = [
             MirroredNode(index, node, CrashFollower(node.on_crash, node.restart, jitter))
             for index, node in enumerate(config.composable_nodes)
         ]
-        self.suspects = SuspectNodes(config, probes, self)
+        self.suspects = SuspectNodes(config, probes, self, deliver)
         """Those that may have taken the container down; its `run` has to run."""
 
     def announce(self) -> None:
@@ -134,6 +132,8 @@ class ContainerNodes:
         self.suspects.stop()
         for node in self._nodes:
             node.reload_at = None
+            if node.record.replaces:
+                self._apply(node, NodeInput.WANTED)
 
     def container_lost(self, reason: str) -> None:
         """The container process is gone, and with it all nodes."""
@@ -175,9 +175,24 @@ class ContainerNodes:
         nodes = (each for each in self._nodes if each.record.state in _UNDER_WAY)
         return [node.index for node in nodes if node.record.sent_at >= since]
 
+    def load(self, index: int) -> None:
+        """Have a node loaded that is not: now, or as soon as its container is ready."""
+        self._want(index, NodeInput.LOAD_REQUESTED)
+
+    def reload(self, index: int) -> None:
+        """Have a node replaced by a new one, or loaded."""
+        self._want(index, NodeInput.RELOAD_REQUESTED)
+
     def unload(self, index: int) -> None:
         """Have a node unloaded; it does not come back with its container either."""
+        self._nodes[index].reload_at = None
         self._apply(self._nodes[index], NodeInput.UNLOAD_REQUESTED)
+        self._ask()
+
+    def _want(self, index: int, said: NodeInput) -> None:
+        is_ready = self._send is not None and not self._stopping
+        self._nodes[index].reload_at = None
+        self._apply(self._nodes[index], said if is_ready else NodeInput.WANTED)
         self._ask()
 
     def hear(self, message: Accepted | Rejected | ComponentEvent | Status) -> None:
@@ -261,17 +276,7 @@ class ContainerNodes:
             self._about_attempt(INPUT_OF_EVENT[event.kind], facts_of_event(event))
 
     def _hear_status(self, status: Status) -> None:
-        asked = self._questions.pop(status.query_id, None)
-        if asked is None:
-            _log.debug("%s answered question %d again", self._container, status.query_id)
-            return
-        if status.dropped_frames:
-            _log.warning(
-                "%s has lost %d frames so far: its outgoing queue was full",
-                self._container,
-                status.dropped_frames,
-            )
-        for answer in read_answer(asked, status.nodes):
+        for answer in self._questions.read(status):
             facts = facts_of_status(answer.asked, answer.listed)
             self._apply(self._nodes[answer.asked.position], answer.said, facts)
 
@@ -393,17 +398,7 @@ class ContainerNodes:
             for node in self._to_ask.values()
         )
         self._to_ask.clear()
-        if self._questions:
-            _log.warning(
-                "%s has not answered %d question(s) about its nodes yet",
-                self._container,
-                len(self._questions),
-            )
-        while len(self._questions) >= _OPEN_QUESTIONS:
-            del self._questions[next(iter(self._questions))]
-        self._query_id += 1
-        self._questions[self._query_id] = asked
-        self._request(Query(query_id=self._query_id, unique_ids=ids_to_ask(asked)))
+        self._request(self._questions.put(asked))
 
     def _follow_up(self, node: MirroredNode, facts: Facts) -> None:
         """Decide what follows from a crash or a failed reload, tell it, do it."""

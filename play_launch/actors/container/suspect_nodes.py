@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections import defaultdict
+from functools import partial
 from typing import TYPE_CHECKING, Protocol
 
 from play_launch.actors.container.node_facts import telling_frame
@@ -15,7 +16,7 @@ from play_launch.actors.deadline import first_of
 from play_launch.core.suspects import Suspects
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
+    from collections.abc import Callable, Collection, Sequence
 
     from play_launch.actors.container.library_probes import LibraryProbes
     from play_launch.config.model import ComposableNodeConfig, ContainerConfig
@@ -41,9 +42,17 @@ class SuspectNodes:
     """The suspects of one container; `run` has to run meanwhile."""
 
     def __init__(
-        self, config: ContainerConfig, probes: LibraryProbes | None, loads: SuspectLoads
+        self,
+        config: ContainerConfig,
+        probes: LibraryProbes | None,
+        loads: SuspectLoads,
+        deliver: Callable[[Callable[[], None]], None],
     ) -> None:
-        """Know the container; nobody is ever suspected where ``probes`` is None."""
+        """Know the container; nobody is ever suspected where ``probes`` is None.
+
+        ``deliver`` has something done to the container's member.
+        """
+        self._deliver = deliver
         self._config = config
         self._probes = probes
         self._loads = loads
@@ -52,11 +61,15 @@ class SuspectNodes:
         self._stopped = asyncio.Event()
 
     async def run(self) -> None:
-        """Probe libraries until it is cancelled or `stop` is called; then no process is left."""
-        await first_of(self._serve(), self._stopped.wait())
+        """Probe libraries until it is cancelled; then no process is left."""
+        while True:
+            self._stopped.clear()
+            await first_of(self._serve(), self._stopped.wait())
 
     def stop(self) -> None:
-        """Probe nothing any more: the container is stopped."""
+        """Give up what is being probed: the container is stopped."""
+        while not self._to_probe.empty():
+            self._to_probe.get_nowait()
         self._stopped.set()
 
     def container_died(self, under_way: Collection[int], reason: str) -> None:
@@ -129,18 +142,19 @@ class SuspectNodes:
                 if finding is None or finding.is_about_library or self._node(index).plugin in same
             ]
             group = [index for index in group if index not in settled]
-            for index in settled:
-                self._conclude(index, finding)
-            self._loads.load_cleared()
+            self._deliver(partial(self._conclude, settled, finding))
 
-    def _conclude(self, index: int, finding: Finding | None) -> None:
+    def _conclude(self, settled: Collection[int], finding: Finding | None) -> None:
         loads = finding is None or finding.loads
-        self._suspects.probe_ended(index, loads=loads)
-        if finding is not None and not loads:
-            reason = finding.error
-            if finding.backtrace:
-                reason += f" at {telling_frame(finding.backtrace)}"
-            where = (
-                f"in a scratch process, tried because {self._name} ended while it loaded the node"
-            )
-            self._loads.refuse(index, f"{reason} ({where})", finding)
+        for index in settled:
+            self._suspects.probe_ended(index, loads=loads)
+            if finding is not None and not loads:
+                self._loads.refuse(index, self._why(finding), finding)
+        self._loads.load_cleared()
+
+    def _why(self, finding: Finding) -> str:
+        reason = finding.error
+        if finding.backtrace:
+            reason += f" at {telling_frame(finding.backtrace)}"
+        where = f"in a scratch process, tried because {self._name} ended while it loaded the node"
+        return f"{reason} ({where})"

@@ -1,4 +1,4 @@
-"""How a container process ended, as far as it matters for what follows."""
+"""How a process ended, as far as it matters for what follows."""
 
 from __future__ import annotations
 
@@ -11,24 +11,25 @@ if TYPE_CHECKING:
     from play_launch.process.exit import Exit
 
 
+_NEVER_RAN: Final = frozenset({126, 127})
+"""Exit codes that say that the program itself was not executed."""
+
+
 @dataclass(frozen=True, slots=True)
 class Death:
-    """The end of a container process, or that it could not be started."""
+    """The end of a member's process, or that it could not be started."""
 
     reason: str
     permanent: bool = False
     """The next start would only repeat it."""
     by_itself: bool = False
-    """In order, because a node wanted it."""
+    """It is over, and that is no failure of the member."""
     lived: float = 0.0
-    """Seconds from its hello to its end."""
+    """Seconds from being ready to its end."""
 
 
-STOPPED_EARLY: Final = Death("it was stopped before it was started")
-
-
-def death_of(exit_: Exit, killed_because: str, lived: float | None) -> Death:
-    """Judge the end of a process.
+def death_of_container(exit_: Exit, killed_because: str, lived: float | None) -> Death:
+    """Judge the end of a container's process.
 
     Args:
         exit_: Its exit status or signal.
@@ -43,3 +44,15 @@ def death_of(exit_: Exit, killed_because: str, lived: float | None) -> Death:
     if exit_.code == CONTEXT_EXIT_CODE:
         return Death("a node shut its ROS context down", by_itself=True)
     return Death(f"{because}{exit_}", lived=lived)
+
+
+def death_of_process(exit_: Exit, lived: float, *, respawn: bool) -> Death:
+    """Judge the end of an ordinary executable, after so many seconds.
+
+    Without ``respawn`` its end is no matter of restarting, whatever its status is.
+    """
+    if not respawn:
+        return Death("", by_itself=True, lived=lived)
+    if exit_.code in _NEVER_RAN:
+        return Death(f"{exit_}: {PERMANENT_EXIT_CODES[exit_.code]}", permanent=True)
+    return Death(str(exit_), lived=lived)

@@ -1,0 +1,425 @@
+"""One member of the system: what is wanted of it, its process, one inbox.
+
+Whatever happens to a member is handed to `Member.post` or `Member.deliver`: words of its container,
+the end of its process, points in time, requests of others. One after the other is carried out at
+once and to its end, so nobody else ever sees or changes a member halfway
+(docs/decisions/member-inbox.md). What takes time runs in tasks that do nothing but hand over what
+came of it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import random
+from functools import partial
+from typing import TYPE_CHECKING, Final, assert_never
+
+import anyio
+
+from play_launch.actors.failures import failure_reason
+from play_launch.actors.inbox import Inbox
+from play_launch.actors.ports import StartError
+from play_launch.actors.process_reports import ProcessReports
+from play_launch.actors.restarter import Restarter
+from play_launch.core.events import TOLD_LOGGER, ContainerState, ProcessEventKind
+from play_launch.core.member import MemberAction, MemberInput, MemberRecord, step
+from play_launch.core.restart import GiveUp
+
+if TYPE_CHECKING:
+    from collections.abc import Awaitable, Callable, Iterator
+
+    from anyio.abc import TaskGroup
+
+    from play_launch.actors.death import Death
+    from play_launch.actors.ports import ManagedProcess
+    from play_launch.actors.publisher import Publisher
+    from play_launch.actors.stop_requests import StopRequests
+    from play_launch.core.restart import RestartLimits
+    from play_launch.process.exit import Exit
+
+_log = logging.getLogger(__name__)
+_told = logging.getLogger(TOLD_LOGGER)
+
+KILL_LIMIT: Final = 5.0
+"""Seconds from SIGKILL to the end of a process; one in an uninterruptible system call lives on."""
+
+_AT_REST: Final = frozenset({ContainerState.STOPPED, ContainerState.GAVE_UP})
+
+
+class Member:
+    """Owns one container or ordinary executable; times are seconds of the event loop's clock."""
+
+    def __init__(
+        self,
+        name: str,
+        *,
+        restart: RestartLimits,
+        publisher: Publisher,
+        stop: StopRequests,
+        slots: asyncio.Semaphore | None = None,
+        jitter: Callable[[], float] = random.random,
+    ) -> None:
+        """Know the member by its full name; ``slots`` bounds how many start at the same time."""
+        self.name = name
+        self._stop = stop
+        self._loop = asyncio.get_running_loop()
+        self._reports = ProcessReports(name, publisher)
+        self._restarter = Restarter(restart, jitter)
+        self._slots = slots
+        self._has_slot = False
+        self._record = MemberRecord()
+        self._inbox = Inbox(deadlines=self._deadlines, on_time=self._on_time, on_error=self._fail)
+        self._tasks: TaskGroup | None = None
+        self._queue_scope: anyio.CancelScope | None = None
+        self._rests = asyncio.Event()
+        self._rests.set()
+        self._restart_at: float | None = None
+        self._delay = 0.0
+        self._death_reason = ""
+        self._stop_reason = ""
+        # Of the latest process; it stays until nothing of it is left.
+        self._process: ManagedProcess | None = None
+        self._nothing_left = asyncio.Event()
+        self._nothing_left.set()
+        self._has_ended = False
+        self._killed_because = ""
+        self._is_fatal = False
+        self._kill_due: float | None = None
+        self._is_stuck = False
+        self._stopped: asyncio.Event | None = None
+
+    @property
+    def state(self) -> ContainerState:
+        """What is known about it."""
+        return self._record.state
+
+    @property
+    def wanted(self) -> bool:
+        """Whether somebody wants it to run."""
+        return self._record.wanted
+
+    @property
+    def is_at_rest(self) -> bool:
+        """Whether it does not run, nothing is left of it, and it does not start by itself."""
+        return self._rests.is_set()
+
+    async def rests(self) -> None:
+        """Wait until it is at rest."""
+        await self._rests.wait()
+
+    def post(self, said: MemberInput, reason: str = "") -> None:
+        """Hand over an input, with its reason where one is to be reported."""
+        self.deliver(partial(self._apply, said, reason))
+
+    def deliver(self, work: Callable[[], None]) -> None:
+        """Have something done to this member, at once or after what is being done to it.
+
+        Whatever it raises is this member's failure, and nobody else's.
+        """
+        self._inbox.deliver(work)
+
+    def begin(self, tasks: TaskGroup) -> None:
+        """Begin to carry out what is wanted: that it runs, unless the system stops already.
+
+        What takes time runs in ``tasks``. When these are cancelled, no process is left behind.
+        """
+        self._tasks = tasks
+        self._begin_sources()
+        if not self._stop.requested.is_set():
+            self.post(MemberInput.START)
+
+    def close(self) -> None:
+        """Do nothing at any later time."""
+        self._inbox.close()
+
+    # What a kind of member has to say.
+
+    def _spawn(self) -> ManagedProcess:
+        """Start its process; raises StartError."""
+        raise NotImplementedError
+
+    def _started(self) -> None:
+        """Its process runs."""
+        raise NotImplementedError
+
+    def _death_of(self, exit_: Exit) -> Death:
+        """Judge the end of its process."""
+        raise NotImplementedError
+
+    def _cannot_start(self, error: StartError) -> Death:
+        """Judge that it could not be started."""
+        raise NotImplementedError
+
+    def _begin_sources(self) -> None:
+        """Begin what runs as long as the member."""
+
+    def _begin_work(self) -> None:
+        """It is ready: put it to work."""
+
+    def _lose(self, reason: str, *, comes_back: bool) -> None:
+        """Whatever it did is over."""
+
+    def _stops(self) -> None:
+        """Its process is going to be stopped, or has ended: silence means nothing any more."""
+
+    def _way_to_ask(self) -> Callable[[], bool] | None:
+        """Give what asks it to stop in its own language."""
+        return None
+
+    async def _last_words(self) -> None:
+        """Wait for what it said before its end."""
+
+    def _let_go(self) -> None:
+        """Nothing is heard of its process any more."""
+
+    async def _clean_up(self) -> None:
+        """Remove what its dead process left in the system, before the next one starts."""
+
+    def _counts(self) -> bool:
+        """Whether a restart uses up one of those that are allowed."""
+        return True
+
+    def _publish_state(self, reason: str) -> None:
+        """Publish the state, where that is more than the process's own events."""
+
+    def _deadlines(self) -> Iterator[float | None]:
+        """Give the times at which `_on_time` has to be called; None for one that is not due."""
+        yield self._kill_due
+        yield self._restart_at if self._process is None else None
+
+    def _on_time(self) -> None:
+        now = self._loop.time()
+        if self._kill_due is not None and now >= self._kill_due:
+            self._kill_due = None
+            self._apply(MemberInput.STUCK, self._stuck())
+        if self._restart_at is not None and self._process is None and now >= self._restart_at:
+            self._restart_at = None
+            self._apply(MemberInput.RESTART_DUE)
+
+    # The table, carried out.
+
+    def _apply(self, said: MemberInput, reason: str = "") -> None:
+        before = self._record
+        self._record, actions = step(before, said)
+        if self.state is not before.state:
+            self._restart_at = None
+            self._publish_state(reason)
+        for action in actions:
+            self._do(action, said, reason)
+        self._look_whether_it_rests()
+
+    def _do(self, action: MemberAction, said: MemberInput, reason: str) -> None:
+        match action:
+            case MemberAction.QUEUE:
+                self._queue_scope = anyio.CancelScope()
+                self._source(partial(self._queue, self._queue_scope))
+            case MemberAction.SPAWN:
+                self._start()
+            case MemberAction.BEGIN:
+                self._release_slot()
+                self._begin_work()
+            case MemberAction.LOSE:
+                self._lose(reason, comes_back=said is MemberInput.DIED_RESTART)
+            case MemberAction.KILL:
+                self._kill(reason, fatal=said is MemberInput.HELLO_MISMATCH)
+            case MemberAction.STOP_PROCESS:
+                self._stop_process(reason)
+            case MemberAction.WAIT_FOR_RESTART:
+                self._restart_at = self._loop.time() + self._delay
+                _told.warning("%s: %s", self.name, reason)
+                self._publish(ProcessEventKind.RESTARTING, reason)
+            case MemberAction.REPORT_GAVE_UP:
+                if said is not MemberInput.FAILED:  # else it is logged with its call stack
+                    _told.error("%s is not started again: %s", self.name, reason)
+                self._publish(ProcessEventKind.GAVE_UP, reason)
+            case _:
+                assert_never(action)
+
+    def _fail(self, error: Exception) -> None:
+        """Give it up because of an exception of our own; what runs of it is stopped in order."""
+        reason = failure_reason(error)
+        _told.error("%s: %s", self.name, reason, exc_info=error)
+        before = self._record
+        self._record, actions = step(before, MemberInput.FAILED)
+        self._restart_at = self._kill_due = None
+        publish = partial(self._publish_state, reason) if self.state is not before.state else None
+        todo = [partial(self._do, action, MemberInput.FAILED, reason) for action in actions]
+        for work in (publish, self._stops, *todo, self._look_whether_it_rests):
+            try:
+                if work is not None:
+                    work()
+            except Exception:  # noqa: BLE001 - it is logged, and the stop goes on
+                _log.exception("%s: what follows from its failure failed as well", self.name)
+
+    def _look_whether_it_rests(self) -> None:
+        if self.state in _AT_REST and (self._process is None or self._is_stuck):
+            self._rests.set()
+        else:
+            self._rests.clear()
+
+    # A process, from its turn to its end.
+
+    async def _queue(self, scope: anyio.CancelScope) -> None:
+        """Wait for its turn; ``scope`` is cancelled when it is to stop instead."""
+        with scope:
+            await self._nothing_left.wait()
+            if self._slots is not None:
+                await self._slots.acquire()
+                if scope.cancel_called:
+                    self._slots.release()
+                    return
+                self._has_slot = True
+            if not scope.cancel_called:
+                self.post(MemberInput.SLOT)
+
+    def _release_slot(self) -> None:
+        if self._has_slot and self._slots is not None:
+            self._has_slot = False
+            self._slots.release()
+
+    def _start(self) -> None:
+        self._has_ended = False
+        self._killed_because = ""
+        self._is_fatal = False
+        try:
+            process = self._spawn()
+        except StartError as error:
+            self._die(self._cannot_start(error))
+            return
+        self._process = process
+        self._nothing_left.clear()
+        self._source(partial(self._accompany, process))
+        self._reports.started(process, self._restarter.total)
+        self._started()
+
+    async def _accompany(self, process: ManagedProcess) -> None:
+        """See a process to its end."""
+        try:
+            await self._live(process)
+        except Exception as error:  # noqa: BLE001 - others are not to pay for it
+            self.deliver(partial(self._fail, error))
+            if self._stopped is not None:
+                await self._stopped.wait()
+        except BaseException:
+            process.kill()
+            raise
+        finally:
+            self._let_go()
+            if not self._is_stuck:
+                with anyio.CancelScope(shield=True):
+                    if self._stopped is not None:
+                        await self._stopped.wait()
+                    await self._reports.gone(process)
+                if self.state is ContainerState.BACKOFF:
+                    await self._clean_up()
+                self.deliver(self._is_gone)
+
+    async def _live(self, process: ManagedProcess) -> None:
+        exit_ = await process.wait()
+        self.deliver(partial(self._ended, exit_))
+        await self._last_words()
+        self._let_go()
+        self.deliver(lambda: self._die(self._death_of(exit_)))
+
+    def _ended(self, exit_: Exit) -> None:
+        self._has_ended = True
+        self._is_stuck = False
+        self._kill_due = None
+        self._stops()
+        self._reports.exited(exit_, self._restarter.total, self._killed_because)
+
+    def _is_gone(self) -> None:
+        self._process = None
+        self._stopped = None
+        self._release_slot()
+        self._nothing_left.set()
+        self._look_whether_it_rests()
+
+    def _die(self, death: Death) -> None:
+        """Decide what follows from the end of the process, or from a start that failed."""
+        self._release_slot()
+        self._death_reason = death.reason
+        if self.state in {ContainerState.STOPPING, ContainerState.GAVE_UP}:
+            self._apply(MemberInput.DIED_FOR_GOOD, death.reason)
+            return
+        if death.permanent or self._is_fatal:
+            self._apply(MemberInput.DIED_FOR_GOOD, death.reason)
+            return
+        if death.by_itself:
+            if death.reason:
+                _told.warning("%s: stopped, and is not started again: %s", self.name, death.reason)
+            self._apply(MemberInput.ENDED, death.reason)
+            return
+        verdict = self._restarter.decide(
+            now=self._loop.time(), lived=death.lived, counts=self._counts()
+        )
+        if isinstance(verdict, GiveUp):
+            self._apply(MemberInput.DIED_FOR_GOOD, f"{death.reason}; {verdict.reason}")
+            return
+        self._delay = verdict.delay
+        self._apply(MemberInput.DIED_RESTART, f"{death.reason}; {self._sequel(verdict.delay)}")
+
+    def _sequel(self, delay: float) -> str:
+        return f"starts again in {delay:.2f} s"
+
+    def _kill(self, reason: str, *, fatal: bool) -> None:
+        assert self._process is not None
+        _log.error("%s is killed: %s", self.name, reason)
+        self._killed_because = reason
+        self._is_fatal = fatal
+        self._publish(ProcessEventKind.STOPPING, f"killed: {reason}")
+        self._kill_due = self._loop.time() + KILL_LIMIT
+        self._process.kill()
+
+    def _stop_process(self, reason: str) -> None:
+        self._stop_reason = reason
+        if self._queue_scope is not None:
+            self._queue_scope.cancel()
+        if self._process is None:
+            self._release_slot()
+            self.post(MemberInput.DIED_FOR_GOOD, "it was stopped before it was started")
+            return
+        if self._stopped is not None:
+            return
+        self._kill_due = None
+        ask = self._way_to_ask()
+        self._stops()
+        if not self._has_ended:
+            self._publish(ProcessEventKind.STOPPING, reason)
+        self._stopped = asyncio.Event()
+        self._source(partial(self._stop_in_order, self._process, ask, self._stopped))
+
+    async def _stop_in_order(
+        self, process: ManagedProcess, ask: Callable[[], bool] | None, stopped: asyncio.Event
+    ) -> None:
+        """Stop it as gently as it allows, and kill it in the end; at once when that fails."""
+        try:
+            if not await process.stop(ask=ask, hurry=self._stop.hurry):
+                self.deliver(lambda: self._apply(MemberInput.STUCK, self._stuck()))
+        except Exception:  # noqa: BLE001 - it is logged, and the stop goes on
+            _log.exception("%s could not be stopped in order and is killed", self.name)
+            process.kill()
+        finally:
+            stopped.set()
+
+    def _stuck(self) -> str:
+        assert self._process is not None
+        self._is_stuck = True
+        reason = "does not die, not even of SIGKILL"
+        _log.error("%s (pid %d) %s", self.name, self._process.pid, reason)
+        return reason
+
+    def _publish(self, kind: ProcessEventKind, message: str) -> None:
+        self._reports.publish(kind, self._restarter.total, message=message)
+
+    def _source(self, work: Callable[[], Awaitable[None]]) -> None:
+        """Begin a task that hands over what happens; what it raises is the member's failure."""
+        assert self._tasks is not None
+        self._tasks.start_soon(self._or_fail, work)
+
+    async def _or_fail(self, work: Callable[[], Awaitable[None]]) -> None:
+        try:
+            await work()
+        except Exception as error:  # noqa: BLE001 - others are not to pay for it
+            self.deliver(partial(self._fail, error))

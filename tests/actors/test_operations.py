@@ -1,0 +1,327 @@
+"""What can be asked of a running system: of one member or node, with the others left alone."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING
+
+import anyio
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from play_launch.actors.death import Death
+from play_launch.actors.member import Member
+from play_launch.actors.publisher import Publisher
+from play_launch.core.events import ContainerState, NodeState, ProcessEventKind
+from play_launch.core.member import MemberAction, MemberInput, MemberRecord, step
+from play_launch.core.restart import RestartLimits
+from play_launch.process.exit import Exit
+
+from .fakes import FakeContainer, FakeLauncher, FakeProcess, Held, container, process, system
+from .jumping_loop import run
+from .running import Running, running
+
+if TYPE_CHECKING:
+    from play_launch.wire.messages import Load
+
+CONFIG = system(container("c", "a", "b"), container("d", "x"), process("p"))
+
+
+def pids(fakes: FakeLauncher) -> dict[str, list[int]]:
+    containers = {name: [e.process.pid for e in all_] for name, all_ in fakes.containers.items()}
+    return {**containers, **{name: [e.pid for e in all_] for name, all_ in fakes.processes.items()}}
+
+
+async def until_up(sys: Running) -> None:
+    await sys.until_loaded(3)
+    await sys.until(lambda: ProcessEventKind.STARTED in sys.process_events("/p"))
+
+
+def test_a_container_is_stopped_and_started_and_the_others_run_on() -> None:
+    async def main() -> None:
+        async with running(CONFIG, FakeLauncher()) as sys:
+            await until_up(sys)
+            before = pids(sys.launcher)
+            sys.operated.stop("/c", "for a test")
+            await sys.until_state("/c", ContainerState.STOPPED)
+            assert sys.launcher.containers["/c"][0].process.stopped_with == ["ask"]
+            assert sys.container_events("/c", ContainerState.STOPPING)[0].reason == "for a test"
+            assert sys.view.loaded == 1
+            sys.operated.start("/c")
+            await sys.until_loaded(3)
+            after = pids(sys.launcher)
+            assert len(after.pop("/c")) == 2
+            assert after == {name: before[name] for name in ("/d", "/p")}
+
+    run(main())
+
+
+@pytest.mark.parametrize("name", ["/c", "/p"])
+def test_a_member_is_restarted(name: str) -> None:
+    async def main() -> None:
+        async with running(CONFIG, FakeLauncher()) as sys:
+            await until_up(sys)
+            before = pids(sys.launcher)
+            sys.operated.restart(name, "for a test")
+            await sys.until(lambda: len(pids(sys.launcher)[name]) == 2)
+            await sys.until_loaded(3)
+            after = pids(sys.launcher)
+            del before[name], after[name]
+            assert after == before
+            assert ProcessEventKind.RESTARTING not in sys.process_events(name)
+
+    run(main())
+
+
+def test_whoever_is_started_again_while_it_stops_is_started_when_it_has_ended() -> None:
+    async def main() -> None:
+        async with running(CONFIG, FakeLauncher()) as sys:
+            await until_up(sys)
+            sys.operated.stop("/c", "first")
+            sys.operated.start("/c")
+            sys.operated.stop("/p", "first")
+            sys.operated.start("/p")
+            await sys.until(
+                lambda: all(len(pids(sys.launcher)[each]) == 2 for each in ("/c", "/p"))
+            )
+            await sys.until_loaded(3)
+
+    run(main())
+
+
+def test_whoever_is_stopped_before_its_turn_never_starts() -> None:
+    class Mute(FakeContainer):
+        def start(self) -> None:
+            pass
+
+    async def main() -> None:
+        fakes = FakeLauncher(makers={"/c": [Mute]})
+        async with running(CONFIG, fakes, starts=1) as sys:
+            await sys.until(lambda: bool(fakes.containers))
+            for _ in range(3):
+                sys.operated.stop("/d", "not now")
+                await sys.until_state("/d", ContainerState.STOPPED)
+                sys.operated.start("/d")
+                await sys.until_state("/d", ContainerState.STARTING)
+            sys.operated.stop("/d", "not now")
+            await sys.until_state("/d", ContainerState.STOPPED)
+            fakes.containers["/c"][0].link.say(fakes.containers["/c"][0].hello())
+            await sys.until_loaded(2)
+            assert list(fakes.containers) == ["/c"]
+            sys.operated.start("/d")
+            await sys.until_loaded(3)
+            assert len(fakes.containers["/d"]) == 1
+
+    run(main())
+
+
+def test_a_member_that_gave_up_can_be_started() -> None:
+    class Dies(FakeContainer):
+        def start(self) -> None:
+            self.crash(6)
+
+    async def main() -> None:
+        fakes = FakeLauncher(makers={"/c": [Dies, Dies, Dies, Dies, FakeContainer]})
+        async with running(CONFIG, fakes) as sys:
+            await sys.until_state("/c", ContainerState.GAVE_UP)
+            sys.operated.start("/c")
+            await sys.until_loaded(3)
+
+    run(main())
+
+
+def test_a_pause_before_a_restart_is_cut_short() -> None:
+    async def main() -> None:
+        async with running(CONFIG, FakeLauncher()) as sys:
+            await until_up(sys)
+            sys.launcher.containers["/c"][0].crash()
+            await sys.until_state("/c", ContainerState.BACKOFF)
+            sys.operated.start("/c")
+            await sys.until_loaded(3)
+            assert len(sys.launcher.containers["/c"]) == 2
+
+    run(main())
+
+
+def test_a_node_is_unloaded_and_stays_away_until_it_is_loaded() -> None:
+    async def main() -> None:
+        async with running(CONFIG, FakeLauncher()) as sys:
+            await until_up(sys)
+            sys.operated.unload("/c", 0)
+            await sys.until(lambda: bool(sys.node_events("/a", NodeState.UNLOADED)))
+            sys.launcher.containers["/c"][0].crash()
+            await sys.until_state("/c", ContainerState.BACKOFF)
+            await sys.until_loaded(2)
+            assert sys.view.containers["/c"].nodes[0].state is NodeState.UNLOADED
+            sys.operated.load("/c", 0)
+            await sys.until_loaded(3)
+
+    run(main())
+
+
+def test_a_node_that_is_wanted_again_while_its_container_is_away_comes_with_it() -> None:
+    async def main() -> None:
+        async with running(CONFIG, FakeLauncher()) as sys:
+            await until_up(sys)
+            sys.operated.unload("/c", 0)
+            await sys.until_loaded(2)
+            sys.operated.stop("/c", "for a test")
+            await sys.until_state("/c", ContainerState.STOPPED)
+            sys.operated.load("/c", 0)
+            sys.operated.unload("/c", 1)
+            sys.operated.start("/c")
+            await sys.until_loaded(2)
+            states = [node.state for node in sys.view.containers["/c"].nodes.values()]
+            assert states == [NodeState.LOADED, NodeState.UNLOADED]
+
+    run(main())
+
+
+def test_a_node_is_reloaded_and_its_neighbour_is_left_alone() -> None:
+    async def main() -> None:
+        async with running(CONFIG, FakeLauncher()) as sys:
+            await until_up(sys)
+            neighbour = sys.view.containers["/c"].nodes[1].unique_id
+            sys.operated.reload("/c", 0)
+            await sys.until(lambda: len(sys.node_events("/a", NodeState.LOADED)) == 2)
+            assert sys.node_states("/a")[-4:] == [
+                NodeState.UNLOADING,
+                NodeState.REQUESTED,
+                NodeState.LOADING,
+                NodeState.LOADED,
+            ]
+            assert sys.view.containers["/c"].nodes[1].unique_id == neighbour
+            assert not sys.view.crashed
+
+    run(main())
+
+
+def test_a_reload_that_the_container_forgets_twice_is_followed_up_like_the_crash() -> None:
+    class Forgets(FakeContainer):
+        def on_load(self, load: Load) -> None:
+            if not 1 <= self.loads_of(load.node_name) <= 2:
+                super().on_load(load)
+            self.seen.append(load.node_name)
+
+        def loads_of(self, name: str) -> int:
+            return self.seen.count(name)
+
+        def start(self) -> None:
+            self.seen: list[str] = []
+            super().start()
+
+    async def main() -> Running:
+        async with running(system(container("c", "a")), FakeLauncher({"/c": [Forgets]})) as sys:
+            await sys.until_loaded(1)
+            sys.launcher.containers["/c"][0].crash_node("a")
+            await sys.until(lambda: bool(sys.node_events("/a", NodeState.CRASHED)))
+            await sys.until_loaded(1)
+        return sys
+
+    sys = run(main())
+    failed = sys.node_events("/a", NodeState.LOAD_FAILED)
+    assert len(failed) == 1
+    assert "does not know it" in failed[0].reason
+
+
+def test_a_frozen_container_is_killed_once_whatever_is_found_besides() -> None:
+    class Immortal(FakeProcess):
+        def kill(self) -> None:
+            self.stopped_with.append("kill")
+
+    class Frozen(FakeContainer):
+        def construct(self, held: Held) -> None:
+            super().construct(held)
+            self.process.__class__ = Immortal
+            self.on_watch = lambda query: None  # type: ignore[method-assign]
+
+    async def main() -> Running:
+        async with running(system(container("c", "a")), FakeLauncher({"/c": [Frozen]})) as sys:
+            await sys.until_state("/c", ContainerState.KILLING)
+            await sys.until_state("/c", ContainerState.GAVE_UP)
+            assert sys.launcher.containers["/c"][0].process.stopped_with == ["kill"]
+            assert "does not die" in sys.view.containers["/c"].reason
+            sys.stop.request(reason="the test is over")
+            await sys.until_stopped()
+            sys.launcher.containers["/c"][0].process.end(Exit(signal=9))
+        return sys
+
+    sys = run(main())
+    assert sys.process_events("/c").count(ProcessEventKind.STOPPING) == 1
+    assert sys.process_events("/c").count(ProcessEventKind.GAVE_UP) == 1
+
+
+class Noting(Member):
+    """Notes what it does; its processes live until they are stopped or killed."""
+
+    def __init__(self, sys: Running) -> None:
+        super().__init__(
+            "/m",
+            restart=RestartLimits(max_restarts=3),
+            publisher=Publisher(sys),
+            stop=sys.stop,
+        )
+        self.expected: list[MemberAction] = []
+        self.done: list[MemberAction] = []
+        self.processes: list[FakeProcess] = []
+
+    def _apply(self, said: MemberInput, reason: str = "") -> None:
+        self.expected += step(self._record, said).actions
+        super()._apply(said, reason)
+
+    def _do(self, action: MemberAction, said: MemberInput, reason: str) -> None:
+        self.done.append(action)
+        super()._do(action, said, reason)
+
+    def _spawn(self) -> FakeProcess:
+        assert all(each.exit is not None for each in self.processes), "two processes for one"
+        self.processes.append(FakeProcess(("m",)))
+        return self.processes[-1]
+
+    def _started(self) -> None:
+        pass
+
+    def _death_of(self, exit_: Exit) -> Death:
+        return Death(str(exit_))
+
+
+# What comes from outside, and what its own process and deadlines say only when there is one.
+FROM_OUTSIDE = [MemberInput.START, MemberInput.STOP, MemberInput.RESTART]
+OF_A_PROCESS = [
+    MemberInput.READY,
+    MemberInput.HELLO_MISMATCH,
+    MemberInput.HELLO_OVERDUE,
+    MemberInput.CHANNEL_BROKEN,
+    MemberInput.FROZEN,
+]
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.lists(st.sampled_from([*FROM_OUTSIDE, *OF_A_PROCESS, "dies", "waits"]), max_size=30))
+def test_every_action_is_carried_out_once_and_nothing_is_left(inputs: list[str]) -> None:
+    async def main() -> None:
+        sys = Running()
+        member = Noting(sys)
+        async with anyio.create_task_group() as tasks:
+            member.begin(tasks)
+            for said in inputs:
+                if said == "waits":
+                    await asyncio.sleep(1.0)
+                elif said == "dies":
+                    for each in member.processes:
+                        each.end(Exit(signal=11))
+                elif said in FROM_OUTSIDE or (
+                    member.processes and member.processes[-1].exit is None
+                ):
+                    member.post(MemberInput(said))
+            member.post(MemberInput.STOP)
+            await member.rests()
+            tasks.cancel_scope.cancel()
+        member.close()
+        assert member.done == member.expected
+        assert member.state in {ContainerState.STOPPED, ContainerState.GAVE_UP}
+        assert all(each.exit is not None for each in member.processes)
+        assert member._record == MemberRecord(state=member.state)
+
+    run(main())
