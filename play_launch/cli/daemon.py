@@ -239,7 +239,7 @@ def _address() -> DaemonAddress:
 
 
 def _seconds(text: str) -> float:
-    from play_launch.config.durations import parse_duration  # noqa: PLC0415
+    from play_launch.config.values import parse_duration  # noqa: PLC0415
 
     try:
         return parse_duration(text)

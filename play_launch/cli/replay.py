@@ -74,7 +74,7 @@ def replay(
 
 def _load(path: Path, duration: str | None) -> ReplayConfig:
     from play_launch.config import ConfigError, load_config  # noqa: PLC0415
-    from play_launch.config.durations import parse_positive_duration  # noqa: PLC0415
+    from play_launch.config.values import parse_positive_duration  # noqa: PLC0415
 
     try:
         seconds = None if duration is None else parse_positive_duration(duration)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from play_launch.config.problems import excerpt, join_path
-from play_launch.config.yaml_scalars import ScalarKind
-from play_launch.config.yaml_tree import Mapping, Node, Scalar, describe_node
+from play_launch.config.problems import excerpt
+from play_launch.config.yaml.scalars import ScalarKind
+from play_launch.config.yaml.tree import Mapping, Scalar, describe_node
 
 if TYPE_CHECKING:
-    from play_launch.config.report import Report
+    from play_launch.config.yaml.tree import At
 
 _OURS = frozenset({"PLAY_LAUNCH_CONTROL_FD"})
 _DOMAIN = "ROS_DOMAIN_ID"
@@ -18,27 +18,26 @@ _MOST_DOMAIN = 232
 _QUOTABLE = frozenset({ScalarKind.INTEGER, ScalarKind.FLOAT, ScalarKind.BOOL})
 
 
-def resolve_environment(node: Node | None, path: str, report: Report) -> dict[str, str]:
-    """Return the variables at `node`; names without `=`, values without NUL."""
-    if node is None or (isinstance(node, Scalar) and node.kind is ScalarKind.INVALID):
+def resolve_environment(at: At | None) -> dict[str, str]:
+    """Return the variables that stand there; names without `=`, values without NUL."""
+    if at is None:
         return {}
-    if not isinstance(node, Mapping):
-        message = f"expected a mapping of variables to strings, given {describe_node(node)}"
-        report.add(node.place, path, message)
+    if not isinstance(at.node, Mapping):
+        at.expected("a mapping of variables to strings")
         return {}
     variables: dict[str, str] = {}
-    for entry in node.entries:
-        where = join_path(path, entry.key)
+    for entry, value in at.entries():
         if "=" in entry.key or "\x00" in entry.key:
-            report.add(entry.place, where, "the name of a variable cannot hold = or NUL")
+            value.problem("the name of a variable cannot hold = or NUL", entry.place)
         elif entry.key in _OURS:
-            report.add(entry.place, where, f"{entry.key} is set by this program itself")
+            value.problem(f"{entry.key} is set by this program itself", entry.place)
         else:
-            value = _string(entry.value, where, report)
-            if value is not None and entry.key == _DOMAIN:
-                _check_domain(value, entry.value, where, report)
-            if value is not None:
-                variables[entry.key] = value
+            text = _string(value)
+            problem = domain_problem(text) if text is not None and entry.key == _DOMAIN else None
+            if problem is not None:
+                value.problem(problem)
+            if text is not None:
+                variables[entry.key] = text
     return variables
 
 
@@ -51,27 +50,18 @@ def domain_problem(value: str) -> str | None:
     return f"{_DOMAIN} is a number from 0 to {_MOST_DOMAIN}, given {excerpt(value)}"
 
 
-def _check_domain(value: str, node: Node, path: str, report: Report) -> None:
-    problem = domain_problem(value)
-    if problem is not None:
-        report.add(node.place, path, problem)
-
-
-def _string(node: Node, path: str, report: Report) -> str | None:
-    if isinstance(node, Scalar):
-        if node.kind is ScalarKind.STRING and "\x00" in node.text:
-            report.add(node.place, path, "an environment variable cannot hold a NUL character")
-            return None
-        if node.kind is ScalarKind.STRING:
-            return node.text
-        if node.kind is ScalarKind.INVALID:
-            return None
-        if node.kind in _QUOTABLE:
-            message = f"expected a string, given {describe_node(node)}"
-            report.add(node.place, path, f"{message}; quote it: {excerpt(node.text)}")
-            return None
-    report.add(node.place, path, f"expected a string, given {describe_node(node)}")
-    return None
+def _string(at: At) -> str | None:
+    node = at.node
+    if at.string is not None and "\x00" in at.string:
+        at.problem("an environment variable cannot hold a NUL character")
+        return None
+    if isinstance(node, Scalar) and node.kind in _QUOTABLE:
+        at.problem(
+            f"expected a string, given {describe_node(node)}; quote it: {excerpt(node.text)}"
+        )
+    elif at.string is None:
+        at.expected("a string")
+    return at.string
 
 
 def log_folder_problem(environ: dict[str, str]) -> str | None:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from play_launch.config.problems import ConfigError, Place, Problem
-from play_launch.config.report import Report
-from play_launch.config.resolve import resolve_document
+from play_launch.config.problems import ConfigError, Place, Problem, Report
+from play_launch.config.resolve.system import resolve_document
 from play_launch.config.source import Refused, decode, read_bytes
-from play_launch.config.yaml_composer import compose
-from play_launch.config.yaml_scalars import ScalarKind
-from play_launch.config.yaml_tree import Scalar
+from play_launch.config.yaml.compose import compose
+from play_launch.config.yaml.scalars import ScalarKind
+from play_launch.config.yaml.tree import Scalar
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -1,4 +1,4 @@
-"""What can be wrong with a configuration, and where."""
+"""What can be wrong with a configuration, where, and all of it together."""
 
 from __future__ import annotations
 
@@ -62,6 +62,30 @@ class ConfigError(Exception):
         if left := len(self.problems) - len(lines):
             lines.append(f"and {left:,} more; play-launch check --json lists them all")
         return "\n".join(lines)
+
+
+class Report:
+    """The problems found so far, each once.
+
+    One report belongs to one call of `load_config`, so nothing is shared between threads.
+    """
+
+    def __init__(self) -> None:
+        self._problems: dict[Problem, None] = {}
+
+    def __len__(self) -> int:
+        return len(self._problems)
+
+    def add(self, place: Place, path: str, message: str) -> None:
+        """Add the problem `message` at `place`, where `path` leads."""
+        self._problems[Problem.at(place, path, message)] = None
+
+    def raise_if_any(self, first_file: str) -> None:
+        """Raise ConfigError if anything was found: `first_file` first, then by place."""
+        if not self._problems:
+            return
+        ordered = sorted(self._problems, key=lambda found: (found.file != first_file, found))
+        raise ConfigError(tuple(ordered))
 
 
 def excerpt(text: str) -> str:

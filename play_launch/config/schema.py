@@ -11,10 +11,14 @@ from typing import Annotated, Any, ClassVar, TypeVar
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
-from play_launch.config.durations import parse_duration, parse_positive_duration
 from play_launch.config.model import ContainerType, Isolation
-from play_launch.config.names import check_namespace, check_node_name
 from play_launch.config.problems import excerpt
+from play_launch.config.values import (
+    check_namespace,
+    check_node_name,
+    parse_duration,
+    parse_positive_duration,
+)
 from play_launch.core.crash import OnCrash
 
 LOG_LEVELS = ("debug", "info", "warn", "error", "fatal")

@@ -7,17 +7,18 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from play_launch.config.problems import excerpt, join_path
+from play_launch.config.problems import excerpt
 from play_launch.config.schema import RawNode, Section
-from play_launch.config.yaml_scalars import ScalarKind
-from play_launch.config.yaml_tree import Entry, Mapping, Node, Scalar, Sequence, describe_node
+from play_launch.config.yaml.scalars import ScalarKind
+from play_launch.config.yaml.tree import Mapping, Scalar, Sequence, describe_node
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from pydantic_core import ErrorDetails
 
-    from play_launch.config.report import Report
+    from play_launch.config.problems import Report
+    from play_launch.config.yaml.tree import At, Entry, Node
 
 SomeSection = TypeVar("SomeSection", bound=Section)
 
@@ -35,105 +36,85 @@ _EXPECTED = {
 }
 
 
-def validate_mapping(
-    section: type[SomeSection], node: Node, path: str, report: Report
-) -> SomeSection | None:
-    """Return `node` as `section`, or None after every problem in it has gone to `report`."""
-    if not isinstance(node, Mapping):
-        if not _is_invalid(node):
-            report.add(
-                node.place,
-                path or "(top level)",
-                f"expected a mapping ({_keys(section)}), given {describe_node(node)}",
-            )
+def validate_mapping(section: type[SomeSection], at: At) -> SomeSection | None:
+    """Return what stands there as `section`, or None after every problem in it was reported."""
+    if not isinstance(at.node, Mapping):
+        at.expected(f"a mapping ({_keys(section)})")
         return None
     raw = {name for name, field in section.model_fields.items() if _is_raw(field.metadata)}
-    values = {
-        entry.key: entry.value if entry.key in raw else plain(entry.value) for entry in node.entries
-    }
+    values: dict[str, object] = {}
     refused = False
-    for entry in node.entries:
+    for entry, value in at.entries():
+        values[entry.key] = entry.value if entry.key in raw else _plain(entry.value)
         if entry.key in section.model_fields and entry.key not in raw:
-            refused |= _refuse_tags(entry.value, join_path(path, entry.key), report)
+            refused |= _refuse_tags(value)
     try:
         checked = section.model_validate(values)
     except ValidationError as error:
         for details in error.errors(include_url=False, include_input=False):
-            _report_error(details, section, node, path, report)
+            _report_error(details, section, at)
         return None
     return None if refused else checked
 
 
-def items_of(node: Node | None, path: str, what: str, report: Report) -> Iterator[tuple[Node, str]]:
-    """Yield each element of the list at `node` with its path; report if it is not a list."""
-    if node is None or _is_invalid(node):
+def items_of(at: At | None, what: str) -> Iterator[At]:
+    """Yield each element of the list; report if it is none."""
+    if at is None:
         return
-    if not isinstance(node, Sequence) or node.array_tag is not None:
-        report.add(node.place, path, f"expected a list of {what}, given {describe_node(node)}")
+    if not isinstance(at.node, Sequence) or at.node.array_tag is not None:
+        at.expected(f"a list of {what}")
         return
-    for index, item in enumerate(node.items):
-        yield item, f"{path}[{index}]"
+    yield from at.elements()
 
 
-def plain(node: Node) -> object:
+def _plain(node: Node) -> object:
     """Return what stands at `node` without places, as pydantic takes it."""
     if isinstance(node, Scalar):
         return node.value
     if isinstance(node, Sequence):
-        return [plain(item) for item in node.items]
-    return {entry.key: plain(entry.value) for entry in node.entries}
+        return [_plain(item) for item in node.items]
+    return {entry.key: _plain(entry.value) for entry in node.entries}
 
 
 def _is_raw(metadata: list[Any]) -> bool:
     return any(isinstance(mark, RawNode) for mark in metadata)
 
 
-def _is_invalid(node: Node) -> bool:
-    return isinstance(node, Scalar) and node.kind is ScalarKind.INVALID
-
-
-def _refuse_tags(node: Node, path: str, report: Report) -> bool:
+def _refuse_tags(at: At) -> bool:
     """Report tags that mean something for parameters only."""
     tag = None
-    if isinstance(node, Sequence):
-        tag = node.array_tag
-    elif isinstance(node, Scalar) and node.kind is ScalarKind.BINARY:
+    if isinstance(at.node, Sequence):
+        tag = at.node.array_tag
+    elif isinstance(at.node, Scalar) and at.node.kind is ScalarKind.BINARY:
         tag = "!!binary"
     if tag is None:
         return False
-    report.add(node.place, path, f"the tag {tag} is for parameters only")
+    at.problem(f"the tag {tag} is for parameters only")
     return True
 
 
-def _report_error(
-    details: ErrorDetails, section: type[Section], root: Mapping, path: str, report: Report
-) -> None:
-    where = path
-    node: Node = root
+def _report_error(details: ErrorDetails, section: type[Section], at: At) -> None:
     entry: Entry | None = None
     owner: type[BaseModel] = section
     steps = list(details["loc"])
     missing = details["type"] == "missing"
     last = steps.pop() if missing else None
     for index, step in enumerate(steps):
-        if isinstance(node, Mapping):
-            entry = node.entry(str(step))
+        if isinstance(at.node, Mapping):
+            entry = at.node.entry(str(step))
             if entry is None:
                 break
             if index < len(steps) - 1:
                 owner = _model_of(owner, entry.key)
-            where = join_path(where, entry.key)
-            node = entry.value
-        elif isinstance(node, Sequence) and isinstance(step, int):
-            where = f"{where}[{step}]"
-            node = node.items[step]
+            at = at.below(entry.key, entry.value)
+        elif isinstance(at.node, Sequence) and isinstance(step, int):
+            at = at.element(step)
     if missing:
-        message = f"the key {excerpt(str(last))} is missing"
-        report.add(node.place, where or "(top level)", message)
+        at.problem(f"the key {excerpt(str(last))} is missing")
     elif details["type"] == "extra_forbidden" and entry is not None:
-        report.add(entry.place, where, _unknown_key(entry.key, owner, report))
-    elif not _is_invalid(node):
-        report.add(node.place, where or "(top level)", _message(details, node))
+        at.problem(_unknown_key(entry.key, owner, at.report), entry.place)
+    elif not at.is_invalid:
+        at.problem(_message(details, at.node))
 
 
 def _model_of(owner: type[BaseModel], key: str) -> type[BaseModel]:

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from play_launch.config import ConfigError, parse_config, yaml_composer
+from play_launch.config import ConfigError, parse_config
+from play_launch.config.yaml import compose
 
 NODE = "version: 1\nnodes:\n- command: [x]\n  parameters: "
 
@@ -51,7 +52,7 @@ def test_refused(text: str, fragment: str) -> None:
 
 
 def test_the_deepest_that_is_allowed() -> None:
-    depth = yaml_composer.DEEPEST - 3  # the parameters are in a node in a list in a mapping
+    depth = compose.DEEPEST - 3  # the parameters are in a node in a list in a mapping
     text = NODE + "{a: " * depth + "1" + "}" * depth
     (parameter,) = parse_config(text.encode(), Path("demo.yaml")).nodes[0].parameters
     assert parameter.name == ".".join("a" * depth)
@@ -63,11 +64,11 @@ def test_every_line_of_a_report_is_short() -> None:
 
 
 def test_the_parser_in_python_gives_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(yaml_composer, "_Loader", yaml.SafeLoader)
+    monkeypatch.setattr(compose, "_Loader", yaml.SafeLoader)
     text = NODE + '{a: [1, 2], b: "\\u00e9", c: {d: .inf}}\n'
     by_python = parse_config(text.encode(), Path("demo.yaml"))
-    monkeypatch.setattr(yaml_composer, "_Loader", yaml.CSafeLoader)
+    monkeypatch.setattr(compose, "_Loader", yaml.CSafeLoader)
     assert by_python == parse_config(text.encode(), Path("demo.yaml"))
-    monkeypatch.setattr(yaml_composer, "_Loader", yaml.SafeLoader)
+    monkeypatch.setattr(compose, "_Loader", yaml.SafeLoader)
     assert "nested deeper than 100 levels" in refusal("a: " + "[" * 10_000)
     assert "half of a surrogate pair" in refusal('version: 1\nname: "\\ud800"\n')

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from play_launch.config.durations import (
+from play_launch.config.values import (
     LONGEST_DURATION,
     parse_duration,
     parse_positive_duration,

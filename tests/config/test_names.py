@@ -10,7 +10,7 @@ from rclpy.validate_namespace import validate_namespace
 from rclpy.validate_node_name import validate_node_name
 from rclpy.validate_topic_name import validate_topic_name
 
-from play_launch.config.names import check_namespace, check_node_name, check_topic, join_full_name
+from play_launch.config.values import check_namespace, check_node_name, check_topic, join_full_name
 
 # Short alphabets, so that the odd characters meet often.
 TOKENS = st.text("aZ_09/~é. -", max_size=8)

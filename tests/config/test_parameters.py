@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from play_launch.config import ConfigError, ParameterType, ParameterValue, load_config, parse_config
-from play_launch.config.parameter_files import _matches
+from play_launch.config.resolve.parameter_files import _matches
 
 NAMES = st.from_regex(r"[a-z][a-z_]{0,8}", fullmatch=True)
 TEXT = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=20)

@@ -11,16 +11,17 @@ from pathlib import Path
 import pytest
 
 from play_launch.config import ConfigError, ParameterType, load_config, schema
-from play_launch.config.durations import LONGEST_DURATION, parse_duration
 from play_launch.config.model import ContainerConfig, ContainerType, Isolation, StopLimits
-from play_launch.config.names import (
+from play_launch.config.source import LARGEST_FILE
+from play_launch.config.values import (
+    LONGEST_DURATION,
     LONGEST_FULL_NAME,
     LONGEST_NAMESPACE,
     LONGEST_NODE_NAME,
     LONGEST_TOPIC,
+    parse_duration,
 )
-from play_launch.config.source import LARGEST_FILE
-from play_launch.config.yaml_composer import ARRAY_TAGS, DEEPEST, MOST_VALUES
+from play_launch.config.yaml.compose import ARRAY_TAGS, DEEPEST, MOST_VALUES
 from play_launch.core.crash import OnCrash
 from play_launch.core.restart import RestartLimits
 from play_launch.core.watchdog import WatchLimits

@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING, NoReturn
 import yaml
 
 from play_launch.config.problems import Place, excerpt, join_path
-from play_launch.config.yaml_scalars import (
+from play_launch.config.yaml.scalars import (
     ScalarKind,
     ScalarRefusedError,
     resolve_scalar,
     shown_tag,
     unknown_tag,
 )
-from play_launch.config.yaml_syntax import explain, refused_directive
-from play_launch.config.yaml_tree import Entry, Mapping, Node, Scalar, Sequence
+from play_launch.config.yaml.syntax import explain, refused_directive
+from play_launch.config.yaml.tree import Entry, Mapping, Node, Scalar, Sequence
 
 if TYPE_CHECKING:
-    from play_launch.config.report import Report
+    from play_launch.config.problems import Report
 
 MOST_VALUES = 200_000
 """Keys and values in one file, aliases counted as if their text stood there."""

@@ -13,18 +13,18 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from play_launch.config.model import ParameterFile
-from play_launch.config.parameters import flatten
-from play_launch.config.problems import excerpt, join_path
+from play_launch.config.problems import excerpt
+from play_launch.config.resolve.parameters import flatten
 from play_launch.config.source import Refused, decode, read_bytes
-from play_launch.config.yaml_composer import compose
-from play_launch.config.yaml_scalars import ScalarKind
-from play_launch.config.yaml_tree import Mapping, Node, Scalar, describe_node
+from play_launch.config.yaml.compose import compose
+from play_launch.config.yaml.scalars import ScalarKind
+from play_launch.config.yaml.tree import At, Mapping, Scalar, describe_node
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from play_launch.config.model import ParameterValue
-    from play_launch.config.report import Report
+    from play_launch.config.problems import Report
 
 _PARAMETERS = "ros__parameters"
 _PATTERN = re.compile(r"(?:/(?:\*\*|\*|[A-Za-z_][A-Za-z0-9_]*))+", re.ASCII)
@@ -34,8 +34,7 @@ _FOR_ALL = "/**"
 @dataclass(slots=True)
 class _Section:
     pattern: str
-    mapping: Mapping
-    path: str
+    at: At
     values: dict[str, ParameterValue] | None = None  # flattened when a node asks for it
 
 
@@ -56,13 +55,12 @@ class ParameterFiles:
         """The files that were read so far, in that order."""
         return tuple(self._read_files)
 
-    def select(self, source: Node, path: str, full_name: str | None) -> dict[str, ParameterValue]:
-        """Return what the file named at `source` holds for the node `full_name`."""
-        assert isinstance(source, Scalar)
-        if not source.text.strip() or "\x00" in source.text:
-            self._report.add(source.place, path, "expected the path of a parameter file")
+    def select(self, at: At, path: str, full_name: str | None) -> dict[str, ParameterValue]:
+        """Return what the file at `path`, which stands there, holds for the node `full_name`."""
+        if not path.strip() or "\x00" in path:
+            at.problem("expected the path of a parameter file")
             return {}
-        file = self._directory / os.path.expanduser(source.text)  # noqa: PTH111 - never raises
+        file = self._directory / os.path.expanduser(path)  # noqa: PTH111 - never raises
         if file not in self._sections:
             self._sections[file] = self._read(file)
         sections = self._sections[file]
@@ -70,22 +68,19 @@ class ParameterFiles:
             if sections.inside:
                 self._report.add(sections.place, "(file)", sections.message)
             else:
-                message = f"the parameter file {file}: {sections.message}"
-                self._report.add(source.place, path, message)
+                at.problem(f"the parameter file {file}: {sections.message}")
             return {}
         values: dict[str, ParameterValue] = {}
         for section in sections:
             if section.pattern != _FOR_ALL and full_name is None:
-                self._report.add(
-                    source.place,
-                    path,
+                at.problem(
                     f"{file} has the section {excerpt(section.pattern)}, and without a name it is "
-                    "not known whether that is this node; give the node a name",
+                    "not known whether that is this node; give the node a name"
                 )
                 break
             if full_name is None or _matches(section.pattern, full_name):
                 if section.values is None:
-                    section.values = flatten(section.mapping, section.path, self._report)
+                    section.values = flatten(section.at)
                 values.update(section.values)
         return values
 
@@ -100,37 +95,32 @@ class ParameterFiles:
         root = compose(text, str(file), self._report)
         sections: list[_Section] = []
         if isinstance(root, Mapping):
-            self._collect(root, "", "", sections)
+            self._collect(At(root, "", self._report), "", sections)
         elif root is not None and not (isinstance(root, Scalar) and root.kind is ScalarKind.NULL):
             message = f"expected node names with {_PARAMETERS} below, given {describe_node(root)}"
-            self._report.add(root.place, "(top level)", message)
+            At(root, "", self._report).problem(message)
         return sections
 
-    def _collect(self, mapping: Mapping, pattern: str, path: str, into: list[_Section]) -> None:
+    def _collect(self, at: At, pattern: str, into: list[_Section]) -> None:
         """Walk down namespaces and names to the sections; nested names are joined with `/`."""
-        for entry in mapping.entries:
-            where = join_path(path, entry.key)
+        for entry, value in at.entries():
             if entry.key == _PARAMETERS:
                 if not pattern:
                     message = f'{_PARAMETERS} needs a node name above it, or "{_FOR_ALL}" for all'
-                    self._report.add(entry.place, where, message)
-                elif isinstance(entry.value, Mapping):
-                    into.append(_Section(pattern, entry.value, where))
+                    value.problem(message, entry.place)
+                elif isinstance(value.node, Mapping):
+                    into.append(_Section(pattern, value))
                 else:
-                    self._expected_mapping(entry.value, where, "parameter names and values")
+                    value.expected("parameter names and values")
                 continue
             below = f"{pattern}/{entry.key.removeprefix('/')}"
             if not _PATTERN.fullmatch(below):
                 message = f"{excerpt(entry.key)} is neither {_PARAMETERS} nor the name of a node"
-                self._report.add(entry.place, where, message)
-            elif isinstance(entry.value, Mapping):
-                self._collect(entry.value, below, where, into)
+                value.problem(message, entry.place)
+            elif isinstance(value.node, Mapping):
+                self._collect(value, below, into)
             else:
-                self._expected_mapping(entry.value, where, f"{_PARAMETERS} below a node name")
-
-    def _expected_mapping(self, node: Node, path: str, what: str) -> None:
-        if not (isinstance(node, Scalar) and node.kind is ScalarKind.INVALID):
-            self._report.add(node.place, path, f"expected {what}, given {describe_node(node)}")
+                value.expected(f"{_PARAMETERS} below a node name")
 
 
 def _matches(pattern: str, full_name: str) -> bool:

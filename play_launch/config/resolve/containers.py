@@ -1,0 +1,115 @@
+"""Containers and their nodes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Final
+
+from play_launch.config.environment import resolve_environment
+from play_launch.config.model import ContainerConfig, ContainerType
+from play_launch.config.resolve.nodes import resolve_composable_node
+from play_launch.config.resolve.policy import ISOLATED_KEYS, refuse, refuse_unread
+from play_launch.config.schema import ContainerSection
+from play_launch.config.validation import items_of, validate_mapping
+from play_launch.config.values import join_full_name
+from play_launch.config.yaml.tree import Mapping
+
+if TYPE_CHECKING:
+    from play_launch.config.model import ComposableNodeConfig
+    from play_launch.config.resolve.nodes import Shared
+    from play_launch.config.resolve.policy import Policy
+    from play_launch.config.yaml.tree import At
+
+STOCK_PACKAGE: Final = "rclcpp_components"
+STOCK_EXECUTABLE: Final = "component_container"
+_KEYS: Final = ("package", "executable", "arguments", "attach")
+_OUR_KEYS: Final = ("probe_timeout",)
+"""Keys that say something for play-launch's own containers only."""
+_FOR_STARTING: Final = (
+    "package",
+    "executable",
+    "arguments",
+    "environment",
+    "log_level",
+    "ros_arguments",
+)
+"""Keys that say how a container is started; one that runs already reads none of them."""
+
+
+def resolve_container(at: At, shared: Shared, policy: Policy) -> ContainerConfig | None:
+    """Return the container that stands there, None if it is none; `policy` is that of all."""
+    section = validate_mapping(ContainerSection, at)
+    if not isinstance(at.node, Mapping):
+        return None
+    shared.names.declare(at)
+    variables = resolve_environment(at.value("environment"))
+    if section is None:
+        _composable_nodes(at, shared, policy, None)
+        return None
+    policy = policy.refined(section, at)
+    kind = policy.container_type
+    refuse_unread(ISOLATED_KEYS, kind, at)
+    composable_nodes = _composable_nodes(at, shared, policy, kind)
+    if not kind.is_multi_threaded:
+        policy = replace(policy, thread_num=None)
+        why = f"is for container_type mt and isolated_mt, this container is {kind}"
+        refuse(("thread_num",), why, at)
+    stock = _stock_program(section, kind, at)
+    namespace = section.namespace or "/"
+    return ContainerConfig(
+        name=section.name,
+        namespace=namespace,
+        full_name=join_full_name(namespace, section.name),
+        container_type=kind,
+        thread_num=policy.thread_num,
+        isolation=policy.isolation,
+        core_dumps=policy.core_dumps,
+        package=stock.package,
+        executable=stock.executable,
+        arguments=stock.arguments,
+        attach=stock.attach,
+        log_level=section.log_level,
+        environment=MappingProxyType({**shared.environment, **variables}),
+        ros_arguments=tuple(section.ros_arguments or ()),
+        restart=policy.restart,
+        loading_timeout=policy.loading_timeout,
+        probe_timeout=policy.probe_timeout,
+        composable_nodes=composable_nodes,
+        line=at.node.place.line,
+    )
+
+
+def _composable_nodes(
+    at: At, shared: Shared, policy: Policy, kind: ContainerType | None
+) -> tuple[ComposableNodeConfig, ...]:
+    items = items_of(at.value("composable_nodes"), "composable nodes")
+    resolved = [resolve_composable_node(item, shared, policy, kind) for item in items]
+    return tuple(one for one in resolved if one is not None)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _StockProgram:
+    """What a stock container is; all empty for one of play-launch's own."""
+
+    package: str = ""
+    executable: str = ""
+    arguments: tuple[str, ...] = ()
+    attach: bool = False
+
+
+def _stock_program(section: ContainerSection, kind: ContainerType, at: At) -> _StockProgram:
+    """Return what `section` says; report keys that nothing would read."""
+    if kind is not ContainerType.STOCK:
+        refuse(_KEYS, f"is for container_type stock, this container is {kind}", at)
+        return _StockProgram()
+    refuse(_OUR_KEYS, "is not for container_type stock, whose libraries are not probed", at)
+    if section.attach:
+        why = "is for a container that is started here, not for attach: true"
+        refuse(_FOR_STARTING, why, at)
+        return _StockProgram(attach=True)
+    return _StockProgram(
+        package=section.package or STOCK_PACKAGE,
+        executable=section.executable or STOCK_EXECUTABLE,
+        arguments=tuple(section.arguments or ()),
+    )

@@ -1,0 +1,181 @@
+"""Composable nodes and ordinary processes, and their names."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Final
+
+from play_launch.config.environment import resolve_environment
+from play_launch.config.model import ComposableNodeConfig, ProcessConfig
+from play_launch.config.resolve.parameters import resolve_parameters
+from play_launch.config.resolve.policy import refined_restart, refuse_unread
+from play_launch.config.resolve.remappings import resolve_remappings
+from play_launch.config.schema import ComposableNodeSection, ProcessSection
+from play_launch.config.validation import validate_mapping
+from play_launch.config.values import (
+    LONGEST_FULL_NAME,
+    check_namespace,
+    check_node_name,
+    join_full_name,
+)
+from play_launch.config.yaml.tree import Mapping
+from play_launch.core.restart import RestartLimits
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping as Variables
+
+    from play_launch.config.model import ContainerType
+    from play_launch.config.problems import Place
+    from play_launch.config.resolve.parameter_files import ParameterFiles
+    from play_launch.config.resolve.policy import Policy
+    from play_launch.config.yaml.tree import At
+
+_COMMAND_OR_PACKAGE = "give either command, or package and executable"
+_CRASH_KEYS: Final = ("auto_reload_on_crash", "on_crash", "restart")
+
+
+class NodeNames:
+    """Every name in the system once, and labels for nodes whose name is their own affair.
+
+    ROS lets two nodes share a name, and both then misbehave.
+    """
+
+    def __init__(self) -> None:
+        self._places: dict[str, Place] = {}
+        self._labels: dict[str, int] = {}
+
+    def declare(self, at: At) -> str | None:
+        """Return the full name that a node gives, None if it gives none; report a second owner.
+
+        Looks at the tree, so that two equal names are found even where other keys are wrong.
+        """
+        at_name = at.value("name")
+        at_namespace = at.value("namespace")
+        namespace = "/" if at_namespace is None else at_namespace.string
+        if at_name is None or not at_name.string or not namespace:
+            return None
+        try:
+            full_name = join_full_name(check_namespace(namespace), check_node_name(at_name.string))
+        except ValueError:
+            return None
+        if len(full_name) > LONGEST_FULL_NAME:
+            at_name.problem(
+                f"namespace and name have {len(full_name)} characters; at most "
+                f"{LONGEST_FULL_NAME}, because the names of the node's services are longer"
+            )
+        first = self._places.setdefault(full_name, at_name.node.place)
+        if first is not at_name.node.place:
+            at_name.problem(f"the name {full_name} is given twice, first at {first}")
+        return full_name
+
+    def label(self, namespace: str, what: str) -> str:
+        """Return a label for an unnamed node, `/[what]`, that no other node has."""
+        base = join_full_name(namespace or "/", what)
+        count = self._labels.get(base, 0) + 1
+        self._labels[base] = count
+        suffix = "" if count == 1 else f":{count}"
+        return join_full_name(namespace or "/", f"[{what}{suffix}]")
+
+
+@dataclass(frozen=True, slots=True)
+class Shared:
+    """What all nodes of one configuration share."""
+
+    files: ParameterFiles
+    environment: Variables[str, str]
+    names: NodeNames = field(default_factory=NodeNames)
+
+
+def resolve_composable_node(
+    at: At, shared: Shared, policy: Policy, kind: ContainerType | None
+) -> ComposableNodeConfig | None:
+    """Return the composable node that stands there, None if it is none.
+
+    `policy` is that of its container; `kind` is None where the container could not be read.
+    """
+    section = validate_mapping(ComposableNodeSection, at)
+    if not isinstance(at.node, Mapping):
+        return None
+    full_name = shared.names.declare(at)
+    parameters = resolve_parameters(at.value("parameters"), full_name=full_name, files=shared.files)
+    extra_arguments = resolve_parameters(
+        at.value("extra_arguments"), full_name=full_name, files=None
+    )
+    remappings = resolve_remappings(at.value("remappings"))
+    if section is None:
+        return None
+    if kind is not None:
+        refuse_unread(_CRASH_KEYS, kind, at)
+    policy = policy.refined(section, at)
+    namespace = section.namespace or ""
+    return ComposableNodeConfig(
+        package=section.package,
+        plugin=section.plugin,
+        name=section.name or "",
+        namespace=namespace,
+        declared_full_name=full_name or shared.names.label(namespace, section.plugin),
+        parameters=parameters,
+        remappings=remappings,
+        extra_arguments=extra_arguments,
+        log_level=section.log_level,
+        on_crash=policy.on_crash,
+        restart=policy.restart,
+        line=at.node.place.line,
+    )
+
+
+def resolve_process(at: At, shared: Shared) -> ProcessConfig | None:
+    """Return the process that stands there, None if it is none."""
+    section = validate_mapping(ProcessSection, at)
+    if not isinstance(at.node, Mapping):
+        return None
+    _check_combinations(at)
+    full_name = shared.names.declare(at)
+    variables = resolve_environment(at.value("environment"))
+    parameters = resolve_parameters(at.value("parameters"), full_name=full_name, files=shared.files)
+    remappings = resolve_remappings(at.value("remappings"))
+    if section is None:
+        return None
+    restart = refined_restart(RestartLimits(), section.restart, at)
+    if section.restart is not None and not section.respawn:
+        at.blame("restart").problem("only read with respawn: true; add that")
+    namespace = section.namespace or ""
+    program = section.executable or (section.command[0] if section.command else "")
+    return ProcessConfig(
+        name=section.name or "",
+        namespace=namespace,
+        full_name=full_name or shared.names.label(namespace, program.rpartition("/")[2]),
+        command=None if section.command is None else tuple(section.command),
+        package=section.package,
+        executable=section.executable,
+        arguments=tuple(section.arguments or ()),
+        parameters=parameters,
+        remappings=remappings,
+        environment=MappingProxyType({**shared.environment, **variables}),
+        ros_arguments=tuple(section.ros_arguments or ()),
+        respawn=section.respawn or False,
+        restart=restart,
+        log_level=section.log_level,
+        line=at.node.place.line,
+    )
+
+
+def _check_combinations(at: At) -> None:
+    given = {entry.key: (entry, value) for entry, value in at.entries()}
+    if "command" not in given:
+        if "package" not in given and "executable" not in given:
+            at.problem(f"nothing to run; {_COMMAND_OR_PACKAGE}")
+        elif "executable" not in given:
+            at.problem('the key "executable" is missing, which goes with package')
+        elif "package" not in given:
+            at.problem('the key "package" is missing, which goes with executable')
+        return
+    for key, message in (
+        ("package", _COMMAND_OR_PACKAGE),
+        ("executable", _COMMAND_OR_PACKAGE),
+        ("arguments", "put the arguments into command, after the program"),
+    ):
+        if key in given:
+            entry, value = given[key]
+            value.problem(message, entry.place)

@@ -1,0 +1,246 @@
+"""Parameters of a node: their sources, of which the later one wins, and their types.
+
+The type of a parameter is decided from how its value is written.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+from play_launch.config.model import ParameterConfig, ParameterType, ParameterValue
+from play_launch.config.problems import excerpt
+from play_launch.config.yaml.scalars import ScalarKind
+from play_launch.config.yaml.tree import Mapping, Scalar, Sequence, describe_node
+
+if TYPE_CHECKING:
+    from play_launch.config.problems import Place
+    from play_launch.config.resolve.parameter_files import ParameterFiles
+    from play_launch.config.yaml.tree import At
+
+_KEY_OF_PARAMETER_FILES = "ros__parameters"
+_SMALLEST_INTEGER = -(2**63)
+_LARGEST_INTEGER = 2**63 - 1
+
+# Strings in YAML 1.2, booleans to ROS's own parser of parameter files, which reads YAML 1.1.
+# Either reading would surprise somebody, so neither is taken.
+_TRUE_IN_YAML_1_1 = frozenset({"y", "Y", "yes", "Yes", "YES", "on", "On", "ON"})
+_FALSE_IN_YAML_1_1 = frozenset({"n", "N", "no", "No", "NO", "off", "Off", "OFF"})
+_OCTAL_IN_YAML_1_1 = re.compile(r"[-+]?0[0-9]+", re.ASCII)
+
+_TYPE_OF_KIND = {
+    ScalarKind.BOOL: ParameterType.BOOL,
+    ScalarKind.INTEGER: ParameterType.INTEGER,
+    ScalarKind.FLOAT: ParameterType.DOUBLE,
+    ScalarKind.STRING: ParameterType.STRING,
+}
+_ARRAY_OF = {
+    ScalarKind.BOOL: ParameterType.BOOL_ARRAY,
+    ScalarKind.INTEGER: ParameterType.INTEGER_ARRAY,
+    ScalarKind.FLOAT: ParameterType.DOUBLE_ARRAY,
+    ScalarKind.STRING: ParameterType.STRING_ARRAY,
+}
+_TAGGED_ARRAY = {
+    "!bool_array": (ParameterType.BOOL_ARRAY, frozenset({ScalarKind.BOOL})),
+    "!integer_array": (ParameterType.INTEGER_ARRAY, frozenset({ScalarKind.INTEGER})),
+    "!double_array": (
+        ParameterType.DOUBLE_ARRAY,
+        frozenset({ScalarKind.FLOAT, ScalarKind.INTEGER}),
+    ),
+    "!string_array": (ParameterType.STRING_ARRAY, frozenset({ScalarKind.STRING})),
+    "!byte_array": (ParameterType.BYTE_ARRAY, frozenset({ScalarKind.INTEGER})),
+}
+
+
+def resolve_parameters(
+    at: At | None, *, full_name: str | None, files: ParameterFiles | None
+) -> tuple[ParameterConfig, ...]:
+    """Return the parameters from the sources that stand there.
+
+    A source is a mapping or the path of a parameter file; `full_name` (None where the
+    configuration does not give it) selects the sections of such a file. `files` is None where
+    files are not allowed.
+    """
+    if at is None:
+        return ()
+    values: dict[str, ParameterValue] = {}
+    if isinstance(at.node, Mapping):
+        values.update(flatten(at))
+    elif isinstance(at.node, Sequence) and at.node.array_tag is None:
+        for source in at.elements():
+            if isinstance(source.node, Mapping):
+                values.update(flatten(source))
+            elif source.string is not None and files is not None:
+                values.update(files.select(source, source.string, full_name))
+            else:
+                path = "" if files is None else " or the path of a parameter file"
+                source.expected(f"a mapping{path}")
+    elif not at.is_invalid:
+        message = f"expected a mapping or a list of sources, given {describe_node(at.node)}"
+        if at.string is not None and files is not None:
+            message += "; put the file into a list: [ ... ]"
+        at.problem(message)
+    return tuple(ParameterConfig(name, value) for name, value in values.items())
+
+
+def flatten(at: At) -> dict[str, ParameterValue]:
+    """Return the parameters in a mapping, the names of nested ones joined with dots."""
+    values: dict[str, ParameterValue] = {}
+    _flatten_into(at, "", values, {})
+    return values
+
+
+def _flatten_into(
+    at: At, prefix: str, values: dict[str, ParameterValue], places: dict[str, Place]
+) -> None:
+    for entry, value in at.entries():
+        name = prefix + entry.key
+        if "\x00" in entry.key:
+            value.problem("a parameter name cannot hold a NUL character", entry.place)
+        elif entry.key == _KEY_OF_PARAMETER_FILES:
+            message = f"{_KEY_OF_PARAMETER_FILES} belongs into parameter files, above the names"
+            value.problem(f"{message}; write the names here directly", entry.place)
+        elif isinstance(value.node, Mapping):
+            _flatten_into(value, name + ".", values, places)
+        elif name in places:
+            message = f"the parameter {name} is given twice, first at {places[name]}"
+            value.problem(message, entry.place)
+        else:
+            places[name] = entry.place
+            typed = _parameter_value(value)
+            if typed is not None:
+                values[name] = typed
+
+
+def _parameter_value(at: At) -> ParameterValue | None:
+    """Return the typed value, a scalar or a list; None where a problem was reported."""
+    node = at.node
+    if isinstance(node, Sequence):
+        return _array(at, node)
+    if isinstance(node, Mapping):
+        at.expected("a value or a list of values")
+        return None
+    if not _usable(at, node):
+        return None
+    if isinstance(node.value, bytes):
+        return ParameterValue(ParameterType.BYTE_ARRAY, node.value)
+    if node.value is None:
+        return None
+    return ParameterValue(_TYPE_OF_KIND[node.kind], node.value)
+
+
+def _array(at: At, node: Sequence) -> ParameterValue | None:
+    items = _usable_items(at)
+    if items is None:
+        return None
+    if node.array_tag is not None:
+        return _tagged_array(at, node.array_tag, items)
+    if not items:
+        at.problem(
+            "an empty list has no type; write it with one, for example !string_array [] (also "
+            "!bool_array, !integer_array, !double_array, !byte_array), or remove the parameter"
+        )
+        return None
+    kinds = {item.kind for item in items}
+    if kinds == {ScalarKind.INTEGER, ScalarKind.FLOAT}:
+        at.problem(
+            "a list of integers and doubles; write every element as a double (1.0), "
+            "or put !double_array before the list"
+        )
+        return None
+    if len(kinds) > 1 or ScalarKind.BINARY in kinds:
+        odd = next((item for item in items if item.kind is not items[0].kind), items[0])
+        at.problem(
+            "the elements of a list must have one type; the first is "
+            f"{describe_node(items[0])}, this is {describe_node(odd)}",
+            odd.place,
+        )
+        return None
+    return _make_array(_ARRAY_OF[items[0].kind], items)
+
+
+def _usable_items(at: At) -> list[Scalar] | None:
+    usable: list[Scalar] = []
+    is_complete = True
+    for item in at.elements():
+        if not isinstance(item.node, Scalar):
+            item.problem(f"a ROS parameter cannot hold {describe_node(item.node)} in a list")
+            is_complete = False
+        elif _usable(item, item.node):
+            usable.append(item.node)
+        else:
+            is_complete = False
+    return usable if is_complete else None
+
+
+def _tagged_array(at: At, tag: str, items: list[Scalar]) -> ParameterValue | None:
+    array_type, allowed = _TAGGED_ARRAY[tag]
+    fits = True
+    for index, item in enumerate(items):
+        if item.kind not in allowed:
+            fits = False
+            message = f"{describe_node(item)} does not belong into {tag}"
+            if item.kind is not ScalarKind.BINARY and allowed == {ScalarKind.STRING}:
+                message += f"; quote it: {excerpt(item.text)}"
+            at.element(index).problem(message)
+        elif array_type is ParameterType.BYTE_ARRAY and not 0 <= _integer(item) <= 255:
+            fits = False
+            at.element(index).problem(f"{item.text} is not a byte (0 to 255)")
+    return _make_array(array_type, items) if fits else None
+
+
+def _make_array(array_type: ParameterType, items: list[Scalar]) -> ParameterValue:
+    values = [item.value for item in items]
+    if array_type is ParameterType.BYTE_ARRAY:
+        return ParameterValue(array_type, bytes(_integer(item) for item in items))
+    if array_type is ParameterType.BOOL_ARRAY:
+        return ParameterValue(array_type, tuple(value is True for value in values))
+    if array_type is ParameterType.INTEGER_ARRAY:
+        return ParameterValue(array_type, tuple(_integer(item) for item in items))
+    if array_type is ParameterType.DOUBLE_ARRAY:
+        numbers = (value for value in values if isinstance(value, int | float))
+        return ParameterValue(array_type, tuple(float(number) for number in numbers))
+    return ParameterValue(array_type, tuple(item.text for item in items))
+
+
+def _integer(item: Scalar) -> int:
+    assert isinstance(item.value, int)
+    return item.value
+
+
+def _usable(at: At, node: Scalar) -> bool:
+    """Say whether the scalar may be a parameter's value at all, and report why if not."""
+    problem = _scalar_problem(node)
+    if problem:
+        at.problem(problem)
+    return not problem and node.kind is not ScalarKind.INVALID
+
+
+def _scalar_problem(node: Scalar) -> str:
+    text = node.text
+    if node.kind is ScalarKind.INTEGER:
+        if not _SMALLEST_INTEGER <= _integer(node) <= _LARGEST_INTEGER:
+            fix = "write it with .0 for a double"
+            return f"{excerpt(text)[1:-1]} does not fit into a 64-bit integer; {fix}"
+        if node.plain and _OCTAL_IN_YAML_1_1.fullmatch(text):
+            return _leading_zero(text)
+    if node.kind is ScalarKind.STRING:
+        if node.plain and text in _TRUE_IN_YAML_1_1 | _FALSE_IN_YAML_1_1:
+            meant = "true" if text in _TRUE_IN_YAML_1_1 else "false"
+            says = f"{text} is a boolean to YAML 1.1 and a string to YAML 1.2"
+            return f'{says}; write {meant} or "{text}"'
+        if "\x00" in text:
+            return "a string parameter cannot hold a NUL character"
+    return ""
+
+
+def _leading_zero(text: str) -> str:
+    sign = "-" if text.startswith("-") else ""
+    digits = text.lstrip("+-0") or "0"
+    shown = excerpt(text)[1:-1]
+    if sign or set(digits) & set("89"):
+        return f"{shown} has leading zeros; write {sign}{digits}, or quote it if it is a string"
+    return (
+        f"{shown} is octal to YAML 1.1 and decimal to YAML 1.2; "
+        f"write {digits} or 0o{digits}, or quote it if it is a string"
+    )
