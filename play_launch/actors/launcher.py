@@ -240,7 +240,7 @@ class NativeLauncher:
                 executable=_executable(config, environment),
                 parameter_file=self._parameters.of(config),
             )
-        except (ExecutableNotFoundError, ParameterFileError, ValueError) as error:
+        except (ExecutableNotFoundError, ValueError) as error:
             raise StartError(str(error), permanent=True) from error
         program = shutil.which(argv[0], path=environment.get("PATH"))
         if program is not None:
@@ -304,23 +304,21 @@ class ParameterFiles:
     """The parameters of the ordinary nodes, each in a file of its own."""
 
     def __init__(self, configs: Iterable[ProcessConfig]) -> None:
-        """Write the files; what cannot be written is told when the file is asked for."""
+        """Write the files; what cannot be written is reported when the file is asked for."""
         self._folder: tempfile.TemporaryDirectory[str] | None = None
-        self._paths: dict[str, Path | ParameterFileError] = {}
+        self._paths: dict[str, Path | StartError] = {}
         for config in configs:
             if config.parameters:
-                if self._folder is None:
-                    self._folder = tempfile.TemporaryDirectory(prefix="play-launch-")
-                self._paths[config.full_name] = _write(config, Path(self._folder.name))
+                self._paths[config.full_name] = self._write(config)
 
     def of(self, config: ProcessConfig) -> Path | None:
         """Give the file; None when there are no parameters.
 
         Raises:
-            ParameterFileError: When a file cannot express them.
+            StartError: When a file cannot express them, or could not be written.
         """
         path = self._paths.get(config.full_name)
-        if isinstance(path, ParameterFileError):
+        if isinstance(path, StartError):
             raise path
         return path
 
@@ -329,12 +327,17 @@ class ParameterFiles:
         if self._folder is not None:
             self._folder.cleanup()
 
-
-def _write(config: ProcessConfig, folder: Path) -> Path | ParameterFileError:
-    try:
-        return write_parameter_file(config.parameters, folder)
-    except ParameterFileError as error:
-        return error
+    def _write(self, config: ProcessConfig) -> Path | StartError:
+        try:
+            if self._folder is None:
+                self._folder = tempfile.TemporaryDirectory(prefix="play-launch-")
+            return write_parameter_file(config.parameters, Path(self._folder.name))
+        except ParameterFileError as error:
+            return StartError(str(error), permanent=True)
+        except OSError as error:
+            reason = f"its parameters cannot be written to a temporary file: {error.strerror}"
+            fix = "free some space, or set TMPDIR to another folder"
+            return StartError(f"{reason}; {fix}", permanent=True)
 
 
 def _stock_containers(config: ReplayConfig) -> StockContainers | None:
