@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import signal
 import sys
 
@@ -35,6 +36,15 @@ def _run() -> None:
         from play_launch.cli.graph import main as ask  # noqa: PLC0415 - not for other verbs
 
         sys.exit(ask(sys.argv[1:]))
-    from play_launch.cli.app import main as run  # noqa: PLC0415 - after the lines above
+    from play_launch.cli.shortcut import run_plainly  # noqa: PLC0415 - after the lines above
+
+    # Of what is imported and of a configuration nothing becomes garbage: looking for it again and
+    # again takes a twentieth of the start. A run looks again from when it begins.
+    gc.disable()
+    code = run_plainly(sys.argv[1:])
+    if code is not None:
+        sys.exit(code)
+    gc.enable()
+    from play_launch.cli.app import main as run  # noqa: PLC0415
 
     run()

@@ -5,8 +5,6 @@ from __future__ import annotations
 import sys
 from typing import NoReturn
 
-import typer
-
 from play_launch.cli.show.terminal import wants_colour
 from play_launch.core.exit_code import ExitCode
 
@@ -14,10 +12,10 @@ from play_launch.core.exit_code import ExitCode
 def fail(message: str, code: ExitCode = ExitCode.USAGE) -> NoReturn:
     """Tell on stderr what is wrong and end with ``code``."""
     tell(message)
-    raise typer.Exit(code)
+    sys.exit(code)
 
 
 def tell(message: str) -> None:
     """Write ``error: message`` to stderr; several lines keep their form."""
     label = "\x1b[1;31merror:\x1b[0m" if wants_colour(sys.stderr) else "error:"
-    typer.echo(f"{label} {message}", err=True, color=True)
+    print(f"{label} {message}", file=sys.stderr, flush=True)  # noqa: T201 - what it is for

@@ -145,7 +145,8 @@ ThreadNum = Annotated[int, Field(ge=1, le=1024)]
 class Section(BaseModel):
     """A mapping of the configuration; `advice` says what to write instead of some foreign keys."""
 
-    model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
+    # Built when it is first used: no configuration has all of them.
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, defer_build=True)
     advice: ClassVar[dict[str, str]] = {}
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import difflib
+import os
+from functools import cache
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
 
 SomeSection = TypeVar("SomeSection", bound=Section)
 
+_PLUGINS_OFF = "PYDANTIC_DISABLE_PLUGINS"
 _LONGEST_KEY_TO_GUESS = 40
 _MOST_GUESSES = 100  # guessing takes long beside everything else; a file with more is no typo
 _YAML_1_1_BOOL = {"yes": "true", "on": "true", "y": "true", "no": "false", "off": "false"}
@@ -49,12 +52,31 @@ def validate_mapping(section: type[SomeSection], at: At) -> SomeSection | None:
         if entry.key in section.model_fields and entry.key not in raw:
             refused |= _refuse_tags(value)
     try:
-        checked = section.model_validate(values)
+        checked = _complete(section).model_validate(values)
     except ValidationError as error:
         for details in error.errors(include_url=False, include_input=False):
             _report_error(details, section, at)
         return None
     return None if refused else checked
+
+
+@cache
+def _complete(section: type[SomeSection]) -> type[SomeSection]:
+    """Build what checks a section, without plugins of pydantic.
+
+    Nobody's plugin has a say in what our configuration means, and looking for some reads the
+    entry points of every package that is installed.
+    """
+    before = os.environ.get(_PLUGINS_OFF)
+    os.environ[_PLUGINS_OFF] = "__all__"
+    try:
+        section.model_rebuild()
+    finally:
+        if before is None:
+            del os.environ[_PLUGINS_OFF]
+        else:
+            os.environ[_PLUGINS_OFF] = before
+    return section
 
 
 def items_of(at: At | None, what: str) -> Iterator[At]:

@@ -32,7 +32,6 @@ from play_launch.cli.entry import main
 main()
 """
 LATER = {
-    "anyio",
     "composition_interfaces",
     "em",
     "lark",
@@ -50,6 +49,7 @@ LATER = {
     "rclpy",
     "rich",
     "rosidl_generator_py",
+    "typer",
 }
 """Packages and modules, with what is below them, that have no place before the first process."""
 

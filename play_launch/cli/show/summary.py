@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from play_launch.cli.check import counted
+from play_launch.cli.find_mistakes import counted
 from play_launch.cli.show.status import container_status, is_complete, process_status
 from play_launch.core.events import NodeState
 

@@ -8,8 +8,6 @@ import re
 import sys
 from typing import IO, TYPE_CHECKING, Final
 
-import typer
-
 from play_launch.cli.show.streams import is_about_output, let_go_of
 
 if TYPE_CHECKING:
@@ -62,7 +60,7 @@ def is_terminal(stream: IO[str]) -> bool:
 def say(text: str) -> None:
     """Write ``text`` and a line end to stdout; a reader that has gone is no error."""
     with surviving_the_reader():
-        typer.echo(text)
+        print(text, flush=True)  # noqa: T201 - what it is for
 
 
 @contextlib.contextmanager
