@@ -115,6 +115,9 @@ class Composition:
         """Send no further loads; what was sent takes its course."""
         self._is_stopping = True
         self._queue.clear()
+        if self._current is not None and self._current.stage is Stage.NEXT:
+            self._current.stage = Stage.QUEUED
+            self._current = None
 
     def load(self, attempt: int, wanted: Wanted) -> list[Action]:
         """Have a node loaded, or take one that is there already for it."""

@@ -166,7 +166,7 @@ class CompositionClient:
             if future.cancelled() and not self._closed:
                 self._ros.post(lambda _: client.remove_pending_request(expected))
 
-        self._ros.post(send)
+        self._ros.post(send, lambda error: self._tell(finish, None, error))
         return future
 
     def _tell(self, callback: Callable[..., None], *values: Any) -> None:

@@ -12,7 +12,7 @@ import os
 import threading
 from collections import deque
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 
 from play_launch.fastdds.announcement import quick_announcement
 from play_launch.ros.graph import GraphEvents
@@ -36,6 +36,15 @@ _MOST_FAILURES: Final = 1000
 """After that many the thread ends, and says so."""
 
 
+class RosThreadError(Exception):
+    """The thread has not started, or has ended, so that nothing of ROS is to be had from it."""
+
+
+class _Work(NamedTuple):
+    do: Callable[[Node], None]
+    refuse: Callable[[RosThreadError], None] | None
+
+
 class RosThread:
     """An rclpy node in a thread of its own.
 
@@ -47,10 +56,11 @@ class RosThread:
         """Name the node; without a ``domain_id`` the environment's holds."""
         self.name = name
         self._domain_id = domain_id
-        self._work: deque[Callable[[Node], None]] = deque()
+        self._work: deque[_Work] = deque()
         self._listeners: list[Callable[[], None]] = []
         self._started = threading.Event()
         self._failure: BaseException | None = None
+        self._ended: RosThreadError | None = None
         self._closing = False
         self._failures = 0
         self._wake: Callable[[], None] = lambda: None
@@ -89,13 +99,26 @@ class RosThread:
         if self._thread.is_alive():
             _log.error("the ROS thread does not end")
 
-    def post(self, work: Callable[[Node], None]) -> None:
-        """Have something done in the thread, in order; from any thread, at any time."""
-        self._work.append(work)
+    def post(
+        self,
+        work: Callable[[Node], None],
+        refuse: Callable[[RosThreadError], None] | None = None,
+    ) -> None:
+        """Have something done in the thread, in order; from any thread, at any time.
+
+        ``refuse`` is called in its place when the thread cannot do it any more.
+        """
+        self._work.append(_Work(work, refuse))
         self._wake()
+        if self._ended is not None:
+            self._refuse_all(self._ended)
 
     async def call(self, work: Callable[[Node], _T]) -> _T:
-        """Have something done in the thread and wait for its result."""
+        """Have something done in the thread and wait for its result.
+
+        Raises:
+            RosThreadError: When the thread did not start, or ends before that.
+        """
         loop = asyncio.get_running_loop()
         future: asyncio.Future[_T] = loop.create_future()
 
@@ -107,7 +130,7 @@ class RosThread:
             else:
                 _hand_over(loop, _finish, future, result)
 
-        self.post(run)
+        self.post(run, lambda error: _hand_over(loop, _fail, future, error))
         return await future
 
     def listen(self, on_change: Callable[[], None]) -> Callable[[], None]:
@@ -133,6 +156,7 @@ class RosThread:
             context, node, executor = self._open()
         except BaseException as error:  # noqa: BLE001 - raised again where it was started
             self._failure = error
+            self._end(f"the supervisor's ROS node does not start: {error}")
             self._started.set()
             _log.error("the ROS thread does not start: %s", error)
             return
@@ -144,8 +168,10 @@ class RosThread:
                 self._spin_once(executor, poll)
                 if poll is not None:
                     self._graph_changed()
-        except Exception:  # noqa: BLE001 - a thread has nobody else to tell it
+            self._end("the supervisor's ROS node is closed")
+        except Exception as error:  # noqa: BLE001 - a thread has nobody else to report it
             _log.exception("the ROS thread has failed")
+            self._end(f"the supervisor's ROS node has failed: {error}")
         finally:
             self._wake = lambda: None
             executor.shutdown()
@@ -204,11 +230,25 @@ class RosThread:
                 raise
             _log.exception("something in the ROS thread failed")
 
+    def _end(self, reason: str) -> None:
+        """Refuse what waits, and whatever comes later."""
+        self._ended = RosThreadError(reason)
+        self._refuse_all(self._ended)
+
+    def _refuse_all(self, error: RosThreadError) -> None:
+        while True:
+            try:
+                work = self._work.popleft()
+            except IndexError:  # also when another thread refuses at the same time
+                return
+            if work.refuse is not None:
+                work.refuse(error)
+
     def _do_work(self, node: Node) -> None:
         while self._work:
             work = self._work.popleft()
             try:
-                work(node)
+                work.do(node)
             except Exception:  # noqa: BLE001 - the others' work goes on
                 _log.exception("work in the ROS thread failed")
 

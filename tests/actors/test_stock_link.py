@@ -9,6 +9,7 @@ import pytest
 from play_launch.actors.stock.ports import StockLimits
 from play_launch.core.events import ComponentEvent, ComponentEventKind
 from play_launch.ros.composition import LoadReply
+from play_launch.ros.thread import RosThreadError
 from play_launch.wire.channel import ChannelClosedError, ControlError
 from play_launch.wire.codec import EncodeError
 from play_launch.wire.messages import (
@@ -396,3 +397,36 @@ def test_a_fault_in_the_dialogue_ends_it(caplog: pytest.LogCaptureFixture) -> No
 
     run(main())
     assert "as intended" in caplog.text
+
+
+def test_a_load_whose_turn_comes_after_the_stop_is_not_sent() -> None:
+    async def main() -> None:
+        services = Services()
+        places = asyncio.Semaphore(1)
+        await places.acquire()  # another container loads
+        link = await greeted(services, places=places)
+        link.send(load(1, "a"))
+        await settle()
+        ending = asyncio.create_task(link.unload_all())
+        await settle()
+        places.release()
+        await ending
+        await settle()
+        assert not services.loads
+        link.close()
+
+    run(main())
+
+
+def test_a_supervisor_without_a_node_of_its_own_reports_that_and_does_not_wait() -> None:
+    class Deaf(Services):
+        async def ready(self) -> None:
+            raise RosThreadError("the supervisor's ROS node does not start: no participant")
+
+    async def main() -> None:
+        link = link_to(Deaf())
+        with pytest.raises(ControlError, match="no participant"):
+            await link.handshake(Hello(version="1"))
+        link.close()
+
+    run(main())

@@ -14,7 +14,7 @@ from composition_interfaces.srv import LoadNode
 
 from play_launch.ros.composition import CompositionClient, ListedNode
 from play_launch.ros.graph import GraphEvents
-from play_launch.ros.thread import RosThread
+from play_launch.ros.thread import RosThread, RosThreadError
 from tests.support.container import running_container
 
 if TYPE_CHECKING:
@@ -146,6 +146,45 @@ def test_a_request_that_is_none_is_refused(ros: RosThread) -> None:
         client = CompositionClient(ros, "/nobody")
         with pytest.raises(TypeError):
             await client.load_node("something else")
+        client.close()
+
+    run(main())
+
+
+def test_what_is_asked_of_a_thread_that_does_not_start_is_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def fails(self: RosThread) -> None:
+        raise RuntimeError("failed to create the domain participant")
+
+    monkeypatch.setattr(RosThread, "_open", fails)
+
+    async def main() -> None:
+        ros = RosThread("bridge")
+        client = CompositionClient(ros, "/somebody", owns_thread=True)
+        asked_before = asyncio.ensure_future(client.ready())
+        list_before = client.list_nodes()
+        await asyncio.sleep(0)
+        ros.begin()
+        for refused in (asked_before, list_before):
+            with pytest.raises(RosThreadError, match="domain participant"):
+                await refused
+        with pytest.raises(RosThreadError, match="domain participant"):
+            await client.ready()
+        with pytest.raises(RosThreadError, match="domain participant"):
+            await client.list_nodes()
+        client.close()
+
+    run(main())
+
+
+def test_what_is_asked_of_a_thread_that_has_ended_is_refused(ros: RosThread) -> None:
+    async def main() -> None:
+        client = CompositionClient(ros, "/somebody")
+        assert not await client.is_ready()
+        await asyncio.to_thread(ros.close)
+        with pytest.raises(RosThreadError, match="closed"):
+            await client.is_ready()
         client.close()
 
     run(main())

@@ -29,6 +29,7 @@ from play_launch.core.composition_words import (
     Wanted,
 )
 from play_launch.core.events import ComponentEventKind
+from play_launch.ros.thread import RosThreadError
 from play_launch.wire.channel import ChannelClosedError, ControlError
 from play_launch.wire.messages import (
     Cancel,
@@ -122,8 +123,18 @@ class StockLink:
         return self._composition
 
     async def handshake(self, hello: Hello) -> Hello:
-        """Wait until the container answers; the supervisor's own hello has no place in ROS."""
+        """Wait until the container answers; the supervisor's own hello has no place in ROS.
+
+        Raises:
+            ControlError: When there is no way to ask it.
+        """
         del hello
+        try:
+            return await self._ask_for_hello()
+        except RosThreadError as error:
+            raise ControlError(str(error)) from error
+
+    async def _ask_for_hello(self) -> Hello:
         await self._services.ready()
         nodes = await self._first_list()
         self._composition.serially = not await self._services.constructs_in_background()
@@ -320,6 +331,8 @@ class StockLink:
         request = self._requests[attempt]
         await self._services.ready()
         async with self._places:
+            if self._composition.stage(attempt) is not Stage.NEXT:
+                return  # it was stopped while it waited for its turn
             reply = self._services.load_node(request.message)
             request.sent_at = self._loop.time()
             request.cpu_time_ns = self._reports.container.cpu_time_ns()
