@@ -72,3 +72,10 @@ def test_the_parser_in_python_gives_the_same(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(compose, "_Loader", yaml.SafeLoader)
     assert "nested deeper than 100 levels" in refusal("a: " + "[" * 10_000)
     assert "half of a surrogate pair" in refusal('version: 1\nname: "\\ud800"\n')
+
+
+def test_what_pyyaml_composes_differently() -> None:
+    text = "version: 1\nnodes:\n- command: [&a x]\n- command: [&a y, *a]\n"
+    assert parse_config(text.encode(), Path("demo.yaml")).nodes[1].command == ("y", "y")
+    both = refusal("version: 1\nversion: 1\nname: [\n").splitlines()
+    assert [line.split(": ")[0] for line in both] == ["demo.yaml:2:1", "demo.yaml:4:1"]

@@ -1,8 +1,14 @@
-"""Puts the tree of a YAML text together, within bounds."""
+"""Puts the tree of a YAML text together, within bounds.
+
+It is put together from the parser's events rather than by PyYAML's composer. That one recurses in C
+without a limit (deep nesting ends the process), follows aliases without counting, keeps the last of
+two equal keys, refuses an anchor that is given twice, which YAML allows, and gives up at the first
+error of the syntax, whatever is wrong before it.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, NoReturn
 
 import yaml
@@ -19,6 +25,8 @@ from play_launch.config.yaml.syntax import explain, refused_directive
 from play_launch.config.yaml.tree import Entry, Mapping, Node, Scalar, Sequence
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from play_launch.config.problems import Report
 
 MOST_VALUES = 200_000
@@ -52,7 +60,7 @@ def compose(text: str, file: str, report: Report) -> Node | None:
         report.add(directive[0], "(yaml)", directive[1])
         return None
     try:
-        return _Composer(file, report).run(text)
+        return _Composer(iter(yaml.parse(text, Loader=_Loader)), file, report).run()
     except _StopReadingError as stop:
         report.add(stop.place, stop.path, stop.message)
     except yaml.YAMLError as error:
@@ -70,75 +78,73 @@ class _StopReadingError(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class _Anchored:
-    """A value that aliases may refer to, with what it costs to have it once more."""
+class _Found:
+    """A value with its keys and values, itself included, and the levels below it.
+
+    That is what it costs to have it once more, by an alias.
+    """
 
     node: Node
     values: int
     depth: int
 
 
-@dataclass(slots=True)
-class _OpenCollection:
-    """A list or mapping whose end has not been read yet."""
-
-    place: Place
-    path: str
-    is_mapping: bool
-    anchor: str | None
-    array_tag: str | None
-    values_before: int
-    depth_below: int = 0
-    items: list[Node] = field(default_factory=list)
-    entries: list[Entry] = field(default_factory=list)
-    seen: dict[str, Place] = field(default_factory=dict)
-    merged: list[tuple[Place, Node]] = field(default_factory=list)
-    key_is_next: bool = True
-    key: Scalar | None = None  # None at a value's turn: its key was refused
-
-    def child_path(self) -> str:
-        if not self.is_mapping:
-            return f"{self.path}[{len(self.items)}]"
-        return self.path if self.key is None else join_path(self.path, self.key.text)
-
-
 class _Composer:
-    def __init__(self, file: str, report: Report) -> None:
+    """Descends into the events; `DEEPEST` bounds its recursion."""
+
+    def __init__(self, events: Iterator[yaml.Event], file: str, report: Report) -> None:
+        self._events = events
         self._file = file
         self._report = report
-        self._open: list[_OpenCollection] = []
+        self._anchored: dict[str, _Found] = {}
         self._open_anchors: set[str] = set()
-        self._anchored: dict[str, _Anchored] = {}
         self._values = 0
-        self._root: Node | None = None
-        self._documents = 0
+        self._depth = 0
 
-    def run(self, text: str) -> Node | None:
-        for event in yaml.parse(text, Loader=_Loader):
-            if isinstance(event, yaml.ScalarEvent):
-                self._count(1, event)
-                self._finish(_Anchored(self._scalar(event), 1, 0), event.anchor)
-            elif isinstance(event, yaml.CollectionStartEvent):
-                self._count(1, event)
-                self._begin(event)
-            elif isinstance(event, yaml.CollectionEndEvent):
-                self._end()
-            elif isinstance(event, yaml.AliasEvent):
-                self._alias(event)
+    def run(self) -> Node | None:
+        root: Node | None = None
+        documents = 0
+        for event in self._events:
+            if isinstance(event, yaml.NodeEvent):
+                root = self._node(event, "").node
             elif isinstance(event, yaml.DocumentStartEvent):
-                self._documents += 1
-                if self._documents > 1:
+                documents += 1
+                if documents > 1:
                     message = "a second document begins; one file holds one document"
                     raise _StopReadingError(self._place(event), "(yaml)", message)
-        return self._root
+        return root
+
+    def _node(self, event: yaml.Event, path: str, *, is_key: bool = False) -> _Found:
+        """Read the value that begins with `event` to its end."""
+        if isinstance(event, yaml.AliasEvent):
+            return self._alias(event, path)
+        values_before = self._values
+        self._count(1, event)
+        node: Node
+        deepest = -1
+        if isinstance(event, yaml.ScalarEvent):
+            node = self._scalar(event, path, is_key=is_key)
+        else:
+            assert isinstance(event, yaml.CollectionStartEvent)
+            array_tag = self._begin(event, path)
+            if isinstance(event, yaml.MappingStartEvent):
+                node, deepest = self._mapping(event, path)
+            else:
+                node, deepest = self._sequence(event, path, array_tag)
+            self._depth -= 1
+            self._open_anchors.discard(event.anchor)
+        found = _Found(node, self._values - values_before, deepest + 1)
+        if event.anchor is not None:
+            self._anchored[event.anchor] = found
+        return found
 
     def _place(self, event: yaml.Event) -> Place:
         mark = event.start_mark
         assert mark is not None
         return Place(self._file, mark.line + 1, mark.column + 1)
 
-    def _path(self) -> str:
-        return (self._open[-1].child_path() if self._open else "") or "(top level)"
+    def _problem(self, place: Place, path: str, message: str) -> None:
+        self._report.add(place, path or "(top level)", message)
 
     def _count(self, values: int, event: yaml.Event) -> None:
         self._values += values
@@ -150,9 +156,8 @@ class _Composer:
             )
             raise _StopReadingError(self._place(event), "(yaml)", why)
 
-    def _scalar(self, event: yaml.ScalarEvent) -> Scalar:
+    def _scalar(self, event: yaml.ScalarEvent, path: str, *, is_key: bool) -> Scalar:
         place = self._place(event)
-        is_key = self._at_key()
         # A key is the text it is written as: `1:` and `"1":` are the same key.
         tag = None if is_key else event.tag
         plain = not is_key and event.tag is None and event.implicit[0]
@@ -162,23 +167,20 @@ class _Composer:
             message = str(error)
             if tag in ARRAY_TAGS:
                 message = f"the tag {tag} belongs to a list: {tag} [...]"
-            self._report.add(place, self._path(), message)
+            self._problem(place, path, message)
             kind, value = ScalarKind.INVALID, None
-        if kind is ScalarKind.NULL and self._open:
-            self._report.add(place, self._path(), _NO_VALUE)
+        if kind is ScalarKind.NULL and self._depth > 0:
+            self._problem(place, path, _NO_VALUE)
             kind = ScalarKind.INVALID
         if not event.value.isascii() and any("\ud800" <= one <= "\udfff" for one in event.value):
-            self._report.add(place, self._path(), "half of a surrogate pair is not a character")
+            self._problem(place, path, "half of a surrogate pair is not a character")
             kind = ScalarKind.INVALID
         return Scalar(place, kind, value, event.value, event.implicit[0])
 
-    def _at_key(self) -> bool:
-        return bool(self._open) and self._open[-1].is_mapping and self._open[-1].key_is_next
-
-    def _begin(self, event: yaml.CollectionStartEvent) -> None:
+    def _begin(self, event: yaml.CollectionStartEvent, path: str) -> str | None:
+        """Enter a list or a mapping; returns the tag of a ROS array."""
         place = self._place(event)
-        path = self._open[-1].child_path() if self._open else ""
-        if len(self._open) >= DEEPEST:
+        if self._depth >= DEEPEST:
             self._refuse_depth(place)
         is_mapping = isinstance(event, yaml.MappingStartEvent)
         array_tag = event.tag if event.tag in ARRAY_TAGS and not is_mapping else None
@@ -186,93 +188,93 @@ class _Composer:
             message = unknown_tag(event.tag or "")
             if event.tag in ARRAY_TAGS:
                 message = f"the tag {shown_tag(event.tag)} belongs to a list"
-            self._report.add(place, path or "(top level)", message)
+            self._problem(place, path, message)
         if event.anchor is not None:
             self._open_anchors.add(event.anchor)
-        self._open.append(
-            _OpenCollection(place, path, is_mapping, event.anchor, array_tag, self._values - 1)
-        )
+        self._depth += 1
+        return array_tag
 
-    def _end(self) -> None:
-        ended = self._open.pop()
-        node: Node
-        if ended.is_mapping:
-            node = Mapping(ended.place, self._merge(ended))
-        else:
-            node = Sequence(ended.place, tuple(ended.items), ended.array_tag)
-        if ended.anchor is not None:
-            self._open_anchors.discard(ended.anchor)
-        values = self._values - ended.values_before
-        self._finish(_Anchored(node, values, ended.depth_below + 1), ended.anchor)
+    def _inside(self) -> Iterator[yaml.Event]:
+        """Yield the events that begin the parts of the collection that is open."""
+        for event in self._events:
+            if isinstance(event, yaml.CollectionEndEvent):
+                return
+            yield event
 
-    def _alias(self, event: yaml.AliasEvent) -> None:
+    def _sequence(
+        self, event: yaml.Event, path: str, array_tag: str | None
+    ) -> tuple[Sequence, int]:
+        items: list[Node] = []
+        deepest = 0
+        for begin in self._inside():
+            item = self._node(begin, f"{path}[{len(items)}]")
+            items.append(item.node)
+            deepest = max(deepest, item.depth)
+        return Sequence(self._place(event), tuple(items), array_tag), deepest
+
+    def _mapping(self, event: yaml.Event, path: str) -> tuple[Mapping, int]:
+        entries: dict[str, Entry] = {}
+        seen: dict[str, Place] = {}
+        merged: list[Node] = []
+        deepest = 0
+        for begin in self._inside():
+            key_found = self._node(begin, path, is_key=True)
+            key = self._accepted_key(key_found.node, path, seen)
+            below = path if key is None else join_path(path, key.text)
+            value = self._node(next(self._events), below)
+            deepest = max(deepest, key_found.depth, value.depth)
+            if key is None:
+                continue
+            if key.text == "<<" and key.plain:
+                merged.append(value.node)
+            else:
+                entries[key.text] = Entry(key.text, key.place, value.node)
+        for node in merged:
+            self._merge(node, entries, join_path(path, "<<"))
+        return Mapping(self._place(event), entries), deepest
+
+    def _alias(self, event: yaml.AliasEvent, path: str) -> _Found:
         name = event.anchor
+        place = self._place(event)
+        path = path or "(top level)"
         if name in self._open_anchors:
             message = f"the alias *{name} stands inside of the value it refers to"
-            raise _StopReadingError(self._place(event), self._path(), message)
+            raise _StopReadingError(place, path, message)
         if name not in self._anchored:
             message = f"the alias *{name} has no anchor &{name} before it"
-            raise _StopReadingError(self._place(event), self._path(), message)
-        anchored = self._anchored[name]
-        self._count(anchored.values, event)
-        if len(self._open) + anchored.depth > DEEPEST:
-            self._refuse_depth(self._place(event))
-        self._finish(anchored, None)
+            raise _StopReadingError(place, path, message)
+        found = self._anchored[name]
+        self._count(found.values, event)
+        if self._depth + found.depth > DEEPEST:
+            self._refuse_depth(place)
+        return found
 
     def _refuse_depth(self, place: Place) -> NoReturn:
         raise _StopReadingError(place, "(yaml)", f"nested deeper than {DEEPEST} levels")
 
-    def _finish(self, complete: _Anchored, anchor: str | None) -> None:
-        """Hand the complete value to the collection it stands in."""
-        node = complete.node
-        if anchor is not None:
-            self._anchored[anchor] = complete
-        if not self._open:
-            self._root = node
-            return
-        parent = self._open[-1]
-        parent.depth_below = max(parent.depth_below, complete.depth)
-        if not parent.is_mapping:
-            parent.items.append(node)
-        elif parent.key_is_next:
-            parent.key = self._accepted_key(parent, node)
-            parent.key_is_next = False
-        else:
-            if parent.key is not None and parent.key.text == "<<" and parent.key.plain:
-                parent.merged.append((node.place, node))
-            elif parent.key is not None:
-                parent.entries.append(Entry(parent.key.text, parent.key.place, node))
-            parent.key = None
-            parent.key_is_next = True
-
-    def _accepted_key(self, parent: _OpenCollection, node: Node) -> Scalar | None:
-        path = parent.path or "(top level)"
+    def _accepted_key(self, node: Node, path: str, seen: dict[str, Place]) -> Scalar | None:
         if not isinstance(node, Scalar):
-            self._report.add(node.place, path, "a key must be a word, not a list or a mapping")
+            self._problem(node.place, path, "a key must be a word, not a list or a mapping")
             return None
         if node.kind is ScalarKind.INVALID:
             return None
         if not node.text:
-            self._report.add(node.place, path, "a key is missing before the colon")
+            self._problem(node.place, path, "a key is missing before the colon")
             return None
-        first = parent.seen.get(node.text)
+        first = seen.get(node.text)
         if first is not None:
             message = f"the key {excerpt(node.text)} is given twice, first at {first}"
-            self._report.add(node.place, join_path(parent.path, node.text), message)
+            self._report.add(node.place, join_path(path, node.text), message)
             return None
-        parent.seen[node.text] = node.place
+        seen[node.text] = node.place
         return node
 
-    def _merge(self, ended: _OpenCollection) -> dict[str, Entry]:
-        """Add the entries of merge keys; keys of the mapping itself go first, then list order."""
-        entries = {entry.key: entry for entry in ended.entries}
-        for place, merged in ended.merged:
-            sources = merged.items if isinstance(merged, Sequence) else (merged,)
-            for source in sources:
-                if isinstance(source, Mapping):
-                    for entry in source.entries:
-                        entries.setdefault(entry.key, entry)
-                elif not (isinstance(source, Scalar) and source.kind is ScalarKind.INVALID):
-                    message = "`<<` takes a mapping or a list of mappings to merge in"
-                    self._report.add(place, join_path(ended.path, "<<"), message)
-        return entries
+    def _merge(self, merged: Node, entries: dict[str, Entry], path: str) -> None:
+        """Add the entries of a merge key; what is there goes first, then the order of the list."""
+        for source in merged.items if isinstance(merged, Sequence) else (merged,):
+            if isinstance(source, Mapping):
+                for entry in source.entries:
+                    entries.setdefault(entry.key, entry)
+            elif not (isinstance(source, Scalar) and source.kind is ScalarKind.INVALID):
+                message = "`<<` takes a mapping or a list of mappings to merge in"
+                self._report.add(merged.place, path, message)

@@ -1,9 +1,4 @@
-"""YAML as a tree in which every key and value knows its place.
-
-The tree is put together from the parser's events rather than by PyYAML's composer: that one
-recurses in C (deep nesting ends the process), keeps the last of two equal keys, and follows
-aliases without counting.
-"""
+"""YAML as a tree in which every key and value knows its place."""
 
 from __future__ import annotations
 
