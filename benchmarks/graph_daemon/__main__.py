@@ -72,7 +72,7 @@ def measure(daemon: Daemon, stock: Daemon | None, size: Size, storms: int) -> Fi
     """Measure one daemon."""
     address = daemon_address()
     figures: Figures = {}
-    tell(f"{daemon.name}: a crowd of {size.processes} processes with {size.nodes} nodes")
+    report_progress(f"{daemon.name}: a crowd of {size.processes} processes with {size.nodes} nodes")
     with risen_crowd(size) as crowd:
         steps: list[Callable[[], Figures]] = [
             lambda: measures.late_join(daemon, address, crowd.names, size),
@@ -82,7 +82,7 @@ def measure(daemon: Daemon, stock: Daemon | None, size: Size, storms: int) -> Fi
         ]
         for step in steps:
             found = step()
-            tell(f"{daemon.name}: measured {', '.join(found)}")
+            report_progress(f"{daemon.name}: measured {', '.join(found)}")
             figures |= found
         # A daemon that hangs on the silent client hangs no more, and goes on with a full graph.
         measures.warm(address, crowd.names, size.patience)
@@ -100,7 +100,7 @@ def risen_crowd(size: Size) -> Iterator[Crowd]:
             if crowd.wait():
                 yield crowd
                 return
-        tell("the crowd did not come up; again")
+        report_progress("the crowd did not come up; again")
     raise SystemExit(f"the crowd did not come up in {ATTEMPTS} attempts")
 
 
@@ -110,7 +110,7 @@ def measure_storms(daemon: Daemon, size: Size, storms: int) -> Figures:
     seen: list[Figures] = []
     repeated = 0
     while len(seen) < storms:
-        tell(f"{daemon.name}: storm {len(seen) + 1} of {storms}")
+        report_progress(f"{daemon.name}: storm {len(seen) + 1} of {storms}")
         daemon.start()
         found = measures.storm(address, size)
         daemon.stop()
@@ -118,7 +118,7 @@ def measure_storms(daemon: Daemon, size: Size, storms: int) -> Figures:
             seen.append(found)
         elif repeated < ATTEMPTS:
             repeated += 1
-            tell("the crowd did not come up; again")
+            report_progress("the crowd did not come up; again")
         else:
             raise SystemExit(f"the crowd did not come up in {1 + repeated} storms")
     figures = {
@@ -127,7 +127,7 @@ def measure_storms(daemon: Daemon, size: Size, storms: int) -> Figures:
     return figures | {"storm, repeated": repeated}
 
 
-def tell(what: str) -> None:
+def report_progress(what: str) -> None:
     print(what, file=sys.stderr, flush=True)
 
 
@@ -146,7 +146,7 @@ def main() -> None:
     storms = arguments.storms or (1 if arguments.small else 3)
     stock = STOCK if ros2cli_is_here() else None
     if stock is None:
-        tell("ros2cli cannot be imported here: its daemon is not measured")
+        report_progress("ros2cli cannot be imported here: its daemon is not measured")
     subjects: dict[str, Figures] = {}
     with tempfile.TemporaryDirectory() as logs:
         os.environ["ROS_LOG_DIR"] = logs

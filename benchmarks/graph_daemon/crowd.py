@@ -26,7 +26,7 @@ def node_name(process: int, node: int) -> str:
 
 
 def main() -> None:
-    """Make nodes, tell for each when it was ready, and stay until the standard input ends."""
+    """Make nodes, report for each when it was ready, and stay until the standard input ends."""
     import rclpy  # noqa: PLC0415 - the crowd's keeper needs none
     from std_msgs.msg import String  # noqa: PLC0415
 

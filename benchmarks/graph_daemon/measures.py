@@ -31,7 +31,7 @@ class Size:
     load_seconds: float
     burst_rounds: int
     patience: float
-    """How long something that may never come is waited for."""
+    """How long to wait for something that may never come."""
 
 
 def warm(address: DaemonAddress, names: set[str], patience: float) -> float:

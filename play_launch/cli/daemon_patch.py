@@ -82,7 +82,7 @@ def patch(
             return
         plan.carry_out()
     except PatchError as error:
-        _give_up(error)
+        _fail(error)
     say(f"written to {plan.place} and verified")
     say(_RESTART)
 
@@ -110,12 +110,12 @@ def unpatch(dry_run: _DryRun = False, python: _Python = None, force: _Force = Fa
             for name in manifest.files:
                 say(f"  {name}")
     except PatchError as error:
-        _give_up(error)
+        _fail(error)
     if not dry_run:
         say(_RESTART)
 
 
-def _give_up(error: PatchError) -> NoReturn:
+def _fail(error: PatchError) -> NoReturn:
     from play_launch.ros2cli_patch.errors import VerificationError  # noqa: PLC0415
 
     failed = isinstance(error, VerificationError)

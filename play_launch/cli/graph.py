@@ -111,7 +111,7 @@ def _start(address: DaemonAddress) -> None:
 
 
 def _parser(group: str) -> argparse.ArgumentParser:
-    """Build the parser of one group only; the others would cost time for nothing."""
+    """Build the parser of one group only; the others would take time for nothing."""
     parser = argparse.ArgumentParser(prog=f"play-launch {group}", description=GROUPS[group])
     # Named, or argparse would lay out a usage line first.
     verbs = parser.add_subparsers(required=True, metavar="VERB", prog=parser.prog)
@@ -256,7 +256,7 @@ def wait(client: GraphClient, options: argparse.Namespace) -> int:
         except (NoDaemonError, RemoteError) as error:
             if isinstance(error, NoDaemonError) and not options.no_start:
                 raise
-            # It may be starting, or being replaced; what it is missing is told at the end.
+            # It may be starting, or being replaced; what it is missing is reported at the end.
             trouble = error
         elapsed = time.monotonic() - begin
         reached = trouble is None and seen is not None and seen >= options.nodes

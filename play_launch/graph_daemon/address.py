@@ -1,7 +1,7 @@
 """Where the daemon of a ROS domain listens.
 
 The address, the port's rule and the path are those of ros2cli (``ros2cli/daemon``), so that its
-clients find this daemon without being told.
+clients find this daemon without any setting.
 """
 
 from __future__ import annotations

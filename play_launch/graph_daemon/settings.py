@@ -1,6 +1,6 @@
 """What decides whom a participant meets: settings that freeze when the daemon starts.
 
-Two processes see the same graph only when these agree, so the daemon tells its own and clients
+Two processes see the same graph only when these agree, so the daemon reports its own and clients
 compare.
 """
 

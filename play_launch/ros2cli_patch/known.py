@@ -1,4 +1,4 @@
-"""The releases of ros2cli that the overlay fits, told by number and by what their code does.
+"""The releases of ros2cli that the overlay fits, known by number and by what their code does.
 
 The overlay replaces or leans on the definitions listed here. Each is known by a digest of its
 syntax tree, without comments, docstrings and layout, so that a release which only moves lines is

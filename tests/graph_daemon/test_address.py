@@ -27,7 +27,7 @@ def test_anything_else_is_refused_by_name(text: str) -> None:
         domain_id({"ROS_DOMAIN_ID": text})
 
 
-def test_a_long_value_is_told_in_short() -> None:
+def test_a_long_value_is_reported_in_short() -> None:
     with pytest.raises(DomainError) as caught:
         domain_id({"ROS_DOMAIN_ID": "9" * 10_000})
     assert len(str(caught.value)) < 200

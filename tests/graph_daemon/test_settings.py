@@ -28,6 +28,6 @@ def test_every_setting_is_compared_and_named(name: str) -> None:
     assert line == f"{name}: the daemon has theirs, here it is ours"
 
 
-def test_a_setting_that_only_the_daemon_has_is_told() -> None:
+def test_a_setting_that_only_the_daemon_has_is_reported() -> None:
     (line,) = differences({"CYCLONEDDS_URI": "file"}, {})
     assert line == "CYCLONEDDS_URI: the daemon has file, here it is not set"

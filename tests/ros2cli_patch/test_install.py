@@ -211,7 +211,7 @@ def test_files_are_readable_for_everybody(ros: Ros) -> None:
     assert (ros.site / PACKAGE).stat().st_mode & 0o777 == 0o755
 
 
-def test_want_of_permissions_is_told_with_the_way_out(
+def test_want_of_permissions_is_reported_with_the_fix(
     ros: Ros, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Tests may run as root, whom modes do not stop.
@@ -304,7 +304,7 @@ def test_a_damaged_manifest_is_not_acted_on(ros: Ros, damage: object, reason: st
         assert ros.run(MARKS) in {PATCHED, STOCK}
 
 
-def test_the_manifest_tells_what_was_done(ros: Ros) -> None:
+def test_the_manifest_lists_what_was_done(ros: Ros) -> None:
     patch(ros)
     facts = json.loads((ros.site / PACKAGE / "manifest.json").read_text(encoding="utf-8"))
     assert facts["ros2cli"]["version"] == "0.32.2"

@@ -40,7 +40,7 @@ def test_env_in_the_first_line_is_followed(ros: Ros, tmp_path: Path) -> None:
     assert find_target(None, environment).python == ros.python.parent / "python3"
 
 
-def test_without_ros2_the_way_out_is_told(tmp_path: Path) -> None:
+def test_without_ros2_the_fix_is_shown(tmp_path: Path) -> None:
     with pytest.raises(PatchError, match=r"source your ROS 2 first.*--python"):
         find_target(None, {"PATH": str(tmp_path)})
 

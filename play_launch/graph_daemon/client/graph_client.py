@@ -203,7 +203,7 @@ def _left(deadline: float) -> float:
 
 
 def _whole_length(reply: bytearray) -> int:
-    """Say how long a reply will be, head and all; the largest while its head does not tell."""
+    """Say how long a reply will be, head and all; the largest while its head is not complete."""
     end = reply.find(b"\r\n\r\n")
     if end < 0:
         return LARGEST_REPLY

@@ -101,14 +101,14 @@ def spawn(
 
 def _wait(read: int, word: str, limit: float) -> bool:
     deadline = time.monotonic() + limit
-    heard = b""
+    received = b""
     while True:
         left = deadline - time.monotonic()
         if left <= 0 or not select.select([read], [], [], left)[0]:
             return False
         more = os.read(read, 1024)
-        heard += more
-        if word.encode("ascii") in heard.split():
+        received += more
+        if word.encode("ascii") in received.split():
             return True
         if not more:
             return False

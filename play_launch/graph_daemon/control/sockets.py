@@ -19,7 +19,7 @@ _REACHED_FROM_LOOPBACK: Final = frozenset({_LOOPBACK, "0.0.0.0", "::", f"::ffff:
 class Holder:
     """A process that listens on the port.
 
-    ``pid`` is 0 where the process is somebody else's, so that nobody tells which one it is.
+    ``pid`` is 0 where the process is somebody else's, and the kernel hides which one it is.
     """
 
     pid: int

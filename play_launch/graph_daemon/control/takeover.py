@@ -61,7 +61,7 @@ class Occupant:
     kind: Kind
     holder: Holder | None = None
     status: Mapping[str, Any] = field(default_factory=dict)
-    """What our daemon tells, by the fields of `DaemonStatus`; empty for others."""
+    """What our daemon reports, by the fields of `DaemonStatus`; empty for others."""
     problem: str = ""
     """Why it is foreign, or hung."""
 
@@ -79,7 +79,7 @@ class Action(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """What a start has to do, and what is to be told."""
+    """What a start has to do, and what is to be reported."""
 
     action: Action
     messages: tuple[str, ...] = ()
@@ -174,7 +174,7 @@ def look(address: DaemonAddress, limit: float = PROBE_LIMIT) -> Occupant:
 
 
 def _methods(address: DaemonAddress, client: GraphClient) -> object:
-    """Ask for its methods; a daemon that is stopped is not waited for."""
+    """Ask for its methods; a daemon that is stopped is not given the full time."""
     try:
         return GraphClient(address, _STOPPED_AFTER).call("system.listMethods")
     except DaemonTimeoutError:

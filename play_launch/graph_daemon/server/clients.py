@@ -131,7 +131,7 @@ class Server:
     # What connections call.
 
     def opened(self, connection: Connection) -> None:
-        """Take a new client, maybe at the cost of another."""
+        """Take a new client; where there are too many, reset the oldest."""
         self._empty.clear()
         if len(self._connections) >= self._most:
             self._reset_oldest()
@@ -150,7 +150,7 @@ class Server:
         """Count what is held; reset the oldest clients while that is too much."""
         self._account(connection, connection.held)
         while self._held > self._limits.memory and self._connections:
-            # Who holds nothing costs nothing.
+            # A client that holds nothing would free nothing.
             oldest = next((other for other in self._connections if other.accounted), None)
             if oldest is None:
                 return

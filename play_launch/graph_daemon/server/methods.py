@@ -76,11 +76,11 @@ class Methods:
         """Make the call and return the body of the response, which may be a fault."""
         try:
             return dump_response(self._result(call))
-        except Exception as error:  # noqa: BLE001 - whatever it is, the client is told
+        except Exception as error:  # noqa: BLE001 - whatever it is, it is reported to the client
             return dump_fault(error)
 
     def _result(self, call: Call) -> object:
         if call.method == STATUS_METHOD:
             return self._status(*call.arguments)
-        # It is meant to be called from outside: its documentation tells how to override it.
+        # It is meant to be called from outside: its documentation describes how to override it.
         return self._dispatcher._dispatch(call.method, call.arguments)  # type: ignore[arg-type]  # noqa: SLF001

@@ -1,7 +1,7 @@
 """How many DDS participants this machine has in a domain, as the kernel knows it.
 
 A participant that joins a domain meets the others one by one, some only after three seconds, and
-nothing in the graph tells that somebody is still missing. But every participant binds UDP ports of
+nothing in the graph shows that somebody is still missing. But every participant binds UDP ports of
 its own, by a rule that RTPS fixes (section 9.6.1.1), so the table of sockets gives their number.
 """
 
@@ -41,7 +41,7 @@ def count_participants(table: str, domain: int) -> int:
 
 
 def participants_here(domain: int) -> int:
-    """Count the participants of ``domain`` in this network namespace; 0 where nobody can tell."""
+    """Count the participants of ``domain`` in this network namespace; 0 where they are hidden."""
     try:
         table = _TABLE.read_text(encoding="ascii")
     except (OSError, UnicodeDecodeError):

@@ -3,7 +3,7 @@
 And a little longer where writing them takes long: while sixty processes start, the graph changes
 all the time, and a daemon that wrote each answer anew for each client would fall behind. A reply
 that took time ``t`` is used for another `HOLD` times ``t`` whatever happens, within `LONGEST_HOLD`,
-so that the same question costs one processor a fifth of its time at most.
+so that the same question takes a fifth of one processor at most.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 HOLD: Final = 4.0
 LONGEST_HOLD: Final = 0.25
 _OVERHEAD: Final = 256
-"""Bytes that an entry costs besides its request and reply, roughly."""
+"""Bytes that an entry takes besides its request and reply, roughly."""
 
 
 class _Entry(NamedTuple):
@@ -78,17 +78,17 @@ class ReplyCache:
         """
         known = self._entries.pop(request, None)
         if known is not None:
-            self._size -= _cost(request, known.reply)
-        cost = _cost(request, reply)
-        if cost > self._capacity:
+            self._size -= _size_of(request, known.reply)
+        size = _size_of(request, reply)
+        if size > self._capacity:
             return
-        if self._size + cost > self._capacity:
+        if self._size + size > self._capacity:
             self._entries.clear()
             self._size = 0
         hold = min(self._hold * (answered - asked), self._longest_hold)
         self._entries[request] = _Entry(reply, generation, asked, answered + hold)
-        self._size += cost
+        self._size += size
 
 
-def _cost(request: bytes, reply: bytes) -> int:
+def _size_of(request: bytes, reply: bytes) -> int:
     return len(request) + len(reply) + _OVERHEAD

@@ -176,7 +176,7 @@ def graph_functions(graph: Callable[[], Graph]) -> dict[str, Callable[..., Any]]
     """Return the functions behind `GRAPH_METHODS`, as far as this rclpy has them.
 
     They look at whatever ``graph`` returns when they are called, carry rclpy's documentation, and
-    answer in what XML-RPC can tell.
+    answer in what XML-RPC can express.
     """
     functions: dict[str, Callable[..., Any]] = {}
     for method in GRAPH_METHODS:
@@ -189,7 +189,7 @@ def graph_functions(graph: Callable[[], Graph]) -> dict[str, Callable[..., Any]]
 def _on_wire(
     method: str, original: Callable[..., Any], graph: Callable[[], Graph]
 ) -> Callable[..., Any]:
-    # Only these answer in classes of rclpy; to look through all others would double their costs.
+    # Only these answer in classes of rclpy; to look through all others would double their time.
     convert = to_wire if method.endswith("_info_by_topic") else _unchanged
 
     @functools.wraps(original)

@@ -1,4 +1,4 @@
-"""What the daemon tells about itself: the answer of ``system.play_launch_status``, as JSON."""
+"""What the daemon reports about itself: the answer of ``system.play_launch_status``, as JSON."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class DaemonStatus:
     participants: int
     """DDS participants that the daemon has met, itself too; 0 where that cannot be seen."""
     participants_here: int
-    """DDS participants of the domain on this machine, as the kernel's sockets tell."""
+    """DDS participants of the domain on this machine, by the kernel's table of sockets."""
     replacements: int
     """How often the node was replaced because the network's addresses changed."""
     requests: int

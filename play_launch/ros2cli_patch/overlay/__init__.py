@@ -21,7 +21,7 @@ class Hook:
     """Stands in front of Python's import machinery."""
 
     def find_spec(self, name, path=None, target=None):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201 - typing would cost an import
-        """Tell how to load one of the three modules; None leaves any other to Python."""
+        """Return how to load one of the three modules; None leaves any other to Python."""
         if name not in CHANGES:
             return None
         from importlib import import_module  # noqa: PLC0415 - only with ros2cli

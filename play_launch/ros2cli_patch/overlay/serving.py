@@ -292,7 +292,7 @@ class _Kept(io.BytesIO):
 
 
 def _request_length(received: bytearray) -> int | None:
-    """Say how long the request is: 0 while its head does not tell, None if it is too large."""
+    """Say how long the request is: 0 while its head is not complete, None if it is too large."""
     end = received.find(b"\r\n\r\n")
     if end < 0:
         return 0 if len(received) < LARGEST_HEAD else None

@@ -99,7 +99,7 @@ def test_an_answer_may_come_in_pieces_and_be_large() -> None:
     assert found[-1] == Named("/topic_019999", ("std_msgs/msg/String",))
 
 
-def test_nobody_there_is_told_with_the_domain() -> None:
+def test_nobody_there_is_reported_with_the_domain() -> None:
     daemon = ScriptedDaemon(answering({}))
     address = daemon.address
     daemon.close()
@@ -177,7 +177,7 @@ def test_a_trickle_does_not_outlive_the_deadline() -> None:
         (reply([[1, 2]]), "unknown form"),
     ],
 )
-def test_what_is_no_answer_of_a_daemon_is_told(answer: bytes, reason: str) -> None:
+def test_what_is_no_answer_of_a_daemon_is_reported(answer: bytes, reason: str) -> None:
     with scripted(lambda connection, _request: connection.sendall(answer)) as daemon:
         with pytest.raises(BadReplyError, match=reason) as error:
             client_of(daemon).nodes()
@@ -185,7 +185,7 @@ def test_what_is_no_answer_of_a_daemon_is_told(answer: bytes, reason: str) -> No
 
 
 @pytest.mark.parametrize("row", [["/t"], ["/t", "x/y"], [1, ["x/y"]], "/t"])
-def test_odd_rows_of_names_and_types_are_told(row: object) -> None:
+def test_odd_rows_of_names_and_types_are_reported(row: object) -> None:
     with scripted(answering({TOPICS: [row]})) as daemon, pytest.raises(BadReplyError):
         client_of(daemon).names_and_types(TOPICS)
 

@@ -150,7 +150,7 @@ def test_info_about_a_node_that_goes_meanwhile(
     assert "error: the node /n has gone meanwhile" in capsys.readouterr().err
 
 
-def test_a_fault_about_a_node_that_is_there_is_told(
+def test_a_fault_about_a_node_that_is_there_is_reported(
     ask: Ask, capsys: pytest.CaptureFixture[str]
 ) -> None:
     fault = Fault(1, "<class 'RuntimeError'>:!rclpy.ok()")
@@ -188,7 +188,7 @@ def test_wait_outlives_a_daemon_that_is_being_replaced(
     assert ask("graph", "wait", "--nodes", "1", answers=resetting) == 0
 
 
-def test_without_a_daemon_the_way_out_is_told(
+def test_without_a_daemon_the_fix_is_shown(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     address = free_address()
@@ -224,7 +224,7 @@ def test_without_a_daemon_ours_is_started(
     assert err == "starting the graph daemon of ROS domain 0\nwarning: took over\n"
 
 
-def test_a_daemon_that_cannot_be_started_is_told(
+def test_a_daemon_that_cannot_be_started_is_reported(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def start(_address: DaemonAddress) -> start_stop.Started:
@@ -240,7 +240,7 @@ def test_a_daemon_that_cannot_be_started_is_told(
 @pytest.mark.parametrize(
     "verb", ["node list --call-timeout 0.2", "graph wait --nodes 1 --timeout 0.2"]
 )
-def test_a_silent_daemon_is_told_after_the_timeout(
+def test_a_silent_daemon_is_reported_after_the_timeout(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], verb: str
 ) -> None:
     release = threading.Event()

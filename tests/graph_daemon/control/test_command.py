@@ -96,7 +96,7 @@ def test_the_status_for_machines_names_everything(address: DaemonAddress) -> Non
     assert "--restart" in err
 
 
-def test_ros2clis_daemon_is_told_and_stopped(address: DaemonAddress) -> None:
+def test_ros2clis_daemon_is_reported_and_stopped(address: DaemonAddress) -> None:
     with occupied("stock", address.port) as process:
         code, out, _ = command("status")
         assert code == 0

@@ -193,7 +193,7 @@ def test_a_hung_daemon_of_ours_is_replaced(
     gone(started)
 
 
-def test_other_settings_are_told_and_a_restart_takes_them(
+def test_other_settings_are_reported_and_a_restart_takes_them(
     address: DaemonAddress, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     first = start_daemon(address, wait_for=LISTENING)
@@ -218,7 +218,7 @@ def test_it_ends_when_nobody_asks(address: DaemonAddress) -> None:
     assert is_free(address)
 
 
-def test_one_that_cannot_start_is_told_with_its_reason(
+def test_one_that_cannot_start_is_reported_with_its_reason(
     address: DaemonAddress, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     broken = tmp_path / "rclpy"

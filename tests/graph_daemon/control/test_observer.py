@@ -91,7 +91,7 @@ def test_a_change_is_recorded_in_words() -> None:
     assert b"appeared /a, /b; vanished /c; 2 nodes" in recorded.data
 
 
-def test_nodes_that_come_and_go_are_told(address: DaemonAddress, logs: Path) -> None:
+def test_nodes_that_come_and_go_are_published(address: DaemonAddress, logs: Path) -> None:
     async def scenario(heard: Heard) -> None:
         async with observed_graph(os.environ, heard):
             occupant = await asyncio.to_thread(look, address)
@@ -143,7 +143,7 @@ def test_without_a_daemon_the_system_runs_all_the_same(
     assert "has the daemon's port" in caplog.text
 
 
-def test_a_daemon_that_dies_is_told_once(
+def test_a_daemon_that_dies_is_reported_once(
     address: DaemonAddress, logs: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     import signal

@@ -63,7 +63,7 @@ def test_the_decision(occupant: Occupant, restart: bool, action: Action) -> None
         assert decision.messages
 
 
-def test_other_settings_of_a_running_daemon_are_told() -> None:
+def test_other_settings_of_a_running_daemon_are_reported() -> None:
     occupant = Occupant(Kind.OURS, HOLDER, SETTINGS)
     caller = {"ROS_DOMAIN_ID": "3", "RMW_IMPLEMENTATION": "rmw_b"}
     assert decide(occupant, caller).messages == (

@@ -148,7 +148,7 @@ def test_a_packed_body_that_is_broken_or_too_large_is_rejected(packed: bytes) ->
     assert isinstance(found, Rejection)
 
 
-def test_a_response_tells_its_length_and_whether_it_is_the_last() -> None:
+def test_a_response_has_its_length_and_whether_it_is_the_last() -> None:
     assert response(b"body", keep_alive=True).endswith(b"Content-Length: 4\r\n\r\nbody")
     assert b"\r\nConnection: close\r\n\r\n" in response(b"body", keep_alive=False)
 

@@ -47,7 +47,7 @@ def test_loopback_is_among_the_addresses_of_this_machine() -> None:
     assert "127.0.0.1" in {found.address for found in addresses()}
 
 
-def test_only_another_set_of_addresses_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_another_set_of_addresses_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     one = InterfaceAddress("lo", "127.0.0.1")
     two = InterfaceAddress("eth0", "10.0.0.1")
     answers: list[object] = [{one}, {one}, OSError("busy"), {one, two}, {one, two}]

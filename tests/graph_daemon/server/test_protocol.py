@@ -90,7 +90,7 @@ def test_a_changed_graph_is_answered_at_once(known_scene: DaemonAddress) -> None
         ("/ros2cli/", b"<methodCall/>", 200),
     ],
 )
-def test_what_is_no_call_is_told_so(
+def test_what_is_no_call_is_a_fault(
     daemon: DaemonAddress, path: str, body: bytes, status: int
 ) -> None:
     answered, answer = post(daemon, body, path=path)

@@ -26,9 +26,7 @@ def test_it_is_warm_at_the_latest_after_a_while() -> None:
 
 
 @given(moments, st.floats(0, 20))
-def test_who_looks_when_told_to_sees_it_get_warm_in_time(
-    changes: list[float], start: float
-) -> None:
+def test_who_looks_when_due_sees_it_get_warm_in_time(changes: list[float], start: float) -> None:
     """With changes at any time, looking again as told ends at the deadline, in few looks."""
     pulse = Pulse(start)
     now, looks = start, 0

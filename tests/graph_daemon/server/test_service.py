@@ -194,7 +194,7 @@ def test_a_fault_is_an_answer() -> None:
     run(scenario)
 
 
-def test_the_end_answers_who_waits_and_is_told_on() -> None:
+def test_the_end_answers_who_waits_and_is_passed_on() -> None:
     async def scenario() -> None:
         service = Service()
         service.use(FakeGraph())
