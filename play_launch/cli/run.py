@@ -22,7 +22,7 @@ from play_launch.config.description import describe as describe_values
 from play_launch.core.events import LogRecord, OutputLine, RunEvent
 from play_launch.core.view import SystemView
 from play_launch.recording.log_handler import log_published
-from play_launch.recording.opening import Session, SessionDescription, open_session
+from play_launch.recording.session import Session, SessionDescription, open_session
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
+    from play_launch.recording.bag import BagWriter
     from play_launch.recording.topics import Topic
-    from play_launch.recording.writer import BagWriter
 
 _LOGGER: Final = "play_launch.recording"
 _FLOOD: Final = 1000

@@ -10,7 +10,7 @@ from mcap.records import Attachment, Header, Metadata
 
 from play_launch.core.events import LogRecord, OutputLine, Stream
 from play_launch.recording.errors import RecordingError
-from play_launch.recording.opening import SessionDescription, open_session
+from play_launch.recording.session import SessionDescription, open_session
 from tests.recording.reading import messages, raw_messages, records
 
 if TYPE_CHECKING:

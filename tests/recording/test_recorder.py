@@ -23,9 +23,9 @@ from play_launch.core.events import (
     RunEvent,
     Stream,
 )
+from play_launch.recording.bag import McapBagWriter
 from play_launch.recording.errors import WriteFailedError
 from play_launch.recording.log_handler import EventLogHandler
-from play_launch.recording.mcap_writer import McapBagWriter
 from play_launch.recording.recorder import Recorder, RecorderLimits
 from play_launch.recording.topics import LOG_ALL, OUTPUT
 from tests.recording.reading import messages, raw_messages

@@ -22,8 +22,8 @@ from play_launch.core.events import (
 )
 from play_launch.core.view import SystemView
 from play_launch.recording import topics
+from play_launch.recording.bag import McapBagWriter
 from play_launch.recording.convert import State, convert
-from play_launch.recording.mcap_writer import McapBagWriter
 from tests.recording.reading import messages, state_event
 
 STAMPS = st.integers(0, (2**31 - 1) * 1_000_000_000)
