@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-from signal import SIGABRT
 from typing import TYPE_CHECKING
 
 import pytest
-from play_launch_msgs.msg import ComponentEvent
 
-from play_launch.fastdds.shared_memory import sweep
 from tests.rclcpp.modes import start
-from tests.support.exceptions import CALLBACKS, TEXT, names_throwers
+from tests.support.exceptions import CALLBACKS, crasher_ends_its_container, crasher_is_reported
 from tests.support.isolated import MODES, survives
 
 if TYPE_CHECKING:
     from tests.support.control_peer import StartContainer
     from tests.support.ros import Probe
-
-LINE = f"a callback of node /crasher threw: {TEXT}"
 
 
 @pytest.mark.parametrize("mode", MODES)
@@ -33,11 +28,7 @@ def test_the_backtrace_names_who_threw(
         )
         if provoke is not None:
             provoke(probe)
-        crashed = container.event(ComponentEvent.CRASHED, unique_id=crasher.unique_id)
-        assert crashed.signal == SIGABRT
-        assert f"std::runtime_error: {TEXT}" in crashed.error_message
-        assert names_throwers(crashed.backtrace), crashed.backtrace
-        assert LINE in container.log.read_text()
+        crasher_is_reported(container, crasher.unique_id)
 
 
 @pytest.mark.parametrize("mode", ["standard", "mt"])
@@ -48,6 +39,4 @@ def test_a_shared_container_names_the_node_that_ends_it(
     container.load(
         "Crasher", package=components, parameters={"how": "deep_exception", "after": 0.0}
     )
-    assert container.wait() == -SIGABRT
-    assert LINE in container.log.read_text()
-    sweep()
+    crasher_ends_its_container(container)

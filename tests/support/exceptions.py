@@ -4,15 +4,21 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
+from signal import SIGABRT
 
+from play_launch_msgs.msg import ComponentEvent
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
+from play_launch.fastdds.shared_memory import sweep
+from tests.support.control_peer import Container
 from tests.support.ros import Probe
 
 THROWERS = ("throw_here", "throw_below", "throw_far_below")
 """The functions of the way `deep_exception` of the component Crasher, innermost first."""
 TEXT = "thrown some functions below the callback, on purpose"
+LINE = f"a callback of node /crasher threw: {TEXT}"
+"""What the container writes."""
 
 
 def send_message(probe: Probe) -> None:
@@ -35,6 +41,22 @@ CALLBACKS: dict[str, tuple[float, Callable[[Probe], None] | None]] = {
     "service": (-1.0, send_request),
 }
 """The parameter `after` of the Crasher, and what else makes it throw."""
+
+
+def crasher_is_reported(container: Container, unique_id: int) -> None:
+    """The isolated Crasher ends; event and log name the exception and who threw it."""
+    crashed = container.event(ComponentEvent.CRASHED, unique_id=unique_id)
+    assert crashed.signal == SIGABRT
+    assert f"std::runtime_error: {TEXT}" in crashed.error_message
+    assert names_throwers(crashed.backtrace), crashed.backtrace
+    assert LINE in container.log.read_text()
+
+
+def crasher_ends_its_container(container: Container) -> None:
+    """The container dies of the exception, and its log names the node."""
+    assert container.wait() == -SIGABRT
+    assert LINE in container.log.read_text()
+    sweep()
 
 
 def names_throwers(backtrace: Sequence[str]) -> bool:
