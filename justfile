@@ -14,7 +14,11 @@ setup:
 demo:
     .venv/bin/play-launch replay configs/demo.yaml
 
-# Run all tests, or what is named: just test tests/core -k restart
+# Run all tests, on all processors.
+test-all *arguments:
+    {{python}} -m pytest -n auto --dist worksteal --durations 15 {{arguments}}
+
+# Run what is named, one after the other: just test tests/core -k restart
 test *arguments:
     {{python}} -m pytest {{arguments}}
 

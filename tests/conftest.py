@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import atexit
 import os
+import signal
 import socket
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import hypothesis
 import psutil
 import pytest
 
@@ -17,15 +19,19 @@ from play_launch.fastdds.shared_memory import sweep
 # For `tests.…`; at the end, so that `play_launch` is the installed package.
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 
-DOMAINS = range(1, 101)
+pytest_plugins = ["tests.support.turns"]
+
+# Those from 81 to 101 are of the tests in C++, the ports of higher ones are anybody's.
+DOMAINS = range(1, 81)
 SHARED_MEMORY = Path("/dev/shm")
 
 
 def claim_domain() -> tuple[int, socket.socket]:
-    """Take a ROS domain that no other test process of this machine has.
+    """Take a ROS domain, and with it a graph daemon's port, that no other test process has.
 
-    The claim is an abstract unix socket: the kernel gives it back when the process ends, however
-    it ends.
+    Others are those of another run as well as those of this one, where pytest-xdist spreads the
+    tests. The claim is an abstract unix socket: the kernel gives it back when the process ends,
+    however it ends.
     """
     start = os.getpid() % len(DOMAINS)
     for domain in (*DOMAINS[start:], *DOMAINS[:start]):
@@ -36,7 +42,7 @@ def claim_domain() -> tuple[int, socket.socket]:
             claim.close()
             continue
         return domain, claim
-    raise RuntimeError("all 100 ROS domains are taken by test processes")
+    raise RuntimeError("all 80 ROS domains are taken by test processes")
 
 
 _DOMAIN, _CLAIM = claim_domain()
@@ -45,6 +51,18 @@ atexit.register(_CLAIM.close)
 os.environ["ROS_DOMAIN_ID"] = str(_DOMAIN)
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ.pop("ROS_LOCALHOST_ONLY", None)
+# What a shell starts in the background ignores these, and so would all that the tests start.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGQUIT, signal.SIG_DFL)
+
+# How long an example takes says nothing where other tests run at the same time.
+hypothesis.settings.register_profile(
+    "tests",
+    hypothesis.settings(),
+    deadline=None,
+    suppress_health_check=[hypothesis.HealthCheck.too_slow],
+)
+hypothesis.settings.load_profile("tests")
 
 
 def segments() -> set[str]:
@@ -57,13 +75,34 @@ def ros_domain() -> int:
     return _DOMAIN
 
 
+@pytest.fixture(scope="session")
+def other_domain() -> Iterator[int]:
+    """A second one, which nothing else uses either."""
+    domain, claim = claim_domain()
+    with claim:
+        yield domain
+
+
 @pytest.fixture(scope="session", autouse=True)
-def _nothing_is_left_behind() -> Iterator[None]:
+def _nothing_is_left_behind(request: pytest.FixtureRequest) -> Iterator[None]:
     before = segments()
     yield
+    from tests.support.turns import be_alone
+
     children = psutil.Process().children(recursive=True)
     left = [f"{child.pid} {' '.join(child.cmdline())}" for child in children if child.is_running()]
     assert not left, "processes are left: " + "; ".join(left)
     # Other programs of this machine may use DDS; a segment is left behind if its owner is dead.
+    be_alone(request.config)
     orphans = set(sweep().removed) - before
     assert not orphans, f"Fast DDS segments were left behind: {sorted(orphans)}"
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """List what was skipped by name; pytest itself counts it by reason."""
+    skipped = terminalreporter.getreports("skipped")
+    if skipped:
+        terminalreporter.section("not run")
+    for report in skipped:
+        _, _, reason = report.longrepr
+        terminalreporter.line(f"{report.nodeid}: {reason.removeprefix('Skipped: ')}")

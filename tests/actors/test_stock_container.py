@@ -30,15 +30,14 @@ def test_without_stock_containers_nothing_takes_part_in_ros() -> None:
     stock.close()
 
 
-def test_each_domain_has_a_participant(ros_domain: int) -> None:
+def test_each_domain_has_a_participant(ros_domain: int, other_domain: int) -> None:
     here = replace(container("a"), container_type=ContainerType.STOCK)
-    other = ros_domain % 100 + 1
     elsewhere = replace(
-        here, full_name="/b", environment=MappingProxyType({"ROS_DOMAIN_ID": str(other)})
+        here, full_name="/b", environment=MappingProxyType({"ROS_DOMAIN_ID": str(other_domain)})
     )
     stock = StockContainers.of(system(here, elsewhere, replace(here, full_name="/c")))
     try:
-        assert {each.domain_id for each in stock._threads.values()} == {ros_domain, other}
+        assert {each.domain_id for each in stock._threads.values()} == {ros_domain, other_domain}
     finally:
         stock.close()
     assert not stock.is_open

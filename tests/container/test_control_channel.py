@@ -34,13 +34,13 @@ def start_time(pid: int) -> int:
     return int(Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[19])
 
 
-def test_the_hello_says_who_is_there(spawn: StartContainer) -> None:
+def test_the_hello_says_who_is_there(spawn: StartContainer, other_domain: int) -> None:
     container = spawn(
         "--use_multi_threaded_executor",
         "--thread_num",
         "3",
         greet=False,
-        environment={"ROS_DOMAIN_ID": "37"},
+        environment={"ROS_DOMAIN_ID": str(other_domain)},
     )
     hello = container.receive()
     assert isinstance(hello, ControlHello)
@@ -50,7 +50,7 @@ def test_the_hello_says_who_is_there(spawn: StartContainer) -> None:
     assert (hello.full_node_name, hello.mode, hello.thread_num) == ("/container", "mt", 3)
     assert hello.backends in (["native"], ["native", "rclcpp"])
     assert hello.rmw_implementation.startswith("rmw_")
-    assert hello.domain_id == 37
+    assert hello.domain_id == other_domain
 
 
 def test_a_load_is_accepted_then_told_in_order(container: Container) -> None:

@@ -79,6 +79,7 @@ def test_a_container_without_control_channel_stops_too(spawn: StartContainer) ->
     assert container.wait() == 0
 
 
+@pytest.mark.alone
 @pytest.mark.parametrize("busy", [False, True], ids=["idle", "constructing"])
 def test_the_end_of_the_channel_ends_the_container(spawn: StartContainer, busy: bool) -> None:
     container = spawn()

@@ -238,4 +238,4 @@ class Dialogue(RuleBasedStateMachine):
 
 
 TestDialogue = Dialogue.TestCase
-TestDialogue.settings = settings(max_examples=400, stateful_step_count=40, deadline=None)
+TestDialogue.settings = settings(max_examples=400, stateful_step_count=40)

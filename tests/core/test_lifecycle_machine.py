@@ -245,4 +245,4 @@ class OneNode(RuleBasedStateMachine):
 
 
 TestOneNode = OneNode.TestCase
-TestOneNode.settings = settings(max_examples=150, stateful_step_count=60, deadline=None)
+TestOneNode.settings = settings(max_examples=150, stateful_step_count=60)

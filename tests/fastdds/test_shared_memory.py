@@ -20,7 +20,8 @@ from play_launch.fastdds.shared_memory import SHARED_MEMORY, SweepReport, sweep,
 from play_launch.process.child import Child, spawn
 from tests.process.programs import Output, python
 
-pytestmark = pytest.mark.anyio
+# Others would sweep what is to be swept here.
+pytestmark = [pytest.mark.anyio, pytest.mark.alone]
 
 NODE = """
 import sys, rclpy

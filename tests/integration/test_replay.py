@@ -16,9 +16,9 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 from std_msgs.msg import String
 
-from play_launch.fastdds.shared_memory import sweep
 from tests.support.replay import COMMAND, Replay, alive, replaying
 from tests.support.ros import Probe
+from tests.support.shared_memory import ports_left_in
 
 ROOT = Path(__file__).resolve().parents[2]
 DEMO = ROOT / "configs" / "demo.yaml"
@@ -154,12 +154,12 @@ containers:
 """
 
 
-def test_missing_nodes_end_in_exit_code_3(tmp_path: Path) -> None:
+def test_missing_nodes_end_in_exit_code_3(tmp_path: Path, ros_domain: int) -> None:
     config = write(tmp_path / "slow.yaml", SLOW)
     with replaying(config, tmp_path / "logs") as replay:
         replay.read_all()
     assert replay.process.returncode == 3
-    assert not sweep().removed
+    assert not ports_left_in(ros_domain)
 
 
 RESTARTING_CONFIG = """
@@ -230,7 +230,7 @@ def test_a_dead_container_comes_back_with_its_nodes_within_bounds(tmp_path: Path
     assert kinds[GAVE_UP] == 1
 
 
-def test_nothing_outlives_a_supervisor_that_is_killed(tmp_path: Path) -> None:
+def test_nothing_outlives_a_supervisor_that_is_killed(tmp_path: Path, ros_domain: int) -> None:
     config = write(
         tmp_path / "orphans.yaml",
         RESTARTING_CONFIG
@@ -255,7 +255,7 @@ nodes:
     copy.write_bytes(cut.read_bytes())
     assert copy.stat().st_size > 0
     # The containers leave by themselves and clean up; only what was killed may need the sweep.
-    assert not sweep().removed
+    assert not ports_left_in(ros_domain)
 
 
 def test_an_ordinary_executable_runs_beside_the_containers(tmp_path: Path) -> None:

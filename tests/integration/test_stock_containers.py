@@ -271,15 +271,14 @@ def test_our_own_container_can_be_attached_to_as_well(tmp_path: Path) -> None:
 
 
 @pytest.fixture(name="_rclcpp")
-def _needs_rclcpp(request: pytest.FixtureRequest) -> None:
-    """Each test is named in the list of what was not run, and not only its line."""
+def _needs_rclcpp() -> None:
     missing = []
     if rclcpp_container() is None:
         missing.append("component_container of rclcpp_components")
     if not has_components("composition"):
         missing.append("the package composition of ROS's demos")
     if missing:
-        pytest.skip(f"{request.node.name} was NOT RUN: not on this machine: {', '.join(missing)}")
+        pytest.skip(f"not on this machine: {', '.join(missing)}")
 
 
 @pytest.mark.usefixtures("_rclcpp")

@@ -1,7 +1,6 @@
 """Real rclcpp components, wherever rclcpp_components is installed.
 
-It is on no package index, so where the wheels are the only ROS these tests cannot run; they are
-listed by name then.
+It is on no package index, so where the wheels are the only ROS these tests cannot run.
 """
 
 from __future__ import annotations
@@ -25,7 +24,6 @@ if TYPE_CHECKING:
 __all__ = ["spawn"]
 
 SOURCES = Path(__file__).parent / "components"
-NOT_RUN = pytest.StashKey[list[tuple[str, str]]]()
 
 
 def prefix_of(package: str) -> Path | None:
@@ -53,9 +51,8 @@ def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "needs_packages(*names): ROS packages that the test loads")
 
 
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Skip what cannot run, and remember the names."""
-    not_run = config.stash.setdefault(NOT_RUN, [])
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Skip what cannot run."""
     for item in items:
         if Path(__file__).parent not in item.path.parents:
             continue
@@ -64,18 +61,6 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         reason = missing(packages)
         if reason is not None:
             item.add_marker(pytest.mark.skip(reason=reason))
-            not_run.append((item.nodeid, reason))
-
-
-def pytest_terminal_summary(
-    terminalreporter: pytest.TerminalReporter, config: pytest.Config
-) -> None:
-    """List them by name."""
-    not_run = config.stash.get(NOT_RUN, [])
-    if not_run:
-        terminalreporter.section("not run: real rclcpp components")
-    for name, reason in not_run:
-        terminalreporter.line(f"{name}: {reason}")
 
 
 @pytest.fixture(scope="session", autouse=True)

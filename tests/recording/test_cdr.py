@@ -2,7 +2,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from rcl_interfaces.msg import Log
 from rclpy.serialization import deserialize_message, serialize_message
@@ -30,7 +30,6 @@ string m
 WORDS = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=40)
 
 
-@settings(deadline=None)
 @given(
     stamp_ns=st.integers(0, (2**31 - 1) * 1_000_000_000),
     level=st.sampled_from([10, 20, 30, 40, 50]),
@@ -55,7 +54,6 @@ def test_the_bytes_are_those_of_other_serialisers(
     assert data == bytes(STORE.serialize_cdr(other, "rcl_interfaces/msg/Log"))
 
 
-@settings(deadline=None)
 @given(
     stamp_ns=st.integers(0, (2**31 - 1) * 1_000_000_000),
     kind=st.integers(0, 255),
@@ -81,7 +79,6 @@ def test_the_bytes_of_any_message_are_those_of_another_serialiser(
     assert data == bytes(store.serialize_cdr(other, "a/msg/Event"))
 
 
-@settings(deadline=None)
 @given(st.text(st.characters()))
 def test_any_text_can_be_recorded(text: str) -> None:
     read = deserialize_message(log_message(0, 20, "n", text), Log)

@@ -53,13 +53,13 @@ _UNIQUE = re.compile(r"[0-9a-f]{32}")
 
 
 @pytest.fixture
-def installed(request: pytest.FixtureRequest) -> Target:
+def installed() -> Target:
     """The ros2cli of this machine, if it is one that can be patched."""
     try:
         target = find_target(None)
         KNOWN.check(target.folder, target.version)
     except PatchError as why:
-        pytest.skip(f"{request.node.name} was NOT RUN: {why}")
+        pytest.skip(str(why))
     return target
 
 

@@ -97,9 +97,7 @@ HARD_STRINGS = [
 ]  # fmt: skip
 
 
-@settings(
-    max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.lists(FILE_VALUES, max_size=12))
 def test_rcl_reads_what_was_meant(tmp_path: Path, drawn: list[ParameterValue]) -> None:
     check_with_rcl(tmp_path, drawn)

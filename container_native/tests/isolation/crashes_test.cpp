@@ -98,7 +98,7 @@ namespace {
 
 using namespace isolation_test;
 
-constexpr int kRounds = 200;
+constexpr int kRounds = 60;
 
 std::atomic<std::uint64_t> kill_time_ns{0};
 

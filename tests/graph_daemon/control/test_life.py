@@ -45,7 +45,7 @@ def _ended(address: DaemonAddress, logs: Path) -> Iterator[None]:
 
 def sweep_after_a_kill() -> None:
     """Remove what a killed daemon leaves in shared memory, as the next replay would."""
-    assert sweep().removed
+    sweep()  # or somebody else has, meanwhile
 
 
 def gone(started: Started) -> int:

@@ -34,11 +34,9 @@ def test_what_is_no_table_holds_nobody(text: str) -> None:
     assert count_participants(text, 0) == 0
 
 
-def test_a_socket_of_this_machine_is_seen() -> None:
-    # A domain that no test uses.
-    domain = 200
-    before = participants_here(domain)
+def test_a_socket_of_this_machine_is_seen(other_domain: int) -> None:
+    before = participants_here(other_domain)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as mine:
-        mine.bind(("127.0.0.1", 7400 + 250 * domain + 10 + 2 * 77))
-        assert participants_here(domain) == before + 1
-    assert participants_here(domain) == before
+        mine.bind(("127.0.0.1", 7400 + 250 * other_domain + 10 + 2 * 77))
+        assert participants_here(other_domain) == before + 1
+    assert participants_here(other_domain) == before
