@@ -10,6 +10,7 @@ from typing import Any
 import psutil
 import yaml
 
+from play_launch.fastdds.shared_memory import sweep
 from tests.process.test_guard import ESCAPES, escaping
 from tests.support.replay import Replay, alive, replaying
 
@@ -35,10 +36,10 @@ def configuration() -> dict[str, Any]:
     }
 
 
-def started(replay: Replay) -> list[psutil.Process]:
+def started(replay: Replay, *more: str) -> list[psutil.Process]:
     """Wait until everything runs and has let loose what gets away; give all of it."""
     waiting = {f"/{how.replace(' ', '_')}" for how in ESCAPES} | {"/talker_standard"}
-    waiting |= {"/talker_isolated"}
+    waiting |= {"/talker_isolated", *more}
     pids: set[int] = set()
 
     def is_last(event: dict[str, Any]) -> bool:
@@ -100,7 +101,7 @@ def test_containers_and_their_nodes_do_not_outlive_supervisor_and_guard_killed_t
     values["nodes"].append({"name": "plain", "command": ["sleep", "600"]})
     config.write_text(yaml.safe_dump(values), encoding="utf-8")
     with replaying(config, tmp_path / "logs") as replay:
-        everything = started(replay)
+        everything = started(replay, "/talker_process")
         (guard,) = psutil.Process(replay.pid).children()
         direct = guard.children()
         containers = [each for each in direct if "component_container" in each.cmdline()[0]]
@@ -114,6 +115,7 @@ def test_containers_and_their_nodes_do_not_outlive_supervisor_and_guard_killed_t
         left = alive(everything)
         for each in left:
             each.kill()
+    sweep()  # killed containers leave shared memory, which the next run removes
     gone = [guard, *containers, *nodes]
     assert not [each for each in left if each in gone]
     assert len(left) <= ESCAPED, "one that ties itself to nobody, jobs, sessions, a fork, a daemon"
