@@ -27,9 +27,11 @@ from benchmarks.progress import Progress
 from benchmarks.range_chart import Bar, Lane, range_chart
 from benchmarks.statistics import Summary
 from benchmarks.systems import Node, keep_to_this_machine, system
+from play_launch.actors.publisher import Publisher
 from play_launch.actors.stop_requests import StopRequests
 from play_launch.actors.system import run_system
 from play_launch.core.events import NodeState, NodeStateChanged, RunEvent
+from play_launch.core.view import SystemView
 
 BYTES: Final = 2_000_000
 LARGE_SEGMENT: Final = Path(__file__).parents[1] / "fixtures" / "fastdds" / "large_segment.xml"
@@ -79,7 +81,8 @@ class _Failures:
     def __init__(self) -> None:
         self.texts: list[str] = []
 
-    def publish(self, event: RunEvent) -> None:
+    def publish(self, event: RunEvent, before: SystemView, after: SystemView) -> None:
+        del before, after
         if isinstance(event, NodeStateChanged) and event.state in {
             NodeState.LOAD_FAILED,
             NodeState.CRASHED,
@@ -108,7 +111,7 @@ async def measure(variant: Variant, images: int, rate: float) -> list[float]:
             environment={**figures.environment, **variant.environment},
             isolation=variant.isolation,
         )
-        running = asyncio.ensure_future(run_system(config, failures, stop))
+        running = asyncio.ensure_future(run_system(config, Publisher(failures), stop))
         try:
             deadline = time.monotonic() + wanted / rate + _PATIENCE
             while figures[_COUNT] < wanted and not failures.texts and not running.done():

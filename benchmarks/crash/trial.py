@@ -19,6 +19,7 @@ from benchmarks.crash.footprint import Footprint, footprint
 from benchmarks.crash.tally import SECOND, Tally
 from benchmarks.figures import Figures
 from benchmarks.systems import Node, system
+from play_launch.actors.publisher import Publisher
 from play_launch.actors.stop_requests import StopRequests
 from play_launch.actors.system import Outcome, run_system
 from play_launch.config.model import ReplayConfig
@@ -34,6 +35,7 @@ from play_launch.core.events import (
     ProcessEventKind,
     RunEvent,
 )
+from play_launch.core.view import SystemView
 
 VICTIM: Final = "/victim"
 NEIGHBOURS: Final = ("/left", "/right")
@@ -87,7 +89,7 @@ def configuration(case: Case, figures: Figures) -> ReplayConfig:
 
 
 class Trial:
-    """Hears the supervisor's events (an EventSink) and keeps the tally."""
+    """Hears the supervisor's events (a StateSink) and keeps the tally."""
 
     def __init__(
         self,
@@ -116,7 +118,8 @@ class Trial:
         self._loaded: set[str] = set()
         self._windows = 0
 
-    def publish(self, event: RunEvent) -> None:
+    def publish(self, event: RunEvent, before: SystemView, after: SystemView) -> None:
+        del before, after
         now = self._clock()
         match event:
             case ComponentEvent():
@@ -311,7 +314,9 @@ async def run_trial(
     stop = StopRequests()
     with Figures(FIGURES) as figures:
         trial = Trial(case, figures, stop=lambda: stop.request(reason="the benchmark is done"))
-        running = asyncio.ensure_future(run_system(configuration(case, figures), trial, stop))
+        running = asyncio.ensure_future(
+            run_system(configuration(case, figures), Publisher(trial), stop)
+        )
         try:
             in_time = await _accompany(trial, running, limit, report)
             kept = list(trial.footprints)

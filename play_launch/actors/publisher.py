@@ -1,4 +1,4 @@
-"""The one way from the actors to the outside."""
+"""The one way to the outside: each event is folded into the view once, and handed out with it."""
 
 from __future__ import annotations
 
@@ -12,16 +12,17 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from play_launch.actors.stop_requests import StopRequests
-    from play_launch.core.events import EventSink, RunEvent, Stream
+    from play_launch.core.events import RunEvent, Stream
+    from play_launch.core.view import StateSink
     from play_launch.process.lines import Line
 
 
 class Publisher:
-    """Hands every event to the sink and keeps the view that follows from them."""
+    """Hands every event to the sinks, with the view before and after it."""
 
-    def __init__(self, sink: EventSink, stamp_ns: Callable[[], int] = time.time_ns) -> None:
-        """Wrap a sink; ``stamp_ns`` gives the wall-clock time in nanoseconds."""
-        self._sink = sink
+    def __init__(self, *sinks: StateSink, stamp_ns: Callable[[], int] = time.time_ns) -> None:
+        """Take the sinks; ``stamp_ns`` gives the wall-clock time in nanoseconds."""
+        self._sinks = sinks
         self.stamp_ns = stamp_ns
         self.view = SystemView()
         self._stop: StopRequests | None = None
@@ -48,8 +49,10 @@ class Publisher:
         """Take one event."""
         if self._view_before_stop is None and self._stop and self._stop.requested.is_set():
             self._view_before_stop = self.view
-        self.view = self.view.after(event)
-        self._sink.publish(event)
+        before = self.view
+        self.view = after = before.after(event)
+        for sink in self._sinks:
+            sink.publish(event, before, after)
 
     def publish_container(
         self, name: str, state: ContainerState, reason: str, mechanism: str
@@ -69,7 +72,7 @@ class Publisher:
         """Take what a process wrote."""
         stamp_ns = self.stamp_ns()
         for line in lines:
-            self._sink.publish(
+            self.publish(
                 OutputLine(
                     stamp_ns=stamp_ns,
                     process=name,

@@ -18,7 +18,6 @@ from play_launch.actors.container.limits import LIMITS, Limits
 from play_launch.actors.container.nodes import AttemptNumbers
 from play_launch.actors.launcher import NativeLauncher
 from play_launch.actors.process_node import ProcessMember
-from play_launch.actors.publisher import Publisher
 from play_launch.config.model import ContainerType
 from play_launch.core.exit_code import exit_code
 from play_launch.core.member import MemberInput
@@ -28,9 +27,9 @@ if TYPE_CHECKING:
 
     from play_launch.actors.member import Member
     from play_launch.actors.ports import Launcher
+    from play_launch.actors.publisher import Publisher
     from play_launch.actors.stop_requests import StopRequests
     from play_launch.config.model import ContainerConfig, ReplayConfig
-    from play_launch.core.events import EventSink
     from play_launch.core.view import SystemView
 
 _log = logging.getLogger(__name__)
@@ -188,7 +187,7 @@ class System:
 
 async def run_system(
     config: ReplayConfig,
-    sink: EventSink,
+    publisher: Publisher,
     stop: StopRequests,
     *,
     launcher: Launcher | None = None,
@@ -203,7 +202,7 @@ async def run_system(
 
     Args:
         config: What to run.
-        sink: Gets every event, on the loop's thread.
+        publisher: Gets every event, on the loop's thread, and keeps the view.
         stop: The way to end it.
         launcher: Starts the processes; None for the real one.
         limits: Time limits for containers.
@@ -215,9 +214,7 @@ async def run_system(
     try:
         # A participant that gets a port number of a dead one stumbles over what that one left.
         await launcher.clean_up()
-        system = System(
-            config, Publisher(sink), stop, launcher=launcher, limits=limits, starts=starts
-        )
+        system = System(config, publisher, stop, launcher=launcher, limits=limits, starts=starts)
         on_begin(system)
         return await system.run()
     finally:

@@ -19,8 +19,6 @@ from play_launch.cli.show.terminal import is_terminal, surviving_the_loss_of_std
 from play_launch.cli.show.text_styles import LiveStyle, PlainStyle
 from play_launch.cli.signals import RunSignals
 from play_launch.config.description import describe as describe_values
-from play_launch.core.events import LogRecord, OutputLine, RunEvent
-from play_launch.core.view import SystemView
 from play_launch.recording.log_handler import log_published
 from play_launch.recording.session import Session, SessionDescription, open_session
 
@@ -30,6 +28,8 @@ if TYPE_CHECKING:
 
     from play_launch.actors.system import Outcome
     from play_launch.config import ReplayConfig
+    from play_launch.core.events import EventSink, LogRecord, RunEvent
+    from play_launch.core.view import SystemView
     from play_launch.recording.recorder import Recorder, RecordingSummary
 
 _log = logging.getLogger(__name__)
@@ -45,20 +45,16 @@ class RunOptions:
 
 
 class RunSink:
-    """The run's event sink: records, folds the view and shows."""
+    """Records and shows."""
 
     def __init__(self, recorder: Recorder, display: Display) -> None:
         self._recorder = recorder
         self._display = display
-        self._view = SystemView()
 
-    def publish(self, event: RunEvent) -> None:
+    def publish(self, event: RunEvent, before: SystemView, after: SystemView) -> None:
         """Take one event, in the loop's thread."""
         self._recorder.publish(event)
-        before = self._view
-        if not isinstance(event, OutputLine):
-            self._view = before.after(event)
-        self._display.publish(event, before, self._view)
+        self._display.publish(event, before, after)
 
     def publish_log(self, event: LogRecord) -> None:
         """Take a record of the log, in any thread; it changes nothing in the view."""
@@ -92,7 +88,7 @@ def run(config: ReplayConfig, options: RunOptions) -> int:
 
 
 async def _until_the_end(config: ReplayConfig, sink: RunSink, signals: RunSignals) -> Outcome:
-    # Imports rclpy; the caller has made sure that this works.
+    from play_launch.actors.publisher import Publisher  # noqa: PLC0415
     from play_launch.actors.stop_requests import StopRequests  # noqa: PLC0415
     from play_launch.actors.system import run_system  # noqa: PLC0415
 
@@ -101,12 +97,13 @@ async def _until_the_end(config: ReplayConfig, sink: RunSink, signals: RunSignal
     gc.enable()
     stop = StopRequests()
     with signals.delivered_to(stop.request):
-        async with _graph_daemon(config, sink):
-            return await run_system(config, sink, stop)
+        publisher = Publisher(sink)
+        async with _graph_daemon(config, publisher):
+            return await run_system(config, publisher, stop)
 
 
 def _graph_daemon(
-    config: ReplayConfig, sink: RunSink
+    config: ReplayConfig, sink: EventSink
 ) -> contextlib.AbstractAsyncContextManager[None]:
     if not config.graph_daemon:
         return contextlib.nullcontext()

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 from play_launch.core.events import (
     ContainerState,
@@ -269,3 +269,10 @@ def _process_changed(process: ProcessView, event: ProcessEvent) -> ProcessView:
 
 def _with(mapping: Mapping[_Key, _Value], key: _Key, value: _Value) -> Mapping[_Key, _Value]:
     return MappingProxyType({**mapping, key: value})
+
+
+class StateSink(Protocol):
+    """Takes what happens, with the view of before and after; never blocks, in the loop's thread."""
+
+    def publish(self, event: RunEvent, before: SystemView, after: SystemView) -> None:
+        """Take one event; the views are the same object where it changes nothing."""

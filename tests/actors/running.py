@@ -6,6 +6,7 @@ import asyncio
 from contextlib import asynccontextmanager
 from typing import TYPE_CHECKING
 
+from play_launch.actors.publisher import Publisher
 from play_launch.actors.stop_requests import StopRequests
 from play_launch.actors.system import Outcome, System, run_system
 from play_launch.core.events import (
@@ -51,9 +52,9 @@ class Running:
         assert self._launcher is not None
         return self._launcher
 
-    def publish(self, event: RunEvent) -> None:
+    def publish(self, event: RunEvent, before: SystemView, after: SystemView) -> None:
         self.events.append(event)
-        self.view = self.view.after(event)
+        self.view = after
         self._published.set()
 
     async def until(self, condition: Callable[[], bool]) -> None:
@@ -130,7 +131,7 @@ async def running(
     system.task = task = asyncio.create_task(
         run_system(
             config,
-            system,
+            Publisher(system),
             system.stop,
             launcher=launcher,
             starts=starts,

@@ -15,6 +15,7 @@ import psutil
 import pytest
 
 from play_launch.actors.launcher import NativeLauncher
+from play_launch.actors.publisher import Publisher
 from play_launch.actors.stop_requests import StopRequests
 from play_launch.actors.system import run_system
 from play_launch.config.model import (
@@ -35,6 +36,7 @@ from play_launch.core.events import (
     RunEvent,
 )
 from play_launch.core.restart import RestartLimits
+from play_launch.core.view import SystemView
 
 from .fakes import system
 from .running import Running
@@ -95,7 +97,7 @@ async def running_natively(
 ) -> AsyncIterator[Running]:
     watching = Running()
     watching.task = asyncio.create_task(
-        run_system(config, watching, watching.stop, launcher=launcher)
+        run_system(config, Publisher(watching), watching.stop, launcher=launcher)
     )
     try:
         async with asyncio.timeout(60):
@@ -310,7 +312,7 @@ def test_a_stop_at_any_moment_leaves_nothing(count: int) -> None:
             self.left = count
             self.stop = stop
 
-        def publish(self, event: RunEvent) -> None:
+        def publish(self, event: RunEvent, before: SystemView, after: SystemView) -> None:
             self.left -= not isinstance(event, OutputLine)
             if self.left == 0 and not self.stop.requested.is_set():
                 self.stop.request(signal.SIGTERM)
@@ -323,7 +325,7 @@ def test_a_stop_at_any_moment_leaves_nothing(count: int) -> None:
         )
         config = replace(config, stop=StopLimits(ask=1.0, sigint=0.5, sigterm=0.5))
         stop = StopRequests()
-        outcome = await run_system(config, StopAt(stop), stop)
+        outcome = await run_system(config, Publisher(StopAt(stop)), stop)
         assert outcome.exit_code == 143
         assert not psutil.Process().children(recursive=True)
         left = asyncio.all_tasks() - {asyncio.current_task()}
@@ -336,7 +338,7 @@ def test_a_cancelled_run_leaves_nothing() -> None:
     async def main() -> None:
         watching = Running()
         config = system(container("a", node("talker", "Talker")), python("p", "input()"))
-        task = asyncio.create_task(run_system(config, watching, watching.stop))
+        task = asyncio.create_task(run_system(config, Publisher(watching), watching.stop))
         await watching.until_loaded(1)
         task.cancel()
         with pytest.raises(asyncio.CancelledError):

@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 
 from play_launch.actors.ports import OutputCallback
+from play_launch.actors.publisher import Publisher
 from play_launch.actors.stop_requests import StopRequests
 from play_launch.actors.system import Outcome, run_system
 from play_launch.config.model import ProcessConfig
@@ -16,6 +17,7 @@ from play_launch.core.events import (
     ProcessEventKind,
     RunEvent,
 )
+from play_launch.core.view import SystemView
 from play_launch.process.exit import Exit
 from play_launch.wire.messages import Incoming
 
@@ -79,7 +81,7 @@ class StopAt:
         self.stop = stop
         self.task: asyncio.Task[Outcome] | None = None
 
-    def publish(self, event: RunEvent) -> None:
+    def publish(self, event: RunEvent, before: SystemView, after: SystemView) -> None:
         self.left -= 1
         if self.left == 0:
             for act in self.act:
@@ -96,7 +98,9 @@ def test_a_stop_at_any_moment_leaves_nothing(count: int, act: list[str]) -> None
     async def main() -> None:
         fakes, stop = launcher(), StopRequests()
         sink = StopAt(count, act, stop)
-        sink.task = asyncio.create_task(run_system(CONFIG, sink, stop, launcher=fakes, starts=2))
+        sink.task = asyncio.create_task(
+            run_system(CONFIG, Publisher(sink), stop, launcher=fakes, starts=2)
+        )
         try:
             outcome = await sink.task
         except asyncio.CancelledError:
@@ -114,7 +118,7 @@ def test_a_stop_that_came_before_the_start_starts_nothing() -> None:
     async def main() -> None:
         fakes, stop = launcher(), StopRequests()
         stop.request(signal.SIGTERM)
-        outcome = await run_system(CONFIG, StopAt(0, [], stop), stop, launcher=fakes)
+        outcome = await run_system(CONFIG, Publisher(StopAt(0, [], stop)), stop, launcher=fakes)
         assert outcome.exit_code == 143
         assert not fakes.containers
         assert not fakes.processes
@@ -127,18 +131,18 @@ def test_a_fault_of_our_own_costs_one_member_at_most_and_leaves_nothing(count: i
     class Breaks(Running):
         left = count
 
-        def publish(self, event: RunEvent) -> None:
+        def publish(self, event: RunEvent, before: SystemView, after: SystemView) -> None:
             self.left -= 1
             if self.left == 0:
                 raise LookupError("a bug")
-            super().publish(event)
+            super().publish(event, before, after)
 
     async def main() -> None:
         fakes = launcher()
         sink = Breaks(fakes)
         config = replace(CONFIG, duration=60.0)
         try:
-            await run_system(config, sink, sink.stop, launcher=fakes, starts=2)
+            await run_system(config, Publisher(sink), sink.stop, launcher=fakes, starts=2)
         except LookupError:
             assert not fakes.containers, "members are announced before anything starts"
             assert not fakes.processes

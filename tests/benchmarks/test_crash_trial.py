@@ -16,7 +16,9 @@ from play_launch.core.events import (
     ComponentEventKind,
     ProcessEvent,
     ProcessEventKind,
+    RunEvent,
 )
+from play_launch.core.view import SystemView
 
 PID = 4_000_000_000
 """Of no process: larger than any pid."""
@@ -45,11 +47,14 @@ class Script:
     def _stop(self) -> None:
         self.stops += 1
 
+    def publish(self, event: RunEvent) -> None:
+        self.trial.publish(event, SystemView(), SystemView())
+
     def process(self, kind: ProcessEventKind) -> None:
-        self.trial.publish(ProcessEvent(stamp_ns=0, kind=kind, name="/lab", pid=PID))
+        self.publish(ProcessEvent(stamp_ns=0, kind=kind, name="/lab", pid=PID))
 
     def component(self, kind: ComponentEventKind, name: str = VICTIM) -> None:
-        self.trial.publish(
+        self.publish(
             ComponentEvent(
                 stamp_ns=0,
                 kind=kind,

@@ -25,16 +25,15 @@ from play_launch.core.events import (
     NodeState,
     NodeStateChanged,
     OutputLine,
-    RunEvent,
     Stream,
 )
 from play_launch.core.exit_code import exit_code
 from play_launch.core.view import SystemView
 
 if TYPE_CHECKING:
+    from play_launch.actors.publisher import Publisher
     from play_launch.actors.stop_requests import StopRequests
     from play_launch.config import ReplayConfig
-    from play_launch.core.events import EventSink
 
 
 @dataclass(frozen=True)
@@ -66,23 +65,17 @@ async def trouble() -> None:
     await asyncio.wait({task})
 
 
-async def run_system(config: ReplayConfig, sink: EventSink, stop: StopRequests) -> Outcome:
+async def run_system(config: ReplayConfig, publisher: Publisher, stop: StopRequests) -> Outcome:
     script = os.environ.get("STUB", "").split()
-    view = SystemView()
-
-    def publish(event: RunEvent) -> None:
-        nonlocal view
-        view = view.after(event)
-        sink.publish(event)
 
     def say(text: str) -> None:
-        publish(
+        publisher.publish(
             OutputLine(
                 stamp_ns=time.time_ns(), process="/c", pid=1, stream=Stream.STDOUT, text=text
             )
         )
 
-    publish(
+    publisher.publish(
         ContainerStateChanged(stamp_ns=time.time_ns(), container="/c", state=ContainerState.RUNNING)
     )
     states = [NodeState.LOADED]
@@ -91,7 +84,7 @@ async def run_system(config: ReplayConfig, sink: EventSink, stop: StopRequests) 
     if "failing" in script:
         states.append(NodeState.LOAD_FAILED)
     for index, state in enumerate(states):
-        publish(
+        publisher.publish(
             NodeStateChanged(
                 stamp_ns=time.time_ns(), container="/c", node=f"/n{index}", index=index, state=state
             )
@@ -112,7 +105,7 @@ async def run_system(config: ReplayConfig, sink: EventSink, stop: StopRequests) 
     if "deaf" in script:
         say("deaf to the first request")
         await stop.hurry.wait()
-    return Outcome(exit_code(view, stop.signum), view)
+    return Outcome(exit_code(publisher.view, stop.signum), publisher.view)
 
 
 if __name__ == "__main__":
