@@ -22,7 +22,7 @@ from play_launch.actors.inbox import Inbox
 from play_launch.actors.ports import StartError
 from play_launch.actors.process_reports import ProcessReports
 from play_launch.actors.restarter import Restarter
-from play_launch.core.events import TOLD_LOGGER, ContainerState, ProcessEventKind
+from play_launch.core.events import REPORTED_LOGGER, ContainerState, ProcessEventKind
 from play_launch.core.member import MemberAction, MemberInput, MemberRecord, step
 from play_launch.core.restart import GiveUp
 
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from play_launch.process.exit import Exit
 
 _log = logging.getLogger(__name__)
-_told = logging.getLogger(TOLD_LOGGER)
+_reported = logging.getLogger(REPORTED_LOGGER)
 
 KILL_LIMIT: Final = 5.0
 """Seconds from SIGKILL to the end of a process; one in an uninterruptible system call lives on."""
@@ -227,11 +227,11 @@ class Member:
                 self._stop_process(reason)
             case MemberAction.WAIT_FOR_RESTART:
                 self._restart_at = self._loop.time() + self._delay
-                _told.warning("%s: %s", self.name, reason)
+                _reported.warning("%s: %s", self.name, reason)
                 self._publish(ProcessEventKind.RESTARTING, reason)
             case MemberAction.REPORT_GAVE_UP:
                 if said is not MemberInput.FAILED:  # else it is logged with its call stack
-                    _told.error("%s is not started again: %s", self.name, reason)
+                    _reported.error("%s is not started again: %s", self.name, reason)
                 self._publish(ProcessEventKind.GAVE_UP, reason)
             case _:
                 assert_never(action)
@@ -239,7 +239,7 @@ class Member:
     def _fail(self, error: Exception) -> None:
         """Give it up because of an exception of our own; what runs of it is stopped in order."""
         reason = failure_reason(error)
-        _told.error("%s: %s", self.name, reason, exc_info=error)
+        _reported.error("%s: %s", self.name, reason, exc_info=error)
         before = self._record
         self._record, actions = step(before, MemberInput.FAILED)
         self._restart_at = self._kill_due = None
@@ -348,7 +348,9 @@ class Member:
             return
         if death.by_itself:
             if death.reason:
-                _told.warning("%s: stopped, and is not started again: %s", self.name, death.reason)
+                _reported.warning(
+                    "%s: stopped, and is not started again: %s", self.name, death.reason
+                )
             self._apply(MemberInput.ENDED, death.reason)
             return
         verdict = self._restarter.decide(

@@ -1,4 +1,4 @@
-"""How a run is told to end."""
+"""How a run is asked to end."""
 
 from __future__ import annotations
 

@@ -66,10 +66,10 @@ def print_findings(findings: Sequence[Finding], stream: IO[str], *, colour: bool
     table.add_column(overflow="fold")
     for finding in findings:
         says = Text(finding.says)
-        if finding.costs:
-            says.append(f"\nimpact: {finding.costs}", "dim")
-        if finding.way_out:
-            says.append(f"\nfix: {finding.way_out}", "bold")
+        if finding.impact:
+            says.append(f"\nimpact: {finding.impact}", "dim")
+        if finding.fix:
+            says.append(f"\nfix: {finding.fix}", "bold")
         level = Text(finding.level.value, _COLOURS[finding.level.value])
         table.add_row(level, finding.subject, says)
     console.print(table)

@@ -56,7 +56,7 @@ class RunSignals:
 
         def on_signal(signum: signal.Signals) -> None:
             request(signum)
-            _log.warning("%s: stopping; once more to hurry", signum.name)
+            _log.warning("%s: shutting down; Ctrl-C again to force", signum.name)
 
         self._deliver = lambda signum: loop.call_soon_threadsafe(on_signal, signum)
         for signum in self._pending:

@@ -28,13 +28,13 @@ from play_launch.core.composition_words import (
     AskList,
     Load,
     Remark,
+    ReportFailed,
+    ReportLoaded,
+    ReportRejected,
+    ReportUnloaded,
     SendLoad,
     SendUnload,
     Stage,
-    TellFailed,
-    TellLoaded,
-    TellRejected,
-    TellUnloaded,
     Wanted,
 )
 
@@ -208,7 +208,7 @@ class Composition:
             if load.unique_id == unique_id and load.stage in {Stage.LOADED, Stage.UNLOADING}:
                 load.stage = Stage.UNLOADING
                 return [SendUnload(unique_id)]
-        return [TellRejected(unique_id, "there is no such node")]
+        return [ReportRejected(unique_id, "there is no such node")]
 
     def unload_answered(self, unique_id: int, *, success: bool, reason: str) -> list[Action]:
         """UnloadNode was answered, or nobody answered it: then without success."""
@@ -276,7 +276,7 @@ class Composition:
                 if load.unique_id not in ids:
                     return [self._is_gone(load, "")]
                 load.stage = Stage.LOADED
-                return [TellRejected(load.unique_id, reason)]
+                return [ReportRejected(load.unique_id, reason)]
             case _:
                 return []
 
@@ -373,19 +373,21 @@ class Composition:
         load.list_from = self._serial + 1
         self._leave(load)
         actions: list[Action] = [
-            TellLoaded(load.attempt, unique_id, load.full_name, confirmed_by, remark, load.adopted)
+            ReportLoaded(
+                load.attempt, unique_id, load.full_name, confirmed_by, remark, load.adopted
+            )
         ]
         self._surplus.pop(unique_id, None)
         return actions + self._clear_surplus(load.wanted)
 
     def _failed(self, load: Load, reason: str) -> list[Action]:
         self._forget(load)
-        return [TellFailed(load.attempt, reason), *self._clear_surplus(load.wanted)]
+        return [ReportFailed(load.attempt, reason), *self._clear_surplus(load.wanted)]
 
-    def _is_gone(self, load: Load, reason: str) -> TellUnloaded:
+    def _is_gone(self, load: Load, reason: str) -> ReportUnloaded:
         self._forget(load)
         self._listed = {id_: name for id_, name in self._listed.items() if id_ != load.unique_id}
-        return TellUnloaded(load.attempt, load.unique_id, load.full_name, reason)
+        return ReportUnloaded(load.attempt, load.unique_id, load.full_name, reason)
 
     def _forget(self, load: Load) -> None:
         self._loads.pop(load.attempt, None)

@@ -87,7 +87,7 @@ class AskList:
 
 
 @dataclass(frozen=True, slots=True)
-class TellLoaded:
+class ReportLoaded:
     """The node is there.
 
     Attributes:
@@ -105,7 +105,7 @@ class TellLoaded:
 
 
 @dataclass(frozen=True, slots=True)
-class TellFailed:
+class ReportFailed:
     """The node is not there and will not be by this attempt."""
 
     attempt: int
@@ -113,7 +113,7 @@ class TellFailed:
 
 
 @dataclass(frozen=True, slots=True)
-class TellUnloaded:
+class ReportUnloaded:
     """The node was there and is gone; empty ``reason``: as we asked."""
 
     attempt: int
@@ -123,7 +123,7 @@ class TellUnloaded:
 
 
 @dataclass(frozen=True, slots=True)
-class TellRejected:
+class ReportRejected:
     """The node was to be unloaded and is still there."""
 
     unique_id: int
@@ -138,5 +138,12 @@ class Remark:
 
 
 Action: TypeAlias = (
-    SendLoad | SendUnload | AskList | TellLoaded | TellFailed | TellUnloaded | TellRejected | Remark
+    SendLoad
+    | SendUnload
+    | AskList
+    | ReportLoaded
+    | ReportFailed
+    | ReportUnloaded
+    | ReportRejected
+    | Remark
 )

@@ -14,7 +14,7 @@ class Episode:
 
     quiet: float = QUIET
     count: int = 0
-    _told: int = 0
+    _reported: int = 0
     _grew_at: float | None = None
     """Of the burst that goes on; None without one."""
 
@@ -27,9 +27,9 @@ class Episode:
             return began and self._tell()
         if self._grew_at is not None and now - self._grew_at >= self.quiet:
             self._grew_at = None
-            return self.count > self._told and self._tell()
+            return self.count > self._reported and self._tell()
         return False
 
     def _tell(self) -> bool:
-        self._told = self.count
+        self._reported = self.count
         return True

@@ -223,7 +223,7 @@ RunEvent = (
 )
 
 
-TOLD_LOGGER: Final = "play_launch.told"
+REPORTED_LOGGER: Final = "play_launch.reported"
 """Logger for what an event tells a reader as well: recorded, but shown once only."""
 
 

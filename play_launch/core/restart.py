@@ -87,8 +87,8 @@ def decide(
     recent = tuple(due for due in history.recent if now - due < bounds.within)
     streak = 0 if lived >= bounds.within else history.streak
     if len(recent) >= bounds.max_restarts and (counts or bounds.max_restarts == 0):
-        times = f"{len(recent)} restarts within {bounds.within:g} s"
-        reason = f"{times} did not help" if recent else "restarting is switched off"
+        times = f"restart limit reached ({len(recent)} in {bounds.within:g} s)"
+        reason = times if recent else "restarting is switched off"
         return replace(history, recent=recent, streak=streak), GiveUp(reason)
     delay = _pause(bounds, streak) * (0.5 + 0.5 * jitter)
     if counts:

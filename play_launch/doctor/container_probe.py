@@ -27,7 +27,7 @@ _HELLO_LIMIT: Final = 20.0
 """Seconds from its start to its hello."""
 _END_LIMIT: Final = 5.0
 _ALONE: Final = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF", "ROS_DOMAIN_ID": "0"}
-"""What is wrong with the domain is told elsewhere."""
+"""What is wrong with the domain is reported elsewhere."""
 _NAME: Final = "_play_launch_doctor"
 _WORDS: Final = 500
 """Characters of what it wrote that are passed on."""

@@ -28,15 +28,15 @@ class Finding:
         subject: What it is about, in a word or two.
         level: How bad it is.
         says: What was found.
-        costs: What does not work because of it; empty when nothing is lost.
-        way_out: What to do about it; empty when there is nothing to do.
+        impact: What does not work because of it; empty when nothing is lost.
+        fix: What to do about it; empty when there is nothing to do.
     """
 
     subject: str
     level: Level
     says: str
-    costs: str = ""
-    way_out: str = ""
+    impact: str = ""
+    fix: str = ""
 
 
 def ok(subject: str, says: str) -> Finding:
@@ -44,14 +44,14 @@ def ok(subject: str, says: str) -> Finding:
     return Finding(subject, Level.OK, says)
 
 
-def warn(subject: str, says: str, costs: str, way_out: str) -> Finding:
+def warn(subject: str, says: str, impact: str, fix: str) -> Finding:
     """Something is lost."""
-    return Finding(subject, Level.WARN, says, costs, way_out)
+    return Finding(subject, Level.WARN, says, impact, fix)
 
 
-def fail(subject: str, says: str, costs: str, way_out: str) -> Finding:
+def fail(subject: str, says: str, impact: str, fix: str) -> Finding:
     """Nothing works like this."""
-    return Finding(subject, Level.FAIL, says, costs, way_out)
+    return Finding(subject, Level.FAIL, says, impact, fix)
 
 
 def can_run(findings: Iterable[Finding]) -> bool:

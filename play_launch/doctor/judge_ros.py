@@ -123,7 +123,7 @@ def _rclcpp(facts: ContainerFacts) -> Finding:
         return ok("rclcpp components", f"in; backends: {', '.join(facts.backends)}")
     return warn(
         "rclcpp components",
-        f"out; backends: {', '.join(facts.backends) or 'none'}",
+        f"not built with rclcpp support; backends: {', '.join(facts.backends) or 'none'}",
         "our containers load components of play-launch's own SDK only",
         "build where rclcpp_components is found (source /opt/ros/jazzy/setup.sh, then pip install "
         ".), or load them into container_type: stock",

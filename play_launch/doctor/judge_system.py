@@ -284,15 +284,15 @@ def _at_least(
     subject: str,
     limit: Limit,
     enough: int,
-    costs: str,
-    way_out: str,
+    impact: str,
+    fix: str,
     *,
     write: Callable[[int], str] = "{:,}".format,
 ) -> Finding:
     if limit.soft is None or limit.soft >= enough:
         return ok(subject, "unlimited" if limit.soft is None else write(limit.soft))
     hard = "unlimited" if limit.hard is None else write(limit.hard)
-    return warn(subject, f"{write(limit.soft)} (at most {hard})", costs, way_out)
+    return warn(subject, f"{write(limit.soft)} (at most {hard})", impact, fix)
 
 
 def _size(size: int | None) -> str:

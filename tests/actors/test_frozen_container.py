@@ -122,7 +122,7 @@ def test_what_it_counts_is_told_when_it_grows(caplog: pytest.LogCaptureFixture) 
     run(main())
     messages = [record.getMessage() for record in caplog.records]
     assert sum("what 1 of 5 crashed nodes held stays" in each for each in messages) == 1
-    assert sum("2 of 5 nodes died too suddenly" in each for each in messages) == 1
+    assert sum("2 of 5 crashed nodes were killed" in each for each in messages) == 1
 
 
 @pytest.mark.parametrize(
@@ -204,7 +204,7 @@ def test_a_node_that_stays_in_its_callbacks_is_told_once_and_left_alone(
             for _ in range(2):
                 fake.busy_since = asyncio.get_running_loop().time()
                 await asyncio.sleep(60)
-                assert "in its callbacks" in sys.view.containers["/c"].nodes[0].reason
+                assert "blocked in a callback" in sys.view.containers["/c"].nodes[0].reason
                 fake.busy_since = None
                 await asyncio.sleep(10)
                 assert sys.view.containers["/c"].nodes[0].reason == ""
@@ -212,9 +212,9 @@ def test_a_node_that_stays_in_its_callbacks_is_told_once_and_left_alone(
         return sys
 
     sys = run(main())
-    warnings = [r.getMessage() for r in caplog.records if "in its callbacks" in r.getMessage()]
+    warnings = [r.getMessage() for r in caplog.records if "blocked in a callback" in r.getMessage()]
     assert len(warnings) == 2
-    assert all("/a: it has been in its callbacks for 1" in each for each in warnings)
+    assert all("/a: its executor has been blocked in a callback for 1" in each for each in warnings)
     assert all(not event.reason for event in sys.node_events("/b", NodeState.LOADED))
 
 
@@ -235,7 +235,11 @@ def test_a_storm_of_deaths_is_told_when_it_begins_and_when_it_is_over(
             await asyncio.sleep(120)
 
     run(main())
-    told = [r.getMessage() for r in caplog.records if "died too suddenly" in r.getMessage()]
+    told = [
+        r.getMessage()
+        for r in caplog.records
+        if "locks they held may remain locked" in r.getMessage()
+    ]
     assert [each.split()[1] for each in told] == ["7", "70"]
 
 

@@ -97,7 +97,7 @@ def test_each_signal_stops_in_order_and_names_the_recording(
     process.send_signal(signum)
     out, err = process.communicate()
     assert process.returncode == 128 + signum
-    assert f"{signum.name}: stopping" in out
+    assert f"{signum.name}: shutting down" in out
     assert f"Recording: {bag(tmp_path).resolve()} (" in out
     assert err == ""
     recorded = [read.message.msg for read in messages(bag(tmp_path)) if "output" in read.topic]

@@ -7,13 +7,13 @@ from play_launch.core.composition_words import (
     Action,
     AskList,
     Remark,
+    ReportFailed,
+    ReportLoaded,
+    ReportRejected,
+    ReportUnloaded,
     SendLoad,
     SendUnload,
     Stage,
-    TellFailed,
-    TellLoaded,
-    TellRejected,
-    TellUnloaded,
     Wanted,
 )
 
@@ -40,7 +40,7 @@ def test_a_success_counts_when_the_list_agrees() -> None:
     sent(composition, 1)
     assert success(composition, 1, 4, "/talker") == [AskList(1)]
     assert composition.stage(1) is Stage.SAID_LOADED
-    assert composition.listed(1, [(4, "/talker")]) == [TellLoaded(1, 4, "/talker")]
+    assert composition.listed(1, [(4, "/talker")]) == [ReportLoaded(1, 4, "/talker")]
 
 
 def test_the_next_load_waits_for_the_end_of_the_one_before() -> None:
@@ -49,7 +49,7 @@ def test_the_next_load_waits_for_the_end_of_the_one_before() -> None:
     assert composition.load(2, Wanted("/listener", "/")) == []
     success(composition, 1, 1, "/talker")
     told, go_on = composition.listed(1, [(1, "/talker")])
-    assert (told, go_on) == (TellLoaded(1, 1, "/talker"), SendLoad(2))
+    assert (told, go_on) == (ReportLoaded(1, 1, "/talker"), SendLoad(2))
 
 
 def test_a_list_that_was_asked_before_the_answer_came_does_not_count() -> None:
@@ -58,7 +58,7 @@ def test_a_list_that_was_asked_before_the_answer_came_does_not_count() -> None:
     assert composition.look() == [AskList(1)]
     assert success(composition, 1, 1, "/talker") == []
     assert composition.listed(1, []) == [AskList(2)]
-    assert composition.listed(2, [(1, "/talker")]) == [TellLoaded(1, 1, "/talker")]
+    assert composition.listed(2, [(1, "/talker")]) == [ReportLoaded(1, 1, "/talker")]
 
 
 def test_a_success_that_is_listed_nowhere_is_a_failure() -> None:
@@ -69,7 +69,7 @@ def test_a_success_that_is_listed_nowhere_is_a_failure() -> None:
     assert isinstance(again, AskList)
     assert again.delay > 0
     (failed,) = composition.listed(2, [])
-    assert isinstance(failed, TellFailed)
+    assert isinstance(failed, ReportFailed)
 
 
 def test_a_failure_that_is_listed_is_a_success_with_a_remark() -> None:
@@ -77,7 +77,7 @@ def test_a_failure_that_is_listed_is_a_success_with_a_remark() -> None:
     sent(composition, 1)
     failure(composition, 1, "out of luck")
     (loaded,) = composition.listed(1, [(3, "/talker")])
-    assert isinstance(loaded, TellLoaded)
+    assert isinstance(loaded, ReportLoaded)
     assert (loaded.unique_id, loaded.confirmed_by) == (3, "list_nodes")
     assert "out of luck" in loaded.remark
 
@@ -87,7 +87,7 @@ def test_a_node_that_was_there_before_is_not_taken_for_one_that_failed() -> None
     composition.begin([(1, "/somebody")])
     sent(composition, 1, Wanted("", "/"))
     failure(composition, 1, "no")
-    assert composition.listed(1, [(1, "/somebody")]) == [TellFailed(1, "no")]
+    assert composition.listed(1, [(1, "/somebody")]) == [ReportFailed(1, "no")]
 
 
 def test_silence_is_asked_about_and_a_listed_node_is_found() -> None:
@@ -96,7 +96,7 @@ def test_silence_is_asked_about_and_a_listed_node_is_found() -> None:
     assert composition.ask_about([1]) == [AskList(1)]
     assert composition.ask_about([1]) == []
     (loaded,) = composition.listed(1, [(1, "/talker")])
-    assert isinstance(loaded, TellLoaded)
+    assert isinstance(loaded, ReportLoaded)
     assert loaded.confirmed_by == "list_nodes"
 
 
@@ -122,7 +122,7 @@ def test_where_constructors_run_in_the_background_silence_stays_silence() -> Non
     assert composition.load(2, Wanted("/listener", "/")) == [SendLoad(2)]
     composition.sent(2)
     success(composition, 1, 1, "/talker")
-    assert composition.listed(5, [(1, "/talker")]) == [TellLoaded(1, 1, "/talker")]
+    assert composition.listed(5, [(1, "/talker")]) == [ReportLoaded(1, 1, "/talker")]
 
 
 def test_an_unanswered_list_says_nothing_about_a_load() -> None:
@@ -144,7 +144,7 @@ def test_a_late_answer_saves_the_second_load() -> None:
     assert composition.load(3, TALKER) == []
     composition.sent(2)
     assert success(composition, 1, 9, "/talker") == [AskList(3)]
-    assert composition.listed(3, [(9, "/talker")]) == [TellLoaded(3, 9, "/talker")]
+    assert composition.listed(3, [(9, "/talker")]) == [ReportLoaded(3, 9, "/talker")]
 
 
 def test_a_late_answer_after_the_second_load_unloads_the_surplus() -> None:
@@ -157,7 +157,7 @@ def test_a_late_answer_after_the_second_load_unloads_the_surplus() -> None:
     success(composition, 1, 1, "/talker")
     success(composition, 2, 2, "/talker")
     told, remark, unload = composition.listed(3, [(1, "/talker"), (2, "/talker")])
-    assert told == TellLoaded(2, 2, "/talker")
+    assert told == ReportLoaded(2, 2, "/talker")
     assert isinstance(remark, Remark)
     assert unload == SendUnload(1)
     assert not composition.serially
@@ -174,7 +174,7 @@ def test_a_refusal_because_the_late_one_is_there_is_no_failure() -> None:
     success(composition, 1, 1, "/talker")
     failure(composition, 2, "the name is taken")
     (loaded,) = composition.listed(3, [(1, "/talker")])
-    assert isinstance(loaded, TellLoaded)
+    assert isinstance(loaded, ReportLoaded)
     assert (loaded.attempt, loaded.unique_id) == (2, 1)
 
 
@@ -184,7 +184,7 @@ def test_what_is_there_is_adopted_once_and_only_if_it_is_still_there() -> None:
     assert composition.load(1, TALKER) == [AskList(1)]
     assert composition.load(2, Wanted("/gone", "/")) == []
     first, again = composition.listed(1, [(1, "/talker"), (2, "/talker")])
-    assert isinstance(first, TellLoaded)
+    assert isinstance(first, ReportLoaded)
     assert (first.unique_id, first.adopted) == (1, True)
     assert "unique_id 2" in first.remark
     assert isinstance(again, AskList)
@@ -201,7 +201,7 @@ def test_a_node_that_is_gone_from_two_lists_is_gone() -> None:
     (again,) = composition.listed(2, [])
     assert isinstance(again, AskList)
     (gone,) = composition.listed(3, [])
-    assert isinstance(gone, TellUnloaded)
+    assert isinstance(gone, ReportUnloaded)
     assert gone.reason
     assert composition.load(2, TALKER) == [SendLoad(2)]
 
@@ -213,11 +213,11 @@ def test_an_unload_that_is_refused_is_looked_up() -> None:
     composition.listed(1, [(1, "/talker")])
     assert composition.unload(1) == [SendUnload(1)]
     composition.unload_answered(1, success=False, reason="not now")
-    assert composition.listed(2, [(1, "/talker")]) == [TellRejected(1, "not now")]
+    assert composition.listed(2, [(1, "/talker")]) == [ReportRejected(1, "not now")]
     composition.unload(1)
     composition.unload_answered(1, success=False, reason="no answer")
-    assert composition.listed(3, []) == [TellUnloaded(1, 1, "/talker")]
-    assert composition.unload(1) == [TellRejected(1, "there is no such node")]
+    assert composition.listed(3, []) == [ReportUnloaded(1, 1, "/talker")]
+    assert composition.unload(1) == [ReportRejected(1, "there is no such node")]
 
 
 def test_nodes_without_a_name_are_found_when_there_is_one_new_node_only() -> None:
@@ -227,7 +227,7 @@ def test_nodes_without_a_name_are_found_when_there_is_one_new_node_only() -> Non
         sent(composition, 1, Wanted("", "", "demo/demo::Own"))
         composition.ask_about([1])
         actions = composition.listed(1, [(1, "/old"), *listed])
-        assert isinstance(actions[0], TellLoaded) is is_found
+        assert isinstance(actions[0], ReportLoaded) is is_found
 
 
 def test_after_a_stop_nothing_more_is_sent() -> None:
@@ -236,5 +236,5 @@ def test_after_a_stop_nothing_more_is_sent() -> None:
     composition.load(2, Wanted("/listener", "/"))
     composition.stop()
     success(composition, 1, 1, "/talker")
-    assert composition.listed(1, [(1, "/talker")]) == [TellLoaded(1, 1, "/talker")]
+    assert composition.listed(1, [(1, "/talker")]) == [ReportLoaded(1, 1, "/talker")]
     assert [each.attempt for each in composition.unfinished()] == [1]

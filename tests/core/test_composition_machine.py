@@ -19,11 +19,11 @@ from play_launch.core.composition import Composition
 from play_launch.core.composition_words import (
     Action,
     AskList,
+    ReportFailed,
+    ReportLoaded,
+    ReportUnloaded,
     SendLoad,
     SendUnload,
-    TellFailed,
-    TellLoaded,
-    TellUnloaded,
     Wanted,
 )
 
@@ -82,7 +82,7 @@ class Dialogue(RuleBasedStateMachine):
                     self.container.requests.append(("unload", unique_id))
                 case AskList(serial):
                     self.container.requests.append(("list", serial))
-                case TellLoaded(attempt, unique_id):
+                case ReportLoaded(attempt, unique_id):
                     assert attempt not in self.ended, "two ends of one attempt"
                     self.ended[attempt] = action
                     others = [
@@ -91,10 +91,10 @@ class Dialogue(RuleBasedStateMachine):
                         if each.attempt != attempt
                     ]
                     assert unique_id not in others, "one node for two attempts"
-                case TellFailed(attempt):
+                case ReportFailed(attempt):
                     assert attempt not in self.ended, "two ends of one attempt"
                     self.ended[attempt] = action
-                case TellUnloaded(attempt, unique_id):
+                case ReportUnloaded(attempt, unique_id):
                     assert unique_id not in self.container.nodes, "told dead while it lives"
 
     @precondition(lambda self: self.container.requests)

@@ -1,4 +1,4 @@
-"""One changed fact, one finding: its level, and a word of what it says, costs and advises."""
+"""One changed fact, one finding: its level, and a word of what it says, impact and advises."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def of(facts: MachineFacts, subject: str) -> Finding:
 def test_a_good_machine_has_nothing_to_complain_about() -> None:
     findings = judge(MACHINE)
     assert {each.level for each in findings} == {OK}
-    assert all(each.says and not each.costs and not each.way_out for each in findings)
+    assert all(each.says and not each.impact and not each.fix for each in findings)
     assert can_run(findings)
     assert len({each.subject for each in findings}) == len(findings)
 
@@ -115,7 +115,12 @@ CASES: list[tuple[MachineFacts, str, Level, str]] = [
     (ros(stock_container=""), "stock containers", WARN, "rclcpp-components"),
     (container(problem="there is none", program=""), "container", FAIL, "there is none"),
     (container(version="0.0.9"), "container", WARN, "the supervisor is 0.1.0"),
-    (container(backends=("native",)), "rclcpp components", WARN, "out; backends: native"),
+    (
+        container(backends=("native",)),
+        "rclcpp components",
+        WARN,
+        "not built with rclcpp support; backends: native",
+    ),
     (container(backends=()), "rclcpp components", WARN, "backends: none"),
     (
         container(mechanism="process", notes=("Linux is 5.10",)),
@@ -166,7 +171,7 @@ CASES: list[tuple[MachineFacts, str, Level, str]] = [
 def test_multicast_on_loopback_matters_to_those_who_stay_there() -> None:
     without = network(loopback_has_multicast=False, localhost_only="1")
     assert of(without, "loopback").level is WARN
-    assert "multicast on" in of(without, "loopback").way_out
+    assert "multicast on" in of(without, "loopback").fix
     unknown = network(loopback_has_multicast=None, localhost_only="1")
     assert of(unknown, "loopback").level is OK
 
@@ -181,8 +186,8 @@ def test_one_fact_makes_one_finding(
 ) -> None:
     finding = of(facts, subject)
     assert finding.level is level
-    assert word in f"{finding.says} | {finding.costs} | {finding.way_out}"
-    assert bool(finding.costs) is bool(finding.way_out) is (level is not OK)
+    assert word in f"{finding.says} | {finding.impact} | {finding.fix}"
+    assert bool(finding.impact) is bool(finding.fix) is (level is not OK)
     others = [each for each in judge(facts) if each.subject != subject and each.level is not OK]
     assert not others
     assert can_run(judge(facts)) is (level is not FAIL)

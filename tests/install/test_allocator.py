@@ -103,7 +103,7 @@ def test_a_library_for_another_machine_is_passed_over(tmp_path: Path) -> None:
     assert found({}, listing) == Allocator(ours)
 
 
-def test_none_is_told_with_its_price_and_the_way_out(tmp_path: Path) -> None:
+def test_none_is_reported_with_the_impact_and_the_fix(tmp_path: Path) -> None:
     answer = found({}, "0 libs found\n", tmp_path)
     assert answer.library is None
     assert "neither mimalloc nor jemalloc" in answer.problem

@@ -79,7 +79,7 @@ def test_both_are_refused(tmp_path: Path, prefix: Path, site_packages: Path) -> 
     assert "nothing is sourced" in str(caught.value)
 
 
-def test_none_is_told_with_the_way_out(prefix: Path, site_packages: Path) -> None:
+def test_none_is_reported_with_the_fix(prefix: Path, site_packages: Path) -> None:
     with pytest.raises(NotInstalledError, match=r"source /opt/ros/jazzy/setup\.sh.*pip install"):
         ros_installation(sourced(prefix), prefix=prefix, site_packages=site_packages)
 

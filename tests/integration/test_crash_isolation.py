@@ -130,7 +130,7 @@ def test_reloads_are_bounded(crashing: Replay) -> None:
     ]
     given_up = [event for event in told if event["state"] == "gave up"]
     assert len(given_up) == 1
-    assert "3 restarts within 60 s did not help" in given_up[0]["reason"]
+    assert "restart limit reached (3 in 60 s)" in given_up[0]["reason"]
     assert "it is loaded again at once" in next(
         event["reason"] for event in told if event["state"] == "crashed"
     )

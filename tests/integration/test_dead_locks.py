@@ -149,7 +149,7 @@ def test_nodes_that_hang_without_a_death_are_told_of_and_left_alone(left_alone: 
     told: set[str] = set()
 
     def all_told(event: dict[str, Any]) -> bool:
-        if event["event"] == "node" and "in its callbacks" in event["reason"]:
+        if event["event"] == "node" and "blocked in a callback" in event["reason"]:
             told.add(event["node"])
         return told == set(NODES)
 

@@ -65,7 +65,7 @@ def test_known_series(version: str) -> None:
 
 
 @pytest.mark.parametrize("version", ["0.31.9", "0.33.0", "1.18.0", "0.3.2", "", "0", "x.18.1"])
-def test_unknown_releases_are_refused_with_the_way_out(version: str) -> None:
+def test_unknown_releases_are_refused_with_the_fix(version: str) -> None:
     known = known_of(STAND_IN / "ros2cli")
     with pytest.raises(PatchError, match=r"fit 0\.18 \(humble\), 0\.32 \(jazzy\).*daemon start"):
         known.check(STAND_IN / "ros2cli", version)

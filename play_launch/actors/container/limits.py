@@ -23,7 +23,7 @@ class Limits:
     reload_after_leak: float = 3.0
     """For a reload beyond its usual time, when a dead node probably left a lock locked."""
     silence: float = 10.0
-    """For a callback, before it is told that its node does nothing else meanwhile."""
+    """For a callback, before it is reported as blocking the executor."""
     watch: WatchLimits = WATCH_LIMITS
     """From when on a silent container counts as frozen."""
 

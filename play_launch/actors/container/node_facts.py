@@ -49,13 +49,13 @@ _RUNTIME: Final = re.compile(r"\b(?:libc|libstdc\+\+|libgcc_s|libpthread|ld-linu
 
 
 def facts_of_event(event: ComponentEvent) -> Facts:
-    """Take them from what the container told; the reason of a crash says where it happened."""
+    """Take them from an event of the container; the reason of a crash says where it happened."""
     reason = event.error_message
     if event.kind is ComponentEventKind.CRASHED:
         ending = str(explained(Exit(code=event.exit_code, signal=event.signal)))
         reason = f"{ending}: {reason}" if reason else ending
         if event.backtrace:
-            reason += f" at {telling_frame(event.backtrace)}"
+            reason += f" at {blamed_frame(event.backtrace)}"
     return Facts(
         attempt=event.attempt,
         unique_id=event.unique_id,
@@ -66,7 +66,7 @@ def facts_of_event(event: ComponentEvent) -> Facts:
     )
 
 
-def telling_frame(backtrace: Sequence[str]) -> str:
+def blamed_frame(backtrace: Sequence[str]) -> str:
     """Choose the frame to show where there is room for one: abort() says less than its caller."""
     return next((frame for frame in backtrace if not _RUNTIME.search(frame)), backtrace[0])
 

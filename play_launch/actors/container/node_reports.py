@@ -1,4 +1,4 @@
-"""One composable node as its container's actor knows it, and what is told about it."""
+"""One composable node as its container's member knows it, and what is reported about it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 _TIMED: Final = frozenset(
     {NodeState.REQUESTED, NodeState.LOADING, NodeState.LOADED, NodeState.LOAD_FAILED}
 )
-"""States that are told with the time since the load was sent."""
+"""States that are reported with the time since the load was sent."""
 
 
 @dataclass(slots=True)
@@ -43,8 +43,8 @@ class MirroredNode:
     reload_at: float | None = None
     crashes: int = 0
     reloads: int = 0
-    told_silent: bool = False
-    """Whether its present stay in callbacks was told."""
+    reported_silent: bool = False
+    """Whether its present stay in callbacks was reported."""
 
     @property
     def name(self) -> str:
@@ -62,11 +62,11 @@ class NodeReports:
         self._clock = clock
 
     def event(self, event: ComponentEvent) -> None:
-        """Tell what the container told."""
+        """Publish what the container reported."""
         self._publisher.publish(event)
 
     def state(self, node: MirroredNode, facts: Facts) -> None:
-        """Tell the node's state."""
+        """Publish the node's state."""
         record = node.record
         elapsed = self._clock() - record.sent_at if record.state in _TIMED else 0.0
         self._publisher.publish(
@@ -88,7 +88,7 @@ class NodeReports:
         )
 
     def refusal(self, node: MirroredNode, reason: str, finding: Finding | None) -> None:
-        """Tell that its latest load is not repeated, with what a scratch process found."""
+        """Publish that its latest load is not repeated, with what a scratch process found."""
         self._publisher.publish(
             ComponentEvent(
                 stamp_ns=self._publisher.stamp_ns(),
@@ -108,7 +108,7 @@ class NodeReports:
         )
 
     def confirmation(self, node: MirroredNode, facts: Facts) -> None:
-        """Tell that it is loaded, as the container's answer says."""
+        """Publish that it is loaded, as the container's answer says."""
         self._publisher.publish(
             ComponentEvent(
                 stamp_ns=self._publisher.stamp_ns(),

@@ -24,7 +24,7 @@ from play_launch.actors.container.questions import Questions
 from play_launch.actors.container.suspect_nodes import SuspectNodes
 from play_launch.actors.restarter import CrashFollower
 from play_launch.core.crash import Ignore, Shutdown, StopContainer
-from play_launch.core.events import TOLD_LOGGER, ComponentEvent, NodeState
+from play_launch.core.events import REPORTED_LOGGER, ComponentEvent, NodeState
 from play_launch.core.lifecycle import is_silent, step
 from play_launch.core.node_table import NodeAction, NodeInput
 from play_launch.core.questions import Asked
@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from play_launch.wire.messages import NodeStatus
 
 _log = logging.getLogger(__name__)
-_told = logging.getLogger(TOLD_LOGGER)
+_reported = logging.getLogger(REPORTED_LOGGER)
 
 _ALONE_LIMIT: Final = 60.0
 """Seconds for which a load can keep others waiting that have to be alone."""
@@ -213,18 +213,18 @@ class ContainerNodes:
         self.load_cleared()
 
     def hear_silence(self, listed: Iterable[NodeStatus]) -> None:
-        """Tell once of each node that is loaded and stays in its callbacks for long."""
+        """Report once each loaded node whose executor is blocked in a callback for long."""
         silent = {each.attempt: each.silence_ns / 1e9 for each in listed}
         for node in self._nodes:
             is_loaded = node.record.state is NodeState.LOADED
             seconds = silent.get(node.record.attempt, 0.0) if is_loaded else 0.0
             if seconds < self._silence:
-                if node.told_silent and is_loaded:
+                if node.reported_silent and is_loaded:
                     self._reports.state(node, NOTHING)
-                node.told_silent = False
-            elif not node.told_silent:
-                node.told_silent = True
-                reason = f"it has been in its callbacks for {seconds:.0f} s and does nothing else"
+                node.reported_silent = False
+            elif not node.reported_silent:
+                node.reported_silent = True
+                reason = f"its executor has been blocked in a callback for {seconds:.0f} s"
                 _log.warning("%s: %s", node.name, reason)
                 self._reports.state(node, Facts(reason=reason))
 
@@ -319,8 +319,10 @@ class ContainerNodes:
         if NodeAction.SEND_LOAD in result.actions and record.is_reload:
             node.reloads += 1
         # A new request is published by its action, which knows why, and so is what has a sequel.
-        told_later = record.state is NodeState.REQUESTED or NodeAction.FOLLOW_UP in result.actions
-        if not told_later and (
+        reported_later = (
+            record.state is NodeState.REQUESTED or NodeAction.FOLLOW_UP in result.actions
+        )
+        if not reported_later and (
             record.state is not before.state or NodeAction.REPORT_SLOW in result.actions
         ):
             self._reports.state(node, facts)
@@ -351,16 +353,16 @@ class ContainerNodes:
                 if node.record.is_reload:
                     self._escalation.reload_hangs(f"{name} is not loaded again: {facts.reason}")
             case NodeAction.REPORT_FAILED:
-                _told.error("%s could not be loaded: %s", name, facts.reason)
+                _reported.error("%s could not be loaded: %s", name, facts.reason)
             case NodeAction.REPORT_FORGOTTEN:
                 _log.error("%s: %s does not know it any more", name, self._container)
             case NodeAction.REPORT_CRASHED:
-                # Not as an error: the state that follows is told as one, with the sequel.
+                # Not as an error: the state that follows is reported as one, with the sequel.
                 _log.info("%s crashed: %s", name, facts.reason)
             case NodeAction.REPORT_GAVE_UP:
-                _told.error("%s is not loaded again: %s", name, facts.reason)
+                _reported.error("%s is not loaded again: %s", name, facts.reason)
             case NodeAction.REPORT_UNASKED if not self._stopping:
-                _told.warning("%s is unloaded: %s", name, facts.reason)
+                _reported.warning("%s is unloaded: %s", name, facts.reason)
             case (
                 NodeAction.REPORT_UNASKED
                 | NodeAction.REPORT_LOADED
@@ -401,7 +403,7 @@ class ContainerNodes:
         self._request(self._questions.put(asked))
 
     def _follow_up(self, node: MirroredNode, facts: Facts) -> None:
-        """Decide what follows from a crash or a failed reload, tell it, do it."""
+        """Decide what follows from a crash or a failed reload, report it, do it."""
         if self._stopping:
             self._reports.state(node, facts)
             return
@@ -412,24 +414,24 @@ class ContainerNodes:
         match verdict:
             case Restart(delay):
                 when = f"in {delay:.2f} s" if delay else "at once"
-                self._tell_sequel(node, facts, f"it is loaded again {when}")
+                self._report_sequel(node, facts, f"it is loaded again {when}")
                 node.reload_at = now + delay
                 if not delay:
                     self._reload(node)
             case GiveUp(reason):
                 self._give_up(node, facts, reason)
             case Ignore():
-                self._tell_sequel(node, facts, "it stays away")
+                self._report_sequel(node, facts, "it stays away")
             case StopContainer():
                 self._give_up(node, facts, "its container is stopped")
                 self._escalation.stop_container(f"{node.name} crashed: {facts.reason}")
             case Shutdown():
-                self._tell_sequel(node, facts, "everything is stopped")
+                self._report_sequel(node, facts, "everything is stopped")
                 self._escalation.shut_down(f"{node.name} crashed: {facts.reason}")
             case _:
                 assert_never(verdict)
 
-    def _tell_sequel(self, node: MirroredNode, facts: Facts, sequel: str) -> None:
+    def _report_sequel(self, node: MirroredNode, facts: Facts, sequel: str) -> None:
         self._reports.state(node, replace(facts, reason=f"{facts.reason}; {sequel}"))
 
     def _give_up(self, node: MirroredNode, facts: Facts, why: str) -> None:

@@ -11,7 +11,7 @@ from collections import defaultdict
 from functools import partial
 from typing import TYPE_CHECKING, Protocol
 
-from play_launch.actors.container.node_facts import telling_frame
+from play_launch.actors.container.node_facts import blamed_frame
 from play_launch.actors.deadline import first_of
 from play_launch.core.suspects import Suspects
 
@@ -155,6 +155,6 @@ class SuspectNodes:
     def _why(self, finding: Finding) -> str:
         reason = finding.error
         if finding.backtrace:
-            reason += f" at {telling_frame(finding.backtrace)}"
+            reason += f" at {blamed_frame(finding.backtrace)}"
         where = f"in a scratch process, tried because {self._name} ended while it loaded the node"
         return f"{reason} ({where})"

@@ -114,7 +114,7 @@ class ContainerWatch:
             )
         if self._unquiesced.see(status.unquiesced, now):
             _log.warning(
-                "%s: %d of %d nodes died too suddenly to be sure that no lock stays locked",
+                "%s: %d of %d crashed nodes were killed; locks they held may remain locked",
                 self._container,
                 status.unquiesced,
                 status.crashes,

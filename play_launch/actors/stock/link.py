@@ -1,6 +1,6 @@
 """The dialogue with a container that only has ROS's composition services.
 
-To the container's actor it is a control channel like any other: it says hello, takes loads, tells
+To the container's actor it is a control channel like any other: it says hello, takes loads, reports
 events and answers questions. What the container's answers mean is decided in
 :mod:`play_launch.core.composition`; here requests are sent and waited for.
 """
@@ -19,13 +19,13 @@ from play_launch.core.composition_words import (
     Action,
     AskList,
     Remark,
+    ReportFailed,
+    ReportLoaded,
+    ReportRejected,
+    ReportUnloaded,
     SendLoad,
     SendUnload,
     Stage,
-    TellFailed,
-    TellLoaded,
-    TellRejected,
-    TellUnloaded,
     Wanted,
 )
 from play_launch.core.events import ComponentEventKind
@@ -110,7 +110,7 @@ class StockLink:
         self._late_list: asyncio.Future[Any] | None = None
         self._changed = asyncio.Event()
         self._heard_at = self._loop.time()
-        self._is_told_silent = False
+        self._is_reported_silent = False
         self._is_stopping = False
         self._is_closed = False
         self.is_greeted = False
@@ -192,7 +192,7 @@ class StockLink:
         """The container is gone; ``in_order`` is whether it ended as it should when asked to."""
         if in_order and self._is_stopping:
             for record in self._composition.loaded():
-                self._tell_unloaded(
+                self._report_unloaded(
                     record.attempt, record.unique_id, record.full_name, "with its container"
                 )
         self._said.put_nowait(ChannelClosedError(reason))
@@ -268,16 +268,16 @@ class StockLink:
                     self._start(self._unload(unique_id))
                 case AskList(serial, delay):
                     self._start(self._list(serial, delay))
-                case TellLoaded():
-                    self._tell_loaded(action)
-                case TellFailed(attempt, reason):
+                case ReportLoaded():
+                    self._report_loaded(action)
+                case ReportFailed(attempt, reason):
                     load = self._requests.pop(attempt).load
                     self._say(
                         self._reports.event(ComponentEventKind.LOAD_FAILED, load, message=reason)
                     )
-                case TellUnloaded(attempt, unique_id, full_name, reason):
-                    self._tell_unloaded(attempt, unique_id, full_name, reason)
-                case TellRejected(unique_id, reason):
+                case ReportUnloaded(attempt, unique_id, full_name, reason):
+                    self._report_unloaded(attempt, unique_id, full_name, reason)
+                case ReportRejected(unique_id, reason):
                     self._say(Rejected(attempt=0, unique_id=unique_id, reason=reason))
                 case Remark(text):
                     _log.warning("%s: %s", self._name, text)
@@ -288,7 +288,7 @@ class StockLink:
     def _say(self, message: Incoming) -> None:
         self._said.put_nowait(message)
 
-    def _tell_loaded(self, told: TellLoaded) -> None:
+    def _report_loaded(self, told: ReportLoaded) -> None:
         self._say(
             self._reports.event(
                 ComponentEventKind.LOADED,
@@ -300,7 +300,7 @@ class StockLink:
             )
         )
 
-    def _tell_unloaded(self, attempt: int, unique_id: int, full_name: str, reason: str) -> None:
+    def _report_unloaded(self, attempt: int, unique_id: int, full_name: str, reason: str) -> None:
         self._say(
             self._reports.event(
                 ComponentEventKind.UNLOADED,
@@ -381,7 +381,7 @@ class StockLink:
         if self._late_list is not None:
             self._late_list.cancel()
         self._late_list = reply
-        self._tell_silence()
+        self._report_silence()
         self._do(self._composition.list_unanswered(serial))
 
     def _listed(self, serial: int, reply: asyncio.Future[tuple[ListedNode, ...]]) -> None:
@@ -413,20 +413,20 @@ class StockLink:
 
     def _heard(self) -> None:
         self._heard_at = self._loop.time()
-        if self._is_told_silent:
-            self._is_told_silent = False
+        if self._is_reported_silent:
+            self._is_reported_silent = False
             _log.warning("%s answers again", self._name)
 
-    def _tell_silence(self) -> None:
+    def _report_silence(self) -> None:
         silent = self._loop.time() - self._heard_at
         if self._composition.current is None and silent > self._limits.silence:
-            if not self._is_told_silent:
+            if not self._is_reported_silent:
                 _log.warning(
                     "%s has not answered for %.0f s: its executor is busy, or it is frozen",
                     self._name,
                     silent,
                 )
-            self._is_told_silent = True
+            self._is_reported_silent = True
 
     def _start(self, work: Coroutine[Any, Any, None]) -> None:
         task = self._loop.create_task(work)

@@ -28,7 +28,7 @@ class CompositionServices(Protocol):
         """Wait for the next change of the graph."""
 
     async def servers(self) -> frozenset[bytes]:
-        """Identify those who answer; empty where nobody tells."""
+        """Identify those who answer; empty where that is unknown."""
 
     async def constructs_in_background(self) -> bool:
         """Whether it is known to answer while a constructor runs."""
@@ -58,9 +58,9 @@ class StockLimits:
     look: float = 5.0
     """Between two comparisons with the list while nothing is loaded."""
     silence: float = 10.0
-    """Of a container that does not load anything; then it is told, and nothing else is done."""
+    """Of a container that does not load anything; then it is reported, and nothing else is done."""
     waiting: float = 10.0
-    """For a container of somebody else; then it is told that it is waited for."""
+    """For a container of somebody else; then it is reported that it has not appeared."""
     lease: float = 30.0
     """After which a dead participant is forgotten by everybody."""
 

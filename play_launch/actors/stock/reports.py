@@ -1,4 +1,4 @@
-"""What is told about a stock container and its nodes, in the words of our own containers."""
+"""What is reported about a stock container and its nodes, in the words of our own containers."""
 
 from __future__ import annotations
 

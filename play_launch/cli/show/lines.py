@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from play_launch.cli.show.status import container_status, duration, ending
 from play_launch.core.events import (
-    TOLD_LOGGER,
+    REPORTED_LOGGER,
     ContainerState,
     LogRecord,
     NodeState,
@@ -44,7 +44,7 @@ def line_of(event: RunEvent, before: SystemView, after: SystemView) -> Line | No
         case OutputLine():
             text = f"{event.text} [cut]" if event.truncated else event.text
             return Line(event.stamp_ns, event.process, text, line_level(event))
-        case LogRecord() if event.level >= WARN and event.name != TOLD_LOGGER:
+        case LogRecord() if event.level >= WARN and event.name != REPORTED_LOGGER:
             return Line(event.stamp_ns, OWN_NAME, event.message, event.level)
         case NodeStateChanged():
             return _node_line(event, before, after)

@@ -195,8 +195,8 @@ def test_without_a_daemon_the_fix_is_shown(
     monkeypatch.setattr(graph, "daemon_address", lambda: address)
     assert graph.main(["node", "list", "--no-start"]) == 1
     place = f"127.0.0.1:{address.port}"
-    way_out = "start one with 'play-launch daemon start'"
-    text = f"error: no daemon runs for ROS domain 0 ({place}); {way_out}\n"
+    fix = "start one with 'play-launch daemon start'"
+    text = f"error: no daemon runs for ROS domain 0 ({place}); {fix}\n"
     assert capsys.readouterr() == ("", text)
 
 
