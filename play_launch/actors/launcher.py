@@ -363,8 +363,13 @@ def _uses_fastdds(config: ReplayConfig) -> bool:
 
 def _complain_of_shared_memory(config: ReplayConfig) -> None:
     processes = len(config.containers) + len(config.nodes)
-    isolated = (each for each in config.containers if each.container_type.is_isolated)
-    participants = processes + sum(len(each.composable_nodes) for each in isolated)
+    # A node with memory of its own is a participant of its own; the others share their container's.
+    apart = (
+        each
+        for each in config.containers
+        if each.container_type.is_isolated and not _shares_memory(each)
+    )
+    participants = processes + sum(len(each.composable_nodes) for each in apart)
     if problem := shared_memory_problem(shared_memory_room(), participants):
         _log.warning("%s", problem)
 
