@@ -69,19 +69,6 @@ class NodeAction(StrEnum):
     SEND_UNLOAD = auto()
     FOLLOW_UP = auto()
     """Decide what follows from a crash."""
-    REPORT_LOADED = auto()
-    REPORT_CONFIRMED = auto()
-    """Loaded, but no event had told so: the container was asked."""
-    REPORT_SLOW = auto()
-    REPORT_FAILED = auto()
-    REPORT_FORGOTTEN = auto()
-    """The container lives and does not know the node any more."""
-    REPORT_CRASHED = auto()
-    REPORT_GAVE_UP = auto()
-    REPORT_UNLOADED = auto()
-    REPORT_UNASKED = auto()
-    """Unloaded, and not because we asked: it ended itself, or somebody else unloaded it."""
-    REPORT_LOST = auto()
 
 
 class Transition(NamedTuple):
@@ -132,11 +119,11 @@ def _row(
 
 
 _NEW_LOAD: Final = (State.REQUESTED, Do.SEND_LOAD)
-_CRASH: Final = (State.CRASHED, Do.REPORT_CRASHED, Do.FOLLOW_UP)
-_FAILED: Final = (State.LOAD_FAILED, Do.REPORT_FAILED)
-_FAILED_AGAIN: Final = (State.LOAD_FAILED, Do.REPORT_FAILED, Do.FOLLOW_UP)
-_UNASKED: Final = (State.UNLOADED, Do.REPORT_UNASKED)
-_LOST: Final = (State.LOST, Do.REPORT_LOST)
+_CRASH: Final = (State.CRASHED, Do.FOLLOW_UP)
+_FAILED: Final = (State.LOAD_FAILED,)
+_FAILED_AGAIN: Final = (State.LOAD_FAILED, Do.FOLLOW_UP)
+_UNLOADED: Final = (State.UNLOADED,)
+_LOST: Final = (State.LOST,)
 _TIMERS: Final = (Said.SILENT, Said.RELOAD_DUE, Said.GIVEN_UP)
 
 TABLE: Final[Mapping[NodeState, Mapping[NodeInput, Transition]]] = {
@@ -144,7 +131,7 @@ TABLE: Final[Mapping[NodeState, Mapping[NodeInput, Transition]]] = {
         State.PENDING,
         {
             Said.CONTAINER_READY: _NEW_LOAD,
-            Said.UNLOAD_REQUESTED: (State.UNLOADED, Do.REPORT_UNLOADED),
+            Said.UNLOAD_REQUESTED: _UNLOADED,
         },
         {
             Said.LOAD_REQUESTED,
@@ -166,18 +153,18 @@ TABLE: Final[Mapping[NodeState, Mapping[NodeInput, Transition]]] = {
             Said.LOADING: (State.LOADING,),
             Said.REJECTED: _FAILED,
             # The answers in between may have been dropped; the last word counts.
-            Said.LOADED: (State.LOADED, Do.REPORT_LOADED),
+            Said.LOADED: (State.LOADED,),
             Said.LOAD_FAILED: _FAILED,
             Said.RELOAD_FAILED: _FAILED_AGAIN,
-            Said.UNLOADED: _UNASKED,
+            Said.UNLOADED: _UNLOADED,
             Said.CRASHED: _CRASH,
             Said.CONTAINER_LOST: _LOST,
             Said.SILENT: (State.REQUESTED, Do.SEND_QUERY),
-            Said.STATUS_CONSTRUCTING: (State.LOADING, Do.REPORT_SLOW),
-            Said.STATUS_LOADED: (State.LOADED, Do.REPORT_CONFIRMED),
+            Said.STATUS_CONSTRUCTING: (State.LOADING,),
+            Said.STATUS_LOADED: (State.LOADED,),
             Said.STATUS_UNLOADING: (State.UNLOADING,),
             Said.STATUS_UNKNOWN: (State.REQUESTED, Do.RESEND_LOAD),
-            Said.STATUS_UNKNOWN_AGAIN: (State.LOAD_FAILED, Do.REPORT_FORGOTTEN),
+            Said.STATUS_UNKNOWN_AGAIN: (State.LOAD_FAILED,),
             # Without a unique_id there is nothing to cancel yet; ACCEPTED brings it.
             Said.UNLOAD_REQUESTED: (State.UNLOADING,),
         },
@@ -197,18 +184,18 @@ TABLE: Final[Mapping[NodeState, Mapping[NodeInput, Transition]]] = {
         State.LOADING,
         {
             Said.RELOAD_REQUESTED: (State.UNLOADING, Do.SEND_CANCEL),
-            Said.LOADED: (State.LOADED, Do.REPORT_LOADED),
+            Said.LOADED: (State.LOADED,),
             Said.LOAD_FAILED: _FAILED,
             Said.RELOAD_FAILED: _FAILED_AGAIN,
-            Said.UNLOADED: _UNASKED,
+            Said.UNLOADED: _UNLOADED,
             Said.CRASHED: _CRASH,
             Said.CONTAINER_LOST: _LOST,
             Said.SILENT: (State.LOADING, Do.SEND_QUERY),
-            Said.STATUS_CONSTRUCTING: (State.LOADING, Do.REPORT_SLOW),
-            Said.STATUS_LOADED: (State.LOADED, Do.REPORT_CONFIRMED),
+            Said.STATUS_CONSTRUCTING: (State.LOADING,),
+            Said.STATUS_LOADED: (State.LOADED,),
             Said.STATUS_UNLOADING: (State.UNLOADING,),
             Said.STATUS_UNKNOWN: (State.REQUESTED, Do.RESEND_LOAD),
-            Said.STATUS_UNKNOWN_AGAIN: (State.LOAD_FAILED, Do.REPORT_FORGOTTEN),
+            Said.STATUS_UNKNOWN_AGAIN: (State.LOAD_FAILED,),
             Said.UNLOAD_REQUESTED: (State.UNLOADING, Do.SEND_CANCEL),
             # It was accepted before: the two contradict each other, so ask.
             Said.REJECTED: (State.LOADING, Do.SEND_QUERY),
@@ -231,14 +218,14 @@ TABLE: Final[Mapping[NodeState, Mapping[NodeInput, Transition]]] = {
         State.LOADED,
         {
             Said.RELOAD_REQUESTED: (State.UNLOADING, Do.SEND_UNLOAD),
-            Said.UNLOADED: _UNASKED,
+            Said.UNLOADED: _UNLOADED,
             Said.CRASHED: _CRASH,
             Said.CONTAINER_LOST: _LOST,
             Said.UNLOAD_REQUESTED: (State.UNLOADING, Do.SEND_UNLOAD),
             Said.STATUS_UNLOADING: (State.UNLOADING,),
             # An attempt that the container does not know after it was accepted never comes back.
-            Said.STATUS_UNKNOWN: (State.LOST, Do.REPORT_FORGOTTEN),
-            Said.STATUS_UNKNOWN_AGAIN: (State.LOST, Do.REPORT_FORGOTTEN),
+            Said.STATUS_UNKNOWN: (State.LOST,),
+            Said.STATUS_UNKNOWN_AGAIN: (State.LOST,),
             Said.REJECTED: (State.LOADED, Do.SEND_QUERY),
             Said.LOAD_FAILED: (State.LOADED, Do.SEND_QUERY),
             Said.RELOAD_FAILED: (State.LOADED, Do.SEND_QUERY),
@@ -264,21 +251,21 @@ TABLE: Final[Mapping[NodeState, Mapping[NodeInput, Transition]]] = {
         {
             Said.REPLACED: _NEW_LOAD,
             Said.ACCEPTED: (State.UNLOADING, Do.SEND_CANCEL),
-            Said.REJECTED: (State.UNLOADED, Do.REPORT_UNLOADED),
+            Said.REJECTED: _UNLOADED,
             # The constructor was quicker than the cancellation.
             Said.LOADED: (State.UNLOADING, Do.SEND_UNLOAD),
-            Said.LOAD_FAILED: (State.UNLOADED, Do.REPORT_UNLOADED),
-            Said.RELOAD_FAILED: (State.UNLOADED, Do.REPORT_UNLOADED),
-            Said.UNLOADED: (State.UNLOADED, Do.REPORT_UNLOADED),
+            Said.LOAD_FAILED: _UNLOADED,
+            Said.RELOAD_FAILED: _UNLOADED,
+            Said.UNLOADED: _UNLOADED,
             # Nobody wants it any more, so it is not brought back.
-            Said.CRASHED: (State.CRASHED, Do.REPORT_CRASHED),
-            Said.CONTAINER_LOST: (State.UNLOADED, Do.REPORT_UNLOADED),
+            Said.CRASHED: (State.CRASHED,),
+            Said.CONTAINER_LOST: _UNLOADED,
             Said.UNLOAD_REJECTED: (State.UNLOADING, Do.SEND_QUERY),
             Said.SILENT: (State.UNLOADING, Do.SEND_QUERY),
-            Said.STATUS_CONSTRUCTING: (State.UNLOADING, Do.SEND_CANCEL, Do.REPORT_SLOW),
+            Said.STATUS_CONSTRUCTING: (State.UNLOADING, Do.SEND_CANCEL),
             Said.STATUS_LOADED: (State.UNLOADING, Do.SEND_UNLOAD),
-            Said.STATUS_UNKNOWN: (State.UNLOADED, Do.REPORT_UNLOADED),
-            Said.STATUS_UNKNOWN_AGAIN: (State.UNLOADED, Do.REPORT_UNLOADED),
+            Said.STATUS_UNKNOWN: _UNLOADED,
+            Said.STATUS_UNKNOWN_AGAIN: _UNLOADED,
         },
         {
             Said.LOAD_REQUESTED,
@@ -302,8 +289,8 @@ TABLE: Final[Mapping[NodeState, Mapping[NodeInput, Transition]]] = {
             Said.RELOAD_REQUESTED: _NEW_LOAD,
             Said.CONTAINER_READY: _NEW_LOAD,
             Said.RELOAD_DUE: _NEW_LOAD,
-            Said.GIVEN_UP: (State.GAVE_UP, Do.REPORT_GAVE_UP),
-            Said.UNLOAD_REQUESTED: (State.UNLOADED, Do.REPORT_UNLOADED),
+            Said.GIVEN_UP: (State.GAVE_UP,),
+            Said.UNLOAD_REQUESTED: _UNLOADED,
         },
         {
             Said.WANTED,
@@ -341,9 +328,9 @@ TABLE: Final[Mapping[NodeState, Mapping[NodeInput, Transition]]] = {
             Said.LOAD_REQUESTED: _NEW_LOAD,
             Said.RELOAD_REQUESTED: _NEW_LOAD,
             Said.RELOAD_DUE: _NEW_LOAD,
-            Said.GIVEN_UP: (State.GAVE_UP, Do.REPORT_GAVE_UP),
+            Said.GIVEN_UP: (State.GAVE_UP,),
             Said.CONTAINER_LOST: _LOST,
-            Said.UNLOAD_REQUESTED: (State.UNLOADED, Do.REPORT_UNLOADED),
+            Said.UNLOAD_REQUESTED: _UNLOADED,
         },
         {
             Said.WANTED,
@@ -360,7 +347,7 @@ TABLE: Final[Mapping[NodeState, Mapping[NodeInput, Transition]]] = {
         {
             Said.LOAD_REQUESTED: _NEW_LOAD,
             Said.RELOAD_REQUESTED: _NEW_LOAD,
-            Said.UNLOAD_REQUESTED: (State.UNLOADED, Do.REPORT_UNLOADED),
+            Said.UNLOAD_REQUESTED: _UNLOADED,
         },
         # It does not come back with its container either: it may be what brought that down.
         {
@@ -381,7 +368,7 @@ TABLE: Final[Mapping[NodeState, Mapping[NodeInput, Transition]]] = {
             Said.RELOAD_REQUESTED: _NEW_LOAD,
             Said.CONTAINER_READY: _NEW_LOAD,
             Said.REFUSED: _FAILED,
-            Said.UNLOAD_REQUESTED: (State.UNLOADED, Do.REPORT_UNLOADED),
+            Said.UNLOAD_REQUESTED: _UNLOADED,
         },
         {
             Said.WANTED,

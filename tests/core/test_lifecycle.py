@@ -53,7 +53,7 @@ def test_the_ordinary_way() -> None:
     assert loading().unique_id == 7
     result = run(loading(), NodeInput.LOADED, attempt=1, unique_id=7)
     assert result.record.state is NodeState.LOADED
-    assert result.actions == (NodeAction.REPORT_LOADED,)
+    assert not result.actions
 
 
 def test_who_waits_in_a_queue_of_ours_is_asked_about_later_and_that_is_no_news() -> None:
@@ -73,7 +73,7 @@ def test_silence_is_a_question_and_only_the_owner_answers_it() -> None:
     assert silent.actions == (NodeAction.SEND_QUERY,)
     confirmed = run(silent.record, NodeInput.STATUS_LOADED, now=10.1, attempt=1, unique_id=7)
     assert confirmed.record.state is NodeState.LOADED
-    assert confirmed.actions == (NodeAction.REPORT_CONFIRMED,)
+    assert not confirmed.actions
 
 
 def test_a_slow_constructor_is_reported_every_interval() -> None:
@@ -85,7 +85,7 @@ def test_a_slow_constructor_is_reported_every_interval() -> None:
             record = run(record, NodeInput.SILENT, now=now).record
             answer = run(record, NodeInput.STATUS_CONSTRUCTING, now=now, attempt=1, unique_id=7)
             record = answer.record
-            assert answer.actions == (NodeAction.REPORT_SLOW,)
+            assert not answer.actions
             reports.append(now)
     assert reports == [10.0, 25.0, 40.0, 55.0]
 
@@ -99,7 +99,7 @@ def test_a_load_is_sent_anew_once_and_under_a_new_number() -> None:
     assert "attempt 1" in late.ignored
     over = run(again.record, NodeInput.STATUS_UNKNOWN, attempt=2)
     assert over.record.state is NodeState.LOAD_FAILED
-    assert over.actions == (NodeAction.REPORT_FORGOTTEN,)
+    assert not over.actions
 
 
 def test_another_unique_id_of_the_same_attempt_does_not_count() -> None:
@@ -117,7 +117,7 @@ def test_a_contradiction_is_a_question() -> None:
 def test_what_the_container_forgot_is_not_loaded() -> None:
     result = run(loaded(), NodeInput.STATUS_UNKNOWN, attempt=1, unique_id=7)
     assert result.record.state is NodeState.LOST
-    assert result.actions == (NodeAction.REPORT_FORGOTTEN,)
+    assert not result.actions
 
 
 def test_a_cancellation_that_comes_too_late_becomes_an_unload() -> None:
@@ -147,7 +147,7 @@ def crashed() -> Step:
 
 def test_a_crash_is_followed_up_once() -> None:
     assert crashed().record.state is NodeState.CRASHED
-    assert crashed().actions == (NodeAction.REPORT_CRASHED, NodeAction.FOLLOW_UP)
+    assert crashed().actions == (NodeAction.FOLLOW_UP,)
     again = run(crashed().record, NodeInput.CRASHED, attempt=1, unique_id=7)
     assert again.record == crashed().record
     assert not again.actions

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, assert_never
 
 from play_launch.core.events import (
+    REPORTED_LOGGER,
     ComponentEvent,
     ComponentEventKind,
     NodeState,
     NodeStateChanged,
 )
 from play_launch.core.lifecycle import NodeRecord
+from play_launch.core.node_report import NodeReport
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -21,6 +24,9 @@ if TYPE_CHECKING:
     from play_launch.actors.restarter import CrashFollower
     from play_launch.config.model import ComposableNodeConfig
     from play_launch.core.probe import Finding
+
+_log = logging.getLogger(__name__)
+_reported = logging.getLogger(REPORTED_LOGGER)
 
 _TIMED: Final = frozenset(
     {NodeState.REQUESTED, NodeState.LOADING, NodeState.LOADED, NodeState.LOAD_FAILED}
@@ -87,6 +93,33 @@ class NodeReports:
             )
         )
 
+    def log(
+        self, report: NodeReport, node: MirroredNode, facts: Facts, *, is_stopping: bool
+    ) -> None:
+        """Log what a transition means to a reader."""
+        name, why = node.name, facts.reason
+        match report:
+            case NodeReport.CONFIRMED:
+                _log.warning("%s is loaded: no event came, %s was asked", name, self._container)
+                self._confirmation(node, facts)
+            case NodeReport.SLOW:
+                _log.warning("%s: %s", name, why)
+            case NodeReport.FAILED:
+                _reported.error("%s could not be loaded: %s", name, why)
+            case NodeReport.FORGOTTEN:
+                _reported.error("%s: %s does not know it any more", name, self._container)
+            case NodeReport.CRASHED:
+                # Not as an error: the state that follows is reported as one, with the sequel.
+                _log.info("%s crashed: %s", name, why)
+            case NodeReport.GAVE_UP:
+                _reported.error("%s is not loaded again: %s", name, why)
+            case NodeReport.UNASKED if not is_stopping:
+                _reported.warning("%s is unloaded: %s", name, why)
+            case NodeReport.UNASKED | NodeReport.LOADED | NodeReport.UNLOADED | NodeReport.LOST:
+                _log.debug("%s is %s", name, node.record.state)
+            case _:
+                assert_never(report)
+
     def refusal(self, node: MirroredNode, reason: str, finding: Finding | None) -> None:
         """Publish that its latest load is not repeated, with what a scratch process found."""
         self._publisher.publish(
@@ -107,7 +140,7 @@ class NodeReports:
             )
         )
 
-    def confirmation(self, node: MirroredNode, facts: Facts) -> None:
+    def _confirmation(self, node: MirroredNode, facts: Facts) -> None:
         """Publish that it is loaded, as the container's answer says."""
         self._publisher.publish(
             ComponentEvent(

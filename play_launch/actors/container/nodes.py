@@ -26,6 +26,7 @@ from play_launch.actors.restarter import CrashFollower
 from play_launch.core.crash import Ignore, Shutdown, StopContainer
 from play_launch.core.events import REPORTED_LOGGER, ComponentEvent, NodeState
 from play_launch.core.lifecycle import is_silent, step
+from play_launch.core.node_report import NodeReport, report_of
 from play_launch.core.node_table import NodeAction, NodeInput
 from play_launch.core.questions import Asked
 from play_launch.core.restart import GiveUp, Restart
@@ -306,36 +307,40 @@ class ContainerNodes:
         if record.attempt != before.attempt:
             node.loaded_at = None
             self._attempts.use()
-        if record.state is not before.state and record.state is NodeState.LOADED:
+        if record.state is NodeState.LOADED and record.state is not before.state:
             node.loaded_at = self._clock()
             node.took = node.loaded_at - record.sent_at
-        if NodeAction.REPORT_UNASKED in result.actions and not self._stopping and not facts.reason:
+        has_changed = record.state is not before.state
+        report = report_of(before.state, said, record.state)
+        if report is NodeReport.UNASKED and not self._stopping and not facts.reason:
             facts = replace(facts, reason="not at the supervisor's request")
         over = before.state in _UNDER_WAY and record.state not in _UNDER_WAY
         if over and said is not NodeInput.CONTAINER_LOST:
             self.suspects.survived(node.index)
-        if NodeAction.REPORT_CRASHED in result.actions:
+        if has_changed and record.state is NodeState.CRASHED:
             node.crashes += 1
         if NodeAction.SEND_LOAD in result.actions and record.is_reload:
             node.reloads += 1
         # A new request is published by its action, which knows why, and so is what has a sequel.
-        reported_later = (
-            record.state is NodeState.REQUESTED or NodeAction.FOLLOW_UP in result.actions
-        )
-        if not reported_later and (
-            record.state is not before.state or NodeAction.REPORT_SLOW in result.actions
+        has_sequel = NodeAction.FOLLOW_UP in result.actions
+        if (has_changed or report is NodeReport.SLOW) and not (
+            has_sequel or record.state is NodeState.REQUESTED
         ):
             self._reports.state(node, facts)
+        if report is not None:
+            self._reports.log(report, node, facts, is_stopping=self._stopping)
+        if report is NodeReport.SLOW and record.is_reload:
+            self._escalation.reload_hangs(f"{node.name} is not loaded again: {facts.reason}")
         for action in result.actions:
             self._execute(node, action, facts)
 
     def _execute(self, node: MirroredNode, action: NodeAction, facts: Facts) -> None:
-        name = node.name
         match action:
             case NodeAction.SEND_LOAD:
                 self._send_load(node, "")
             case NodeAction.RESEND_LOAD:
-                _log.warning("%s: %s does not know the load, sent anew", name, self._container)
+                text = "%s: %s does not know the load, sent anew"
+                _log.warning(text, node.name, self._container)
                 self._send_load(node, "the container did not know the load; sent anew")
             case NodeAction.SEND_QUERY:
                 self._to_ask[node.index] = node
@@ -345,31 +350,6 @@ class ContainerNodes:
                 self._request(Unload(unique_id=node.record.unique_id))
             case NodeAction.FOLLOW_UP:
                 self._follow_up(node, facts)
-            case NodeAction.REPORT_CONFIRMED:
-                _log.warning("%s is loaded: no event came, %s was asked", name, self._container)
-                self._reports.confirmation(node, facts)
-            case NodeAction.REPORT_SLOW:
-                _log.warning("%s: %s", name, facts.reason)
-                if node.record.is_reload:
-                    self._escalation.reload_hangs(f"{name} is not loaded again: {facts.reason}")
-            case NodeAction.REPORT_FAILED:
-                _reported.error("%s could not be loaded: %s", name, facts.reason)
-            case NodeAction.REPORT_FORGOTTEN:
-                _log.error("%s: %s does not know it any more", name, self._container)
-            case NodeAction.REPORT_CRASHED:
-                # Not as an error: the state that follows is reported as one, with the sequel.
-                _log.info("%s crashed: %s", name, facts.reason)
-            case NodeAction.REPORT_GAVE_UP:
-                _reported.error("%s is not loaded again: %s", name, facts.reason)
-            case NodeAction.REPORT_UNASKED if not self._stopping:
-                _reported.warning("%s is unloaded: %s", name, facts.reason)
-            case (
-                NodeAction.REPORT_UNASKED
-                | NodeAction.REPORT_LOADED
-                | NodeAction.REPORT_UNLOADED
-                | NodeAction.REPORT_LOST
-            ):
-                _log.debug("%s is %s", name, node.record.state)
             case _:
                 assert_never(action)
 
