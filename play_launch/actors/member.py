@@ -212,6 +212,8 @@ class Member:
     def _do(self, action: MemberAction, said: MemberInput, reason: str) -> None:
         match action:
             case MemberAction.QUEUE:
+                if said is not MemberInput.RESTART_DUE:
+                    self._restarter.forget()
                 self._queue_scope = anyio.CancelScope()
                 self._source(partial(self._queue, self._queue_scope))
             case MemberAction.SPAWN:

@@ -27,6 +27,10 @@ class Restarter:
         """Restarts so far."""
         return self._history.total
 
+    def forget(self) -> None:
+        """Somebody asked for a start: what was before that counts no more."""
+        self._history = RestartHistory(total=self._history.total)
+
     def decide(self, *, now: float, lived: float, counts: bool = True) -> Restart | GiveUp:
         """Decide about a death now, after that many seconds of life; see `core.restart`."""
         self._history, verdict = decide(

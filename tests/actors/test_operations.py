@@ -122,11 +122,14 @@ def test_a_member_that_gave_up_can_be_started() -> None:
             self.crash(6)
 
     async def main() -> None:
-        fakes = FakeLauncher(makers={"/c": [Dies, Dies, Dies, Dies, FakeContainer]})
+        # The fifth start is the one that is asked for; its restarts count from there.
+        fakes = FakeLauncher(makers={"/c": [Dies, Dies, Dies, Dies, Dies, Dies, FakeContainer]})
         async with running(CONFIG, fakes) as sys:
             await sys.until_state("/c", ContainerState.GAVE_UP)
+            assert len(fakes.containers["/c"]) == 4
             sys.operated.start("/c")
             await sys.until_loaded(3)
+            assert len(fakes.containers["/c"]) == 7
 
     run(main())
 
