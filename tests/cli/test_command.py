@@ -59,7 +59,13 @@ def start(tmp_path: Path, config: Path) -> Any:
             cwd=ROOT,
             env={**os.environ, "STUB": stub, "NO_COLOR": "1"},
             text=True,
-            **{"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **options},
+            **{
+                "stdout": subprocess.PIPE,
+                "stderr": subprocess.PIPE,
+                # Ignored where the tests run under nohup.
+                "preexec_fn": lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),
+                **options,
+            },
         )
         processes.append(process)
         return process

@@ -76,6 +76,8 @@ def test_a_run_whose_terminal_goes(tmp_path: Path, controls: bool, duration: str
         stdout=terminal,
         stderr=terminal,
         env={**os.environ, "TERM": "xterm"},
+        # Ignored where the tests run under nohup.
+        preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),
     )
     os.close(terminal)
     seen = b""
