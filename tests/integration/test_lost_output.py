@@ -77,7 +77,7 @@ def test_a_run_whose_terminal_goes(tmp_path: Path, controls: bool, duration: str
         stderr=terminal,
         env={**os.environ, "TERM": "xterm"},
         # Ignored where the tests run under nohup.
-        preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),
+        preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),  # noqa: PLW1509
     )
     os.close(terminal)
     seen = b""
