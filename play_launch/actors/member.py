@@ -83,6 +83,7 @@ class Member:
         self._nothing_left = asyncio.Event()
         self._nothing_left.set()
         self._has_ended = False
+        self._is_decided = False  # what follows from its end, whenever that comes
         self._killed_because = ""
         self._is_fatal = False
         self._kill_due: float | None = None
@@ -282,8 +283,10 @@ class Member:
 
     def _start(self) -> None:
         self._has_ended = False
+        self._is_decided = False
         self._killed_because = ""
         self._is_fatal = False
+        self._kill_due = None
         try:
             process = self._spawn()
         except StartError as error:
@@ -300,7 +303,7 @@ class Member:
         try:
             await self._live(process)
         except Exception as error:  # noqa: BLE001 - others are not to pay for it
-            self.deliver(partial(self._fail, error))
+            self.deliver(partial(self._lose_sight, error))
             if self._stopped is not None:
                 await self._stopped.wait()
         except BaseException:
@@ -309,20 +312,31 @@ class Member:
         finally:
             self._let_go()
             if not self._is_stuck:
-                with anyio.CancelScope(shield=True):
-                    if self._stopped is not None:
-                        await self._stopped.wait()
-                    await self._reports.gone(process)
-                if self.state is ContainerState.BACKOFF:
-                    await self._clean_up()
-                self.deliver(self._is_gone)
+                try:
+                    await self._nothing_is_left_of(process)
+                finally:
+                    self.deliver(self._is_gone)
 
     async def _live(self, process: ManagedProcess) -> None:
         exit_ = await process.wait()
         self.deliver(partial(self._ended, exit_))
         await self._last_words()
         self._let_go()
-        self.deliver(lambda: self._die(self._death_of(exit_)))
+        if not self._is_decided:
+            self.deliver(lambda: self._die(self._death_of(exit_)))
+
+    def _lose_sight(self, error: Exception) -> None:
+        """Its end cannot be waited for: it is stopped, and nothing else follows."""
+        self._fail(error)
+        self._is_decided = True
+
+    async def _nothing_is_left_of(self, process: ManagedProcess) -> None:
+        with anyio.CancelScope(shield=True):
+            if self._stopped is not None:
+                await self._stopped.wait()
+            await self._reports.gone(process)
+        if self.wanted:
+            await self._clean_up()
 
     def _ended(self, exit_: Exit) -> None:
         self._has_ended = True
@@ -341,6 +355,8 @@ class Member:
     def _die(self, death: Death) -> None:
         """Decide what follows from the end of the process, or from a start that failed."""
         self._release_slot()
+        self._is_decided = True
+        self._kill_due = None
         self._death_reason = death.reason
         if self.state in {ContainerState.STOPPING, ContainerState.GAVE_UP}:
             self._apply(MemberInput.DIED_FOR_GOOD, death.reason)
@@ -369,6 +385,8 @@ class Member:
 
     def _kill(self, reason: str, *, fatal: bool) -> None:
         assert self._process is not None
+        if self._has_ended:
+            return  # it is dead already, and that is about to be decided upon
         _log.error("%s is killed: %s", self.name, reason)
         self._killed_because = reason
         self._is_fatal = fatal
@@ -380,7 +398,7 @@ class Member:
         self._stop_reason = reason
         if self._queue_scope is not None:
             self._queue_scope.cancel()
-        if self._process is None:
+        if self._process is None or self._is_decided:
             self._release_slot()
             self.post(MemberInput.DIED_FOR_GOOD, "it was stopped before it was started")
             return
@@ -409,7 +427,7 @@ class Member:
 
     def _stuck(self) -> str:
         assert self._process is not None
-        self._is_stuck = True
+        self._is_stuck = self._is_decided = True
         reason = "does not die, not even of SIGKILL"
         _log.error("%s (pid %d) %s", self.name, self._process.pid, reason)
         return reason

@@ -59,6 +59,10 @@ class CrashFollower:
         self._jitter = jitter
         self._history = RestartHistory()
 
+    def forget(self) -> None:
+        """Somebody asked for a load: what was before that counts no more."""
+        self._history = RestartHistory(total=self._history.total)
+
     def follow_up(self, *, now: float, lived: float) -> FollowUp:
         """Decide about a crash now, after that many seconds of life; see `core.crash`."""
         self._history, verdict = follow_up(

@@ -58,6 +58,8 @@ class FakeProcess:
         self.stopped_with: list[str] = []
         self.deaf_to: set[str] = set()
         self.stop_takes = 0.1
+        self.lingers = 0.0
+        """Seconds from its end to the end of what it leaves."""
         self.on_end: Callable[[], None] = lambda: None
         self._ended = asyncio.Event()
 
@@ -73,7 +75,9 @@ class FakeProcess:
         return self.exit
 
     async def gone(self) -> Exit:
-        return await self.wait()
+        exit_ = await self.wait()
+        await asyncio.sleep(self.lingers)
+        return exit_
 
     def kill(self) -> None:
         self.stopped_with.append("kill")

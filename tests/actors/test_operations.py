@@ -17,6 +17,7 @@ from play_launch.core.events import ContainerState, NodeState, ProcessEventKind
 from play_launch.core.member import MemberAction, MemberInput, MemberRecord, step
 from play_launch.core.restart import RestartLimits
 from play_launch.process.exit import Exit
+from play_launch.wire.channel import ProtocolViolationError
 
 from .fakes import FakeContainer, FakeLauncher, FakeProcess, Held, container, process, system
 from .jumping_loop import run
@@ -112,6 +113,88 @@ def test_whoever_is_stopped_before_its_turn_never_starts() -> None:
             sys.operated.start("/d")
             await sys.until_loaded(3)
             assert len(fakes.containers["/d"]) == 1
+
+    run(main())
+
+
+@pytest.mark.parametrize("name", ["/c", "/p"])
+def test_whoever_is_stopped_while_something_of_its_last_process_is_left_comes_to_rest(
+    name: str,
+) -> None:
+    async def main() -> None:
+        async with running(CONFIG, FakeLauncher()) as sys:
+            await until_up(sys)
+            for each in sys.launcher.alive():
+                each.lingers = 1.0
+            sys.operated.restart(name, "for a test")
+            await sys.until(lambda: ProcessEventKind.EXITED in sys.process_events(name))
+            await asyncio.sleep(0.1)
+            sys.operated.stop(name, "not now")
+            await asyncio.sleep(5)
+            assert len(pids(sys.launcher)[name]) == 1
+            sys.operated.start(name)
+            await sys.until(lambda: len(pids(sys.launcher)[name]) == 2)
+
+    run(main())
+
+
+def test_nonsense_among_the_last_words_kills_nobody_later() -> None:
+    class DiesBabbling(FakeContainer):
+        def crash(self, signal: int = 11) -> None:
+            self.process.on_end = lambda: None
+            super().crash(signal)
+            self.link.say(ProtocolViolationError("a frame of 4 GiB"))
+
+    async def main() -> None:
+        fakes = FakeLauncher(makers={"/c": [DiesBabbling, FakeContainer]})
+        async with running(system(container("c", "a")), fakes) as sys:
+            await sys.until_loaded(1)
+            fakes.containers["/c"][0].crash()
+            await sys.until_state("/c", ContainerState.BACKOFF)
+            await sys.until_loaded(1)
+            await asyncio.sleep(10)
+            assert sys.view.loaded == 1
+            assert not fakes.containers["/c"][1].process.stopped_with
+            assert not sys.gave_up()
+            assert ProcessEventKind.STOPPING not in sys.process_events("/c")
+
+    run(main())
+
+
+def test_a_fault_while_cleaning_up_after_a_member_does_not_hold_up_the_end() -> None:
+    class Fails(FakeLauncher):
+        async def clean_up(self) -> None:
+            await super().clean_up()
+            if self.cleaned == 2:
+                raise OSError("no space")
+
+    async def main() -> None:
+        async with running(system(container("c", "a"), process("p")), Fails()) as sys:
+            await sys.until_loaded(1)
+            sys.launcher.containers["/c"][0].crash()
+            await sys.until_state("/c", ContainerState.GAVE_UP)
+            sys.stop.request(reason="the test is over")
+            async with asyncio.timeout(60):
+                await sys.until_stopped()
+
+    run(main())
+
+
+def test_a_node_that_is_loaded_by_hand_gets_its_reloads_anew() -> None:
+    async def main() -> None:
+        async with running(system(container("c", "a")), FakeLauncher()) as sys:
+
+            async def crash_after_load(count: int) -> None:
+                await sys.until(lambda: len(sys.node_events("/a", NodeState.LOADED)) == count)
+                sys.launcher.containers["/c"][0].crash_node("a")
+
+            for count in range(1, 5):
+                await crash_after_load(count)
+            await sys.until(lambda: bool(sys.node_events("/a", NodeState.GAVE_UP)))
+            sys.operated.load("/c", 0)
+            await crash_after_load(5)
+            await sys.until(lambda: len(sys.node_events("/a", NodeState.LOADED)) == 6)
+            assert len(sys.node_events("/a", NodeState.GAVE_UP)) == 1
 
     run(main())
 
@@ -280,6 +363,7 @@ class Noting(Member):
     def _spawn(self) -> FakeProcess:
         assert all(each.exit is not None for each in self.processes), "two processes for one"
         self.processes.append(FakeProcess(("m",)))
+        self.processes[-1].lingers = 0.5
         return self.processes[-1]
 
     def _started(self) -> None:

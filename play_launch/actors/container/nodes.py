@@ -193,6 +193,7 @@ class ContainerNodes:
     def _want(self, index: int, said: NodeInput) -> None:
         is_ready = self._send is not None and not self._stopping
         self._nodes[index].reload_at = None
+        self._nodes[index].follower.forget()
         self._apply(self._nodes[index], said if is_ready else NodeInput.WANTED)
         self._ask()
 
