@@ -12,7 +12,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Protocol
 
 from play_launch.actors.container.node_facts import blamed_frame
-from play_launch.actors.deadline import first_of
+from play_launch.actors.first_of import first_of
 from play_launch.core.suspects import Suspects
 
 if TYPE_CHECKING:

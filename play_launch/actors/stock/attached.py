@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from play_launch.actors.deadline import first_of
+from play_launch.actors.first_of import first_of
 from play_launch.process.exit import Exit
 
 if TYPE_CHECKING:
