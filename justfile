@@ -22,6 +22,10 @@ test-all *arguments:
 test *arguments:
     {{python}} -m pytest {{arguments}}
 
+# Look for examples that break the property tests: just search tests/core
+search *arguments:
+    {{python}} -m pytest --hypothesis-profile search {{arguments}}
+
 # Check style and types.
 lint:
     {{python}} -m pytest tests/style

@@ -55,12 +55,17 @@ os.environ.pop("ROS_LOCALHOST_ONLY", None)
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGQUIT, signal.SIG_DFL)
 
-# How long an example takes says nothing where other tests run at the same time.
+# How long an example takes says nothing where other tests run at the same time. The same tree is
+# tried with the same examples; `--hypothesis-profile search` looks for others.
 hypothesis.settings.register_profile(
     "tests",
     hypothesis.settings(),
     deadline=None,
+    derandomize=True,
     suppress_health_check=[hypothesis.HealthCheck.too_slow],
+)
+hypothesis.settings.register_profile(
+    "search", hypothesis.settings.get_profile("tests"), derandomize=False, max_examples=1000
 )
 hypothesis.settings.load_profile("tests")
 

@@ -70,6 +70,9 @@ class Composition:
     _given_up: dict[int, Wanted] = field(default_factory=dict)
     _surplus: dict[int, Wanted] = field(default_factory=dict)
     """Nodes of attempts that were given up, by unique_id."""
+    _leaving: dict[int, int | None] = field(default_factory=dict)
+    """Such nodes that are being unloaded, until a list lacks them: the first list that may count,
+    None while UnloadNode is open."""
     _rejecting: dict[int, str] = field(default_factory=dict)
     """Nodes that were not unloaded and why; the list is to tell whether they are there."""
     _is_stopping: bool = False
@@ -179,6 +182,7 @@ class Composition:
             self._latest, self._listed = serial, ids
         is_open = self._is_listing and serial != self._serial
         self._is_listing = True  # so that one further list is asked for, whoever needs it
+        actions += self._compare_leaving(serial, ids)
         for load in [each for each in self._loads.values() if serial >= each.list_from]:
             actions += self._compare(load, ids)
         self._is_listing = is_open
@@ -213,6 +217,13 @@ class Composition:
     def unload_answered(self, unique_id: int, *, success: bool, reason: str) -> list[Action]:
         """UnloadNode was answered, or nobody answered it: then without success."""
         self._surplus.pop(unique_id, None)
+        if unique_id in self._leaving:
+            if success:
+                del self._leaving[unique_id]
+            else:
+                # Tried again when somebody looks, not at once: it may be refused every time.
+                self._leaving[unique_id] = self._serial + 1
+            return []
         for load in self._loads.values():
             if load.unique_id == unique_id and load.stage is Stage.UNLOADING:
                 if success:
@@ -279,6 +290,18 @@ class Composition:
                 return [ReportRejected(load.unique_id, reason)]
             case _:
                 return []
+
+    def _compare_leaving(self, serial: int, ids: Mapping[int, str]) -> list[Action]:
+        """Unload what an unload that failed, or was lost, has left."""
+        doubted = [
+            id_ for id_, since in self._leaving.items() if since is not None and serial >= since
+        ]
+        for unique_id in doubted:
+            if unique_id in ids:
+                self._leaving[unique_id] = None
+            else:
+                del self._leaving[unique_id]
+        return [SendUnload(unique_id) for unique_id in doubted if unique_id in ids]
 
     def _compare_silent(self, load: Load, ids: Mapping[int, str]) -> list[Action]:
         if found := self._matches(load, ids):
@@ -352,8 +375,8 @@ class Composition:
         )
 
     def _belongs(self, unique_id: int, load: Load | None) -> bool:
-        """Whether a unique_id is that of another node of ours."""
-        return any(
+        """Whether a unique_id is that of another node of ours, or of one that has to go."""
+        return unique_id in self._leaving or any(
             each is not load
             and each.unique_id == unique_id
             and each.stage in {Stage.LOADED, Stage.UNLOADING}
@@ -418,6 +441,7 @@ class Composition:
         ids = [id_ for id_, of in self._surplus.items() if of == wanted]
         for unique_id in ids:
             del self._surplus[unique_id]
+            self._leaving[unique_id] = None
         return [
             action
             for unique_id in ids

@@ -163,6 +163,38 @@ def test_a_late_answer_after_the_second_load_unloads_the_surplus() -> None:
     assert not composition.serially
 
 
+def test_the_unload_of_a_surplus_node_is_sent_again_until_a_list_lacks_the_node() -> None:
+    composition = Composition()
+    sent(composition, 1)
+    composition.ask_about([1])
+    composition.listed(1, [])
+    composition.listed(2, [])
+    assert success(composition, 1, 1, "/talker")[-1] == SendUnload(1)
+    assert composition.unload_answered(1, success=False, reason="silence") == []
+    assert composition.listed(2, [(1, "/talker")]) == [], "a list of before the failure"
+    assert composition.look() == [AskList(3)]
+    assert composition.listed(3, [(1, "/talker")]) == [SendUnload(1)]
+    assert composition.look() == [AskList(4)]
+    assert composition.listed(4, [(1, "/talker")]) == [], "the second one is under way"
+    assert composition.unload_answered(1, success=False, reason="silence") == []
+    composition.look()
+    assert composition.listed(5, []) == []
+    composition.look()
+    assert composition.listed(6, [(1, "/talker")]) == [], "somebody else's"
+
+
+def test_a_surplus_node_that_is_being_unloaded_is_nobodys() -> None:
+    composition = Composition()
+    sent(composition, 1)
+    composition.ask_about([1])
+    composition.listed(1, [])
+    composition.listed(2, [])
+    success(composition, 1, 1, "/talker")
+    composition.look()
+    composition.listed(3, [(1, "/talker")])
+    assert composition.load(2, TALKER) == [SendLoad(2)], "not adopted"
+
+
 def test_a_refusal_because_the_late_one_is_there_is_no_failure() -> None:
     """As containers do that refuse a name which is taken."""
     composition = Composition()
