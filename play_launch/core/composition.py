@@ -10,8 +10,8 @@ answers nothing meanwhile; answers get lost, and what they say need not be so. T
   depends on what kind of container it is: one that constructs in the callback of the service has
   nothing under construction while it answers ListNodes. One that constructs in the background may,
   so there silence stays silence, and the load's turn goes to the next.
-* An answer that comes after its attempt was given up still counts: the node it tells of is taken
-  for the attempt that followed, or unloaded.
+* An answer that comes after its attempt was abandoned still counts: its node is taken for the
+  attempt that followed, or unloaded (`AbandonedLoads`).
 
 Nodes are matched by full name, where the declaration gives one, and by being new; a unique_id that
 belongs to another node already is not believed.
@@ -23,11 +23,11 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
+from play_launch.core.abandoned_loads import AbandonedLoads
 from play_launch.core.composition_words import (
     Action,
     AskList,
     Load,
-    Remark,
     ReportFailed,
     ReportLoaded,
     ReportRejected,
@@ -45,8 +45,6 @@ LOOK_AGAIN: Final = 0.5
 """Seconds until a list that was not as expected is asked for once more."""
 _ENOUGH: Final = 2
 """That many lists without the node are believed."""
-_GIVEN_UP_LIMIT: Final = 1000
-"""Attempts whose late answers are still understood."""
 
 
 @dataclass(slots=True)
@@ -67,12 +65,7 @@ class Composition:
     _is_listing: bool = False
     _list_again: float | None = None
     """The delay of the list after the open one; None when none is needed."""
-    _given_up: dict[int, Wanted] = field(default_factory=dict)
-    _surplus: dict[int, Wanted] = field(default_factory=dict)
-    """Nodes of attempts that were given up, by unique_id."""
-    _leaving: dict[int, int | None] = field(default_factory=dict)
-    """Such nodes that are being unloaded, until a list lacks them: the first list that may count,
-    None while UnloadNode is open."""
+    _abandoned: AbandonedLoads = field(default_factory=AbandonedLoads)
     _rejecting: dict[int, str] = field(default_factory=dict)
     """Nodes that were not unloaded and why; the list is to tell whether they are there."""
     _is_stopping: bool = False
@@ -126,7 +119,7 @@ class Composition:
         """Have a node loaded, or take one that is there already for it."""
         load = Load(attempt, wanted)
         self._loads[attempt] = load
-        if late := [id_ for id_, of in self._surplus.items() if of == wanted]:
+        if late := self._abandoned.find(wanted):
             return self._presume(load, late[0])
         if wanted.full_name and (found := self._adoptable(wanted)):
             load.adopted = True
@@ -182,7 +175,7 @@ class Composition:
             self._latest, self._listed = serial, ids
         is_open = self._is_listing and serial != self._serial
         self._is_listing = True  # so that one further list is asked for, whoever needs it
-        actions += self._compare_leaving(serial, ids)
+        actions += self._abandoned.listed(serial, ids)
         for load in [each for each in self._loads.values() if serial >= each.list_from]:
             actions += self._compare(load, ids)
         self._is_listing = is_open
@@ -216,14 +209,10 @@ class Composition:
 
     def unload_answered(self, unique_id: int, *, success: bool, reason: str) -> list[Action]:
         """UnloadNode was answered, or nobody answered it: then without success."""
-        self._surplus.pop(unique_id, None)
-        if unique_id in self._leaving:
-            if success:
-                del self._leaving[unique_id]
-            else:
-                # Tried again when somebody looks, not at once: it may be refused every time.
-                self._leaving[unique_id] = self._serial + 1
+        if self._abandoned.is_leaving(unique_id):
+            self._abandoned.unload_answered(unique_id, success=success, list_from=self._serial + 1)
             return []
+        self._abandoned.take(unique_id)
         for load in self._loads.values():
             if load.unique_id == unique_id and load.stage is Stage.UNLOADING:
                 if success:
@@ -291,18 +280,6 @@ class Composition:
             case _:
                 return []
 
-    def _compare_leaving(self, serial: int, ids: Mapping[int, str]) -> list[Action]:
-        """Unload what an unload that failed, or was lost, has left."""
-        doubted = [
-            id_ for id_, since in self._leaving.items() if since is not None and serial >= since
-        ]
-        for unique_id in doubted:
-            if unique_id in ids:
-                self._leaving[unique_id] = None
-            else:
-                del self._leaving[unique_id]
-        return [SendUnload(unique_id) for unique_id in doubted if unique_id in ids]
-
     def _compare_silent(self, load: Load, ids: Mapping[int, str]) -> list[Action]:
         if found := self._matches(load, ids):
             remark = "LoadNode was not answered, but the container lists it"
@@ -316,9 +293,7 @@ class Composition:
             self._leave(load)
             return []
         self._forget(load)
-        self._given_up[load.attempt] = load.wanted
-        while len(self._given_up) > _GIVEN_UP_LIMIT:
-            del self._given_up[next(iter(self._given_up))]
+        self._abandoned.abandon(load.attempt, load.wanted)
         return []
 
     def _compare_claimed(self, load: Load, ids: Mapping[int, str]) -> list[Action]:
@@ -343,7 +318,7 @@ class Composition:
             )
         if self._once_more(load):
             return self._list(LOOK_AGAIN)
-        self._surplus.pop(claimed, None)
+        self._abandoned.take(claimed)
         if load.is_presumed:
             load.stage, load.unique_id = Stage.QUEUED, 0
             load.adopted = load.is_presumed = False
@@ -371,12 +346,14 @@ class Composition:
         return sorted(
             id_
             for id_, name in self._listed.items()
-            if wanted.is_called(name) and not self._belongs(id_, None) and id_ not in self._surplus
+            if wanted.is_called(name)
+            and not self._belongs(id_, None)
+            and not self._abandoned.is_kept(id_)
         )
 
     def _belongs(self, unique_id: int, load: Load | None) -> bool:
         """Whether a unique_id is that of another node of ours, or of one that has to go."""
-        return unique_id in self._leaving or any(
+        return self._abandoned.is_leaving(unique_id) or any(
             each is not load
             and each.unique_id == unique_id
             and each.stage in {Stage.LOADED, Stage.UNLOADING}
@@ -400,12 +377,12 @@ class Composition:
                 load.attempt, unique_id, load.full_name, confirmed_by, remark, load.adopted
             )
         ]
-        self._surplus.pop(unique_id, None)
-        return actions + self._clear_surplus(load.wanted)
+        self._abandoned.take(unique_id)
+        return actions + self._abandoned.clear(load.wanted)
 
     def _failed(self, load: Load, reason: str) -> list[Action]:
         self._forget(load)
-        return [ReportFailed(load.attempt, reason), *self._clear_surplus(load.wanted)]
+        return [ReportFailed(load.attempt, reason), *self._abandoned.clear(load.wanted)]
 
     def _is_gone(self, load: Load, reason: str) -> ReportUnloaded:
         self._forget(load)
@@ -421,35 +398,20 @@ class Composition:
             self._current = None
 
     def _answered_late(self, attempt: int, *, success: bool, unique_id: int) -> list[Action]:
-        wanted = self._given_up.pop(attempt, None)
+        wanted = self._abandoned.answered(attempt)
         if wanted is None or not success:
             return []
         if self._belongs(unique_id, None):
             return []
         self.serially = False
-        self._surplus[unique_id] = wanted
+        self._abandoned.keep(unique_id, wanted)
         for load in self._loads.values():
             if load.wanted == wanted and load.stage in _UNDECIDED:
                 if load.stage is not Stage.QUEUED:
                     return []  # what it comes to decides
                 self._queue.remove(load)
                 return self._presume(load, unique_id)
-        return self._clear_surplus(wanted)
-
-    def _clear_surplus(self, wanted: Wanted) -> list[Action]:
-        """Unload what attempts that were given up have left."""
-        ids = [id_ for id_, of in self._surplus.items() if of == wanted]
-        for unique_id in ids:
-            del self._surplus[unique_id]
-            self._leaving[unique_id] = None
-        return [
-            action
-            for unique_id in ids
-            for action in (
-                Remark(f"node {unique_id} came from an abandoned load; it is unloaded"),
-                SendUnload(unique_id),
-            )
-        ]
+        return self._abandoned.clear(wanted)
 
 
 _CLAIMED: Final = frozenset({Stage.SAID_LOADED, Stage.SAID_FAILED})
