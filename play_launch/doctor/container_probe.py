@@ -14,7 +14,6 @@ from play_launch.install.allocator import find_allocator, preloading
 from play_launch.install.environment import child_environment
 from play_launch.install.ros import NotInstalledError, component_container, spawn_guard
 from play_launch.wire.channel import ControlChannel, ControlError, control_pair
-from play_launch.wire.codec import preload
 from play_launch.wire.messages import Hello, Shutdown
 
 if TYPE_CHECKING:
@@ -40,12 +39,6 @@ def probe_container(ros: RosInstallation, environ: Mapping[str, str]) -> Contain
         spawn_guard()
     except NotInstalledError as error:
         return ContainerFacts(problem=str(error))
-    try:
-        preload()
-    except ImportError as error:
-        return ContainerFacts(
-            program=str(program), problem=f"its messages cannot be read by this Python: {error}"
-        )
     allocator = find_allocator()
     facts = ContainerFacts(
         program=str(program),

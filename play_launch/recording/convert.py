@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from operator import attrgetter
-from typing import TYPE_CHECKING, Final, NamedTuple, assert_never
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, assert_never
 
+from play_launch.cdr.log import log_message
+from play_launch.cdr.messages import COMPONENT_EVENT, STATE_EVENT
 from play_launch.core.events import (
     ComponentEvent,
     ComponentEventKind,
@@ -21,7 +21,6 @@ from play_launch.core.events import (
     RunEvent,
 )
 from play_launch.recording import topics
-from play_launch.recording.cdr import log_message, message
 from play_launch.recording.console_format import ERROR, INFO, WARN, line_level
 
 if TYPE_CHECKING:
@@ -90,11 +89,10 @@ def convert(event: RunEvent) -> tuple[Recorded, ...]:
                 return (everything,)
             return (everything, Recorded(topics.LOG, data))
         case NodeStateChanged() | ContainerStateChanged() | ProcessEvent():
-            data = message(_STATE_FIELDS, _state_values(state_of(event)))
-            return (Recorded(topics.STATES, data),)
+            return (Recorded(topics.STATES, STATE_EVENT.write(_state(event))),)
         case ComponentEvent():
             # As its container sent it, if one did.
-            data = event.received or message(_COMPONENT_FIELDS, _component_values(event))
+            data = event.received or _component_event(event)
             return (Recorded(topics.COMPONENT_EVENTS, data),)
         case GraphChanged():
             return (Recorded(topics.GRAPH, _graph(event)),)
@@ -115,99 +113,66 @@ def convert_output(line: OutputLine) -> tuple[Recorded, int]:
     return Recorded(topics.OUTPUT, data), level
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class State:
-    """The fields of ``play_launch_msgs/StateEvent``, in order; what they mean is said there."""
-
-    stamp_ns: int
-    kind: int
-    name: str
-    container: str = ""
-    state: str = ""
-    reason: str = ""
-    mechanism: str = ""
-    start_time: int = 0
-    unique_id: int = 0
-    attempt: int = 0
-    elapsed_ns: int = 0
-    cpu_time_ns: int = 0
-    pid: int = 0
-    exit_code: int = 0
-    signal: int = 0
-    index: int = 0
-    crashes: int = 0
-    restarts: int = 0
-    command: tuple[str, ...] = ()
-
-
-_STATE_FIELDS: Final = "tBsssssQQQqqiiiIIIS"
-_state_values: Final = attrgetter(*(field.name for field in fields(State)))
 _NODE, _CONTAINER, _PROCESS = range(3)
 
 
-def state_of(event: NodeStateChanged | ContainerStateChanged | ProcessEvent) -> State:
+def _state(event: NodeStateChanged | ContainerStateChanged | ProcessEvent) -> dict[str, Any]:
     """Everything that a change of state says; a state's word is its name in small letters."""
     match event:
         case NodeStateChanged():
-            return State(
-                stamp_ns=event.stamp_ns,
-                kind=_NODE,
-                name=event.node,
-                container=event.container,
-                state=event.state.name.lower(),
-                reason=event.reason,
-                unique_id=event.unique_id,
-                attempt=event.attempt,
-                elapsed_ns=event.elapsed_ns,
-                cpu_time_ns=event.cpu_time_ns,
-                pid=event.pid,
-                index=event.index,
-                crashes=event.crashes,
-                restarts=event.reloads,
-            )
+            return {
+                "stamp": event.stamp_ns,
+                "kind": _NODE,
+                "name": event.node,
+                "container": event.container,
+                "state": event.state.name.lower(),
+                "reason": event.reason,
+                "unique_id": event.unique_id,
+                "attempt": event.attempt,
+                "elapsed_ns": event.elapsed_ns,
+                "cpu_time_ns": event.cpu_time_ns,
+                "pid": event.pid,
+                "index": event.index,
+                "crashes": event.crashes,
+                "restarts": event.reloads,
+            }
         case ContainerStateChanged():
-            return State(
-                stamp_ns=event.stamp_ns,
-                kind=_CONTAINER,
-                name=event.container,
-                container=event.container,
-                state=event.state.name.lower(),
-                reason=event.reason,
-                mechanism=event.mechanism,
-            )
+            return {
+                "stamp": event.stamp_ns,
+                "kind": _CONTAINER,
+                "name": event.container,
+                "container": event.container,
+                "state": event.state.name.lower(),
+                "reason": event.reason,
+                "mechanism": event.mechanism,
+            }
         case ProcessEvent():
-            return State(
-                stamp_ns=event.stamp_ns,
-                kind=_PROCESS,
-                name=event.name,
-                state=event.kind.name.lower(),
-                reason=event.message,
-                start_time=event.start_time,
-                pid=event.pid,
-                exit_code=event.exit_code,
-                signal=event.signal,
-                restarts=event.restarts,
-                command=event.command,
-            )
+            return {
+                "stamp": event.stamp_ns,
+                "kind": _PROCESS,
+                "name": event.name,
+                "state": event.kind.name.lower(),
+                "reason": event.message,
+                "start_time": event.start_time,
+                "pid": event.pid,
+                "exit_code": event.exit_code,
+                "signal": event.signal,
+                "restarts": event.restarts,
+                "command": event.command,
+            }
 
 
-_COMPONENT_FIELDS: Final = "tBQQssssiQiiSs"
-_component_values: Final = attrgetter(
-    "stamp_ns",
-    "kind",
-    "unique_id",
-    "attempt",
-    "full_node_name",
-    "package_name",
-    "plugin_name",
-    "error_message",
-    "pid",
-    "start_time",
-    "exit_code",
-    "signal",
-    "backtrace",
-    "confirmed_by",
-)
+def _component_event(event: ComponentEvent) -> bytes:
+    return COMPONENT_EVENT.write(
+        {
+            **{name: getattr(event, name) for name in _COMPONENT_FIELDS},
+            "stamp": event.stamp_ns,
+            "event_type": event.kind,
+        }
+    )
+
+
+_COMPONENT_FIELDS: Final = COMPONENT_EVENT.types.keys() - {"stamp", "event_type"}
 
 
 def _graph(event: GraphChanged) -> bytes:

@@ -17,9 +17,9 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from play_launch.cdr.text import text_bytes
 from play_launch.recording import facts
 from play_launch.recording.bag import McapBagWriter
-from play_launch.recording.cdr import text_bytes
 from play_launch.recording.errors import RecordingError, SessionFolderError, reason
 from play_launch.recording.recorder import Recorder, RecorderLimits
 

@@ -16,8 +16,6 @@ from play_launch.wire.codec import (
     MessageError,
     decode_message,
     encode_message,
-    is_loaded,
-    preload,
 )
 from play_launch.wire.frames import (
     MAX_FRAME_LENGTH,
@@ -63,12 +61,8 @@ class ProtocolViolationError(ControlError):
     """The container sent what cannot be understood."""
 
 
-class IncompatibleError(ControlError):
-    """The two sides have no language in common; another start changes nothing."""
-
-
-class VersionMismatchError(IncompatibleError):
-    """The container speaks another version of the protocol."""
+class VersionMismatchError(ControlError):
+    """The container speaks another version of the protocol; another start changes nothing."""
 
     def __init__(self, version: int) -> None:
         super().__init__(
@@ -76,13 +70,6 @@ class VersionMismatchError(IncompatibleError):
             f"version {PROTOCOL_VERSION}: install both from the same release"
         )
         self.version = version
-
-
-class MessagesMissingError(IncompatibleError):
-    """ROS or the messages of the protocol do not load into this Python."""
-
-    def __init__(self, error: ImportError) -> None:
-        super().__init__(f"ROS does not work in this Python: {error} (see play-launch doctor)")
 
 
 class ChannelOverflowError(ControlError):
@@ -185,14 +172,7 @@ class ControlChannel:
             VersionMismatchError: When it speaks another version; it is not answered then.
             ProtocolViolationError: When it says something else first.
             ChannelClosedError: When it is gone before.
-            MessagesMissingError: When its messages cannot be read here.
         """
-        if not is_loaded():
-            # Here, because the container starts meanwhile, on another core.
-            try:
-                await asyncio.to_thread(preload)
-            except ImportError as error:
-                raise self._fail(MessagesMissingError(error)) from error
         first = await self.receive()
         if not isinstance(first, Hello):
             raise self._fail(

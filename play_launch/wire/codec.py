@@ -1,22 +1,18 @@
-"""Messages of the control channel to frames and back, through their `play_launch_msgs` messages.
+"""Messages of the control channel to frames and back, through the layouts of `play_launch_msgs`.
 
 Only what a supervisor sends is encoded and only what a container sends is decoded. A message has
 the fields of its dataclass, by name; what differs is spelled out.
-
-rclpy and the generated messages are imported on the first conversion (about 0.1 s): call
-`preload` in another thread before.
 """
 
 from __future__ import annotations
 
-import threading
-from dataclasses import fields
-from functools import cache
-from typing import TYPE_CHECKING, Any, TypeVar
+from struct import error as struct_error
+from typing import TYPE_CHECKING, Any
 
-from play_launch.config.model import ParameterConfig
+from play_launch.cdr import messages as layouts
+from play_launch.config.model import ParameterConfig, ParameterType
 from play_launch.core.events import ComponentEvent, ComponentEventKind
-from play_launch.wire.frames import Frame, FrameKind, encode_frame
+from play_launch.wire.frames import Frame, FrameKind, FrameLengthError, encode_frame
 from play_launch.wire.messages import (
     Accepted,
     Cancel,
@@ -32,13 +28,9 @@ from play_launch.wire.messages import (
     Status,
     Unload,
 )
-from play_launch.wire.parameters import to_parameter_message
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-_T = TypeVar("_T")
-_NANOSECONDS = 1_000_000_000
+    from play_launch.cdr.layout import Layout
 
 
 class MessageError(Exception):
@@ -57,44 +49,19 @@ class EncodeError(Exception):
         self.message = message
 
 
-def is_loaded() -> bool:
-    """Whether `preload` has nothing left to do."""
-    return _ros.cache_info().currsize > 0
-
-
-def preload() -> None:
-    """Import what the conversions need, once, whichever thread comes first.
-
-    Raises:
-        ImportError: When rclpy or play_launch_msgs is not there or does not load.
-    """
-    try:
-        with _loading:
-            _ros()
-    except ImportError:
-        raise
-    except Exception as error:  # rosidl's own type of error is none of ImportError
-        raise ImportError(str(error)) from error
-
-
-_loading = threading.Lock()
-
-
 def encode_message(message: Outgoing) -> bytes:
     """Make the frame of a message.
 
     Raises:
         EncodeError: When a value is out of its field's range, or the whole does not fit a frame.
     """
-    ros = _ros()
-    kind = _SENT[type(message)]
+    kind, layout = _SENT[type(message)]
     try:
-        # Unchecked, numbers out of range are wrapped and wrong types crash.
-        made = ros.types[kind](check_fields=True)
-        for field in fields(message):
-            setattr(made, field.name, _ros_value(getattr(message, field.name)))
-        return encode_frame(kind, bytes(ros.serialize(made)))
-    except Exception as error:  # what rclpy raises differs with the field and with python -O
+        return encode_frame(
+            kind,
+            layout.write({name: _value(getattr(message, name)) for name in layout.types}),
+        )
+    except (struct_error, ValueError, FrameLengthError) as error:
         raise EncodeError(message, error) from error
 
 
@@ -113,84 +80,67 @@ def decode_message(frame: Frame, *, container: str = "") -> Incoming | None:
         kind = FrameKind(frame.kind)
     except ValueError:
         return None
-    ros = _ros()
     try:
-        message = ros.deserialize(frame.payload, ros.types[kind])
         match kind:
-            case FrameKind.HELLO:
-                return _copied(Hello, message)
-            case FrameKind.ACCEPTED:
-                return _copied(Accepted, message)
-            case FrameKind.REJECTED:
-                return _copied(Rejected, message)
-            case FrameKind.STATUS:
-                nodes = (
-                    _copied(NodeStatus, node, state=NodeStatusState(node.state))
-                    for node in message.nodes
-                )
-                return _copied(Status, message, nodes=tuple(nodes))
             case FrameKind.EVENT:
-                return _copied(
-                    ComponentEvent,
-                    message,
-                    stamp_ns=message.stamp.sec * _NANOSECONDS + message.stamp.nanosec,
-                    kind=ComponentEventKind(message.event_type),
+                event = layouts.COMPONENT_EVENT.read(frame.payload)
+                return ComponentEvent(
+                    stamp_ns=event.pop("stamp"),
+                    kind=ComponentEventKind(event.pop("event_type")),
                     container=container,
                     received=frame.payload,
+                    **event,
                 )
-    except Exception as error:  # rclpy's own type of error is private
+            case FrameKind.STATUS:
+                status = layouts.CONTROL_STATUS.read(frame.payload)
+                nodes = tuple(
+                    NodeStatus(**{**node, "state": NodeStatusState(node["state"])})
+                    for node in status.pop("nodes")
+                )
+                return Status(**status, nodes=nodes)
+            case FrameKind.HELLO:
+                return Hello(**layouts.CONTROL_HELLO.read(frame.payload))
+            case FrameKind.ACCEPTED:
+                return Accepted(**layouts.CONTROL_ACCEPTED.read(frame.payload))
+            case FrameKind.REJECTED:
+                return Rejected(**layouts.CONTROL_REJECTED.read(frame.payload))
+    except ValueError as error:  # CdrError, and numbers that no enumeration has
         raise MessageError(kind, error) from error
     raise MessageError(kind, "only a supervisor may send it")
 
 
-class _Ros:
-    """The ROS side of the conversions, imported late."""
+_SENT: dict[type[Outgoing], tuple[FrameKind, Layout]] = {
+    Hello: (FrameKind.HELLO, layouts.CONTROL_HELLO),
+    Load: (FrameKind.LOAD, layouts.CONTROL_LOAD),
+    Query: (FrameKind.QUERY, layouts.CONTROL_QUERY),
+    Cancel: (FrameKind.CANCEL, layouts.CONTROL_CANCEL),
+    Unload: (FrameKind.UNLOAD, layouts.CONTROL_UNLOAD),
+    Shutdown: (FrameKind.SHUTDOWN, layouts.CONTROL_SHUTDOWN),
+}
 
-    def __init__(self) -> None:
-        import play_launch_msgs.msg as msgs  # noqa: PLC0415
-        from rclpy.serialization import (  # noqa: PLC0415
-            deserialize_message,
-            serialize_message,
-        )
-
-        self.serialize: Callable[[Any], Any] = serialize_message
-        self.deserialize: Callable[[bytes, Any], Any] = deserialize_message
-        self.types: dict[FrameKind, Any] = {
-            kind: msgs.ComponentEvent
-            if kind is FrameKind.EVENT
-            else getattr(msgs, f"Control{kind.name.title()}")
-            for kind in FrameKind
-        }
-        for message_type in self.types.values():
-            self.serialize(message_type())  # loads its type support
-
-
-@cache
-def _ros() -> _Ros:
-    return _Ros()
-
-
-_SENT: dict[type[Outgoing], FrameKind] = {
-    Hello: FrameKind.HELLO,
-    Load: FrameKind.LOAD,
-    Query: FrameKind.QUERY,
-    Cancel: FrameKind.CANCEL,
-    Unload: FrameKind.UNLOAD,
-    Shutdown: FrameKind.SHUTDOWN,
+_PARAMETER_FIELDS = {
+    ParameterType.BOOL: "bool_value",
+    ParameterType.INTEGER: "integer_value",
+    ParameterType.DOUBLE: "double_value",
+    ParameterType.STRING: "string_value",
+    ParameterType.BYTE_ARRAY: "byte_array_value",
+    ParameterType.BOOL_ARRAY: "bool_array_value",
+    ParameterType.INTEGER_ARRAY: "integer_array_value",
+    ParameterType.DOUBLE_ARRAY: "double_array_value",
+    ParameterType.STRING_ARRAY: "string_array_value",
 }
 
 
-def _ros_value(value: object) -> Any:
-    if isinstance(value, tuple):
-        return [_ros_value(item) for item in value]
-    return to_parameter_message(value) if isinstance(value, ParameterConfig) else value
-
-
-def _copied(kind: type[_T], message: Any, /, **given: Any) -> _T:
-    """Make a value whose fields are those of a ROS message, besides those that are `given`."""
-    shape: Any = kind  # a dataclass; its fields come from its class
-    for name in (field.name for field in fields(shape)):
-        if name not in given:
-            value = getattr(message, name)
-            given[name] = value if isinstance(value, (int, str)) else tuple(value)
-    return kind(**given)
+def _value(value: Any) -> Any:
+    match value:
+        case str():
+            if "\0" in value:
+                raise ValueError("a string of ROS holds no NUL")
+            value.encode()  # raises for half of a surrogate pair, which Layout would escape
+        case tuple():
+            return tuple(map(_value, value))
+        case ParameterConfig(name=name, value=parameter):
+            field = _PARAMETER_FIELDS[parameter.type]
+            payload = _value(parameter.value)
+            return {"name": _value(name), "value": {"type": parameter.type, field: payload}}
+    return value

@@ -11,7 +11,7 @@ PACKAGE = Path(__file__).resolve().parents[2] / "play_launch"
 
 # From the bottom up. A package may import those of lower layers, never its neighbours.
 LAYERS = (
-    {"core"},
+    {"cdr", "core"},
     {"config", "fastdds"},
     {"wire", "install", "process", "recording", "ros"},
     {"actors", "graph_daemon", "ros2cli_patch"},

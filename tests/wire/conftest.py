@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING
 import pytest
 from blockbuster import blockbuster_ctx
 
-from play_launch.wire.codec import preload
-
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
@@ -16,11 +14,6 @@ if TYPE_CHECKING:
 @pytest.fixture
 def anyio_backend() -> str:
     return "asyncio"
-
-
-@pytest.fixture(scope="session", autouse=True)
-def _messages_are_there() -> None:
-    preload()
 
 
 @pytest.fixture(autouse=True)

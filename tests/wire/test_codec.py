@@ -80,3 +80,16 @@ def test_what_does_not_fit_is_an_error_of_ours(message: Outgoing) -> None:
     with pytest.raises(EncodeError, match=type(message).__name__) as caught:
         encode_message(message)
     assert caught.value.message is message
+
+
+@pytest.mark.parametrize("text", ["a\0b", "\udc80"])
+def test_text_that_ros_cannot_hold_is_refused_and_not_changed(text: str) -> None:
+    value = ParameterValue(ParameterType.STRING_ARRAY, (text,))
+    message = Load(
+        attempt=1,
+        package_name="p",
+        plugin_name="c",
+        parameters=(ParameterConfig("p", value),),
+    )
+    with pytest.raises(EncodeError, match="Load"):
+        encode_message(message)

@@ -16,7 +16,7 @@ from play_launch.install.parameter_file import (
     parameter_file_text,
     write_parameter_file,
 )
-from play_launch.wire.parameters import to_parameter_message
+from play_launch.ros.parameters import to_parameter_message
 from tests.wire.peer import from_parameter_message
 from tests.wire.values import FILE_VALUES, TEXT, values
 

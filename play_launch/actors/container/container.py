@@ -19,7 +19,7 @@ from play_launch.actors.member import Member
 from play_launch.core.events import ContainerState, ProcessEventKind
 from play_launch.core.lifecycle import Patience
 from play_launch.core.member import MemberInput
-from play_launch.wire.channel import ChannelClosedError, ControlError, IncompatibleError
+from play_launch.wire.channel import ChannelClosedError, ControlError, VersionMismatchError
 from play_launch.wire.messages import Hello, Incoming, Shutdown, Status
 
 if TYPE_CHECKING:
@@ -243,7 +243,7 @@ class ContainerMember(Member):
                 self.deliver(partial(self._on_hello, hello))
                 while True:
                     self.deliver(partial(self._on_message, await link.receive()))
-            except IncompatibleError as error:
+            except VersionMismatchError as error:
                 self.post(MemberInput.HELLO_MISMATCH, str(error))
             except ChannelClosedError as error:
                 said_everything.set()

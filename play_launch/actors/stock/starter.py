@@ -14,10 +14,10 @@ from play_launch.actors.stock.reports import ContainerIdentity
 from play_launch.config.model import ContainerType
 from play_launch.install.ros import NotInstalledError
 from play_launch.ros.composition import CompositionClient
+from play_launch.ros.parameters import to_parameter_message
 from play_launch.ros.thread import RosThread
 from play_launch.wire.codec import EncodeError
 from play_launch.wire.messages import Hello
-from play_launch.wire.parameters import to_parameter_message
 
 if TYPE_CHECKING:
     from play_launch.actors.ports import ControlLink, ManagedProcess

@@ -1,32 +1,15 @@
 from __future__ import annotations
 
-from typing import Any
-
 from hypothesis import given
 from hypothesis import strategies as st
 from rcl_interfaces.msg import Log
 from rclpy.serialization import deserialize_message, serialize_message
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, get_typestore
 
-from play_launch.recording.cdr import log_message, message, text_bytes
+from play_launch.cdr.log import log_message
+from play_launch.cdr.text import text_bytes
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
-EVENT = """
-builtin_interfaces/Time stamp
-uint8 a
-uint64 b
-uint64 c
-string d
-string e
-string f
-string g
-int32 h
-uint64 i
-int32 j
-int32 k
-string[] l
-string m
-"""
 WORDS = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=40)
 
 
@@ -52,31 +35,6 @@ def test_the_bytes_are_those_of_other_serialisers(
     stamp = types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 1_000_000_000))
     other = types["rcl_interfaces/msg/Log"](stamp, level, name, message, file, function, line)
     assert data == bytes(STORE.serialize_cdr(other, "rcl_interfaces/msg/Log"))
-
-
-@given(
-    stamp_ns=st.integers(0, (2**31 - 1) * 1_000_000_000),
-    kind=st.integers(0, 255),
-    numbers=st.tuples(*[st.integers(0, 2**64 - 1)] * 3),
-    small=st.tuples(*[st.integers(-(2**31), 2**31 - 1)] * 3),
-    texts=st.tuples(*[WORDS] * 5),
-    lines=st.lists(WORDS, max_size=4),
-)
-def test_the_bytes_of_any_message_are_those_of_another_serialiser(
-    stamp_ns: int,
-    kind: int,
-    numbers: tuple[int, ...],
-    small: tuple[int, ...],
-    texts: tuple[str, ...],
-    lines: list[str],
-) -> None:
-    values: list[Any] = [kind, *numbers[:2], *texts[:4], small[0], numbers[2], *small[1:], lines]
-    data = message("tBQQssssiQiiSs", (stamp_ns, *values, texts[4]))
-    store = get_typestore(Stores.ROS2_JAZZY)
-    store.register(get_types_from_msg(EVENT, "a/msg/Event"))
-    stamp = store.types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 1_000_000_000))
-    other = store.types["a/msg/Event"](stamp, *values, texts[4])
-    assert data == bytes(store.serialize_cdr(other, "a/msg/Event"))
 
 
 @given(st.text(st.characters()))

@@ -21,7 +21,7 @@ _FIELDS = {
 
 def to_parameter_message(parameter: ParameterConfig) -> Any:
     """Make a `rcl_interfaces/msg/Parameter`."""
-    # Takes long, see codec.preload.
+    # Takes long.
     from rcl_interfaces.msg import Parameter  # noqa: PLC0415
     from rcl_interfaces.msg import ParameterValue as ParameterValueMessage  # noqa: PLC0415
 

@@ -1,0 +1,49 @@
+"""The messages of `play_launch_msgs`, and those of `rcl_interfaces` that they contain.
+
+What their fields mean is said in the interface definitions; a test compares the two.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from play_launch.cdr.layout import Layout
+
+COMPONENT_EVENT: Final = Layout(
+    "stamp:t event_type:B unique_id:Q attempt:Q full_node_name:s package_name:s plugin_name:s "
+    "error_message:s pid:i start_time:Q exit_code:i signal:i backtrace:s[] confirmed_by:s"
+)
+STATE_EVENT: Final = Layout(
+    "stamp:t kind:B name:s container:s state:s reason:s mechanism:s start_time:Q unique_id:Q "
+    "attempt:Q elapsed_ns:q cpu_time_ns:q pid:i exit_code:i signal:i index:I crashes:I restarts:I "
+    "command:s[]"
+)
+CONTROL_HELLO: Final = Layout(
+    "protocol_version:H version:s pid:i start_time:Q full_node_name:s mode:s thread_num:I "
+    "backends:s[] rmw_implementation:s domain_id:I mechanism:s notes:s[]"
+)
+PARAMETER_VALUE: Final = Layout(
+    "type:B bool_value:? integer_value:q double_value:d string_value:s byte_array_value:y "
+    "bool_array_value:?[] integer_array_value:q[] double_array_value:d[] string_array_value:s[]"
+)
+PARAMETER: Final = Layout("name:s value:ParameterValue", ParameterValue=PARAMETER_VALUE)
+CONTROL_LOAD: Final = Layout(
+    "attempt:Q package_name:s plugin_name:s node_name:s node_namespace:s log_level:B "
+    "remap_rules:s[] parameters:Parameter[] extra_arguments:Parameter[]",
+    Parameter=PARAMETER,
+)
+CONTROL_ACCEPTED: Final = Layout("attempt:Q unique_id:Q")
+CONTROL_REJECTED: Final = Layout("attempt:Q unique_id:Q reason:s")
+CONTROL_QUERY: Final = Layout("query_id:Q unique_ids:Q[]")
+NODE_STATUS: Final = Layout(
+    "unique_id:Q attempt:Q state:B full_node_name:s pid:i start_time:Q elapsed_ns:q cpu_time_ns:q "
+    "silence_ns:q note:s"
+)
+CONTROL_STATUS: Final = Layout(
+    "query_id:Q nodes:NodeStatus[] dropped_frames:Q crashes:I undertaken:I leaked:I unquiesced:I "
+    "dead_locks:s[]",
+    NodeStatus=NODE_STATUS,
+)
+CONTROL_CANCEL: Final = Layout("unique_id:Q")
+CONTROL_UNLOAD: Final = Layout("unique_id:Q")
+CONTROL_SHUTDOWN: Final = Layout("reason:s")
