@@ -1,18 +1,20 @@
-"""The keys of the configuration file: one pydantic model for each kind of mapping in it.
+"""The keys of the configuration file: one section for each kind of mapping in it.
 
-Fields marked `Raw` get the YAML node instead of a value, because what stands there (parameters,
+Raw keys get the YAML node instead of a value, because what stands there (parameters,
 remappings, environment, nested lists) is looked at elsewhere, with places at hand.
-Absent keys are None here; defaults are filled in when the model is resolved.
+Absent keys are None here; defaults are filled in when the section is resolved.
 """
 
-import re
-from enum import StrEnum
-from typing import Annotated, Any, ClassVar, TypeVar
+from __future__ import annotations
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
+import re
+from typing import TYPE_CHECKING, Any, ClassVar, Final, TypeVar
+
+from pydantic_core import core_schema
 
 from play_launch.config.model import ContainerType, Isolation
 from play_launch.config.problems import excerpt
+from play_launch.config.section import Section, nested, optional, raw, required
 from play_launch.config.values import (
     check_namespace,
     check_node_name,
@@ -21,18 +23,19 @@ from play_launch.config.values import (
 )
 from play_launch.core.crash import OnCrash
 
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+    from enum import StrEnum
+
+    from pydantic_core import CoreSchema
+
 LOG_LEVELS = ("debug", "info", "warn", "error", "fatal")
 _LONGEST_RUN_NAME = 150
-_PACKAGE = re.compile(r"[A-Za-z][A-Za-z0-9_-]*", re.ASCII)
+_PACKAGE_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*", re.ASCII)
 _SINGLE_COLON = re.compile(r"(?<!:):(?!:)")
 _IDENTITY_RULE = re.compile(r"(?:[^:]*:)?__(?:node|name|ns):=")
 
-
-_Choice = TypeVar("_Choice", bound=StrEnum)
-
-
-class RawNode:
-    """Marks a field that takes the YAML node itself."""
+_Choice = TypeVar("_Choice", bound="StrEnum")
 
 
 def _check_text(text: str) -> str:
@@ -74,7 +77,7 @@ def _check_run_name(name: str) -> str:
 
 
 def _check_package(name: str) -> str:
-    if not _PACKAGE.fullmatch(name):
+    if not _PACKAGE_NAME.fullmatch(name):
         raise ValueError(f"{excerpt(name)} is not the name of a package (letters, digits, _ and -)")
     return name
 
@@ -120,93 +123,103 @@ def _parse_log_level(value: object) -> str:
     return level
 
 
-Raw = Annotated[Any, RawNode()]
-Duration = Annotated[float, BeforeValidator(parse_duration)]
-PositiveDuration = Annotated[float, BeforeValidator(parse_positive_duration)]
-Text = Annotated[str, AfterValidator(_check_text)]
-FilledText = Annotated[str, AfterValidator(_check_filled)]
-Executable = Annotated[str, AfterValidator(_check_executable)]
-Command = Annotated[list[Text], Field(min_length=1), AfterValidator(_check_command)]
-NodeName = Annotated[str, AfterValidator(check_node_name)]
+def _checked(check: Callable[[Any], object], schema: CoreSchema) -> CoreSchema:
+    return core_schema.no_info_after_validator_function(check, schema)
+
+
+def _parsed(parse: Callable[[Any], object]) -> CoreSchema:
+    return core_schema.no_info_plain_validator_function(parse)
+
+
+def _text(check: Callable[[str], str]) -> CoreSchema:
+    return _checked(check, core_schema.str_schema(strict=True))
+
+
+def _integer(least: int, most: int) -> CoreSchema:
+    return core_schema.int_schema(strict=True, ge=least, le=most)
+
+
+def _list(items: CoreSchema, *, least: int | None = None) -> CoreSchema:
+    return core_schema.list_schema(items, strict=True, min_length=least)
+
+
+def _choice(choices: type[_Choice]) -> CoreSchema:
+    return _parsed(lambda value: _parse_choice(value, choices))
+
+
+_BOOLEAN: Final = core_schema.bool_schema(strict=True)
+_THREADS: Final = _integer(1, 1024)
+_DURATION: Final = _parsed(parse_duration)
+_POSITIVE_DURATION: Final = _parsed(parse_positive_duration)
+_LOG_LEVEL: Final = _parsed(_parse_log_level)
+_TEXT: Final = _text(_check_text)
+_FILLED_TEXT: Final = _text(_check_filled)
+_COMMAND: Final = _checked(_check_command, _list(_TEXT, least=1))
+_PACKAGE: Final = _text(_check_package)
+_EXECUTABLE: Final = _text(_check_executable)
+_NODE_NAME: Final = _text(check_node_name)
+_NAMESPACE: Final = _text(check_namespace)
 # An empty name is the component's own, as in ROS's launch API.
-OwnNodeName = Annotated[str, AfterValidator(lambda name: check_node_name(name) if name else name)]
-Namespace = Annotated[str, AfterValidator(check_namespace)]
-Package = Annotated[str, AfterValidator(_check_package)]
-RosArgument = Annotated[str, AfterValidator(_check_ros_argument)]
-LogLevel = Annotated[str, BeforeValidator(_parse_log_level)]
-ContainerTypeName = Annotated[
-    ContainerType, BeforeValidator(lambda it: _parse_choice(it, ContainerType))
-]
-IsolationName = Annotated[Isolation, BeforeValidator(lambda it: _parse_choice(it, Isolation))]
-OnCrashName = Annotated[OnCrash, BeforeValidator(lambda it: _parse_choice(it, OnCrash))]
-ThreadNum = Annotated[int, Field(ge=1, le=1024)]
-
-
-class Section(BaseModel):
-    """A mapping of the configuration; `advice` says what to write instead of some foreign keys."""
-
-    # Built when it is first used: no configuration has all of them.
-    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, defer_build=True)
-    advice: ClassVar[dict[str, str]] = {}
+_OWN_NODE_NAME: Final = _text(lambda name: check_node_name(name) if name else name)
 
 
 class BackoffSection(Section):
     """`backoff`: the pause before a restart grows from `initial` to `maximum`."""
 
-    initial: PositiveDuration | None = None
-    maximum: PositiveDuration | None = None
+    initial: float | None = optional(_POSITIVE_DURATION)
+    maximum: float | None = optional(_POSITIVE_DURATION)
 
 
 class RestartSection(Section):
     """`restart`: at most `max_restarts` times `within` a duration."""
 
-    max_restarts: Annotated[int, Field(ge=0, le=1_000_000)] | None = None
-    within: PositiveDuration | None = None
-    backoff: BackoffSection | None = None
+    max_restarts: int | None = optional(_integer(0, 1_000_000))
+    within: float | None = optional(_POSITIVE_DURATION)
+    backoff: BackoffSection | None = nested(BackoffSection)
 
 
 class StopSection(Section):
     """`stop`: how long each step of stopping may take."""
 
-    ask: Duration | None = None
-    sigint: Duration | None = None
-    sigterm: Duration | None = None
+    ask: float | None = optional(_DURATION)
+    sigint: float | None = optional(_DURATION)
+    sigterm: float | None = optional(_DURATION)
 
 
 class LoadingSection(Section):
     """`composable_node_loading`: what holds for every container that says nothing else."""
 
-    container_type: ContainerTypeName | None = None
-    thread_num: ThreadNum | None = None
-    isolation: IsolationName | None = None
-    core_dumps: bool | None = None
-    auto_reload_on_crash: bool | None = None
-    on_crash: OnCrashName | None = None
-    loading_timeout: PositiveDuration | None = None
-    probe_timeout: PositiveDuration | None = None
-    restart: RestartSection | None = None
+    container_type: ContainerType | None = optional(_choice(ContainerType))
+    thread_num: int | None = optional(_THREADS)
+    isolation: Isolation | None = optional(_choice(Isolation))
+    core_dumps: bool | None = optional(_BOOLEAN)
+    auto_reload_on_crash: bool | None = optional(_BOOLEAN)
+    on_crash: OnCrash | None = optional(_choice(OnCrash))
+    loading_timeout: float | None = optional(_POSITIVE_DURATION)
+    probe_timeout: float | None = optional(_POSITIVE_DURATION)
+    restart: RestartSection | None = nested(RestartSection)
 
 
 class DocumentSection(Section):
     """The top level of the file."""
 
-    advice: ClassVar[dict[str, str]] = {
+    advice: ClassVar[Mapping[str, str]] = {
         "record": "this version records every event; what to record cannot be chosen yet",
         "env": "environment",
         "load_node": "containers",
         "composable_nodes": "they belong into an entry of containers",
     }
 
-    version: Annotated[int, AfterValidator(_check_version)]
-    name: Annotated[str, AfterValidator(_check_run_name)] | None = None
-    duration: PositiveDuration | None = None
-    log_dir: FilledText | None = None
-    graph_daemon: bool | None = None
-    environment: Raw = None
-    stop: StopSection | None = None
-    composable_node_loading: LoadingSection | None = None
-    containers: Raw = None
-    nodes: Raw = None
+    version: int = required(_checked(_check_version, core_schema.int_schema(strict=True)))
+    name: str | None = optional(_text(_check_run_name))
+    duration: float | None = optional(_POSITIVE_DURATION)
+    log_dir: str | None = optional(_FILLED_TEXT)
+    graph_daemon: bool | None = optional(_BOOLEAN)
+    environment: Any = raw()
+    stop: StopSection | None = nested(StopSection)
+    composable_node_loading: LoadingSection | None = nested(LoadingSection)
+    containers: Any = raw()
+    nodes: Any = raw()
 
 
 _SAME_FOR_ALL = {
@@ -231,7 +244,7 @@ _SAME_FOR_ALL = {
 class ContainerSection(Section):
     """One entry of `containers`."""
 
-    advice: ClassVar[dict[str, str]] = _SAME_FOR_ALL | {
+    advice: ClassVar[Mapping[str, str]] = _SAME_FOR_ALL | {
         "composable_node_descriptions": "composable_nodes",
         "nodes": "composable_nodes",
         "args": "arguments",
@@ -240,31 +253,31 @@ class ContainerSection(Section):
         "respawn": "containers always come back; see restart.max_restarts",
     }
 
-    name: NodeName
-    namespace: Namespace | None = None
-    container_type: ContainerTypeName | None = None
-    thread_num: ThreadNum | None = None
-    isolation: IsolationName | None = None
-    core_dumps: bool | None = None
-    package: Package | None = None
-    executable: Executable | None = None
-    arguments: list[Text] | None = None
-    attach: bool | None = None
-    auto_reload_on_crash: bool | None = None
-    on_crash: OnCrashName | None = None
-    log_level: LogLevel | None = None
-    environment: Raw = None
-    ros_arguments: list[RosArgument] | None = None
-    restart: RestartSection | None = None
-    loading_timeout: PositiveDuration | None = None
-    probe_timeout: PositiveDuration | None = None
-    composable_nodes: Raw = None
+    name: str = required(_NODE_NAME)
+    namespace: str | None = optional(_NAMESPACE)
+    container_type: ContainerType | None = optional(_choice(ContainerType))
+    thread_num: int | None = optional(_THREADS)
+    isolation: Isolation | None = optional(_choice(Isolation))
+    core_dumps: bool | None = optional(_BOOLEAN)
+    package: str | None = optional(_PACKAGE)
+    executable: str | None = optional(_EXECUTABLE)
+    arguments: list[str] | None = optional(_list(_TEXT))
+    attach: bool | None = optional(_BOOLEAN)
+    auto_reload_on_crash: bool | None = optional(_BOOLEAN)
+    on_crash: OnCrash | None = optional(_choice(OnCrash))
+    log_level: str | None = optional(_LOG_LEVEL)
+    environment: Any = raw()
+    ros_arguments: list[str] | None = optional(_list(_text(_check_ros_argument)))
+    restart: RestartSection | None = nested(RestartSection)
+    loading_timeout: float | None = optional(_POSITIVE_DURATION)
+    probe_timeout: float | None = optional(_POSITIVE_DURATION)
+    composable_nodes: Any = raw()
 
 
 class ComposableNodeSection(Section):
     """One entry of `composable_nodes`."""
 
-    advice: ClassVar[dict[str, str]] = _SAME_FOR_ALL | {
+    advice: ClassVar[Mapping[str, str]] = _SAME_FOR_ALL | {
         "node_plugin": "plugin",
         "class": "plugin",
         "extra_args": "extra_arguments",
@@ -273,23 +286,23 @@ class ComposableNodeSection(Section):
         "executable": "a composable node is a class: plugin",
     }
 
-    package: Package
-    plugin: Annotated[str, AfterValidator(_check_plugin)]
-    name: OwnNodeName | None = None
-    namespace: Namespace | None = None
-    parameters: Raw = None
-    remappings: Raw = None
-    extra_arguments: Raw = None
-    log_level: LogLevel | None = None
-    auto_reload_on_crash: bool | None = None
-    on_crash: OnCrashName | None = None
-    restart: RestartSection | None = None
+    package: str = required(_PACKAGE)
+    plugin: str = required(_text(_check_plugin))
+    name: str | None = optional(_OWN_NODE_NAME)
+    namespace: str | None = optional(_NAMESPACE)
+    parameters: Any = raw()
+    remappings: Any = raw()
+    extra_arguments: Any = raw()
+    log_level: str | None = optional(_LOG_LEVEL)
+    auto_reload_on_crash: bool | None = optional(_BOOLEAN)
+    on_crash: OnCrash | None = optional(_choice(OnCrash))
+    restart: RestartSection | None = nested(RestartSection)
 
 
 class ProcessSection(Section):
     """One entry of `nodes`."""
 
-    advice: ClassVar[dict[str, str]] = _SAME_FOR_ALL | {
+    advice: ClassVar[Mapping[str, str]] = _SAME_FOR_ALL | {
         "cmd": "command",
         "args": "arguments",
         "plugin": "a node with a plugin belongs into composable_nodes of a container",
@@ -297,16 +310,16 @@ class ProcessSection(Section):
         "respawn_max_retries": "restart: {max_restarts: ...}",
     }
 
-    command: Command | None = None
-    package: Package | None = None
-    executable: Executable | None = None
-    name: OwnNodeName | None = None
-    namespace: Namespace | None = None
-    parameters: Raw = None
-    remappings: Raw = None
-    arguments: list[Text] | None = None
-    ros_arguments: list[RosArgument] | None = None
-    environment: Raw = None
-    respawn: bool | None = None
-    restart: RestartSection | None = None
-    log_level: LogLevel | None = None
+    command: list[str] | None = optional(_COMMAND)
+    package: str | None = optional(_PACKAGE)
+    executable: str | None = optional(_EXECUTABLE)
+    name: str | None = optional(_OWN_NODE_NAME)
+    namespace: str | None = optional(_NAMESPACE)
+    parameters: Any = raw()
+    remappings: Any = raw()
+    arguments: list[str] | None = optional(_list(_TEXT))
+    ros_arguments: list[str] | None = optional(_list(_text(_check_ros_argument)))
+    environment: Any = raw()
+    respawn: bool | None = optional(_BOOLEAN)
+    restart: RestartSection | None = nested(RestartSection)
+    log_level: str | None = optional(_LOG_LEVEL)

@@ -1,16 +1,14 @@
-"""Checks a mapping of the YAML tree against a pydantic model and puts errors in their place."""
+"""Checks a mapping of the YAML tree against a section and puts errors in their place."""
 
 from __future__ import annotations
 
 import difflib
-import os
-from functools import cache
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
-from pydantic import BaseModel, ValidationError
+from pydantic_core import ValidationError
 
 from play_launch.config.problems import excerpt
-from play_launch.config.schema import RawNode, Section
+from play_launch.config.section import Section
 from play_launch.config.yaml.scalars import ScalarKind
 from play_launch.config.yaml.tree import Mapping, Scalar, Sequence, describe_node
 
@@ -24,7 +22,6 @@ if TYPE_CHECKING:
 
 SomeSection = TypeVar("SomeSection", bound=Section)
 
-_PLUGINS_OFF = "PYDANTIC_DISABLE_PLUGINS"
 _LONGEST_KEY_TO_GUESS = 40
 _MOST_GUESSES = 100  # guessing takes long beside everything else; a file with more is no typo
 _YAML_1_1_BOOL = {"yes": "true", "on": "true", "y": "true", "no": "false", "off": "false"}
@@ -34,8 +31,6 @@ _EXPECTED = {
     "bool_type": "true or false",
     "list_type": "a list",
     "dict_type": "a mapping",
-    "model_type": "a mapping",
-    "model_attributes_type": "a mapping",
 }
 
 
@@ -44,39 +39,23 @@ def validate_mapping(section: type[SomeSection], at: At) -> SomeSection | None:
     if not isinstance(at.node, Mapping):
         at.expected(f"a mapping ({_keys(section)})")
         return None
-    raw = {name for name, field in section.model_fields.items() if _is_raw(field.metadata)}
     values: dict[str, object] = {}
     refused = False
     for entry, value in at.entries():
-        values[entry.key] = entry.value if entry.key in raw else _plain(entry.value)
-        if entry.key in section.model_fields and entry.key not in raw:
+        key = section.keys.get(entry.key)
+        if key is not None and key.raw:
+            values[entry.key] = entry.value
+            continue
+        values[entry.key] = _plain(entry.value)
+        if key is not None:
             refused |= _refuse_tags(value)
     try:
-        checked = _complete(section).model_validate(values)
+        checked = section.of(values)
     except ValidationError as error:
         for details in error.errors(include_url=False, include_input=False):
             _report_error(details, section, at)
         return None
     return None if refused else checked
-
-
-@cache
-def _complete(section: type[SomeSection]) -> type[SomeSection]:
-    """Build what checks a section, without plugins of pydantic.
-
-    Nobody's plugin has a say in what our configuration means, and looking for some reads the
-    entry points of every package that is installed.
-    """
-    before = os.environ.get(_PLUGINS_OFF)
-    os.environ[_PLUGINS_OFF] = "__all__"
-    try:
-        section.model_rebuild()
-    finally:
-        if before is None:
-            del os.environ[_PLUGINS_OFF]
-        else:
-            os.environ[_PLUGINS_OFF] = before
-    return section
 
 
 def items_of(at: At | None, what: str) -> Iterator[At]:
@@ -98,10 +77,6 @@ def _plain(node: Node) -> object:
     return {entry.key: _plain(entry.value) for entry in node.entries}
 
 
-def _is_raw(metadata: list[Any]) -> bool:
-    return any(isinstance(mark, RawNode) for mark in metadata)
-
-
 def _refuse_tags(at: At) -> bool:
     """Report tags that mean something for parameters only."""
     tag = None
@@ -117,7 +92,7 @@ def _refuse_tags(at: At) -> bool:
 
 def _report_error(details: ErrorDetails, section: type[Section], at: At) -> None:
     entry: Entry | None = None
-    owner: type[BaseModel] = section
+    owner = section
     steps = list(details["loc"])
     missing = details["type"] == "missing"
     last = steps.pop() if missing else None
@@ -127,7 +102,8 @@ def _report_error(details: ErrorDetails, section: type[Section], at: At) -> None
             if entry is None:
                 break
             if index < len(steps) - 1:
-                owner = _model_of(owner, entry.key)
+                key = owner.keys.get(entry.key)
+                owner = owner if key is None or key.section is None else key.section
             at = at.below(entry.key, entry.value)
         elif isinstance(at.node, Sequence) and isinstance(step, int):
             at = at.element(step)
@@ -139,29 +115,19 @@ def _report_error(details: ErrorDetails, section: type[Section], at: At) -> None
         at.problem(_message(details, at.node))
 
 
-def _model_of(owner: type[BaseModel], key: str) -> type[BaseModel]:
-    field = owner.model_fields.get(key)
-    candidates = getattr(field.annotation, "__args__", ()) if field is not None else ()
-    for candidate in candidates:
-        if isinstance(candidate, type) and issubclass(candidate, BaseModel):
-            return candidate
-    return owner
+def _keys(section: type[Section]) -> str:
+    return ", ".join(section.keys)
 
 
-def _keys(section: type[BaseModel]) -> str:
-    return ", ".join(section.model_fields)
-
-
-def _unknown_key(key: str, section: type[BaseModel], report: Report) -> str:
-    known = list(section.model_fields)
+def _unknown_key(key: str, section: type[Section], report: Report) -> str:
+    known = list(section.keys)
     message = f"unknown key {excerpt(key)}"
-    all_advice: dict[str, str] = getattr(section, "advice", {})
-    advice = all_advice.get(key)
+    advice = section.advice.get(key)
     if advice is not None:
         if advice in known:
             return f"{message}; did you mean {excerpt(advice)}?"
         # Another spelling of a key that does not belong here either.
-        advice = all_advice.get(advice, advice)
+        advice = section.advice.get(advice, advice)
         if " " in advice:
             return f"{message}; {advice}"
     if len(key) <= _LONGEST_KEY_TO_GUESS and len(report) < _MOST_GUESSES:

@@ -44,6 +44,7 @@ LATER = {
     "play_launch.graph_daemon",
     "play_launch.ros",
     "play_launch_msgs",
+    "pydantic",
     "rcl_interfaces",
     "rclpy",
     "rich",

@@ -29,7 +29,7 @@ WORDS = sorted(
             keys.ComposableNodeSection,
             keys.ProcessSection,
         )
-        for key in section.model_fields
+        for key in section.keys
     }
 )
 SCALARS = (

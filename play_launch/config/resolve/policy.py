@@ -18,6 +18,7 @@ if TYPE_CHECKING:
         LoadingSection,
         RestartSection,
     )
+    from play_launch.config.section import Section
     from play_launch.config.yaml.tree import At
 
 ISOLATED_KEYS: Final = ("isolation", "core_dumps", "auto_reload_on_crash", "on_crash")
@@ -57,7 +58,7 @@ def refined_restart(base: RestartLimits, section: RestartSection | None, at: At)
     if section is None:
         return base
     given = _given(section, {"max_restarts", "within"})
-    pauses = {} if section.backoff is None else section.backoff.model_dump(exclude_none=True)
+    pauses = {} if section.backoff is None else section.backoff.given
     limits = replace(base, **given, **pauses)
     if limits.initial > limits.maximum:
         where = at.blame("restart")
@@ -95,6 +96,5 @@ def _refined_on_crash(
     return on_crash
 
 
-def _given(section: Any, names: set[str]) -> dict[str, Any]:
-    given: dict[str, Any] = section.model_dump(include=names, exclude_none=True)
-    return given
+def _given(section: Section, names: set[str]) -> dict[str, Any]:
+    return {name: value for name, value in section.given.items() if name in names}

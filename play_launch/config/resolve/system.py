@@ -43,7 +43,7 @@ def resolve_document(
     _refuse_nothing(at)
     if document is None:
         return None
-    stop = {} if document.stop is None else document.stop.model_dump(exclude_none=True)
+    stop = {} if document.stop is None else document.stop.given
     log_dir = None
     if document.log_dir is not None:
         log_dir = source.parent / os.path.expanduser(document.log_dir)  # noqa: PTH111 - never raises

@@ -1,0 +1,93 @@
+"""What a section is: a class with one attribute for each key of a mapping in the file.
+
+The core of pydantic checks the values. Its models would read the same from annotations, but what
+reads them takes longer to import than everything else before the first process.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+
+from pydantic_core import SchemaValidator, core_schema
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from typing import Self
+
+    from pydantic_core import CoreSchema
+
+
+class Key(NamedTuple):
+    """A key of a section: what checks its value, or the section that stands there.
+
+    A raw key gets the YAML node instead of a value.
+    """
+
+    schema: CoreSchema
+    required: bool = False
+    raw: bool = False
+    section: type[Section] | None = None
+
+
+def required(schema: CoreSchema) -> Any:
+    """Declare a key that has to be there."""
+    return Key(schema, required=True)
+
+
+def optional(schema: CoreSchema) -> Any:
+    """Declare a key that may be absent or null, which are the same."""
+    return Key(core_schema.nullable_schema(schema))
+
+
+def raw() -> Any:
+    """Declare an optional key whose value is looked at elsewhere, with places at hand."""
+    return Key(core_schema.any_schema(), raw=True)
+
+
+def nested(section: type[Section]) -> Any:
+    """Declare an optional key with a section of its own."""
+    return Key(core_schema.nullable_schema(section.schema()), section=section)
+
+
+class Section:
+    """A mapping of the configuration; `advice` says what to write instead of some foreign keys."""
+
+    keys: ClassVar[Mapping[str, Key]] = {}
+    advice: ClassVar[Mapping[str, str]] = {}
+
+    def __init_subclass__(cls) -> None:
+        cls.keys = {name: key for name, key in vars(cls).items() if isinstance(key, Key)}
+        for name in cls.keys:
+            # What an instance has without the key.
+            setattr(cls, name, None)
+
+    def __init__(self, values: Mapping[str, object] | None = None) -> None:
+        vars(self).update(values or {})
+
+    @classmethod
+    def of(cls, values: Mapping[str, object]) -> Self:
+        """Check the values of a mapping; raise pydantic's ValidationError with all mistakes."""
+        section: Self = cls._validator().validate_python(values)
+        return section
+
+    @property
+    def given(self) -> dict[str, Any]:
+        """The keys that stand there, without null."""
+        return {name: value for name, value in vars(self).items() if value is not None}
+
+    @classmethod
+    def schema(cls) -> CoreSchema:
+        """Return what checks the mapping and makes an instance of it."""
+        fields = {
+            name: core_schema.typed_dict_field(key.schema, required=key.required)
+            for name, key in cls.keys.items()
+        }
+        mapping = core_schema.typed_dict_schema(fields, strict=True, extra_behavior="forbid")
+        return core_schema.no_info_after_validator_function(cls, mapping)
+
+    @classmethod
+    @cache
+    def _validator(cls) -> SchemaValidator:
+        # Made when it is first used: no configuration has all of them.
+        return SchemaValidator(cls.schema())
