@@ -12,8 +12,6 @@ from play_launch_msgs.msg import ComponentEvent, ControlStatus
 from tests.support.isolated import MODES, start_isolated, survives
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from tests.support.control_peer import Container, StartContainer
 
 CRASHED = ComponentEvent.CRASHED
@@ -21,14 +19,6 @@ LOOK = 0.5
 """Seconds between two looks of a container for such locks."""
 
 both_modes = pytest.mark.parametrize("mode", MODES)
-
-
-def until(container: Container, done: Callable[[ControlStatus], bool]) -> ControlStatus:
-    """Ask until the answer is as it should be; the test's own limit ends what never is."""
-    while True:
-        status = container.status()
-        if done(status):
-            return status
 
 
 def locker(container: Container, name: str, lock: str, **parameters: float) -> ComponentEvent:
@@ -48,7 +38,7 @@ def silence(status: ControlStatus, event: ComponentEvent) -> float:
 def holder(container: Container, lock: str) -> ComponentEvent:
     """A locker that has taken the lock and keeps it: in its first callback, after 1 ms."""
     event = locker(container, "holder", lock, hold_from=1)
-    until(container, lambda status: silence(status, event) > 0.5)
+    container.status_when(lambda status: silence(status, event) > 0.5, "the holder to hold")
     return event
 
 
@@ -72,7 +62,7 @@ def test_a_neighbour_waits_for_a_dead_node(
     assert not container.status().dead_locks
     os.kill(dying.pid, number)
     container.event(CRASHED, unique_id=dying.unique_id)
-    found = until(container, lambda status: bool(status.dead_locks)).dead_locks
+    found = container.status_when(lambda status: bool(status.dead_locks), "a report").dead_locks
     assert len(found) == 1
     assert f"of process {waiting.pid} waits for a lock" in found[0]
     assert f"held by process {dying.pid} ('holder')" in found[0]
@@ -88,7 +78,9 @@ def test_a_lock_that_a_living_node_keeps_is_none_of_the_dead(spawn: StartContain
     crasher = container.loaded("Crasher", parameters={"after": 0.0})
     container.event(CRASHED, unique_id=crasher.unique_id)
     # All three are stuck for as long as the container takes several looks.
-    status = until(container, lambda s: min(silence(s, each) for each in held) > 6 * LOOK)
+    status = container.status_when(
+        lambda s: min(silence(s, each) for each in held) > 6 * LOOK, "several looks"
+    )
     assert not status.dead_locks
 
 

@@ -95,10 +95,9 @@ def test_a_thousand_crashes_and_reloads_leave_nothing_behind(
             if cycle >= WARM_UP and cycle % SAMPLE_EVERY == 0:
                 samples.append(usage(container))
         assert only_these_remain(container, talker.pid)
-        while True:
-            status = container.status()
-            if status.undertaken + status.leaked == CYCLES:
-                break
+        status = container.status_when(
+            lambda status: status.undertaken + status.leaked == CYCLES, "the last burial"
+        )
         assert status.crashes == CYCLES
         for field in ("descriptors", "threads", "zombies"):
             assert growth(samples, field) <= MOMENTARY, samples

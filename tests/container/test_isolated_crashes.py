@@ -109,10 +109,9 @@ def assert_death(event: ComponentEvent, how: str) -> None:
 
 def assert_cleaned_up(container: Container, *, crashes: int, leaked: int = 0) -> None:
     """The container has counted the crashes, and has cleaned up after all but the leaked ones."""
-    while True:
-        status = container.status()
-        if status.undertaken + status.leaked == crashes:
-            break
+    status = container.status_when(
+        lambda status: status.undertaken + status.leaked == crashes, "the burials"
+    )
     assert (status.crashes, status.leaked) == (crashes, leaked)
 
 
@@ -168,7 +167,7 @@ def test_a_crash_in_a_constructor_is_a_failed_load(
 def test_a_crash_that_damaged_the_stack(spawn: StartContainer, mode: str, how: str) -> None:
     container = start_isolated(spawn, mode)
     with survives(container), Probe() as probe:
-        container.loaded("Talker")
+        container.loaded("Talker", parameters={"rate": 100.0})
         crasher = container.loaded("Crasher", parameters={"how": how, "after": 0.0})
         crashed = container.event(CRASHED, unique_id=crasher.unique_id)
         number, text, first = DAMAGED[how]
@@ -219,7 +218,7 @@ def test_a_signal_from_outside(spawn: StartContainer, mode: str, number: signal.
     container = start_isolated(spawn, mode)
     with survives(container), Probe() as probe:
         victim = container.loaded("Talker", node_name="victim")
-        container.loaded("Talker", node_name="neighbour")
+        container.loaded("Talker", node_name="neighbour", parameters={"rate": 100.0})
         os.kill(victim.pid, number)
         crashed = container.event(CRASHED, unique_id=victim.unique_id)
         assert crashed.signal == number

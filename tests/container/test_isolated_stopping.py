@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import pytest
 from play_launch_msgs.msg import ComponentEvent, ControlShutdown, ControlUnload
 
+from tests.support.control_peer import PAUSE
 from tests.support.isolated import (
     MODES,
     children,
@@ -49,6 +50,7 @@ def assert_nothing_left(pids: set[int], shared: set[Path]) -> None:
     deadline = time.monotonic() + 5.0
     while not all(is_gone(pid) for pid in pids):
         assert time.monotonic() < deadline, pids
+        time.sleep(PAUSE)
     assert not any(path.exists() for path in shared)
 
 
@@ -129,8 +131,7 @@ def test_a_node_that_does_not_leave_is_ended(spawn: StartContainer, mode: str) -
         assert gone.signal == signal.SIGTERM
         assert "leave" in gone.error_message
         assert is_gone(stuck.pid)
-        while container.status().undertaken == 0:
-            pass
+        container.status_when(lambda status: status.undertaken > 0, "the burial")
 
 
 def test_reloading_leaves_nothing_behind(spawn: StartContainer) -> None:

@@ -113,8 +113,9 @@ def test_a_node_is_killed_at_a_certain_place(
         assert (event.event_type, event.signal) == (end, signal.SIGKILL)
         assert text in event.error_message
         assert only_these_remain(container)
-        while (status := container.status()).undertaken + status.leaked == 0:
-            pass
+        status = container.status_when(
+            lambda status: status.undertaken + status.leaked > 0, "the burial"
+        )
         assert status.crashes == status.unquiesced == 1
         assert all(life in LIVES for life in lives(container))
 

@@ -49,10 +49,11 @@ def opening(request: pytest.FixtureRequest, spawn: StartContainer) -> Container:
 
 
 def until_it_waits(container: Container) -> list[NodeStatus]:
-    while True:
-        nodes: list[NodeStatus] = container.status().nodes
-        if any(node.note for node in nodes):
-            return nodes
+    status = container.status_when(
+        lambda status: any(node.note for node in status.nodes), "a node that waits"
+    )
+    nodes: list[NodeStatus] = status.nodes
+    return nodes
 
 
 def test_nodes_whose_library_is_open_are_loaded_and_unloaded_meanwhile(opening: Container) -> None:
@@ -67,8 +68,10 @@ def test_a_library_behind_it_waits_and_says_so(opening: Container) -> None:
     attempt = opening.load(
         "play_launch_demo::PoolLibrary", package="play_launch_demo_pool", node_name="behind"
     )
-    while len(notes := {n.attempt: n.note for n in opening.status().nodes if n.note}) < 2:
-        pass
+    both = opening.status_when(
+        lambda status: sum(bool(node.note) for node in status.nodes) == 2, "the one behind"
+    )
+    notes = {node.attempt: node.note for node in both.nodes}
     assert notes[attempt].endswith("/lib/libplay_launch_demo_slow.so")
 
 

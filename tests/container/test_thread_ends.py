@@ -49,7 +49,7 @@ def test_a_destructor_of_an_unloaded_node_ends_that_node_only(
 ) -> None:
     container = start_isolated(spawn, mode)
     with survives(container), Probe() as probe:
-        neighbour = container.loaded("Talker")
+        neighbour = container.loaded("Talker", parameters={"rate": 100.0})
         node = container.loaded("Leftovers", parameters={leftover: deed})
         assert_told(unload(container, node.unique_id), deed)
         # The same name again, in the same container.
@@ -86,7 +86,7 @@ def test_a_stop_of_the_container(spawn: StartContainer, mode: str, deed: str) ->
 def test_a_cancelled_first_thread_is_the_end_of_its_node(spawn: StartContainer, who: str) -> None:
     container = start_isolated(spawn)
     with survives(container), Probe() as probe:
-        neighbour = container.loaded("Talker")
+        neighbour = container.loaded("Talker", parameters={"rate": 100.0})
         for _ in range(2):
             node = container.loaded("Leftovers", parameters={"cancel": who})
             event = container.event(CRASHED, unique_id=node.unique_id)

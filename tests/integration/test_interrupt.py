@@ -12,8 +12,6 @@ from pathlib import Path
 
 import psutil
 import pytest
-from hypothesis import Phase, given, settings
-from hypothesis import strategies as st
 from rosbags.highlevel import AnyReader
 
 from tests.support.replay import COMMAND
@@ -114,23 +112,18 @@ def run_and_interrupt(
                     reader.deserialize(raw, connection.msgtype)
 
 
-MOMENTS = settings(database=None, phases=[Phase.generate])
-SIGNALS = st.sampled_from([signal.SIGINT, signal.SIGTERM])
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+STEP = 0.05
+"""Seconds between two moments of bring-up, which takes about a second."""
 
 
-# In parts, which can be spread over processes.
-@pytest.mark.parametrize("begin", [0.0, 0.24, 0.48, 0.72, 0.96])
-@settings(MOMENTS, max_examples=10)
-@given(after=st.floats(min_value=0.0, max_value=0.24), signum=SIGNALS)
-def test_a_signal_at_any_moment_of_bring_up_ends_everything(
-    ros_domain: int, begin: float, after: float, signum: signal.Signals
-) -> None:
-    run_and_interrupt(ros_domain, begin + after, signum, from_first_line=True)
+@pytest.mark.parametrize("step", range(26))
+def test_a_signal_at_any_moment_of_bring_up_ends_everything(ros_domain: int, step: int) -> None:
+    signum = SIGNALS[step % len(SIGNALS)]
+    run_and_interrupt(ros_domain, step * STEP, signum, from_first_line=True)
 
 
-@settings(MOMENTS, max_examples=15)
-@given(after=st.floats(min_value=0.0, max_value=0.5), signum=SIGNALS)
-def test_a_signal_before_anything_runs_leaves_nothing(
-    ros_domain: int, after: float, signum: signal.Signals
-) -> None:
-    run_and_interrupt(ros_domain, after, signum, from_first_line=False)
+@pytest.mark.parametrize("step", range(14))
+def test_a_signal_before_anything_runs_leaves_nothing(ros_domain: int, step: int) -> None:
+    signum = SIGNALS[step % len(SIGNALS)]
+    run_and_interrupt(ros_domain, step * 0.04, signum, from_first_line=False)

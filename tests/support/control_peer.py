@@ -54,6 +54,8 @@ OUTGOING = {
 }
 PATIENCE = 20.0
 """Seconds after which something that should have come is missed."""
+PAUSE = 0.01
+"""Seconds between two looks at what has no event; without it, looking takes a processor."""
 
 
 def frame(kind: int, payload: bytes, version: int = 1) -> bytes:
@@ -172,6 +174,14 @@ class Container:
         return self.until(
             lambda m: isinstance(m, ControlStatus) and m.query_id == query_id, "the status"
         )
+
+    def status_when(self, done: Callable[[ControlStatus], bool], what: str) -> ControlStatus:
+        """Ask for the status again and again, as a supervisor does, until it is ``done``."""
+        deadline = time.monotonic() + PATIENCE
+        while not done(status := self.status()):
+            assert time.monotonic() < deadline, f"waited {PATIENCE} s for {what}: {status}"
+            time.sleep(PAUSE)
+        return status
 
     def wait(self, timeout: float = PATIENCE) -> int:
         """Wait until the process is gone; its exit status, or minus the signal."""

@@ -10,7 +10,7 @@ from pathlib import Path
 import psutil
 
 from play_launch.install.allocator import find_allocator, for_isolation
-from tests.support.control_peer import PATIENCE, Container, StartContainer
+from tests.support.control_peer import PATIENCE, PAUSE, Container, StartContainer
 
 MODES = {
     "isolated": ("--isolated",),
@@ -43,6 +43,7 @@ def only_these_remain(container: Container, *pids: int) -> bool:
     while children(container) != set(pids):
         if time.monotonic() > deadline:
             return False
+        time.sleep(PAUSE)
     return True
 
 

@@ -15,6 +15,8 @@ from typing import Any
 
 import pytest
 
+WORKERS_PER_PROCESSOR = 2
+"""Most tests wait more than they compute: for discovery, for time limits, for processes to end."""
 MOST_WORKERS = 8
 """More make no suite faster: what is left then is what runs alone."""
 _MARKER = (
@@ -76,8 +78,8 @@ def be_alone(config: pytest.Config) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int:
-    """As many as there are processors for us, where `-n auto` asks."""
-    return min(len(os.sched_getaffinity(0)), MOST_WORKERS)
+    """As many as keep the processors that we may use busy, where `-n auto` asks."""
+    return min(WORKERS_PER_PROCESSOR * len(os.sched_getaffinity(0)), MOST_WORKERS)
 
 
 @pytest.hookimpl(optionalhook=True)
