@@ -14,8 +14,6 @@ from play_launch.core.node_table import NodeInput
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from play_launch.core.node_key import NodeKey
-
 
 class ListedState(IntEnum):
     """``play_launch_msgs/NodeStatus.state``, and one that no container sends."""
@@ -30,10 +28,11 @@ class ListedState(IntEnum):
 class Asked(NamedTuple):
     """A node that a question is about."""
 
-    key: NodeKey
+    position: int
+    """Place in the container's declaration."""
     attempt: int
     unique_id: int
-    """0 while the container has not reported it."""
+    """0 while the container has not told it."""
 
 
 class Listed(Protocol):

@@ -35,7 +35,6 @@ from play_launch.core.events import (
     ProcessEventKind,
     RunEvent,
 )
-from play_launch.core.node_key import NodeKey
 from play_launch.core.restart import RestartLimits
 from play_launch.core.view import SystemView
 
@@ -65,7 +64,7 @@ def node(
         plugin=f"{package}::{plugin}",
         name=name,
         namespace="/",
-        key=NodeKey("", f"/{name}"),
+        declared_full_name=f"/{name}",
         parameters=tuple(parameter(key, value) for key, value in parameters.items()),
     )
 
@@ -77,9 +76,7 @@ def container(name: str, *nodes: ComposableNodeConfig, timeout: float = 10.0) ->
         full_name=f"/{name}",
         restart=QUICK,
         loading_timeout=timeout,
-        composable_nodes=tuple(
-            replace(each, key=NodeKey(f"/{name}", each.key.name)) for each in nodes
-        ),
+        composable_nodes=nodes,
     )
 
 

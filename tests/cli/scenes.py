@@ -13,7 +13,6 @@ from play_launch.core.events import (
     RunEvent,
     Stream,
 )
-from play_launch.core.node_key import NodeKey
 from play_launch.core.view import SystemView
 
 SECOND = 1_000_000_000
@@ -41,7 +40,9 @@ def node(
 ) -> NodeStateChanged:
     return NodeStateChanged(
         stamp_ns=START + round(at * SECOND),
-        key=NodeKey(owner, f"{owner}/n{index}"),
+        container=owner,
+        node=f"{owner}/n{index}",
+        index=index,
         state=state,
         elapsed_ns=round(elapsed * SECOND),
         reason=reason,

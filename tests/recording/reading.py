@@ -21,7 +21,6 @@ from play_launch.core.events import (
     ProcessEvent,
     ProcessEventKind,
 )
-from play_launch.core.node_key import NodeKey
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -82,11 +81,11 @@ def state_event(message: Any) -> NodeStateChanged | ContainerStateChanged | Proc
     """The event that a ``play_launch_msgs/StateEvent`` records."""
     stamp_ns = message.stamp.sec * 1_000_000_000 + message.stamp.nanosec
     if message.kind == message.NODE:
-        key = NodeKey(message.container, message.name)
-        assert message.key == str(key)
         return NodeStateChanged(
             stamp_ns=stamp_ns,
-            key=key,
+            container=message.container,
+            node=message.name,
+            index=message.index,
             state=NodeState[message.state.upper()],
             elapsed_ns=message.elapsed_ns,
             reason=message.reason,
@@ -100,7 +99,7 @@ def state_event(message: Any) -> NodeStateChanged | ContainerStateChanged | Proc
     if message.kind == message.CONTAINER:
         return ContainerStateChanged(
             stamp_ns=stamp_ns,
-            container=message.key,
+            container=message.name,
             state=ContainerState[message.state.upper()],
             reason=message.reason,
             mechanism=message.mechanism,
@@ -109,7 +108,7 @@ def state_event(message: Any) -> NodeStateChanged | ContainerStateChanged | Proc
     return ProcessEvent(
         stamp_ns=stamp_ns,
         kind=ProcessEventKind[message.state.upper()],
-        name=message.key,
+        name=message.name,
         pid=message.pid,
         start_time=message.start_time,
         exit_code=message.exit_code,

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from play_launch.actors.publisher import Publisher
     from play_launch.actors.restarter import CrashFollower
     from play_launch.config.model import ComposableNodeConfig
-    from play_launch.core.node_key import NodeKey
     from play_launch.core.probe import Finding
 
 _log = logging.getLogger(__name__)
@@ -39,6 +38,7 @@ _TIMED: Final = frozenset(
 class MirroredNode:
     """What is known about a node; times are seconds of the event loop's clock."""
 
+    index: int
     config: ComposableNodeConfig
     follower: CrashFollower
     record: NodeRecord = field(default_factory=NodeRecord)
@@ -51,11 +51,6 @@ class MirroredNode:
     reloads: int = 0
     reported_silent: bool = False
     """Whether its present stay in callbacks was reported."""
-
-    @property
-    def key(self) -> NodeKey:
-        """What it is addressed by."""
-        return self.config.key
 
     @property
     def name(self) -> str:
@@ -83,7 +78,9 @@ class NodeReports:
         self._publisher.publish(
             NodeStateChanged(
                 stamp_ns=self._publisher.stamp_ns(),
-                key=node.key,
+                container=self._container,
+                node=node.name,
+                index=node.index,
                 state=record.state,
                 elapsed_ns=round(elapsed * 1e9),
                 reason=facts.reason,

@@ -1,24 +1,52 @@
-"""Serves any number of clients from one thread, within bounds."""
+"""Serves any number of clients from one thread, within bounds; lets each close first.
+
+Whoever closes a TCP connection first keeps its port busy for a minute (TIME_WAIT), and ros2cli's
+own daemon cannot start while our port is busy. So a connection is closed after the client's end of
+it, or else by a reset: at its deadline, or when it takes too much. Until the client's end has come
+the socket is set to be reset on closing, so that even a killed daemon leaves nothing behind.
+
+Connections read from their sockets in sequence, without asyncio's streams: those read up to 256 KiB
+of each client ahead, here it is 16 KiB, and what is not read yet waits in the kernel.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import functools
+import logging
 import resource
+import socket
+import struct
 from collections import OrderedDict
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from play_launch.graph_daemon.contract import BACKLOG
-from play_launch.graph_daemon.server.connection import Connection
+from play_launch.graph_daemon.server.http import (
+    CONSENT,
+    END_OF_HEAD,
+    LONGEST_HEAD,
+    Rejection,
+    parse_head,
+    response,
+    unpack,
+)
 
 if TYPE_CHECKING:
-    import socket
-    from collections.abc import Callable
+    from collections.abc import Awaitable, Callable
+
+    from play_launch.graph_daemon.server.http import Head
 
 _READ_AT_ONCE: Final = 16 * 1024
+_RESET_ON_CLOSE: Final = struct.pack("ii", 1, 0)
+_CLOSE_IN_ORDER: Final = struct.pack("ii", 0, 0)
+_ACCEPTED_AT_ONCE: Final = 64
+_PAUSE: Final = 1.0
+"""Seconds until clients are accepted again where no descriptor or memory was left for one."""
 _SPARE_FILES: Final = 64
 """Descriptors that the rest of the process needs."""
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,164 +68,231 @@ class Server:
 
     Args:
         listener: Bound and listening; it belongs to the server from now on.
-        answer: Called with the body of a request and a function that takes the body of the
-            response, to be called once, in the loop's thread, then or later.
+        answer: Called with the body of a request; returns the body of the response.
         limits: What clients may take.
     """
 
     def __init__(
         self,
         listener: socket.socket,
-        answer: Callable[[bytes, Callable[[bytes], None]], None],
+        answer: Callable[[bytes], Awaitable[bytes]],
         limits: Limits | None = None,
     ) -> None:
-        self.read_buffer = bytearray(_READ_AT_ONCE)
+        self.answer = answer
         self.requests = 0
         """How many requests were answered."""
         self.resets = 0
         """How many connections were reset for their deadline, or because there were too many."""
-        self._answer = answer
+        self.held = 0
+        """Bytes of requests and answers that are held for all clients."""
+        self.is_closing = False
+        """Whether it stopped listening."""
         self._listener = listener
         self._limits = limits or Limits()
         self._most = min(self._limits.connections, _files_allowed(self._limits.connections))
-        self._connections: OrderedDict[Connection, None] = OrderedDict()
-        self._held = 0
-        self._closing = False
-        self._timer: asyncio.TimerHandle | None = None
-        self._accepting: asyncio.Server | None = None
-        self._adopting: set[asyncio.Task[None]] = set()
-        self._empty = asyncio.Event()
-        self._empty.set()
-
-    @property
-    def is_closing(self) -> bool:
-        """Whether `close` was called."""
-        return self._closing
+        self._clients: OrderedDict[Connection, asyncio.Task[None]] = OrderedDict()
+        """The one that has made no progress for longest is the first."""
+        self._tasks: set[asyncio.Task[None]] = set()
+        """Those of connections that were reset, too, until they have ended."""
 
     @property
     def connections(self) -> int:
         """How many clients there are."""
-        return len(self._connections)
+        return len(self._clients)
 
-    @property
-    def held(self) -> int:
-        """Bytes of requests and answers that are held for all clients."""
-        return self._held
-
-    async def start(self) -> None:
+    def start(self) -> None:
         """Accept clients from now on."""
         self._loop = asyncio.get_running_loop()
         self._listener.setblocking(False)
-        self._accepting = await self._loop.create_server(
-            lambda: Connection(self), sock=self._listener, backlog=BACKLOG
-        )
+        self._listener.listen(BACKLOG)
+        self._listen()
 
     def stop_listening(self) -> None:
         """Accept those that have come, and nobody else; the port refuses connections then."""
-        self._closing = True
-        if self._accepting is None:
-            return
-        waiting = []
-        with contextlib.suppress(OSError):
-            while True:
-                waiting.append(self._listener.accept()[0])
-        self._accepting.close()
-        self._accepting = None
-        for client in waiting:
-            task = self._loop.create_task(self._adopt(client))
-            self._adopting.add(task)
-            task.add_done_callback(self._adopting.discard)
-
-    async def _adopt(self, client: socket.socket) -> None:
-        with contextlib.suppress(OSError):
-            await self._loop.connect_accepted_socket(lambda: Connection(self), client)
+        if not self.is_closing:
+            self.is_closing = True
+            self._loop.remove_reader(self._listener)
+            with contextlib.suppress(OSError):
+                while True:
+                    self._welcome(self._listener.accept()[0])
+            self._listener.close()
 
     async def close(self) -> None:
         """Stop listening, give answers that are under way, and reset who is left."""
         self.stop_listening()
-        await asyncio.gather(*self._adopting)
-        for connection in list(self._connections):
-            if connection.is_idle:
-                connection.abort()
-        with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for(self._empty.wait(), self._limits.farewell)
-        for connection in list(self._connections):
-            connection.abort()
-        with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for(self._empty.wait(), self._limits.farewell)
-        if self._timer is not None:
-            self._timer.cancel()
+        for who in ([client for client in self._clients if client.is_idle], self._clients):
+            for connection in list(who):
+                self._forget(connection).cancel()
+            if self._tasks:
+                await asyncio.wait(self._tasks, timeout=self._limits.farewell)
 
-    # What connections call.
+    def _listen(self) -> None:
+        if not self.is_closing:
+            self._loop.add_reader(self._listener, self._accept)
 
-    def opened(self, connection: Connection) -> None:
-        """Take a new client; where there are too many, reset the oldest."""
-        self._empty.clear()
-        if len(self._connections) >= self._most:
-            self._reset_oldest()
-        self._connections[connection] = None
-        connection.deadline = self._loop.time() + self._limits.deadline
-        self._watch()
+    def _accept(self) -> None:
+        # A bounded number, so that those already here have their turn.
+        try:
+            for _ in range(_ACCEPTED_AT_ONCE):
+                self._welcome(self._listener.accept()[0])
+        except BlockingIOError:
+            pass
+        except OSError as error:
+            _log.warning("clients are not accepted for %g s: %s", _PAUSE, error)
+            self._loop.remove_reader(self._listener)
+            self._loop.call_later(_PAUSE, self._listen)
 
-    def progressed(self, connection: Connection) -> None:
-        """Begin the deadline anew."""
-        self.requests += 1
-        if connection in self._connections:
-            connection.deadline = self._loop.time() + self._limits.deadline
-            self._connections.move_to_end(connection)
+    def _welcome(self, client: socket.socket) -> None:
+        client.setblocking(False)
+        if len(self._clients) >= self._most:
+            self._reset(next(iter(self._clients)))
+        connection = Connection(self, client, self._limits.deadline)
+        task = self._loop.create_task(connection.serve())
+        self._clients[connection] = task
+        self._tasks.add(task)
+        task.add_done_callback(functools.partial(self._ended, connection))
 
-    def resized(self, connection: Connection) -> None:
-        """Count what is held; reset the oldest clients while that is too much."""
-        self._account(connection, connection.held)
-        while self._held > self._limits.memory and self._connections:
-            # A client that holds nothing would free nothing.
-            oldest = next((other for other in self._connections if other.accounted), None)
-            if oldest is None:
-                return
-            self._reset(oldest)
-
-    def closed(self, connection: Connection) -> None:
-        """Forget a client."""
-        self._forget(connection)
-
-    def answer(self, body: bytes, reply: Callable[[bytes], None]) -> None:
-        """Pass a request on."""
-        self._answer(body, reply)
-
-    def _account(self, connection: Connection, held: int) -> None:
-        if connection in self._connections:
-            self._held += held - connection.accounted
-            connection.accounted = held
-
-    def _reset_oldest(self) -> None:
-        self._reset(next(iter(self._connections)))
+    def _ended(self, connection: Connection, task: asyncio.Task[None]) -> None:
+        connection.close()
+        self._tasks.discard(task)
+        if connection in self._clients:
+            self._forget(connection)
+        error = None if task.cancelled() else task.exception()
+        if isinstance(error, TimeoutError):
+            self.resets += 1
+        elif error is not None and not isinstance(error, OSError):
+            _log.error("a connection was reset by a defect of the daemon", exc_info=error)
 
     def _reset(self, connection: Connection) -> None:
         self.resets += 1
-        self._forget(connection)
-        connection.abort()
+        self._forget(connection).cancel()
 
-    def _forget(self, connection: Connection) -> None:
-        if connection in self._connections:
-            self._account(connection, 0)
-            del self._connections[connection]
-        if not self._connections:
-            self._empty.set()
+    def _forget(self, connection: Connection) -> asyncio.Task[None]:
+        self.held -= connection.held
+        return self._clients.pop(connection)
 
-    def _watch(self) -> None:
-        """Look after deadlines; they are in the order of the connections."""
-        if self._timer is None and self._connections:
-            first = next(iter(self._connections))
-            self._timer = self._loop.call_at(first.deadline, self._on_deadline)
+    # What connections call.
 
-    def _on_deadline(self) -> None:
-        self._timer = None
-        now = self._loop.time()
-        for connection in list(self._connections):
-            if connection.deadline > now:
-                break
-            self._reset(connection)
-        self._watch()
+    def progressed(self, connection: Connection) -> None:
+        """Put it behind those that have made no progress for longer."""
+        self.requests += 1
+        if connection in self._clients:
+            self._clients.move_to_end(connection)
+
+    def hold(self, connection: Connection, size: int) -> None:
+        """Count what a connection holds; reset the oldest clients while all hold too much."""
+        if connection not in self._clients:
+            return
+        self.held += size - connection.held
+        connection.held = size
+        while self.held > self._limits.memory:
+            # A client that holds nothing would free nothing.
+            self._reset(next(other for other in self._clients if other.held))
+
+
+class Connection:
+    """Reads at most one request and `_READ_AT_ONCE`; the rest waits in the kernel.
+
+    Args:
+        server: What it belongs to.
+        client: A socket that does not block.
+        deadline: Seconds for a request and its answer; an idle client is kept as long.
+    """
+
+    def __init__(self, server: Server, client: socket.socket, deadline: float) -> None:
+        self._server = server
+        self._socket = client
+        self._deadline = deadline
+        self._loop = asyncio.get_running_loop()
+        self._received = bytearray()
+        self.held = 0
+        """Bytes of requests and answers; counted by the server."""
+        self.is_idle = False
+        """Whether the client was answered, and nothing of another request has come."""
+        self._linger(_RESET_ON_CLOSE)
+        client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    async def serve(self) -> None:
+        """Answer until the client ends the connection.
+
+        Raises ``TimeoutError`` for a client that stands still, and ``OSError`` when it is gone.
+        """
+        try:
+            keep = True
+            while keep:
+                async with asyncio.timeout(self._deadline):
+                    keep = await self._exchange()
+                self._server.progressed(self)
+                self.is_idle = keep and not self._received
+            async with asyncio.timeout(self._deadline):
+                while True:
+                    self._received.clear()
+                    await self._receive()
+        except EOFError:
+            self._linger(_CLOSE_IN_ORDER)
+
+    def close(self) -> None:
+        """Close in order after the client's end, else reset."""
+        self._socket.close()
+
+    async def _exchange(self) -> bool:
+        """Answer one request; whether another may follow."""
+        try:
+            head = parse_head(await self._read_head())
+            body = await self._read_body(head)
+        except Rejection as rejection:
+            self._received.clear()
+            await self._send(rejection.response)
+            return False
+        reply = await self._server.answer(body)
+        keep = head.keep_alive and not self._server.is_closing
+        await self._send(response(reply, keep_alive=keep))
+        return keep
+
+    async def _read_head(self) -> bytes:
+        searched = 0
+        while True:
+            # Python's clients end a request with CRLF; some old ones send one more.
+            while self._received[:2] == b"\r\n":
+                del self._received[:2]
+            # A pattern of four bytes may have begun in what was searched before.
+            found = END_OF_HEAD.search(self._received, max(0, searched - 3))
+            searched = len(self._received)
+            if (found.end() if found else searched) > LONGEST_HEAD:
+                raise Rejection(431, "Request Header Fields Too Large")
+            if found:
+                text = bytes(self._received[: found.start()])
+                del self._received[: found.end()]
+                return text
+            await self._receive()
+
+    async def _read_body(self, head: Head) -> bytes:
+        if head.awaits_consent:
+            await self._send(CONSENT)
+        while len(self._received) < head.length:
+            await self._receive()
+        body = bytes(self._received[: head.length])
+        del self._received[: head.length]
+        return unpack(body) if head.is_packed else body
+
+    async def _receive(self) -> None:
+        """Read what has come; raises ``EOFError`` at the client's end."""
+        # However fast one client sends, the others have their turn.
+        await asyncio.sleep(0)
+        data = await self._loop.sock_recv(self._socket, _READ_AT_ONCE)
+        if not data:
+            raise EOFError
+        self.is_idle = False
+        self._received += data
+        self._server.hold(self, len(self._received))
+
+    async def _send(self, data: bytes) -> None:
+        self._server.hold(self, len(self._received) + len(data))
+        await self._loop.sock_sendall(self._socket, data)
+        self._server.hold(self, len(self._received))
+
+    def _linger(self, how: bytes) -> None:
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, how)
 
 
 def _files_allowed(wanted: int) -> int:

@@ -87,7 +87,7 @@ class Daemon:
 
         self._replacer = Replacer(self._service, build)
         self._service.use(await asyncio.to_thread(build))
-        await self._server.start()
+        self._server.start()
         with self._ended_by_signals(), self._watching_interfaces():
             report(LISTENING)
             tasks = [

@@ -99,7 +99,6 @@ class GraphService:
         self._graph: Graph | None = None
         self._pulse = Pulse(time.monotonic())
         self._warm = asyncio.Event()
-        self._waiting: list[tuple[bytes, Callable[[bytes], None]]] = []
         self._timer: asyncio.TimerHandle | None = None
         self._look_failed = False
         self._counted: tuple[int, float, Population] | None = None
@@ -161,34 +160,33 @@ class GraphService:
             self._counted = known = generation, now, self._count_population()
         return known[2]._replace(participants_here=self._participants_here())
 
-    def answer(self, body: bytes, reply: Callable[[bytes], None]) -> None:
-        """Answer a request: now, or, if it is about the graph, when that is warm."""
-        now = time.monotonic()
-        self.last_request = now
-        # Before the graph is looked at: what changes meanwhile may not be in the reply.
-        generation = self._generation
-        known = self._cache.get(body, generation, now)
+    async def answer(self, body: bytes) -> bytes:
+        """Answer a request: at once, or, if it is about the graph, when that is warm."""
+        self.last_request = time.monotonic()
+        known = self._cache.get(body, self._generation, self.last_request)
         if known is not None:
             self.cached_replies += 1
-            reply(known)
-            return
+            return known
         call = parse(body)
         if not isinstance(call, Call):
-            reply(call)
-        elif not call.is_about_the_graph:
-            reply(self._methods.answer(call))
-        elif not self.is_warm:
-            self._waiting.append((body, reply))
-        else:
-            answered = self._methods.answer(call)
-            self._cache.put(body, answered, generation, now, time.monotonic())
-            reply(answered)
+            return call
+        if not call.is_about_the_graph:
+            return self._methods.answer(call)
+        if not self.is_warm:
+            await self._warm.wait()
+            # Others may have asked the same.
+            return await self.answer(body)
+        # Before the graph is looked at: what changes meanwhile may not be in the reply.
+        generation, asked = self._generation, time.monotonic()
+        reply = self._methods.answer(call)
+        self._cache.put(body, reply, generation, asked, time.monotonic())
+        return reply
 
     def close(self) -> None:
         """Wait for nothing any more."""
         if self._timer is not None:
             self._timer.cancel()
-        self._answer_waiting()
+        self._warm.set()
 
     def _count_population(self) -> Population:
         own = self.graph.name
@@ -206,7 +204,7 @@ class GraphService:
         now = time.monotonic()
         complete = self._pulse.is_quiet(now) and self._is_complete()
         if self._pulse.is_warm(now, complete=complete):
-            self._answer_waiting()
+            self._warm.set()
             return
         delay = self._pulse.look_again_at(now) - now
         self._timer = self._loop.call_later(delay, self._look)
@@ -219,9 +217,3 @@ class GraphService:
                 _log.exception("who is missing in the graph cannot be determined")
             self._look_failed = True
             return False
-
-    def _answer_waiting(self) -> None:
-        self._warm.set()
-        waiting, self._waiting = self._waiting, []
-        for body, reply in waiting:
-            self.answer(body, reply)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import resource
 import socket
 import struct
 import time
@@ -36,12 +37,13 @@ class Clients:
         self.server = Server(listener, self._answer, limits)
         self._make = answer
 
-    def _answer(self, body: bytes, reply: Callable[[bytes], None]) -> None:
+    async def _answer(self, body: bytes) -> bytes:
         made = self._make(body)
-        if made is None:
-            self.held_replies.append(reply)
-        else:
-            reply(made)
+        if made is not None:
+            return made
+        later: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
+        self.held_replies.append(later.set_result)
+        return await later
 
     async def connect(self) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
         return await asyncio.open_connection("127.0.0.1", self.port)
@@ -73,7 +75,7 @@ async def serving(
     limits: Limits | None = None, answer: Callable[[bytes], bytes | None] = lambda _: ANSWER
 ) -> AsyncIterator[Clients]:
     clients = Clients(limits or Limits(), answer)
-    await clients.server.start()
+    clients.server.start()
     try:
         yield clients
     finally:
@@ -218,6 +220,69 @@ def test_a_client_that_never_reads_is_reset_and_its_answer_freed() -> None:
     run(scenario)
 
 
+@pytest.mark.parametrize("stream", [b"x" * 65536, call() * 500])
+def test_a_client_that_sends_without_a_pause_keeps_nobody_waiting(stream: bytes) -> None:
+    def flood(port: int) -> None:
+        with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port)) as client:
+            client.setblocking(False)
+            end = time.monotonic() + WAIT
+            while time.monotonic() < end:
+                for move in (lambda: client.send(stream), lambda: client.recv(1 << 20)):
+                    with contextlib.suppress(BlockingIOError):
+                        if not move():
+                            return
+
+    async def scenario() -> None:
+        async with serving(Limits(farewell=0.1)) as clients:
+            flooding = asyncio.create_task(asyncio.to_thread(flood, clients.port))
+            await clients.until(lambda: clients.server.requests > 0)
+            for _ in range(5):
+                await clients.ask()
+            assert not flooding.done()
+        await flooding
+
+    run(scenario)
+
+
+def test_a_defect_in_an_answer_resets_its_client_alone(caplog: pytest.LogCaptureFixture) -> None:
+    def made(body: bytes) -> bytes:
+        return ANSWER if body == b"call" else ANSWER[int(body)]  # type: ignore[return-value]
+
+    async def scenario() -> None:
+        async with serving(answer=made) as clients:
+            reader, writer = await clients.connect()
+            writer.write(call(b"none"))
+            assert await was_reset(reader)
+            await clients.ask()
+            writer.close()
+
+    run(scenario)
+    assert "ValueError" in caplog.text
+
+
+def test_clients_wait_while_no_descriptor_is_left(caplog: pytest.LogCaptureFixture) -> None:
+    limit = resource.getrlimit(resource.RLIMIT_NOFILE)
+
+    async def scenario() -> None:
+        async with serving() as clients:
+            waiting = [socket.create_connection(("127.0.0.1", clients.port)) for _ in range(3)]
+            # The next one that is free is the first that may not be used.
+            with socket.socket() as probe:
+                free = probe.fileno()
+            resource.setrlimit(resource.RLIMIT_NOFILE, (free, limit[1]))
+            try:
+                await clients.until(lambda: "not accepted" in caplog.text)
+            finally:
+                resource.setrlimit(resource.RLIMIT_NOFILE, limit)
+            await clients.until(lambda: clients.server.connections == 3)
+            await clients.ask()
+            for client in waiting:
+                client.close()
+
+    run(scenario)
+    assert caplog.text.count("not accepted") == 1
+
+
 def test_what_is_held_for_all_clients_is_bounded() -> None:
     answer = b"x" * 8_000_000
     memory = 3 * len(answer)
@@ -350,7 +415,7 @@ def test_after_the_end_the_port_can_be_bound_at_once() -> None:
 def test_clients_that_waited_are_answered_although_it_ends() -> None:
     async def scenario() -> None:
         clients = Clients(Limits(), lambda _: ANSWER)
-        await clients.server.start()
+        clients.server.start()
         # The loop does not run meanwhile, so nobody is accepted.
         waiting = [socket.create_connection(("127.0.0.1", clients.port)) for _ in range(20)]
         for client in waiting:
