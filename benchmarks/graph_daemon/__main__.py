@@ -53,13 +53,18 @@ _PREPARE = (
 )
 
 
-def enter_namespace() -> None:
+def is_inside() -> bool:
+    """Whether `enter_namespace` has been here."""
+    return _INSIDE in os.environ
+
+
+def enter_namespace(module: str) -> None:
     """Run this program again in a network and mount namespace of its own."""
     for program in ("unshare", "ip"):
         if shutil.which(program) is None:
             raise SystemExit(f"{program} is not installed (packages util-linux and iproute2)")
     flags = ["-n", "-m"] if os.geteuid() == 0 else ["-r", "-n", "-m"]
-    again = [sys.executable, "-m", "benchmarks.graph_daemon", *sys.argv[1:]]
+    again = [sys.executable, "-m", module, *sys.argv[1:]]
     command = ["unshare", *flags, "sh", "-c", _PREPARE, "sh", *again]
     environment = {**os.environ, _INSIDE: "1", "ROS_DOMAIN_ID": "7"}
     for name in ("ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY", "ROS_STATIC_PEERS"):
@@ -140,8 +145,8 @@ def main() -> None:
     parser.add_argument("--json", type=Path, metavar="FILE")
     parser.add_argument("--plot", type=Path, metavar="FILE")
     arguments = parser.parse_args()
-    if _INSIDE not in os.environ:
-        enter_namespace()
+    if not is_inside():
+        enter_namespace("benchmarks.graph_daemon")
     size = SMALL if arguments.small else FULL
     storms = arguments.storms or (1 if arguments.small else 3)
     stock = STOCK if ros2cli_is_here() else None

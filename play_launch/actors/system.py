@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from play_launch.actors.publisher import Publisher
     from play_launch.actors.stop_requests import StopRequests
     from play_launch.config.model import ContainerConfig, ReplayConfig
+    from play_launch.core.node_key import NodeKey
     from play_launch.core.view import SystemView
 
 _log = logging.getLogger(__name__)
@@ -126,20 +127,27 @@ class System:
         """Have one replaced by a new process, or started."""
         self._members[member].post(MemberInput.RESTART, reason)
 
-    def load(self, container: str, index: int) -> None:
-        """Have a composable node loaded, by its place in the declaration of its container."""
-        member = self._containers[container]
-        member.deliver(partial(member.nodes.load, index))
+    def load(self, node: NodeKey) -> None:
+        """Have a composable node loaded; KeyError for an unknown one."""
+        member = self._container_of(node)
+        member.deliver(partial(member.nodes.load, node))
 
-    def unload(self, container: str, index: int) -> None:
+    def unload(self, node: NodeKey) -> None:
         """Have one unloaded, for good."""
-        member = self._containers[container]
-        member.deliver(partial(member.nodes.unload, index))
+        member = self._container_of(node)
+        member.deliver(partial(member.nodes.unload, node))
 
-    def reload(self, container: str, index: int) -> None:
+    def reload(self, node: NodeKey) -> None:
         """Have one replaced by a new one, or loaded."""
-        member = self._containers[container]
-        member.deliver(partial(member.nodes.reload, index))
+        member = self._container_of(node)
+        member.deliver(partial(member.nodes.reload, node))
+
+    def _container_of(self, node: NodeKey) -> ContainerMember:
+        """Find its container; KeyError here, for what is delivered fails the whole member."""
+        member = self._containers[node.container]
+        if node not in member.nodes:
+            raise KeyError(node)
+        return member
 
     async def run(self) -> Outcome:
         """Run it to its end, see `run_system`."""

@@ -14,8 +14,8 @@ COMPONENT_EVENT: Final = Layout(
     "error_message:s pid:i start_time:Q exit_code:i signal:i backtrace:s[] confirmed_by:s"
 )
 STATE_EVENT: Final = Layout(
-    "stamp:t kind:B name:s container:s state:s reason:s mechanism:s start_time:Q unique_id:Q "
-    "attempt:Q elapsed_ns:q cpu_time_ns:q pid:i exit_code:i signal:i index:I crashes:I restarts:I "
+    "stamp:t kind:B key:s name:s container:s state:s reason:s mechanism:s start_time:Q unique_id:Q "
+    "attempt:Q elapsed_ns:q cpu_time_ns:q pid:i exit_code:i signal:i crashes:I restarts:I "
     "command:s[]"
 )
 CONTROL_HELLO: Final = Layout(

@@ -69,6 +69,7 @@ def _container(container: ContainerConfig) -> dict[str, object]:
 
 def _composable_node(node: ComposableNodeConfig) -> dict[str, object]:
     return {
+        "key": str(node.key),
         "package": node.package,
         "plugin": node.plugin,
         "name": node.name,

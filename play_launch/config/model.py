@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
+    from play_launch.core.node_key import NodeKey
+
 
 class ContainerType(StrEnum):
     """Which executor a container spins its nodes with, and in how many processes."""
@@ -108,17 +110,16 @@ def _no_environment() -> Mapping[str, str]:
 class ComposableNodeConfig:
     """A node to load into a container.
 
-    An empty `name` or `namespace` keeps the component's own. `declared_full_name` is the
-    absolute name where the name is known, else a label such as `/[demo::Talker]` that no ROS
-    node can have. It is unique in the configuration. `line` is where the node is declared.
-    `on_crash` and `restart` are what becomes of it when it crashes alone.
+    An empty `name` or `namespace` keeps the component's own. `key` is unique in the configuration.
+    `line` is where the node is declared. `on_crash` and `restart` are what becomes of it when it
+    crashes alone.
     """
 
     package: str
     plugin: str
     name: str
     namespace: str
-    declared_full_name: str
+    key: NodeKey
     parameters: tuple[ParameterConfig, ...] = ()
     remappings: tuple[tuple[str, str], ...] = ()
     extra_arguments: tuple[ParameterConfig, ...] = ()
@@ -126,6 +127,11 @@ class ComposableNodeConfig:
     on_crash: OnCrash = OnCrash.RELOAD
     restart: RestartLimits = field(default_factory=RestartLimits)
     line: int = 0
+
+    @property
+    def declared_full_name(self) -> str:
+        """The absolute name where it is known, else a label; see `NodeKey`."""
+        return self.key.name
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -13,7 +13,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
-from typing import Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol
+
+if TYPE_CHECKING:
+    from play_launch.core.node_key import NodeKey
 
 
 class ComponentEventKind(IntEnum):
@@ -163,11 +166,7 @@ class NodeStateChanged:
     """
 
     stamp_ns: int
-    container: str
-    node: str
-    """Declared full name."""
-    index: int
-    """Position in the container's declaration; tells apart nodes of the same name."""
+    key: NodeKey
     state: NodeState
     elapsed_ns: int = 0
     """Time since the load was sent, or that it took; 0 where no load is meant."""
@@ -181,6 +180,16 @@ class NodeStateChanged:
     """How often it crashed so far."""
     reloads: int = 0
     """How often it was loaded again because of that."""
+
+    @property
+    def container(self) -> str:
+        """Full name of the container that it is declared in."""
+        return self.key.container
+
+    @property
+    def node(self) -> str:
+        """Declared full name, or the label of a node that has none."""
+        return self.key.name
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

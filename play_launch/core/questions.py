@@ -14,6 +14,8 @@ from play_launch.core.node_table import NodeInput
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
+    from play_launch.core.node_key import NodeKey
+
 
 class ListedState(IntEnum):
     """``play_launch_msgs/NodeStatus.state``, and one that no container sends."""
@@ -28,11 +30,10 @@ class ListedState(IntEnum):
 class Asked(NamedTuple):
     """A node that a question is about."""
 
-    position: int
-    """Place in the container's declaration."""
+    key: NodeKey
     attempt: int
     unique_id: int
-    """0 while the container has not told it."""
+    """0 while the container has not reported it."""
 
 
 class Listed(Protocol):

@@ -29,7 +29,9 @@ from enum import StrEnum, auto
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Collection, Iterable
+
+    from play_launch.core.node_key import NodeKey
 
 MOST_DEATHS: Final = 3
 """Deaths of its container after which a node is refused, whoever else was being loaded."""
@@ -76,33 +78,33 @@ def blamed(suspicion: Suspicion, *, alone: bool) -> Suspicion:
 
 
 class Suspects:
-    """The nodes of one container, by their places in the declaration. No I/O, no clock."""
+    """The nodes of one container. No I/O, no clock."""
 
-    def __init__(self) -> None:
-        self._known: dict[int, Suspicion] = {}
-        self._excused: Counter[int] = Counter()
+    def __init__(self, nodes: Iterable[NodeKey]) -> None:
+        """Trust all of them; where there is a choice, those that come first are taken first."""
+        self._known = dict.fromkeys(nodes, Suspicion())
+        self._excused: Counter[NodeKey] = Counter()
 
-    def of(self, index: int) -> Suspicion:
+    def of(self, node: NodeKey) -> Suspicion:
         """Return what is known about a node."""
-        return self._known.get(index, Suspicion())
+        return self._known[node]
 
     def excuse_death(self) -> bool:
         """Return whether a death now costs the container no restart; before `container_died`."""
-        tried = [i for i, each in self._known.items() if each.stage is Stage.TRIED]
-        excused = any(self._excused[index] < MOST_DEATHS - 1 for index in tried)
+        tried = [node for node, each in self._known.items() if each.stage is Stage.TRIED]
+        excused = any(self._excused[node] < MOST_DEATHS - 1 for node in tried)
         self._excused.update(tried)
         return excused
 
-    def container_died(self, under_way: Collection[int]) -> tuple[list[int], list[int]]:
+    def container_died(self, under_way: Collection[NodeKey]) -> tuple[list[NodeKey], list[NodeKey]]:
         """Take the death of a container that was loading these nodes.
 
         Returns:
             The nodes to be probed, and those that are refused from now on.
         """
         probe, refused = [], []
-        for index in sorted({*self._known, *under_way}):
-            before = self.of(index)
-            if index in under_way:
+        for node, before in self._known.items():
+            if node in under_way:
                 after = blamed(before, alone=len(under_way) == 1)
             elif before.stage is Stage.CONDEMNED:
                 after = replace(before, stage=Stage.PROBING)
@@ -110,40 +112,40 @@ class Suspects:
                 after = Suspicion()
             else:
                 after = before
-            self._known[index] = after
-            if after.stage is not before.stage or index in under_way:
+            self._known[node] = after
+            if after.stage is not before.stage or node in under_way:
                 if after.stage is Stage.PROBING:
-                    probe.append(index)
+                    probe.append(node)
                 elif after.stage is Stage.REFUSED:
-                    refused.append(index)
+                    refused.append(node)
         return probe, refused
 
-    def probe_ended(self, index: int, *, loads: bool) -> None:
+    def probe_ended(self, node: NodeKey, *, loads: bool) -> None:
         """Take the result of the scratch process.
 
         Without one the library counts as one that loads: the number of deaths is bounded anyway.
         """
-        before = self.of(index)
+        before = self.of(node)
         if before.stage is Stage.PROBING:
             stage = Stage.CLEARED if loads else Stage.CONDEMNED
-            self._known[index] = replace(before, stage=stage)
+            self._known[node] = replace(before, stage=stage)
 
-    def survived(self, index: int) -> None:
+    def survived(self, node: NodeKey) -> None:
         """The load came to an end, in whichever way, and the container lives."""
-        self._known.pop(index, None)
+        self._known[node] = Suspicion()
 
-    def holds(self, index: int) -> bool:
+    def holds(self, node: NodeKey) -> bool:
         """Whether a container that is ready does not get the node yet, or not at all."""
-        return self.of(index).stage not in {Stage.TRUSTED, Stage.TRIED}
+        return self.of(node).stage not in {Stage.TRUSTED, Stage.TRIED}
 
-    def due(self, under_way: Collection[int]) -> list[int]:
+    def due(self, under_way: Collection[NodeKey]) -> list[NodeKey]:
         """Choose those that are loaded now, beside others; they count as sent."""
-        if any(self.of(index).wants_to_be_alone for index in under_way):
+        if any(self.of(node).wants_to_be_alone for node in under_way):
             return []
-        cleared = [i for i, each in sorted(self._known.items()) if each.stage is Stage.CLEARED]
-        chosen = [index for index in cleared if not self._known[index].wants_to_be_alone]
+        cleared = [node for node, each in self._known.items() if each.stage is Stage.CLEARED]
+        chosen = [node for node in cleared if not self._known[node].wants_to_be_alone]
         if not chosen and not under_way:
             chosen = cleared[:1]
-        for index in chosen:
-            self._known[index] = replace(self._known[index], stage=Stage.TRIED)
+        for node in chosen:
+            self._known[node] = replace(self._known[node], stage=Stage.TRIED)
         return chosen

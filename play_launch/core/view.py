@@ -23,6 +23,8 @@ from play_launch.core.events import (
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from play_launch.core.node_key import NodeKey
+
 _Key = TypeVar("_Key")
 _Value = TypeVar("_Value")
 
@@ -36,9 +38,7 @@ WAITING_STATES = frozenset(
 class NodeView:
     """One declared composable node."""
 
-    container: str
-    node: str
-    index: int
+    key: NodeKey
     state: NodeState
     since_ns: int
     """Wall-clock time since which it is in this state, nanoseconds since the epoch."""
@@ -49,6 +49,16 @@ class NodeView:
     unique_id: int = 0
     crashes: int = 0
     reloads: int = 0
+
+    @property
+    def container(self) -> str:
+        """Full name of its container."""
+        return self.key.container
+
+    @property
+    def node(self) -> str:
+        """Declared full name, or the label of a node that has none."""
+        return self.key.name
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,7 +97,7 @@ class ProcessView:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ContainerView:
-    """One container and its nodes, these by their place in the declaration."""
+    """One container and its nodes, in the order in which they were announced: as declared."""
 
     name: str
     state: ContainerState = ContainerState.STOPPED
@@ -96,7 +106,7 @@ class ContainerView:
     mechanism: str = ""
     """How its nodes are isolated; empty where they are not, or while it does not run."""
     process: ProcessView
-    nodes: Mapping[int, NodeView] = field(default_factory=lambda: MappingProxyType({}))
+    nodes: Mapping[NodeKey, NodeView] = field(default_factory=lambda: MappingProxyType({}))
 
     @property
     def total(self) -> int:
@@ -227,12 +237,10 @@ class SystemView:
 
 
 def _node_changed(container: ContainerView, event: NodeStateChanged) -> ContainerView:
-    before = container.nodes.get(event.index)
+    before = container.nodes.get(event.key)
     repeated = before is not None and before.state is event.state
     node = NodeView(
-        container=event.container,
-        node=event.node,
-        index=event.index,
+        key=event.key,
         state=event.state,
         since_ns=before.since_ns if repeated and before else event.stamp_ns,
         elapsed_ns=event.elapsed_ns,
@@ -242,7 +250,7 @@ def _node_changed(container: ContainerView, event: NodeStateChanged) -> Containe
         crashes=event.crashes,
         reloads=event.reloads,
     )
-    return replace(container, nodes=_with(container.nodes, event.index, node))
+    return replace(container, nodes=_with(container.nodes, event.key, node))
 
 
 def _process_changed(process: ProcessView, event: ProcessEvent) -> ProcessView:

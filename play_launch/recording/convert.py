@@ -123,6 +123,7 @@ def _state(event: NodeStateChanged | ContainerStateChanged | ProcessEvent) -> di
             return {
                 "stamp": event.stamp_ns,
                 "kind": _NODE,
+                "key": str(event.key),
                 "name": event.node,
                 "container": event.container,
                 "state": event.state.name.lower(),
@@ -132,7 +133,6 @@ def _state(event: NodeStateChanged | ContainerStateChanged | ProcessEvent) -> di
                 "elapsed_ns": event.elapsed_ns,
                 "cpu_time_ns": event.cpu_time_ns,
                 "pid": event.pid,
-                "index": event.index,
                 "crashes": event.crashes,
                 "restarts": event.reloads,
             }
@@ -140,6 +140,7 @@ def _state(event: NodeStateChanged | ContainerStateChanged | ProcessEvent) -> di
             return {
                 "stamp": event.stamp_ns,
                 "kind": _CONTAINER,
+                "key": event.container,
                 "name": event.container,
                 "container": event.container,
                 "state": event.state.name.lower(),
@@ -150,6 +151,7 @@ def _state(event: NodeStateChanged | ContainerStateChanged | ProcessEvent) -> di
             return {
                 "stamp": event.stamp_ns,
                 "kind": _PROCESS,
+                "key": event.name,
                 "name": event.name,
                 "state": event.kind.name.lower(),
                 "reason": event.message,

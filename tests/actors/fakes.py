@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import itertools
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from play_launch.config.model import (
@@ -16,6 +16,7 @@ from play_launch.config.model import (
 )
 from play_launch.core.crash import OnCrash
 from play_launch.core.events import ComponentEvent, ComponentEventKind, Stream
+from play_launch.core.node_key import NodeKey
 from play_launch.core.restart import RestartLimits
 from play_launch.process.exit import Exit
 from play_launch.process.lines import Line
@@ -375,7 +376,7 @@ def node(
         plugin="demo::Node",
         name=name,
         namespace="/",
-        declared_full_name=f"/{name}",
+        key=NodeKey("", f"/{name}"),
         on_crash=on_crash,
         restart=restart or RestartLimits(max_restarts=3),
     )
@@ -384,12 +385,15 @@ def node(
 def container(
     name: str, *nodes: str | ComposableNodeConfig, max_restarts: int = 3
 ) -> ContainerConfig:
+    declared = [node(each) if isinstance(each, str) else each for each in nodes]
     return ContainerConfig(
         name=name,
         namespace="/",
         full_name=f"/{name}",
         restart=RestartLimits(max_restarts=max_restarts),
-        composable_nodes=tuple(node(each) if isinstance(each, str) else each for each in nodes),
+        composable_nodes=tuple(
+            replace(each, key=NodeKey(f"/{name}", each.key.name)) for each in declared
+        ),
     )
 
 

@@ -14,6 +14,7 @@ from play_launch.core.events import (
     NodeState,
     ProcessEventKind,
 )
+from play_launch.core.node_key import NodeKey
 from play_launch.core.restart import RestartLimits
 from play_launch.wire.messages import Load
 
@@ -73,7 +74,7 @@ def test_the_first_reload_is_at_once_and_the_neighbours_notice_nothing() -> None
             await sys.until_loaded(2)
             assert asyncio.get_running_loop().time() == crashed
             assert len(sys.launcher.containers["/c"]) == 1
-            view = sys.view.containers["/c"].nodes[0]
+            view = sys.view.containers["/c"].nodes[NodeKey("/c", "/a")]
             assert (view.crashes, view.reloads) == (1, 1)
             assert [each.node for each in sys.view.crashed] == ["/a"]
         return sys
@@ -169,7 +170,7 @@ def test_a_reload_that_fails_is_tried_again_within_the_bounds() -> None:
                 True,
                 True,
             ]
-            view = sys.view.containers["/c"].nodes[0]
+            view = sys.view.containers["/c"].nodes[NodeKey("/c", "/a")]
             assert (view.crashes, view.reloads) == (1, 3)
 
     run(main())

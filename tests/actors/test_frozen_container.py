@@ -14,6 +14,7 @@ from play_launch.core.events import (
     ProcessEvent,
     ProcessEventKind,
 )
+from play_launch.core.node_key import NodeKey
 from play_launch.core.watchdog import WatchLimits
 from play_launch.wire.messages import Hello, Query, Status
 
@@ -204,10 +205,13 @@ def test_a_node_that_stays_in_its_callbacks_is_told_once_and_left_alone(
             for _ in range(2):
                 fake.busy_since = asyncio.get_running_loop().time()
                 await asyncio.sleep(60)
-                assert "blocked in a callback" in sys.view.containers["/c"].nodes[0].reason
+                assert (
+                    "blocked in a callback"
+                    in sys.view.containers["/c"].nodes[NodeKey("/c", "/a")].reason
+                )
                 fake.busy_since = None
                 await asyncio.sleep(10)
-                assert sys.view.containers["/c"].nodes[0].reason == ""
+                assert sys.view.containers["/c"].nodes[NodeKey("/c", "/a")].reason == ""
             assert len(sys.launcher.containers["/c"]) == 1
         return sys
 

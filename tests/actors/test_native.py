@@ -35,6 +35,7 @@ from play_launch.core.events import (
     ProcessEventKind,
     RunEvent,
 )
+from play_launch.core.node_key import NodeKey
 from play_launch.core.restart import RestartLimits
 from play_launch.core.view import SystemView
 
@@ -64,7 +65,7 @@ def node(
         plugin=f"{package}::{plugin}",
         name=name,
         namespace="/",
-        declared_full_name=f"/{name}",
+        key=NodeKey("", f"/{name}"),
         parameters=tuple(parameter(key, value) for key, value in parameters.items()),
     )
 
@@ -76,7 +77,9 @@ def container(name: str, *nodes: ComposableNodeConfig, timeout: float = 10.0) ->
         full_name=f"/{name}",
         restart=QUICK,
         loading_timeout=timeout,
-        composable_nodes=nodes,
+        composable_nodes=tuple(
+            replace(each, key=NodeKey(f"/{name}", each.key.name)) for each in nodes
+        ),
     )
 
 

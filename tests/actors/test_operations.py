@@ -15,6 +15,7 @@ from play_launch.actors.member import Member
 from play_launch.actors.publisher import Publisher
 from play_launch.core.events import ContainerState, NodeState, ProcessEventKind
 from play_launch.core.member import MemberAction, MemberInput, MemberRecord, step
+from play_launch.core.node_key import NodeKey
 from play_launch.core.restart import RestartLimits
 from play_launch.process.exit import Exit
 from play_launch.wire.channel import ProtocolViolationError
@@ -26,6 +27,7 @@ from .running import Running, running
 if TYPE_CHECKING:
     from play_launch.wire.messages import Load
 
+A, B = NodeKey("/c", "/a"), NodeKey("/c", "/b")
 CONFIG = system(container("c", "a", "b"), container("d", "x"), process("p"))
 
 
@@ -191,7 +193,7 @@ def test_a_node_that_is_loaded_by_hand_gets_its_reloads_anew() -> None:
             for count in range(1, 5):
                 await crash_after_load(count)
             await sys.until(lambda: bool(sys.node_events("/a", NodeState.GAVE_UP)))
-            sys.operated.load("/c", 0)
+            sys.operated.load(A)
             await crash_after_load(5)
             await sys.until(lambda: len(sys.node_events("/a", NodeState.LOADED)) == 6)
             assert len(sys.node_events("/a", NodeState.GAVE_UP)) == 1
@@ -234,13 +236,13 @@ def test_a_node_is_unloaded_and_stays_away_until_it_is_loaded() -> None:
     async def main() -> None:
         async with running(CONFIG, FakeLauncher()) as sys:
             await until_up(sys)
-            sys.operated.unload("/c", 0)
+            sys.operated.unload(A)
             await sys.until(lambda: bool(sys.node_events("/a", NodeState.UNLOADED)))
             sys.launcher.containers["/c"][0].crash()
             await sys.until_state("/c", ContainerState.BACKOFF)
             await sys.until_loaded(2)
-            assert sys.view.containers["/c"].nodes[0].state is NodeState.UNLOADED
-            sys.operated.load("/c", 0)
+            assert sys.view.containers["/c"].nodes[A].state is NodeState.UNLOADED
+            sys.operated.load(A)
             await sys.until_loaded(3)
 
     run(main())
@@ -250,12 +252,12 @@ def test_a_node_that_is_wanted_again_while_its_container_is_away_comes_with_it()
     async def main() -> None:
         async with running(CONFIG, FakeLauncher()) as sys:
             await until_up(sys)
-            sys.operated.unload("/c", 0)
+            sys.operated.unload(A)
             await sys.until_loaded(2)
             sys.operated.stop("/c", "for a test")
             await sys.until_state("/c", ContainerState.STOPPED)
-            sys.operated.load("/c", 0)
-            sys.operated.unload("/c", 1)
+            sys.operated.load(A)
+            sys.operated.unload(B)
             sys.operated.start("/c")
             await sys.until_loaded(2)
             states = [node.state for node in sys.view.containers["/c"].nodes.values()]
@@ -264,12 +266,25 @@ def test_a_node_that_is_wanted_again_while_its_container_is_away_comes_with_it()
     run(main())
 
 
+@pytest.mark.parametrize("key", [NodeKey("/c", "/x"), NodeKey("/nobody", "/a")])
+def test_an_operation_on_an_unknown_node_is_refused_to_its_caller(key: NodeKey) -> None:
+    async def main() -> None:
+        async with running(CONFIG, FakeLauncher()) as sys:
+            await until_up(sys)
+            for operation in (sys.operated.load, sys.operated.unload, sys.operated.reload):
+                with pytest.raises(KeyError):
+                    operation(key)
+            assert sys.view.is_complete
+
+    run(main())
+
+
 def test_a_node_is_reloaded_and_its_neighbour_is_left_alone() -> None:
     async def main() -> None:
         async with running(CONFIG, FakeLauncher()) as sys:
             await until_up(sys)
-            neighbour = sys.view.containers["/c"].nodes[1].unique_id
-            sys.operated.reload("/c", 0)
+            neighbour = sys.view.containers["/c"].nodes[B].unique_id
+            sys.operated.reload(A)
             await sys.until(lambda: len(sys.node_events("/a", NodeState.LOADED)) == 2)
             assert sys.node_states("/a")[-4:] == [
                 NodeState.UNLOADING,
@@ -277,7 +292,7 @@ def test_a_node_is_reloaded_and_its_neighbour_is_left_alone() -> None:
                 NodeState.LOADING,
                 NodeState.LOADED,
             ]
-            assert sys.view.containers["/c"].nodes[1].unique_id == neighbour
+            assert sys.view.containers["/c"].nodes[B].unique_id == neighbour
             assert not sys.view.crashed
 
     run(main())

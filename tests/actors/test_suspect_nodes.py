@@ -21,6 +21,7 @@ from play_launch.core.events import (
     OutputLine,
     Stream,
 )
+from play_launch.core.node_key import NodeKey
 from play_launch.process.exit import Exit
 from play_launch.process.lines import Line
 from play_launch.wire.messages import Load, Query
@@ -253,8 +254,10 @@ def test_others_load_while_a_library_is_probed_and_the_probe_has_a_limit(
         config = replace(container("c", "bad", "b"), probe_timeout=25.0)
         async with running(system(config), fakes) as sys:
             await sys.until_loaded(1)
-            assert sys.view.containers["/c"].nodes[0].state is NodeState.LOST
-            assert "scratch process" in sys.view.containers["/c"].nodes[0].reason
+            assert sys.view.containers["/c"].nodes[NodeKey("/c", "/bad")].state is NodeState.LOST
+            assert (
+                "scratch process" in sys.view.containers["/c"].nodes[NodeKey("/c", "/bad")].reason
+            )
             await sys.until(lambda: NodeState.LOAD_FAILED in sys.node_states("/bad"))
         return sys
 

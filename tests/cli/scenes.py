@@ -13,6 +13,7 @@ from play_launch.core.events import (
     RunEvent,
     Stream,
 )
+from play_launch.core.node_key import NodeKey
 from play_launch.core.view import SystemView
 
 SECOND = 1_000_000_000
@@ -40,9 +41,7 @@ def node(
 ) -> NodeStateChanged:
     return NodeStateChanged(
         stamp_ns=START + round(at * SECOND),
-        container=owner,
-        node=f"{owner}/n{index}",
-        index=index,
+        key=NodeKey(owner, f"{owner}/n{index}"),
         state=state,
         elapsed_ns=round(elapsed * SECOND),
         reason=reason,

@@ -28,6 +28,7 @@ from play_launch.core.events import (
     Stream,
 )
 from play_launch.core.exit_code import exit_code
+from play_launch.core.node_key import NodeKey
 from play_launch.core.view import SystemView
 
 if TYPE_CHECKING:
@@ -85,9 +86,7 @@ async def run_system(config: ReplayConfig, publisher: Publisher, stop: StopReque
         states.append(NodeState.LOAD_FAILED)
     for index, state in enumerate(states):
         publisher.publish(
-            NodeStateChanged(
-                stamp_ns=time.time_ns(), container="/c", node=f"/n{index}", index=index, state=state
-            )
+            NodeStateChanged(stamp_ns=time.time_ns(), key=NodeKey("/c", f"/n{index}"), state=state)
         )
     say("node is up")
     if "troubled" in script:

@@ -168,6 +168,13 @@ def test_a_record_of_the_log_leaves_the_live_view_as_it_is() -> None:
     assert "late" in stream.getvalue()
 
 
+def test_json_has_the_key_of_a_node_and_its_parts() -> None:
+    stream = io.StringIO()
+    JsonStyle(stream, quiet=False).show(folded(node("/c", 0, NodeState.LOADED)), 0)
+    read = json.loads(stream.getvalue())
+    assert (read["key"], read["container"], read["node"]) == ("/c:/c/n0", "/c", "/c/n0")
+
+
 def test_json_has_one_object_for_each_event() -> None:
     stream = io.StringIO()
     component = ComponentEvent(

@@ -2,10 +2,12 @@ from __future__ import annotations
 
 import io
 import json
+from dataclasses import replace
 from pathlib import Path
 
 from play_launch.cli.show.summary import print_summary, size, summary_object
 from play_launch.core.events import ContainerState, NodeState, ProcessEventKind
+from play_launch.core.node_key import NodeKey
 from play_launch.recording.recorder import RecordingSummary
 from tests.cli.scenes import container, node, process, view
 
@@ -69,8 +71,15 @@ def test_the_summary_for_machines_has_the_same() -> None:
         "mechanism": "",
         "crashes": 0,
         "details": [
-            {"name": "/bad/n0", "state": "load failed", "pid": 0, "crashes": 0, "reloads": 0},
-            {"name": "/bad/n1", "state": "loading", "pid": 0, "crashes": 0, "reloads": 0},
+            {
+                "key": f"/bad:/bad/n{number}",
+                "name": f"/bad/n{number}",
+                "state": state,
+                "pid": 0,
+                "crashes": 0,
+                "reloads": 0,
+            }
+            for number, state in enumerate(["load failed", "loading"])
         ],
     }
     assert values["processes"][0]["failed"] is True
@@ -93,6 +102,18 @@ def test_crashes_and_reloads_of_each_node_are_told() -> None:
     assert "/c/n2" not in stream.getvalue()
     values = summary_object(crashed, RECORDING, exit_code=1)
     assert values["containers"][0]["crashes"] == 6  # type: ignore[index]
+
+
+def test_crashed_nodes_with_the_same_label_are_told_apart_by_their_containers() -> None:
+    unnamed = [
+        replace(node(owner, 0, NodeState.LOADED, crashes=1), key=NodeKey(owner, "/[demo::Talker]"))
+        for owner in ("/c", "/d")
+    ]
+    stream = io.StringIO()
+    crashed = view(container("/c"), container("/d"), *unnamed)
+    print_summary(crashed, RECORDING, stream=stream, colour=False)
+    assert "/c:/[demo::Talker]" in stream.getvalue()
+    assert "/d:/[demo::Talker]" in stream.getvalue()
 
 
 def test_sizes_are_for_people() -> None:

@@ -155,8 +155,7 @@ def test_the_description_is_json(full: ReplayConfig) -> None:
 
 def test_the_description_says_everything(full: ReplayConfig) -> None:
     described = describe(full)
-    left_out = {"text", "declared_full_name"}
-    fields = {field.name for field in dataclasses.fields(full)} - left_out
+    fields = {field.name for field in dataclasses.fields(full)} - {"text"}
     assert fields <= described.keys()
     for one, shown in zip(full.nodes, json.loads(json.dumps(described["nodes"])), strict=True):
         assert {field.name for field in dataclasses.fields(one)} <= shown.keys()

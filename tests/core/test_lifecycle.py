@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from play_launch.core.events import NodeState
 from play_launch.core.lifecycle import NodeRecord, Patience, Step, is_silent, step
+from play_launch.core.node_key import NodeKey
 from play_launch.core.node_table import TABLE, WAITING, NodeAction, NodeInput
 from play_launch.core.questions import Asked, ListedState, ids_to_ask, read_answer
 
@@ -17,6 +18,7 @@ PATIENCE = Patience(loading_timeout=10.0, report_interval=15.0)
 SENDS_LOAD = {NodeAction.SEND_LOAD, NodeAction.RESEND_LOAD}
 
 
+KEYS = tuple(NodeKey("/c", f"/n{number}") for number in range(5))
 WISHES = {NodeInput.LOAD_REQUESTED, NodeInput.RELOAD_REQUESTED}
 # From outside; the table's own words come of others.
 INPUTS = [each for each in NodeInput if each is not NodeInput.REPLACED]
@@ -238,21 +240,27 @@ def test_no_lie_makes_it_load_without_a_reason(
 
 
 def test_a_question_names_ids_only_where_all_are_known() -> None:
-    assert ids_to_ask([Asked(0, 1, 7), Asked(1, 2, 8)]) == (7, 8)
-    assert ids_to_ask([Asked(0, 1, 7), Asked(1, 2, 0)]) == ()
+    assert ids_to_ask([Asked(KEYS[0], 1, 7), Asked(KEYS[1], 2, 8)]) == (7, 8)
+    assert ids_to_ask([Asked(KEYS[0], 1, 7), Asked(KEYS[1], 2, 0)]) == ()
 
 
 def test_an_answer_is_read_by_attempt() -> None:
-    asked = [Asked(0, 1, 7), Asked(1, 2, 8), Asked(2, 3, 0), Asked(3, 4, 9), Asked(4, 5, 0)]
+    asked = [
+        Asked(KEYS[0], 1, 7),
+        Asked(KEYS[1], 2, 8),
+        Asked(KEYS[2], 3, 0),
+        Asked(KEYS[3], 4, 9),
+        Asked(KEYS[4], 5, 0),
+    ]
     listed = [
         Listed(unique_id=7, attempt=1, state=ListedState.LOADED),
         Listed(unique_id=8, attempt=99, state=ListedState.LOADED),
         Listed(unique_id=5, attempt=3, state=ListedState.CONSTRUCTING),
         Listed(unique_id=6, attempt=5, state=77),
     ]
-    answers = {each.asked.position: each.said for each in read_answer(asked, listed)}
+    answers = {each.asked.key: each.said for each in read_answer(asked, listed)}
     assert answers == {
-        0: NodeInput.STATUS_LOADED,
-        2: NodeInput.STATUS_CONSTRUCTING,
-        3: NodeInput.STATUS_UNKNOWN,
+        KEYS[0]: NodeInput.STATUS_LOADED,
+        KEYS[2]: NodeInput.STATUS_CONSTRUCTING,
+        KEYS[3]: NodeInput.STATUS_UNKNOWN,
     }

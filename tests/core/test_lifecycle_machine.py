@@ -8,11 +8,13 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, 
 
 from play_launch.core.events import NodeState
 from play_launch.core.lifecycle import NodeRecord, Patience, Step, is_silent, step
+from play_launch.core.node_key import NodeKey
 from play_launch.core.node_table import WAITING, NodeAction, NodeInput
 from play_launch.core.questions import Asked, ids_to_ask, read_answer
 
 from .model_container import Load, ModelContainer, Query, Status, Unload, Word
 
+KEY = NodeKey("/c", "/n")
 PATIENCE = Patience(loading_timeout=10.0, report_interval=15.0)
 DEATHS = {
     NodeInput.REJECTED,
@@ -74,7 +76,7 @@ class OneNode(RuleBasedStateMachine):
                 self.send(Load(record.attempt))
             case NodeAction.SEND_QUERY:
                 query_id = len(self.asked) + 1
-                self.asked[query_id] = Asked(0, record.attempt, record.unique_id)
+                self.asked[query_id] = Asked(KEY, record.attempt, record.unique_id)
                 self.send(Query(query_id, ids_to_ask([self.asked[query_id]])))
             case NodeAction.SEND_CANCEL | NodeAction.SEND_UNLOAD:
                 assert record.unique_id

@@ -17,13 +17,12 @@ from play_launch.core.events import (
     Stream,
 )
 from play_launch.core.exit_code import ExitCode, exit_code
+from play_launch.core.node_key import NodeKey
 from play_launch.core.view import SystemView
 
 
 def node(state: NodeState, index: int = 0, stamp_ns: int = 1, **more: Any) -> NodeStateChanged:
-    return NodeStateChanged(
-        stamp_ns=stamp_ns, container="/c", node=f"/n{index}", index=index, state=state, **more
-    )
+    return NodeStateChanged(stamp_ns=stamp_ns, key=NodeKey("/c", f"/n{index}"), state=state, **more)
 
 
 def process(kind: ProcessEventKind, name: str = "/p", **more: Any) -> ProcessEvent:

@@ -21,6 +21,7 @@ from play_launch.core.events import (
     ProcessEvent,
     ProcessEventKind,
 )
+from play_launch.core.node_key import NodeKey
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -81,11 +82,11 @@ def state_event(message: Any) -> NodeStateChanged | ContainerStateChanged | Proc
     """The event that a ``play_launch_msgs/StateEvent`` records."""
     stamp_ns = message.stamp.sec * 1_000_000_000 + message.stamp.nanosec
     if message.kind == message.NODE:
+        key = NodeKey(message.container, message.name)
+        assert message.key == str(key)
         return NodeStateChanged(
             stamp_ns=stamp_ns,
-            container=message.container,
-            node=message.name,
-            index=message.index,
+            key=key,
             state=NodeState[message.state.upper()],
             elapsed_ns=message.elapsed_ns,
             reason=message.reason,
@@ -99,7 +100,7 @@ def state_event(message: Any) -> NodeStateChanged | ContainerStateChanged | Proc
     if message.kind == message.CONTAINER:
         return ContainerStateChanged(
             stamp_ns=stamp_ns,
-            container=message.name,
+            container=message.key,
             state=ContainerState[message.state.upper()],
             reason=message.reason,
             mechanism=message.mechanism,
@@ -108,7 +109,7 @@ def state_event(message: Any) -> NodeStateChanged | ContainerStateChanged | Proc
     return ProcessEvent(
         stamp_ns=stamp_ns,
         kind=ProcessEventKind[message.state.upper()],
-        name=message.name,
+        name=message.key,
         pid=message.pid,
         start_time=message.start_time,
         exit_code=message.exit_code,

@@ -20,6 +20,7 @@ from play_launch.core.events import (
     RunEvent,
     Stream,
 )
+from play_launch.core.node_key import NodeKey
 from play_launch.recording.convert import convert, is_failure
 
 STAMP = 1_700_000_000_123_456_789
@@ -156,9 +157,7 @@ def test_failures_are_told_from_the_rest() -> None:
     assert not is_failure(exited)
     killed = ProcessEvent(stamp_ns=STAMP, kind=ProcessEventKind.EXITED, name="/c", signal=9)
     assert is_failure(killed)
-    given_up = NodeStateChanged(
-        stamp_ns=STAMP, container="/c", node="/n", index=0, state=NodeState.GAVE_UP
-    )
+    given_up = NodeStateChanged(stamp_ns=STAMP, key=NodeKey("/c", "/n"), state=NodeState.GAVE_UP)
     assert is_failure(given_up)
     assert is_failure(LogRecord(stamp_ns=STAMP, level=40, name="n", message="m"))
     assert not is_failure(line("[ERROR] lines are looked at when they are written"))

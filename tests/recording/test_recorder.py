@@ -23,6 +23,7 @@ from play_launch.core.events import (
     RunEvent,
     Stream,
 )
+from play_launch.core.node_key import NodeKey
 from play_launch.recording.bag import McapBagWriter
 from play_launch.recording.errors import WriteFailedError
 from play_launch.recording.log_handler import EventLogHandler
@@ -119,7 +120,7 @@ def test_every_event_is_read_back_by_rosbags(tmp_path: Path) -> None:
             plugin_name="p::N",
             backtrace=("f", "g"),
         ),
-        NodeStateChanged(stamp_ns=4, container="/c", node="/n", index=0, state=NodeState.LOADED),
+        NodeStateChanged(stamp_ns=4, key=NodeKey("/c", "/n"), state=NodeState.LOADED),
         line(5),
         record(6),
         record(7, level=40),

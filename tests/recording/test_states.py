@@ -19,6 +19,7 @@ from play_launch.core.events import (
     ProcessEvent,
     ProcessEventKind,
 )
+from play_launch.core.node_key import NodeKey
 from play_launch.core.view import SystemView
 from play_launch.recording import topics
 from play_launch.recording.bag import McapBagWriter
@@ -38,9 +39,7 @@ EVENTS = st.one_of(
     st.builds(
         NodeStateChanged,
         stamp_ns=STAMPS,
-        container=NAMES,
-        node=NAMES,
-        index=UINT32,
+        key=st.builds(NodeKey, container=NAMES, name=NAMES),
         state=st.sampled_from(NodeState),
         elapsed_ns=INT64,
         reason=TEXTS,

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from play_launch.actors.publisher import Publisher
     from play_launch.actors.restarter import CrashFollower
     from play_launch.config.model import ComposableNodeConfig
+    from play_launch.core.node_key import NodeKey
     from play_launch.core.probe import Finding
 
 _log = logging.getLogger(__name__)
@@ -38,7 +39,6 @@ _TIMED: Final = frozenset(
 class MirroredNode:
     """What is known about a node; times are seconds of the event loop's clock."""
 
-    index: int
     config: ComposableNodeConfig
     follower: CrashFollower
     record: NodeRecord = field(default_factory=NodeRecord)
@@ -51,6 +51,11 @@ class MirroredNode:
     reloads: int = 0
     reported_silent: bool = False
     """Whether its present stay in callbacks was reported."""
+
+    @property
+    def key(self) -> NodeKey:
+        """What it is addressed by."""
+        return self.config.key
 
     @property
     def name(self) -> str:
@@ -78,9 +83,7 @@ class NodeReports:
         self._publisher.publish(
             NodeStateChanged(
                 stamp_ns=self._publisher.stamp_ns(),
-                container=self._container,
-                node=node.name,
-                index=node.index,
+                key=node.key,
                 state=record.state,
                 elapsed_ns=round(elapsed * 1e9),
                 reason=facts.reason,

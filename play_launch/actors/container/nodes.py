@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from play_launch.actors.publisher import Publisher
     from play_launch.config.model import ContainerConfig
     from play_launch.core.lifecycle import Patience
+    from play_launch.core.node_key import NodeKey
     from play_launch.core.probe import Finding
     from play_launch.wire.messages import NodeStatus
 
@@ -103,27 +104,31 @@ class ContainerNodes:
         self._silence = silence
         self._send: Callable[[Outgoing], None] | None = None
         self._stopping = False
-        self._lost_loading: list[int] = []
+        self._lost_loading: list[NodeKey] = []
         self._questions = Questions(config.full_name)
-        self._to_ask: dict[int, MirroredNode] = {}
-        self._nodes = [
-            MirroredNode(index, node, CrashFollower(node.on_crash, node.restart, jitter))
-            for index, node in enumerate(config.composable_nodes)
-        ]
+        self._to_ask: dict[NodeKey, MirroredNode] = {}
+        self._nodes = {
+            node.key: MirroredNode(node, CrashFollower(node.on_crash, node.restart, jitter))
+            for node in config.composable_nodes
+        }
         self.suspects = SuspectNodes(config, probes, self, deliver)
         """Those that may have taken the container down; its `run` has to run."""
 
+    def __contains__(self, key: NodeKey) -> bool:
+        """Whether that node is declared here."""
+        return key in self._nodes
+
     def announce(self) -> None:
         """Tell that the nodes are declared."""
-        for node in self._nodes:
+        for node in self._nodes.values():
             self._reports.state(node, NOTHING)
 
     def container_ready(self, send: Callable[[Outgoing], None]) -> None:
         """Ask for all nodes at once, in the order of their declaration."""
         self._send = send
         self._stopping = False
-        for node in self._nodes:
-            if not self.suspects.holds(node.index):
+        for node in self._nodes.values():
+            if not self.suspects.holds(node.key):
                 self._apply(node, NodeInput.CONTAINER_READY)
         self.load_cleared()
 
@@ -131,7 +136,7 @@ class ContainerNodes:
         """The container was asked to end; nothing is loaded again any more."""
         self._stopping = True
         self.suspects.stop()
-        for node in self._nodes:
+        for node in self._nodes.values():
             node.reload_at = None
             if node.record.replaces:
                 self._apply(node, NodeInput.WANTED)
@@ -142,7 +147,7 @@ class ContainerNodes:
         self._send = None
         self._questions.clear()
         self._to_ask.clear()
-        for node in self._nodes:
+        for node in self._nodes.values():
             node.reload_at = None
             self._apply(node, NodeInput.CONTAINER_LOST, Facts(reason=reason))
 
@@ -153,14 +158,14 @@ class ContainerNodes:
         """
         self.suspects.container_died(self._lost_loading if blame else (), blame)
 
-    def wait_for_probe(self, index: int) -> None:
+    def wait_for_probe(self, key: NodeKey) -> None:
         """Report that the library of a node is loaded in a scratch process first."""
         facts = Facts(reason="its library is loaded in a scratch process first")
-        self._reports.state(self._nodes[index], facts)
+        self._reports.state(self._nodes[key], facts)
 
-    def refuse(self, index: int, reason: str, finding: Finding | None = None) -> None:
+    def refuse(self, key: NodeKey, reason: str, finding: Finding | None = None) -> None:
         """Let a node fail that the container does not get."""
-        node = self._nodes[index]
+        node = self._nodes[key]
         self._reports.refusal(node, reason, finding)
         self._apply(node, NodeInput.REFUSED, Facts(reason=reason))
 
@@ -169,32 +174,32 @@ class ContainerNodes:
         if self._send is None or self._stopping:
             return
         since = self._clock() - _ALONE_LIMIT
-        for index in self.suspects.due(self._under_way(since)):
-            self._apply(self._nodes[index], NodeInput.CONTAINER_READY)
+        for key in self.suspects.due(self._under_way(since)):
+            self._apply(self._nodes[key], NodeInput.CONTAINER_READY)
 
-    def _under_way(self, since: float = 0.0) -> list[int]:
-        nodes = (each for each in self._nodes if each.record.state in _UNDER_WAY)
-        return [node.index for node in nodes if node.record.sent_at >= since]
+    def _under_way(self, since: float = 0.0) -> list[NodeKey]:
+        nodes = (each for each in self._nodes.values() if each.record.state in _UNDER_WAY)
+        return [node.key for node in nodes if node.record.sent_at >= since]
 
-    def load(self, index: int) -> None:
+    def load(self, key: NodeKey) -> None:
         """Have a node loaded that is not: now, or as soon as its container is ready."""
-        self._want(index, NodeInput.LOAD_REQUESTED)
+        self._want(key, NodeInput.LOAD_REQUESTED)
 
-    def reload(self, index: int) -> None:
+    def reload(self, key: NodeKey) -> None:
         """Have a node replaced by a new one, or loaded."""
-        self._want(index, NodeInput.RELOAD_REQUESTED)
+        self._want(key, NodeInput.RELOAD_REQUESTED)
 
-    def unload(self, index: int) -> None:
+    def unload(self, key: NodeKey) -> None:
         """Have a node unloaded; it does not come back with its container either."""
-        self._nodes[index].reload_at = None
-        self._apply(self._nodes[index], NodeInput.UNLOAD_REQUESTED)
+        self._nodes[key].reload_at = None
+        self._apply(self._nodes[key], NodeInput.UNLOAD_REQUESTED)
         self._ask()
 
-    def _want(self, index: int, said: NodeInput) -> None:
+    def _want(self, key: NodeKey, said: NodeInput) -> None:
         is_ready = self._send is not None and not self._stopping
-        self._nodes[index].reload_at = None
-        self._nodes[index].follower.forget()
-        self._apply(self._nodes[index], said if is_ready else NodeInput.WANTED)
+        self._nodes[key].reload_at = None
+        self._nodes[key].follower.forget()
+        self._apply(self._nodes[key], said if is_ready else NodeInput.WANTED)
         self._ask()
 
     def hear(self, message: Accepted | Rejected | ComponentEvent | Status) -> None:
@@ -217,7 +222,7 @@ class ContainerNodes:
     def hear_silence(self, listed: Iterable[NodeStatus]) -> None:
         """Report once each loaded node whose executor is blocked in a callback for long."""
         silent = {each.attempt: each.silence_ns / 1e9 for each in listed}
-        for node in self._nodes:
+        for node in self._nodes.values():
             is_loaded = node.record.state is NodeState.LOADED
             seconds = silent.get(node.record.attempt, 0.0) if is_loaded else 0.0
             if seconds < self._silence:
@@ -233,7 +238,7 @@ class ContainerNodes:
     def slow_reload(self, limit: float) -> str:
         """Name a node whose reload takes ``limit`` seconds and thrice its usual time; or empty."""
         now = self._clock()
-        for node in self._nodes:
+        for node in self._nodes.values():
             record = node.record
             is_under_way = record.is_reload and record.state in _UNDER_WAY
             if is_under_way and now - record.sent_at > limit + 3 * node.took:
@@ -244,7 +249,7 @@ class ContainerNodes:
         """When `on_time` has to be called next; None when nothing is due."""
         times = [
             at
-            for node in self._nodes
+            for node in self._nodes.values()
             for at in (node.record.ask_at, node.reload_at)
             if at is not None
         ]
@@ -253,7 +258,7 @@ class ContainerNodes:
     def on_time(self) -> None:
         """Do what is due."""
         now = self._clock()
-        for node in self._nodes:
+        for node in self._nodes.values():
             if node.reload_at is not None and now >= node.reload_at:
                 self._reload(node)
             if is_silent(node.record, now):
@@ -266,7 +271,7 @@ class ContainerNodes:
         if message.attempt:
             self._about_attempt(NodeInput.REJECTED, facts)
             return
-        for node in self._nodes:
+        for node in self._nodes.values():
             if message.unique_id and node.record.unique_id == message.unique_id:
                 self._apply(node, NodeInput.UNLOAD_REJECTED, facts)
                 return
@@ -280,10 +285,10 @@ class ContainerNodes:
     def _hear_status(self, status: Status) -> None:
         for answer in self._questions.read(status):
             facts = facts_of_status(answer.asked, answer.listed)
-            self._apply(self._nodes[answer.asked.position], answer.said, facts)
+            self._apply(self._nodes[answer.asked.key], answer.said, facts)
 
     def _about_attempt(self, said: NodeInput, facts: Facts) -> None:
-        for node in self._nodes:
+        for node in self._nodes.values():
             if node.record.attempt == facts.attempt:
                 self._apply(node, said, facts)
                 return
@@ -317,7 +322,7 @@ class ContainerNodes:
             facts = replace(facts, reason="not at the supervisor's request")
         over = before.state in _UNDER_WAY and record.state not in _UNDER_WAY
         if over and said is not NodeInput.CONTAINER_LOST:
-            self.suspects.survived(node.index)
+            self.suspects.survived(node.key)
         if has_changed and record.state is NodeState.CRASHED:
             node.crashes += 1
         if NodeAction.SEND_LOAD in result.actions and record.is_reload:
@@ -344,7 +349,7 @@ class ContainerNodes:
                 _log.warning(text, node.name, self._container)
                 self._send_load(node, "the container did not know the load; sent anew")
             case NodeAction.SEND_QUERY:
-                self._to_ask[node.index] = node
+                self._to_ask[node.key] = node
             case NodeAction.SEND_CANCEL:
                 self._request(Cancel(unique_id=node.record.unique_id))
             case NodeAction.SEND_UNLOAD:
@@ -377,7 +382,7 @@ class ContainerNodes:
         if not self._to_ask:
             return
         asked = tuple(
-            Asked(node.index, node.record.attempt, node.record.unique_id)
+            Asked(node.key, node.record.attempt, node.record.unique_id)
             for node in self._to_ask.values()
         )
         self._to_ask.clear()

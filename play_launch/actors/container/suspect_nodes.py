@@ -19,19 +19,20 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Sequence
 
     from play_launch.actors.container.library_probes import LibraryProbes
-    from play_launch.config.model import ComposableNodeConfig, ContainerConfig
+    from play_launch.config.model import ContainerConfig
+    from play_launch.core.node_key import NodeKey
     from play_launch.core.probe import Finding
 
 _log = logging.getLogger(__name__)
 
 
 class SuspectLoads(Protocol):
-    """What is done with the nodes, by their places in the declaration."""
+    """What is done with the nodes."""
 
-    def wait_for_probe(self, index: int) -> None:
+    def wait_for_probe(self, node: NodeKey) -> None:
         """Report that the library of a node is loaded in a scratch process first."""
 
-    def refuse(self, index: int, reason: str, finding: Finding | None = None) -> None:
+    def refuse(self, node: NodeKey, reason: str, finding: Finding | None = None) -> None:
         """Let the node fail: it is not sent to the container."""
 
     def load_cleared(self) -> None:
@@ -56,8 +57,9 @@ class SuspectNodes:
         self._config = config
         self._probes = probes
         self._loads = loads
-        self._suspects = Suspects()
-        self._to_probe: asyncio.Queue[list[int]] = asyncio.Queue()
+        self._nodes = {node.key: node for node in config.composable_nodes}
+        self._suspects = Suspects(self._nodes)
+        self._to_probe: asyncio.Queue[list[NodeKey]] = asyncio.Queue()
         self._stopped = asyncio.Event()
 
     async def run(self) -> None:
@@ -72,19 +74,19 @@ class SuspectNodes:
             self._to_probe.get_nowait()
         self._stopped.set()
 
-    def container_died(self, under_way: Collection[int], reason: str) -> None:
+    def container_died(self, under_way: Collection[NodeKey], reason: str) -> None:
         """Take a death; the nodes that were being loaded have become suspects."""
         if self._probes is None:
             return
         probe, refused = self._suspects.container_died(under_way)
         if under_way:
             _log.warning("%s ended while it was loading %s", self._name, self._names(under_way))
-        for index in refused:
-            deaths = self._suspects.of(index).deaths
+        for node in refused:
+            deaths = self._suspects.of(node).deaths
             why = f"it took the container down {deaths} times while it was loaded: {reason}"
-            self._loads.refuse(index, why)
-        for index in probe:
-            self._loads.wait_for_probe(index)
+            self._loads.refuse(node, why)
+        for node in probe:
+            self._loads.wait_for_probe(node)
         if probe:
             self._to_probe.put_nowait(probe)
 
@@ -92,15 +94,15 @@ class SuspectNodes:
         """Return whether a death now costs the container no restart: a suspect was being loaded."""
         return self._suspects.excuse_death()
 
-    def survived(self, index: int) -> None:
+    def survived(self, node: NodeKey) -> None:
         """The load of a node has come to an end, and its container lives."""
-        self._suspects.survived(index)
+        self._suspects.survived(node)
 
-    def holds(self, index: int) -> bool:
+    def holds(self, node: NodeKey) -> bool:
         """Whether the container does not get the node yet, or not at all."""
-        return self._suspects.holds(index)
+        return self._suspects.holds(node)
 
-    def due(self, under_way: Collection[int]) -> list[int]:
+    def due(self, under_way: Collection[NodeKey]) -> list[NodeKey]:
         """Choose the nodes that are loaded now, while others are being loaded."""
         return self._suspects.due(under_way)
 
@@ -108,12 +110,9 @@ class SuspectNodes:
     def _name(self) -> str:
         return self._config.full_name
 
-    def _node(self, index: int) -> ComposableNodeConfig:
-        return self._config.composable_nodes[index]
-
-    def _names(self, indices: Collection[int]) -> str:
-        first = self._node(min(indices)).declared_full_name
-        return f"{first} and {len(indices) - 1} more" if len(indices) > 1 else first
+    def _names(self, nodes: Collection[NodeKey]) -> str:
+        first = next(iter(nodes)).name
+        return f"{first} and {len(nodes) - 1} more" if len(nodes) > 1 else first
 
     async def _serve(self) -> None:
         async with asyncio.TaskGroup() as tasks:
@@ -121,35 +120,35 @@ class SuspectNodes:
                 for group in await self._by_library(await self._to_probe.get()):
                     tasks.create_task(self._probe(group))
 
-    async def _by_library(self, indices: Sequence[int]) -> list[list[int]]:
+    async def _by_library(self, nodes: Sequence[NodeKey]) -> list[list[NodeKey]]:
         assert self._probes is not None
-        groups: defaultdict[str, list[int]] = defaultdict(list)
-        for index in indices:
-            library = await self._probes.library_of(self._config, self._node(index))
-            groups[library].append(index)
+        groups: defaultdict[str, list[NodeKey]] = defaultdict(list)
+        for node in nodes:
+            library = await self._probes.library_of(self._config, self._nodes[node])
+            groups[library].append(node)
         return list(groups.values())
 
-    async def _probe(self, group: list[int]) -> None:
+    async def _probe(self, group: list[NodeKey]) -> None:
         """Probe nodes of one library, in most cases by the first of them."""
         assert self._probes is not None
         while group:
-            first = self._node(group[0])
+            first = self._nodes[group[0]]
             finding = await self._probes.probe(self._config, first)
             same = {first.plugin}
             settled = [
-                index
-                for index in group
-                if finding is None or finding.is_about_library or self._node(index).plugin in same
+                node
+                for node in group
+                if finding is None or finding.is_about_library or self._nodes[node].plugin in same
             ]
-            group = [index for index in group if index not in settled]
+            group = [node for node in group if node not in settled]
             self._deliver(partial(self._conclude, settled, finding))
 
-    def _conclude(self, settled: Collection[int], finding: Finding | None) -> None:
+    def _conclude(self, settled: Collection[NodeKey], finding: Finding | None) -> None:
         loads = finding is None or finding.loads
-        for index in settled:
-            self._suspects.probe_ended(index, loads=loads)
+        for node in settled:
+            self._suspects.probe_ended(node, loads=loads)
             if finding is not None and not loads:
-                self._loads.refuse(index, self._why(finding), finding)
+                self._loads.refuse(node, self._why(finding), finding)
         self._loads.load_cleared()
 
     def _why(self, finding: Finding) -> str:

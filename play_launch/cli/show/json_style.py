@@ -17,6 +17,7 @@ from play_launch.core.events import (
     ProcessEvent,
     RunEvent,
 )
+from play_launch.core.node_key import NodeKey
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -40,11 +41,15 @@ _FIELDS: Final = {
 def event_object(event: RunEvent) -> dict[str, object]:
     """Give an event as plain values; ``event`` names its type, the rest are its fields.
 
-    Numbered kinds become their name in small letters (``load_failed``).
+    Numbered kinds become their name in small letters (``load_failed``). The key of a node is
+    written out, and its parts as ``container`` and ``node``.
     """
     values: dict[str, object] = {"event": _TYPES[type(event)]}
     for name in _FIELDS[type(event)]:
-        values[name] = _plain(getattr(event, name))
+        value = getattr(event, name)
+        values[name] = _plain(value)
+        if isinstance(value, NodeKey):
+            values |= {"container": value.container, "node": value.name}
     return values
 
 
@@ -53,7 +58,7 @@ def _plain(value: object) -> object:
         return value.name.lower()
     if isinstance(value, Enum):
         return value.value
-    return value
+    return str(value) if isinstance(value, NodeKey) else value
 
 
 class JsonStyle:

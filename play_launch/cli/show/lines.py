@@ -57,7 +57,7 @@ def line_of(event: RunEvent, before: SystemView, after: SystemView) -> Line | No
 def _node_line(event: NodeStateChanged, before: SystemView, after: SystemView) -> Line | None:
     container = after.containers[event.container]
     known = before.containers.get(event.container)
-    was = known.nodes.get(event.index) if known else None
+    was = known.nodes.get(event.key) if known else None
     repeated = was is not None and was.state is event.state
     reason = f": {event.reason}" if event.reason else ""
     match event.state:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import IO, TYPE_CHECKING, Final
 
 from rich import box
@@ -112,6 +113,7 @@ def _container_object(container: ContainerView) -> dict[str, object]:
         "crashes": container.crashes,
         "details": [
             {
+                "key": str(node.key),
                 "name": node.node,
                 "state": node.state.value,
                 "pid": node.pid,
@@ -156,10 +158,12 @@ def _containers(view: SystemView) -> Table:
 
 def _crashed(view: SystemView) -> Table:
     table = _table("node that crashed", "crashes", "reloads", "pid", "state")
+    names = Counter(node.node for node in view.crashed)
     for node in view.crashed:
         is_there = node.state is NodeState.LOADED
         table.add_row(
-            Text(node.node),
+            # Nodes without a name can have the same label in two containers.
+            Text(node.node if names[node.node] == 1 else str(node.key)),
             _alarming(node.crashes),
             str(node.reloads),
             str(node.pid) if is_there else "",

@@ -45,22 +45,23 @@ def resolve_container(at: At, shared: Shared, policy: Policy) -> ContainerConfig
     shared.names.declare(at)
     variables = resolve_environment(at.value("environment"))
     if section is None:
-        _composable_nodes(at, shared, policy, None)
+        _composable_nodes(at, shared, policy, "", None)
         return None
     policy = policy.refined(section, at)
     kind = policy.container_type
     refuse_unread(ISOLATED_KEYS, kind, at)
-    composable_nodes = _composable_nodes(at, shared, policy, kind)
+    namespace = section.namespace or "/"
+    full_name = join_full_name(namespace, section.name)
+    composable_nodes = _composable_nodes(at, shared, policy, full_name, kind)
     if not kind.is_multi_threaded:
         policy = replace(policy, thread_num=None)
         why = f"is for container_type mt and isolated_mt, this container is {kind}"
         refuse(("thread_num",), why, at)
     stock = _stock_program(section, kind, at)
-    namespace = section.namespace or "/"
     return ContainerConfig(
         name=section.name,
         namespace=namespace,
-        full_name=join_full_name(namespace, section.name),
+        full_name=full_name,
         container_type=kind,
         thread_num=policy.thread_num,
         isolation=policy.isolation,
@@ -81,10 +82,10 @@ def resolve_container(at: At, shared: Shared, policy: Policy) -> ContainerConfig
 
 
 def _composable_nodes(
-    at: At, shared: Shared, policy: Policy, kind: ContainerType | None
+    at: At, shared: Shared, policy: Policy, container: str, kind: ContainerType | None
 ) -> tuple[ComposableNodeConfig, ...]:
     items = items_of(at.value("composable_nodes"), "composable nodes")
-    resolved = [resolve_composable_node(item, shared, policy, kind) for item in items]
+    resolved = [resolve_composable_node(item, shared, policy, container, kind) for item in items]
     return tuple(one for one in resolved if one is not None)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections import Counter
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
@@ -20,6 +22,7 @@ from play_launch.config.values import (
     join_full_name,
 )
 from play_launch.config.yaml.tree import Mapping
+from play_launch.core.node_key import NodeKey
 from play_launch.core.restart import RestartLimits
 
 if TYPE_CHECKING:
@@ -32,6 +35,7 @@ if TYPE_CHECKING:
     from play_launch.config.yaml.tree import At
 
 _COMMAND_OR_PACKAGE = "give either command, or package and executable"
+_NUMBERED: Final = re.compile(r":[0-9]+$")
 _CRASH_KEYS: Final = ("auto_reload_on_crash", "on_crash", "restart")
 
 
@@ -43,7 +47,7 @@ class NodeNames:
 
     def __init__(self) -> None:
         self._places: dict[str, Place] = {}
-        self._labels: dict[str, int] = {}
+        self._labels: Counter[tuple[str, str]] = Counter()
 
     def declare(self, at: At) -> str | None:
         """Return the full name that a node gives, None if it gives none; report a second owner.
@@ -69,12 +73,17 @@ class NodeNames:
             at_name.problem(f"the name {full_name} is given twice, first at {first}")
         return full_name
 
-    def label(self, namespace: str, what: str) -> str:
-        """Return a label for an unnamed node, `/[what]`, that no other node has."""
+    def label(self, container: str, namespace: str, what: str) -> str:
+        """Return a label for an unnamed node, `/[what]`, that no other node of the container has.
+
+        The second of its kind is `/[what:2]`, and so on; what is declared of another kind, or in
+        another container, does not change it. `container` is empty for ordinary processes.
+        """
         base = join_full_name(namespace or "/", what)
-        count = self._labels.get(base, 0) + 1
-        self._labels[base] = count
-        suffix = "" if count == 1 else f":{count}"
+        self._labels[container, base] += 1
+        count = self._labels[container, base]
+        # What looks like a number of ours gets one, too: a program can be called `talker:2`.
+        suffix = "" if count == 1 and not _NUMBERED.search(what) else f":{count}"
         return join_full_name(namespace or "/", f"[{what}{suffix}]")
 
 
@@ -88,11 +97,12 @@ class Shared:
 
 
 def resolve_composable_node(
-    at: At, shared: Shared, policy: Policy, kind: ContainerType | None
+    at: At, shared: Shared, policy: Policy, container: str, kind: ContainerType | None
 ) -> ComposableNodeConfig | None:
     """Return the composable node that stands there, None if it is none.
 
-    `policy` is that of its container; `kind` is None where the container could not be read.
+    `policy` is that of its container. Where the container could not be read, its full name
+    `container` is empty and `kind` is None.
     """
     section = validate_mapping(ComposableNodeSection, at)
     if not isinstance(at.node, Mapping):
@@ -114,7 +124,9 @@ def resolve_composable_node(
         plugin=section.plugin,
         name=section.name or "",
         namespace=namespace,
-        declared_full_name=full_name or shared.names.label(namespace, section.plugin),
+        key=NodeKey(
+            container, full_name or shared.names.label(container, namespace, section.plugin)
+        ),
         parameters=parameters,
         remappings=remappings,
         extra_arguments=extra_arguments,
@@ -145,7 +157,7 @@ def resolve_process(at: At, shared: Shared) -> ProcessConfig | None:
     return ProcessConfig(
         name=section.name or "",
         namespace=namespace,
-        full_name=full_name or shared.names.label(namespace, program.rpartition("/")[2]),
+        full_name=full_name or shared.names.label("", namespace, program.rpartition("/")[2]),
         command=None if section.command is None else tuple(section.command),
         package=section.package,
         executable=section.executable,
