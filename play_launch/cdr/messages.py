@@ -1,4 +1,4 @@
-"""The messages of `play_launch_msgs`, and those of `rcl_interfaces` that they contain.
+"""The messages of `play_launch_msgs`, and those of `rcl_interfaces` that they or we need.
 
 What their fields mean is said in the interface definitions; a test compares the two.
 """
@@ -47,3 +47,5 @@ CONTROL_STATUS: Final = Layout(
 CONTROL_CANCEL: Final = Layout("unique_id:Q")
 CONTROL_UNLOAD: Final = Layout("unique_id:Q")
 CONTROL_SHUTDOWN: Final = Layout("reason:s")
+LOG: Final = Layout("stamp:t level:B name:s msg:s file:s function:s line:I")
+"""Written by `play_launch.cdr.log`, where there may be many."""

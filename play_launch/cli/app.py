@@ -51,6 +51,8 @@ _PLAIN: dict[str, Any] = {
 _VERBS = (
     "replay",
     "check",
+    "info",
+    "inspect",
     "doctor",
     "version",
     "node",
@@ -70,6 +72,10 @@ def _typer_of(verb: str) -> typer.Typer:
             from play_launch.cli.replay import replay as callback  # noqa: PLC0415
         case "check":
             from play_launch.cli.check import check as callback  # noqa: PLC0415
+        case "info":
+            from play_launch.cli.info import info as callback  # noqa: PLC0415
+        case "inspect":
+            from play_launch.cli.inspect import inspect as callback  # noqa: PLC0415
         case "doctor":
             from play_launch.cli.doctor import doctor as callback  # noqa: PLC0415
         case "version":

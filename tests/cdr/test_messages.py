@@ -27,7 +27,8 @@ LAYOUTS = {
     for name, layout in vars(messages).items()
     if isinstance(layout, Layout)
 }
-OURS = {name: layout for name, layout in LAYOUTS.items() if not name.startswith("Parameter")}
+OF_ROS = {"Parameter", "ParameterValue", "Log"}
+OURS = {name: layout for name, layout in LAYOUTS.items() if name not in OF_ROS}
 CODES = {
     "uint8": "B", "uint16": "H", "uint32": "I", "uint64": "Q", "int32": "i", "int64": "q",
     "string": "s", "builtin_interfaces/Time": "t", "rcl_interfaces/Parameter": "Parameter",
@@ -72,7 +73,7 @@ def value(kind: str) -> SearchStrategy[Any]:
 
 
 def message_type(name: str) -> Any:
-    package = "rcl_interfaces" if name.startswith("Parameter") else "play_launch_msgs"
+    package = "rcl_interfaces" if name in OF_ROS else "play_launch_msgs"
     return getattr(import_module(f"{package}.msg"), name)
 
 

@@ -14,7 +14,7 @@ LAYERS = (
     {"cdr", "core"},
     {"config", "fastdds"},
     {"wire", "install", "process", "recording", "ros"},
-    {"actors", "graph_daemon", "ros2cli_patch"},
+    {"actors", "graph_daemon", "history", "ros2cli_patch"},
     {"reporting", "doctor"},
     {"cli"},
 )

@@ -1,0 +1,131 @@
+"""``play-launch info``: what a recording holds, and how its session went."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections import deque
+from datetime import datetime
+from pathlib import Path  # noqa: TC003 - typer evaluates the annotations
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from play_launch.cli.failure import fail
+from play_launch.cli.find_mistakes import counted
+from play_launch.cli.show.terminal import printable, say
+from play_launch.history.bag_reader import NotARecordingError
+from play_launch.history.session import PastSession
+from play_launch.recording import topics
+
+if TYPE_CHECKING:
+    from play_launch.history.bag_reader import BagReader
+
+_DAMAGED = 3
+
+
+def info(
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="A session.mcap.", show_default=False)
+    ],
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object, for programs.")] = False,
+) -> None:
+    """Summarise a recording: session, duration, nodes, crashes, restarts, messages of each topic.
+
+    It reads damaged and unfinished recordings (.active) as far as that is possible, and then exits
+    with 3; with 2 when the file is not a recording, else with 0.
+    """
+    session = PastSession(file)
+    try:
+        deque(session.events({topics.STATES.name}), maxlen=0)
+    except NotARecordingError as error:
+        fail(str(error))
+    found = session_object(session)
+    say(json.dumps(found) if as_json else "\n".join(_lines(found)))
+    if report_damage(session.reader):
+        raise typer.Exit(_DAMAGED)
+
+
+def report_damage(reader: BagReader) -> bool:
+    """Write to stderr what cannot be read of a file; return whether there is anything."""
+    for damage in reader.damages:
+        print(f"warning: {reader.path}: {damage}", file=sys.stderr)  # noqa: T201 - for people
+    if not reader.is_complete and not reader.damages:
+        print(  # noqa: T201 - for people
+            f"warning: {reader.path}: it was not closed in order, so its end may be missing",
+            file=sys.stderr,
+        )
+    return bool(reader.damages) or not reader.is_complete
+
+
+def session_object(session: PastSession) -> dict[str, Any]:
+    """Give what is known about a session that was read to its end, as plain values."""
+    reader, view = session.reader, session.view
+    seconds = (reader.end - reader.begin) / 1e9
+    nodes = [node for container in view.containers.values() for node in container.nodes.values()]
+    processes = {
+        **{name: each.process for name, each in view.containers.items()},
+        **view.processes,
+    }
+    return {
+        "path": str(reader.path),
+        "bytes": reader.size,
+        "complete": reader.is_complete and not reader.damages,
+        "damages": [str(damage) for damage in reader.damages],
+        "session": session.about,
+        "started_ns": session.started_ns,
+        "duration_s": seconds,
+        "containers": len(view.containers),
+        "nodes": len(nodes),
+        "processes": len(view.processes),
+        "crashes": {node.node: node.crashes for node in nodes if node.crashes},
+        "reloads": {node.node: node.reloads for node in nodes if node.reloads},
+        "restarts": {name: each.restarts for name, each in processes.items() if each.restarts},
+        "topics": [
+            {"name": topic.name, "type": topic.type_name, "messages": count}
+            for topic, count in sorted(reader.counts.items())
+        ],
+        "attachments": {name: len(data) for name, data in reader.attachments.items()},
+    }
+
+
+def _lines(found: dict[str, Any]) -> list[str]:
+    about = found["session"]
+    started = datetime.fromtimestamp(found["started_ns"] / 1e9).astimezone()
+    state = "" if found["complete"] else ", not complete"
+    rows = {
+        "File": f"{found['path']} ({found['bytes']:,} bytes{state})",
+        "Session": f"{about.get('name', 'unknown')} ({about.get('id', 'no id')}), "
+        f"play-launch {about.get('play_launch_version') or 'of an unknown version'}",
+        "Start": f"{started:%Y-%m-%d %H:%M:%S.%f %z}",
+        "Duration": f"{found['duration_s']:.3f} s",
+        "System": ", ".join(
+            (
+                counted(found["containers"], "container"),
+                counted(found["nodes"], "node"),
+                counted(found["processes"], "process"),
+            )
+        ),
+        "Crashes": _counts(found["crashes"]),
+        "Reloads": _counts(found["reloads"]),
+        "Restarts": _counts(found["restarts"]),
+        "Messages": f"{sum(topic['messages'] for topic in found['topics']):,}",
+    }
+    lines = [f"{name + ':':<10} {printable(text, colour=False)}" for name, text in rows.items()]
+    width = max((len(topic["name"]) for topic in found["topics"]), default=0)
+    types = max((len(topic["type"]) for topic in found["topics"]), default=0)
+    lines += [
+        printable(
+            f"  {topic['name']:<{width}}  {topic['type']:<{types}}  {topic['messages']:>9,}",
+            colour=False,
+        )
+        for topic in found["topics"]
+    ]
+    return lines
+
+
+def _counts(counts: dict[str, int]) -> str:
+    if not counts:
+        return "none"
+    each = ", ".join(f"{name} {count}" for name, count in sorted(counts.items()))
+    return f"{sum(counts.values())} ({each})"

@@ -1,0 +1,1 @@
+"""Recordings, read back; damaged ones as far as they can be read."""

@@ -1,0 +1,66 @@
+"""What happened in a session, from its recording."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from play_launch.core.view import SystemView
+from play_launch.history.bag_reader import BagReader, Damage
+from play_launch.history.events import UnreadableEventError, event_of
+from play_launch.recording.session import METADATA_NAME
+
+if TYPE_CHECKING:
+    from collections.abc import Container, Iterator
+    from pathlib import Path
+
+    from play_launch.core.events import RunEvent
+
+_DAMAGES: Final = 100
+"""Messages that cannot be read are listed up to so many."""
+
+
+class Happened(NamedTuple):
+    """One event, when it was received, and the system before and after it."""
+
+    log_time: int
+    event: RunEvent
+    before: SystemView
+    after: SystemView
+
+
+class PastSession:
+    """One pass over a recording, after which `reader` and `view` are whole."""
+
+    def __init__(self, path: Path) -> None:
+        """Read nothing yet."""
+        self.reader = BagReader(path)
+        self.view = SystemView()
+        """The system after the events that were given so far."""
+
+    @property
+    def about(self) -> dict[str, str]:
+        """What the recording says about itself (`play_launch.session`); empty where it does not."""
+        return self.reader.metadata.get(METADATA_NAME, {})
+
+    @property
+    def started_ns(self) -> int:
+        """Nanoseconds since the epoch; that of the earliest message where nothing else is known."""
+        stamp = self.about.get("started_ns", "")
+        return int(stamp) if stamp.isdecimal() else self.reader.begin
+
+    def events(self, topics: Container[str] | None = None) -> Iterator[Happened]:
+        """Give the events of these topics (None: all) in the order in which they were received.
+
+        Raises:
+            NotARecordingError: At once, when it is none.
+        """
+        for message in self.reader.messages(topics):
+            try:
+                event = event_of(message)
+            except UnreadableEventError as error:
+                if len(self.reader.damages) < _DAMAGES:
+                    self.reader.damages.append(Damage(message.offset, str(error)))
+                continue
+            if event is not None:
+                before, self.view = self.view, self.view.after(event)
+                yield Happened(message.log_time, event, before, self.view)

@@ -1,0 +1,187 @@
+"""`play-launch info` and `inspect`, the real commands on real and on damaged recordings."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+from typing import TYPE_CHECKING
+
+import pytest
+
+from play_launch.core.events import (
+    ComponentEvent,
+    ComponentEventKind,
+    ContainerState,
+    ContainerStateChanged,
+    LogRecord,
+    NodeState,
+    NodeStateChanged,
+    OutputLine,
+    ProcessEvent,
+    ProcessEventKind,
+    RunEvent,
+    Stream,
+)
+from tests.history.test_session import record
+from tests.support.replay import COMMAND, replaying
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+SECOND = 1_000_000_000
+
+
+def node(state: NodeState, crashes: int = 0) -> NodeStateChanged:
+    return NodeStateChanged(
+        stamp_ns=5,
+        container="/box",
+        node="/talker",
+        index=0,
+        state=state,
+        reason="SIGSEGV" if state is NodeState.CRASHED else "",
+        crashes=crashes,
+    )
+
+
+EVENTS: list[RunEvent] = [
+    ContainerStateChanged(stamp_ns=5, container="/box", state=ContainerState.STARTING),
+    ProcessEvent(stamp_ns=5, kind=ProcessEventKind.STARTED, name="/box", pid=4711),
+    node(NodeState.LOADED),
+    OutputLine(stamp_ns=5, process="/box", pid=7, stream=Stream.STDOUT, text="hello\x1b[2J"),
+    ComponentEvent(
+        stamp_ns=5,
+        kind=ComponentEventKind.CRASHED,
+        container="",
+        unique_id=1,
+        attempt=1,
+        full_node_name="/talker",
+        package_name="p",
+        plugin_name="c",
+        signal=11,
+        backtrace=("#0 boom() (libp.so+0x1)",),
+    ),
+    node(NodeState.CRASHED, crashes=1),
+    LogRecord(stamp_ns=5, level=30, name="x", message="odd"),
+]
+
+CRASH = ["backtrace:", "  #0 boom() (libp.so+0x1)", "/talker crashed: SIGSEGV"]
+
+
+def run(*arguments: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [str(COMMAND), *map(str, arguments)],
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+
+
+@pytest.fixture
+def bag(tmp_path: Path) -> Path:
+    return record(tmp_path / "session.mcap", EVENTS)
+
+
+def test_info_sums_up(bag: Path) -> None:
+    result = run("info", bag)
+    assert (result.returncode, result.stderr) == (0, "")
+    assert "Crashes:   1 (/talker 1)" in result.stdout
+    assert "1 container, 1 node, 0 processes" in result.stdout
+    assert "/play_launch/states" in result.stdout
+    found = json.loads(run("info", bag, "--json").stdout)
+    assert found["crashes"] == {"/talker": 1}
+    assert found["session"]["name"] == "x"
+    counts = {topic["name"]: topic["messages"] for topic in found["topics"]}
+    assert counts["/play_launch/output"] == 1
+    assert counts["/play_launch/states"] == 4
+
+
+def test_inspect_shows_what_happened_in_order(bag: Path) -> None:
+    result = run("inspect", bag)
+    assert (result.returncode, result.stderr) == (0, "")
+    texts = [line.split("] ", 1)[1] for line in result.stdout.splitlines()]
+    assert texts == ["started, pid 4711", "/talker loaded (1/1)", "hello", *CRASH, "odd"]
+
+
+@pytest.mark.parametrize(
+    ("options", "texts"),
+    [
+        (["--level", "error"], CRASH),
+        (["--level", "warn", "--node", "/b*"], ["/talker crashed: SIGSEGV"]),
+        (["--node", "/nobody"], []),
+        (["--until", "1ms", "--level", "warn", "--node", "/talker"], CRASH),
+        (["--since", "1h"], []),
+        (["--around", "1h"], []),
+    ],
+)  # fmt: skip
+def test_inspect_filters(bag: Path, options: list[str], texts: list[str]) -> None:
+    result = run("inspect", bag, *options)
+    assert result.returncode == 0
+    assert [line.split("] ", 1)[1] for line in result.stdout.splitlines()] == texts
+
+
+def test_inspect_for_programs(bag: Path) -> None:
+    events = [json.loads(line) for line in run("inspect", bag, "--json").stdout.splitlines()]
+    kinds = ["container", "process", "node", "output", "component", "node", "log"]
+    assert [event["event"] for event in events] == kinds
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--level", "loud"], "use one of debug, info"),
+        (["--since", "soon"], "--since soon: "),
+        (["--around", "1s", "--until", "2s"], "--around already says"),
+    ],
+)
+def test_wrong_options_are_explained(bag: Path, options: list[str], words: str) -> None:
+    result = run("inspect", bag, *options)
+    assert result.returncode == 2
+    assert words in result.stderr
+    assert result.stdout == ""
+
+
+@pytest.mark.parametrize("verb", ["info", "inspect"])
+def test_damage_is_located_and_the_rest_shown(bag: Path, verb: str) -> None:
+    whole = bag.read_bytes()
+    bag.write_bytes(whole[: len(whole) - 100])
+    result = run(verb, bag)
+    assert result.returncode == 3
+    assert "Traceback" not in result.stderr
+    assert f"warning: {bag}: " in result.stderr
+    assert "/talker" in result.stdout
+
+
+@pytest.mark.parametrize("verb", ["info", "inspect"])
+def test_what_is_no_recording_is_named(tmp_path: Path, verb: str) -> None:
+    (tmp_path / "robot.yaml").write_text("version: 1")
+    for path, reason in ((tmp_path / "robot.yaml", "not an MCAP"), (tmp_path / "no", "No such")):
+        result = run(verb, path)
+        assert (result.returncode, result.stdout) == (2, "")
+        assert f"error: {path}: " in result.stderr
+        assert reason in result.stderr
+
+
+CONFIG = """
+version: 1
+name: past
+containers:
+  - name: chat
+    composable_nodes:
+      - {package: play_launch_demo, plugin: "play_launch_demo::Talker", name: talker}
+"""
+
+
+def test_a_real_session_is_read_while_it_runs_and_afterwards(tmp_path: Path) -> None:
+    config = tmp_path / "past.yaml"
+    config.write_text(CONFIG, encoding="utf-8")
+    with replaying(config, tmp_path / "logs") as session:
+        session.read_until_states({"/talker": "loaded"})
+        bag = session.log_dir / "latest" / "session.mcap"
+        running = run("info", bag.with_name("session.mcap.active"))
+        assert running.returncode == 3
+        assert "not closed in order" in running.stderr
+    found = json.loads(run("info", bag, "--json").stdout)
+    assert (found["complete"], found["nodes"], found["session"]["name"]) == (True, 1, "past")
+    assert re.search(r"/talker loaded .*\(1/1\)", run("inspect", bag, "--node", "/talker").stdout)

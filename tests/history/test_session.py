@@ -1,0 +1,103 @@
+"""Events come back from a recording as they were."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from play_launch.core.events import (
+    ComponentEvent,
+    ComponentEventKind,
+    LogRecord,
+    OutputLine,
+    RunEvent,
+    Stream,
+)
+from play_launch.core.view import SystemView
+from play_launch.history.session import PastSession
+from play_launch.recording import topics
+from play_launch.recording.bag import McapBagWriter
+from play_launch.recording.convert import convert
+from play_launch.recording.session import METADATA_NAME
+from tests.recording.test_states import EVENTS, INT32, NAMES, STAMPS, TEXTS, UINT64
+
+OTHERS = st.one_of(
+    st.builds(
+        OutputLine,
+        stamp_ns=STAMPS,
+        process=NAMES,
+        pid=st.integers(0, 2**22),
+        stream=st.sampled_from(Stream),
+        text=TEXTS,
+        truncated=st.booleans(),
+    ),
+    st.builds(
+        LogRecord,
+        stamp_ns=STAMPS,
+        level=st.sampled_from([10, 20, 30, 40]),
+        name=TEXTS,
+        message=TEXTS,
+        file=TEXTS,
+        function=TEXTS,
+        line=st.integers(0, 2**32 - 1),
+    ),
+    st.builds(
+        ComponentEvent,
+        stamp_ns=STAMPS,
+        kind=st.sampled_from(ComponentEventKind),
+        container=st.just(""),  # the message does not say
+        unique_id=UINT64,
+        attempt=UINT64,
+        full_node_name=NAMES,
+        package_name=TEXTS,
+        plugin_name=TEXTS,
+        error_message=TEXTS,
+        pid=INT32,
+        start_time=UINT64,
+        exit_code=INT32,
+        signal=INT32,
+        backtrace=st.lists(TEXTS, max_size=3).map(tuple),
+        confirmed_by=TEXTS,
+    ),
+)
+
+
+def record(path: Path, events: list[RunEvent], damage: bytes = b"") -> Path:
+    writer = McapBagWriter(path)
+    writer.metadata(METADATA_NAME, {"name": "x", "started_ns": "500"})
+    channels = {topic: writer.register(topic) for topic in topics.ALL_TOPICS}
+    for number, event in enumerate(events):
+        for topic, data in convert(event):
+            writer.write(channels[topic], data, log_time=1000 + number, publish_time=event.stamp_ns)
+    if damage:
+        writer.write(channels[topics.STATES], damage, log_time=0, publish_time=0)
+    writer.close()
+    return writer.path
+
+
+@settings(max_examples=50)
+@given(st.lists(EVENTS | OTHERS, max_size=20))
+def test_any_event_is_read_back_as_it_was(events: list[RunEvent]) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        session = PastSession(record(Path(folder) / "x.mcap", events))
+        happened = list(session.events())
+    assert [each.event for each in happened] == events
+    assert session.started_ns == 500
+    view = SystemView()
+    for each in happened:
+        assert each.before == view
+        view = view.after(each.event)
+        assert each.after == view
+    assert session.view == view
+    assert session.reader.damages == []
+
+
+def test_a_message_that_is_no_event_is_damage_and_the_rest_is_read(tmp_path: Path) -> None:
+    line = OutputLine(stamp_ns=1, process="/a", pid=7, stream=Stream.STDOUT, text="here")
+    session = PastSession(record(tmp_path / "x.mcap", [line], b"\0\1\0\0nonsense"))
+    assert [each.event for each in session.events()] == [line]
+    (damage,) = session.reader.damages
+    assert "/play_launch/states" in damage.reason
