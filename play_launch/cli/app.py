@@ -53,6 +53,7 @@ _VERBS = (
     "check",
     "info",
     "inspect",
+    "recover",
     "doctor",
     "version",
     "node",
@@ -73,9 +74,11 @@ def _typer_of(verb: str) -> typer.Typer:
         case "check":
             from play_launch.cli.check import check as callback  # noqa: PLC0415
         case "info":
-            from play_launch.cli.info import info as callback  # noqa: PLC0415
+            from play_launch.cli.past_sessions import info as callback  # noqa: PLC0415
         case "inspect":
-            from play_launch.cli.inspect import inspect as callback  # noqa: PLC0415
+            from play_launch.cli.past_sessions import inspect as callback  # noqa: PLC0415
+        case "recover":
+            from play_launch.cli.past_sessions import recover as callback  # noqa: PLC0415
         case "doctor":
             from play_launch.cli.doctor import doctor as callback  # noqa: PLC0415
         case "version":

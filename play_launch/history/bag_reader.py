@@ -62,12 +62,18 @@ class Message(NamedTuple):
     log_time: int
     publish_time: int
     data: bytes
+    channel: int
+    """Its number in the file."""
     offset: int
     """In the file, in bytes: of its record, or of the chunk that holds it."""
 
 
-class _Channel(NamedTuple):
+class Description(NamedTuple):
+    """What a file says about a channel, as it stands there."""
+
     topic: Topic
+    channel: Channel
+    schema: Schema | None
     is_wanted: bool
 
 
@@ -76,7 +82,7 @@ class BagReader:
     """One pass over a file: iterate over `messages`; the rest is known as far as that has come."""
 
     path: Path
-    attachments: dict[str, bytes] = field(default_factory=dict)
+    attachments: dict[str, Attachment] = field(default_factory=dict)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     counts: dict[Topic, int] = field(default_factory=dict)
     """Messages of each topic, the unwanted ones included."""
@@ -88,8 +94,8 @@ class BagReader:
     begin: int = 0
     end: int = 0
     """Log times of the earliest and the latest message; 0 without any."""
-    _schemas: dict[int, str] = field(default_factory=dict)
-    _channels: dict[int, _Channel] = field(default_factory=dict)
+    channels: dict[int, Description] = field(default_factory=dict)
+    _schemas: dict[int, Schema] = field(default_factory=dict)
 
     def messages(self, wanted: Container[str] | None = None) -> Iterator[Message]:
         """Give the messages of these topics (None: all) in the order of the file.
@@ -135,7 +141,7 @@ class BagReader:
                             yield message
                     case Opcode.ATTACHMENT:
                         attachment = _read(Attachment.read, file.read(length))
-                        self.attachments[attachment.name] = attachment.data
+                        self.attachments[attachment.name] = attachment
                     case Opcode.METADATA:
                         metadata = _read(Metadata.read, file.read(length))
                         self.metadata[metadata.name] = metadata.metadata
@@ -170,16 +176,14 @@ class BagReader:
                 return self._message(content, offset)
             case Opcode.SCHEMA:
                 schema = _read(Schema.read, content)
-                self._schemas[schema.id] = schema.name
+                self._schemas[schema.id] = schema
             case Opcode.CHANNEL:
                 channel = _read(Channel.read, content)
-                topic = Topic(
-                    channel.topic,
-                    self._schemas.get(channel.schema_id, ""),
-                    channel.message_encoding,
-                )
+                described = self._schemas.get(channel.schema_id)
+                type_name = described.name if described else ""
+                topic = Topic(channel.topic, type_name, channel.message_encoding)
                 is_wanted = wanted is None or topic.name in wanted
-                self._channels[channel.id] = _Channel(topic, is_wanted)
+                self.channels[channel.id] = Description(topic, channel, described, is_wanted)
                 self.counts.setdefault(topic, 0)
         return None
 
@@ -187,7 +191,7 @@ class BagReader:
         if len(content) < _MESSAGE.size:
             raise _BrokenError("a message is too short")
         number, _, log_time, publish_time = _MESSAGE.unpack_from(content)
-        channel = self._channels.get(number)
+        channel = self.channels.get(number)
         if channel is None:
             raise _BrokenError(f"a message belongs to channel {number}, which nothing describes")
         self.counts[channel.topic] += 1
@@ -195,7 +199,9 @@ class BagReader:
         self.end = max(self.end, log_time)
         if not channel.is_wanted:
             return None
-        return Message(channel.topic, log_time, publish_time, content[_MESSAGE.size :], offset)
+        return Message(
+            channel.topic, log_time, publish_time, content[_MESSAGE.size :], number, offset
+        )
 
     def _ends_in_order(self, file: IO[bytes]) -> bool:
         file.seek(-len(_MAGIC), os.SEEK_END)

@@ -20,6 +20,7 @@ from play_launch.core.events import (
     RunEvent,
     Stream,
 )
+from play_launch.core.node_key import NodeKey
 from play_launch.recording import topics
 
 if TYPE_CHECKING:
@@ -57,9 +58,7 @@ def _state(data: bytes) -> RunEvent:
         case 0:
             return NodeStateChanged(
                 stamp_ns=fields["stamp"],
-                container=fields["container"],
-                node=fields["name"],
-                index=fields["index"],
+                key=NodeKey(fields["container"], fields["name"]),
                 state=NodeState[word],
                 elapsed_ns=fields["elapsed_ns"],
                 reason=fields["reason"],
@@ -73,7 +72,7 @@ def _state(data: bytes) -> RunEvent:
         case 1:
             return ContainerStateChanged(
                 stamp_ns=fields["stamp"],
-                container=fields["container"],
+                container=fields["key"],
                 state=ContainerState[word],
                 reason=fields["reason"],
                 mechanism=fields["mechanism"],
@@ -82,7 +81,7 @@ def _state(data: bytes) -> RunEvent:
             return ProcessEvent(
                 stamp_ns=fields["stamp"],
                 kind=ProcessEventKind[word],
-                name=fields["name"],
+                name=fields["key"],
                 pid=fields["pid"],
                 start_time=fields["start_time"],
                 exit_code=fields["exit_code"],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
 from typing import IO, TYPE_CHECKING, Final, Protocol, Self, cast
 
@@ -228,6 +229,9 @@ class _AppendingFile:
         self.position = 0
         self._descriptor = -1
         self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
+        with contextlib.suppress(OSError):  # a file system without locks
+            # As long as it is held, the file is being written: see `history.recover`.
+            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
     def write(self, data: bytes) -> int:
         rest = memoryview(data)

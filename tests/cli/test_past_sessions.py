@@ -23,6 +23,7 @@ from play_launch.core.events import (
     RunEvent,
     Stream,
 )
+from play_launch.core.node_key import NodeKey
 from tests.history.test_session import record
 from tests.support.replay import COMMAND, replaying
 
@@ -35,9 +36,7 @@ SECOND = 1_000_000_000
 def node(state: NodeState, crashes: int = 0) -> NodeStateChanged:
     return NodeStateChanged(
         stamp_ns=5,
-        container="/box",
-        node="/talker",
-        index=0,
+        key=NodeKey("/box", "/talker"),
         state=state,
         reason="SIGSEGV" if state is NodeState.CRASHED else "",
         crashes=crashes,
@@ -161,6 +160,21 @@ def test_what_is_no_recording_is_named(tmp_path: Path, verb: str) -> None:
         assert (result.returncode, result.stdout) == (2, "")
         assert f"error: {path}: " in result.stderr
         assert reason in result.stderr
+
+
+def test_recover_names_what_it_wrote_and_what_is_missing(bag: Path) -> None:
+    result = run("recover", bag)
+    assert (result.returncode, result.stderr) == (0, "")
+    whole = bag.with_name("session.recovered.mcap")
+    assert result.stdout == f"{whole}: 8 messages\n"
+    assert run("info", whole).returncode == 0
+    bag.write_bytes(bag.read_bytes()[:-6000])
+    result = run("recover", bag, "--output", bag.with_name("other.mcap"))
+    assert result.returncode == 3
+    assert f"warning: {bag}: byte " in result.stderr
+    again = run("recover", bag)
+    assert again.returncode == 1
+    assert "exists; name another file with --output" in again.stderr
 
 
 CONFIG = """

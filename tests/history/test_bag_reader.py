@@ -61,7 +61,7 @@ def test_a_whole_file_is_read(compression: CompressionType) -> None:
     assert reader.is_complete
     assert reader.damages == []
     assert (reader.begin, reader.end) == (1000, 1000 + COUNT - 1)
-    assert reader.attachments == {"config.yaml": b"version: 1"}
+    assert reader.attachments["config.yaml"].data == b"version: 1"
     assert reader.metadata == {"play_launch.session": {"name": "x"}}
 
 

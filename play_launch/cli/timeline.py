@@ -1,4 +1,4 @@
-"""``play-launch inspect``: what happened in a session, line by line."""
+"""What happened in a session, line by line."""
 
 from __future__ import annotations
 
@@ -6,16 +6,13 @@ import re
 from dataclasses import dataclass
 from datetime import datetime
 from fnmatch import fnmatchcase
-from pathlib import Path  # noqa: TC003 - typer evaluates the annotations
-from typing import Annotated, Final
-
-import typer
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from play_launch.cli.failure import fail
-from play_launch.cli.info import report_damage
 from play_launch.cli.show.json_style import encode, event_object
 from play_launch.cli.show.lines import Line, line_of
 from play_launch.cli.show.terminal import printable, say
+from play_launch.cli.sum_up import DAMAGED, report_damage
 from play_launch.config.values import parse_duration
 from play_launch.core.events import (
     ComponentEvent,
@@ -27,76 +24,47 @@ from play_launch.core.events import (
     RunEvent,
 )
 from play_launch.history.bag_reader import NotARecordingError
-from play_launch.history.session import Happened, PastSession
+from play_launch.history.session import PastSession
 from play_launch.recording.console_format import DEBUG, ERROR, FATAL, INFO, WARN
 
-_DAMAGED: Final = 3
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from play_launch.history.session import Happened
+
 _AROUND: Final = 5.0
 """Seconds on either side of a moment."""
 _LEVELS: Final = {"debug": DEBUG, "info": INFO, "warn": WARN, "error": ERROR, "fatal": FATAL}
 _CLOCK: Final = re.compile(r"(\d{1,2}):(\d\d):(\d\d(?:\.\d+)?)")
 
 
-def inspect(  # noqa: PLR0917 - options, by name
-    file: Annotated[
-        Path, typer.Argument(metavar="FILE", help="A session.mcap.", show_default=False)
-    ],
-    node: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME",
-            help="Only this node, container or process; * and ? are patterns. May be repeated.",
-            show_default=False,
-        ),
-    ] = None,
-    level: Annotated[
-        str, typer.Option(metavar="LEVEL", help="debug, info, warn, error or fatal, and above.")
-    ] = "info",
-    since: Annotated[
-        str | None,
-        typer.Option(
-            metavar="TIME",
-            help="From this time after the start (12.5s, 2min) or of the day (14:03:07) on.",
-            show_default=False,
-        ),
-    ] = None,
-    until: Annotated[
-        str | None,
-        typer.Option(metavar="TIME", help="Up to this time.", show_default=False),
-    ] = None,
-    around: Annotated[
-        str | None,
-        typer.Option(
-            metavar="TIME", help="Five seconds before and after this time.", show_default=False
-        ),
-    ] = None,
-    as_json: Annotated[
-        bool,
-        typer.Option("--json", help="Events as JSON, one object a line, as of replay --json."),
-    ] = False,
-) -> None:
-    """Show what happened: starts, loads, crashes with their backtraces, restarts, output and log.
+class Filter(NamedTuple):
+    """What is shown: patterns of names (none: all), the least level, times as they are typed."""
 
-    Times are seconds after the start. It reads damaged and unfinished recordings (.active) as far
-    as that is possible, and then exits with 3; with 2 when the file is not a recording, else 0.
-    """
-    if level not in _LEVELS:
-        fail(f"--level {level}: use one of {', '.join(_LEVELS)}")
-    if around is not None and (since is not None or until is not None):
+    names: tuple[str, ...]
+    level: str
+    since: str | None
+    until: str | None
+    around: str | None
+
+
+def show_timeline(file: Path, chosen: Filter, *, as_json: bool) -> int:
+    """Print the events of a recording; return the exit code."""
+    least = _LEVELS.get(chosen.level)
+    if least is None:
+        fail(f"--level {chosen.level}: use one of {', '.join(_LEVELS)}")
+    if chosen.around is not None and (chosen.since, chosen.until) != (None, None):
         fail("--around already says since when and until when")
     session = PastSession(file)
+    window: Window | None = None
     try:
-        window: Window | None = None
         for happened in session.events():
-            if window is None:
-                window = _window(session.started_ns, since, until, around)
-            if happened.log_time not in window or not _concerns(happened.event, node):
-                continue
-            _show(happened, session.started_ns, _LEVELS[level], as_json=as_json)
+            window = window or _window(chosen, session.started_ns)
+            if happened.log_time in window and _concerns(happened.event, chosen.names):
+                _show(happened, session.started_ns, least, as_json=as_json)
     except NotARecordingError as error:
         fail(str(error))
-    if report_damage(session.reader):
-        raise typer.Exit(_DAMAGED)
+    return DAMAGED if report_damage(session.reader) else 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,14 +78,16 @@ class Window:
         return self.begin <= stamp_ns <= self.end
 
 
-def _window(started_ns: int, since: str | None, until: str | None, around: str | None) -> Window:
-    if around is not None:
-        middle = _moment("--around", around, started_ns)
+def _window(chosen: Filter, started_ns: int) -> Window:
+    if chosen.around is not None:
+        middle = _moment("--around", chosen.around, started_ns)
         return Window(middle - _AROUND * 1e9, middle + _AROUND * 1e9)
-    return Window(
-        float("-inf") if since is None else _moment("--since", since, started_ns),
-        float("inf") if until is None else _moment("--until", until, started_ns),
-    )
+    begin, end = float("-inf"), float("inf")
+    if chosen.since is not None:
+        begin = _moment("--since", chosen.since, started_ns)
+    if chosen.until is not None:
+        end = _moment("--until", chosen.until, started_ns)
+    return Window(begin, end)
 
 
 def _moment(option: str, text: str, started_ns: int) -> float:
@@ -132,7 +102,7 @@ def _moment(option: str, text: str, started_ns: int) -> float:
         fail(f"{option} {text}: {error}")
 
 
-def _concerns(event: RunEvent, patterns: list[str] | None) -> bool:
+def _concerns(event: RunEvent, patterns: tuple[str, ...]) -> bool:
     if not patterns:
         return True
     return any(fnmatchcase(name, pattern) for name in _names(event) for pattern in patterns)

@@ -1,4 +1,4 @@
-"""``play-launch info``: what a recording holds, and how its session went."""
+"""What a recording holds, and how its session went."""
 
 from __future__ import annotations
 
@@ -6,10 +6,7 @@ import json
 import sys
 from collections import deque
 from datetime import datetime
-from pathlib import Path  # noqa: TC003 - typer evaluates the annotations
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Any, Final
 
 from play_launch.cli.failure import fail
 from play_launch.cli.find_mistakes import counted
@@ -19,22 +16,16 @@ from play_launch.history.session import PastSession
 from play_launch.recording import topics
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from play_launch.history.bag_reader import BagReader
 
-_DAMAGED = 3
+DAMAGED: Final = 3
+"""Exit code: not everything could be read."""
 
 
-def info(
-    file: Annotated[
-        Path, typer.Argument(metavar="FILE", help="A session.mcap.", show_default=False)
-    ],
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object, for programs.")] = False,
-) -> None:
-    """Summarise a recording: session, duration, nodes, crashes, restarts, messages of each topic.
-
-    It reads damaged and unfinished recordings (.active) as far as that is possible, and then exits
-    with 3; with 2 when the file is not a recording, else with 0.
-    """
+def sum_up(file: Path, *, as_json: bool) -> int:
+    """Print the summary of a recording; return the exit code."""
     session = PastSession(file)
     try:
         deque(session.events({topics.STATES.name}), maxlen=0)
@@ -42,8 +33,7 @@ def info(
         fail(str(error))
     found = session_object(session)
     say(json.dumps(found) if as_json else "\n".join(_lines(found)))
-    if report_damage(session.reader):
-        raise typer.Exit(_DAMAGED)
+    return DAMAGED if report_damage(session.reader) else 0
 
 
 def report_damage(reader: BagReader) -> bool:
@@ -85,7 +75,7 @@ def session_object(session: PastSession) -> dict[str, Any]:
             {"name": topic.name, "type": topic.type_name, "messages": count}
             for topic, count in sorted(reader.counts.items())
         ],
-        "attachments": {name: len(data) for name, data in reader.attachments.items()},
+        "attachments": {name: len(each.data) for name, each in reader.attachments.items()},
     }
 
 
