@@ -31,6 +31,7 @@ from play_launch.install.component_index import component_library
 from play_launch.install.environment import child_environment, foreign_python_environment
 from play_launch.install.parameter_file import ParameterFileError, write_parameter_file
 from play_launch.install.ros import (
+    NotInstalledError,
     ament_prefixes,
     component_container,
     ros_installation,
@@ -39,7 +40,12 @@ from play_launch.install.ros import (
 from play_launch.process.child import SpawnError, spawn
 from play_launch.process.guard import SessionGuard
 from play_launch.process.identity import read_stat
-from play_launch.process.machine import shared_memory_problem, shared_memory_room
+from play_launch.process.machine import (
+    SHARED_MEMORY_FIX,
+    full_shared_memory,
+    shared_memory_problem,
+    shared_memory_room,
+)
 from play_launch.process.stop import StopPolicy, stop
 from play_launch.wire.channel import ControlChannel, control_pair
 from play_launch.wire.messages import Hello
@@ -343,6 +349,10 @@ class ParameterFiles:
 def _stock_containers(config: ReplayConfig) -> StockContainers | None:
     if not any(each.container_type is ContainerType.STOCK for each in config.containers):
         return None
+    if problem := full_shared_memory(shared_memory_room()):
+        # It may have filled up since the start. Loading rcl is what maps it, and SIGBUS would end
+        # the supervisor without a word: no handler reaches the thread that gets it.
+        raise NotInstalledError(f"{problem}; nothing was started; fix: {SHARED_MEMORY_FIX}")
     # A quarter of all modules of ours, for one type of container.
     from play_launch.actors.stock.starter import StockContainers  # noqa: PLC0415
 

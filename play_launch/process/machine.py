@@ -88,7 +88,9 @@ def shared_memory_problem(room: Room | None, participants: int) -> str:
 def full_shared_memory(room: Room | None) -> str:
     """Say that no process with ROS can start, because shared memory is full; empty: it is not.
 
-    rcl's tracing, lttng-ust, maps a page of it in each process, and dies of SIGBUS without one.
+    rcl's tracing, lttng-ust, maps a page of it in each process, and dies of SIGBUS without one, in
+    a thread that no handler reaches. Fast DDS allocates what it maps beforehand, and does without
+    shared memory where that fails.
     """
     if room is None or room.free >= _PAGES:
         return ""

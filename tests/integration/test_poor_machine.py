@@ -187,3 +187,69 @@ def test_a_death_of_a_bus_error_names_shared_memory_that_is_full(tmp_path: Path,
                 break
         process.stdout.read()
     assert "exited with signal 7 (SIGBUS): /dev/shm is full (0 MiB of 8 MiB free); fix:" in reason
+
+
+STOCK = """
+from pathlib import Path
+from play_launch.actors.launcher import NativeLauncher
+from play_launch.config import parse_config
+from play_launch.install.ros import NotInstalledError
+text = b"{version: 1, containers: [{name: c, container_type: stock, attach: true}]}"
+try:
+    NativeLauncher.of(parse_config(text, Path("robot.yaml")))
+except NotInstalledError as error:
+    print(error)
+"""
+
+
+def test_shared_memory_that_fills_up_during_the_start_is_refused_before_it_kills() -> None:
+    """After the look at the machine, before the supervisor takes part in ROS itself."""
+    mount = f"{small_shared_memory('2m')} && ! {FILL} 2> /dev/null"
+    result = run(mounted(mount, sys.executable, "-c", STOCK))
+    assert result.returncode == 0, result.stderr
+    assert "/dev/shm is full (0 MiB of 2 MiB free)" in result.stdout
+    assert "nothing was started; fix: in docker" in result.stdout
+
+
+@pytest.mark.parametrize("discovery", ["LOCALHOST", "SUBNET"])
+def test_shared_memory_that_fills_up_later_leaves_the_supervisor_alone(
+    tmp_path: Path, discovery: str
+) -> None:
+    """It takes part in ROS for stock containers, whose services it calls."""
+    go = tmp_path / "go"
+    os.mkfifo(go)
+    slow = {"package": "play_launch_demo", "plugin": "play_launch_demo::SlowConstructor"}
+    nodes = [
+        {**slow, "name": "slow", "parameters": {"seconds": 5.0}},
+        # More than one request has touched of shared memory before.
+        {**TALKER, "parameters": {"unread": "x" * 60_000}},
+    ]
+    stock = {
+        "name": "stock",
+        "container_type": "stock",
+        "package": "play_launch_container",
+        "composable_nodes": nodes,
+    }
+    filler = ["sh", "-c", f"read line < {go}; {FILL}; echo full; sleep infinity"]
+    config = configuration(
+        tmp_path, containers=[stock], nodes=[{"name": "filler", "command": filler}]
+    )
+    command = mounted(small_shared_memory("16m"), *replay(config, "--json", "--duration", "60s"))
+    environment = {**os.environ, "ROS_AUTOMATIC_DISCOVERY_RANGE": discovery}
+    seen: list[str] = []
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as process:
+        assert process.stdout is not None
+        for line in process.stdout:
+            event = json.loads(line)
+            if event["event"] == "output" and event["text"] == "full":
+                seen.append("full")
+            if event["event"] == "node" and event["state"] in {"loading", "loaded"}:
+                seen.append(f"{event['node']} {event['state']}")
+                if seen[-1] == "/slow loading" and seen.count(seen[-1]) == 1:
+                    go.write_text("now\n", encoding="utf-8")
+                if seen[-1] == "/talker loaded":
+                    process.send_signal(signal.SIGINT)
+                    break
+        process.stdout.read()
+    assert process.returncode == 128 + signal.SIGINT, seen
+    assert seen.index("full") < seen.index("/slow loaded")
