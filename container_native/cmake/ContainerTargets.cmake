@@ -45,8 +45,10 @@ endfunction()
 # python_symbols.c, which takes them back once the program has started.
 function(ros_program target)
   if(ROS_FROM_WHEELS)
-    target_sources(
-      ${target} PRIVATE "${CMAKE_CURRENT_FUNCTION_LIST_DIR}/../src/overrides/python_symbols.c")
+    set(symbols "${CMAKE_CURRENT_FUNCTION_LIST_DIR}/../src/overrides/python_symbols.c")
+    target_sources(${target} PRIVATE "${symbols}")
+    # The headers that tests precompile are for C++.
+    set_source_files_properties("${symbols}" PROPERTIES SKIP_PRECOMPILE_HEADERS ON)
     target_link_options(${target} PRIVATE "-Wl,--allow-shlib-undefined")
   endif()
   set_target_properties(${target} PROPERTIES ENABLE_EXPORTS ON)

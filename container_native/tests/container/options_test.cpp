@@ -12,7 +12,6 @@
 
 using namespace play_launch;
 using namespace play_launch::container;
-using rcl_interfaces::msg::Parameter;
 using rcl_interfaces::msg::ParameterType;
 
 namespace {
@@ -46,8 +45,8 @@ void test_command_line() {
   CHECK(node_executor_threads(7) == 7 && node_executor_threads(0) <= 4);
 }
 
-Parameter bool_parameter(const std::string& name, bool value) {
-  Parameter parameter;
+rcl_interfaces::msg::Parameter bool_parameter(const std::string& name, bool value) {
+  rcl_interfaces::msg::Parameter parameter;
   parameter.name = name;
   parameter.value.type = ParameterType::PARAMETER_BOOL;
   parameter.value.bool_value = value;
@@ -77,13 +76,14 @@ void test_requests() {
   CHECK(contains(fails([](LoadRequest& r) { r.remap_rules = {""}; }), "''"));
   CHECK(contains(fails([](LoadRequest& r) { r.log_level = 51; }), "51"));
   CHECK(contains(fails([](LoadRequest& r) {
-                   Parameter p = bool_parameter("forward_global_arguments", true);
+                   rcl_interfaces::msg::Parameter p =
+                       bool_parameter("forward_global_arguments", true);
                    p.value.type = ParameterType::PARAMETER_STRING;
                    r.extra_arguments = {p};
                  }),
                  "forward_global_arguments"));
   CHECK(contains(fails([](LoadRequest& r) {
-                   Parameter p = bool_parameter("odd", true);
+                   rcl_interfaces::msg::Parameter p = bool_parameter("odd", true);
                    p.value.type = 10;
                    r.parameters = {p};
                  }),
