@@ -26,7 +26,7 @@ from benchmarks.graph_daemon.crowd import ATTEMPTS, Crowd
 from benchmarks.graph_daemon.daemons import OURS, STOCK, Daemon, ros2cli_is_here
 from benchmarks.graph_daemon.measures import Figures, Size
 from benchmarks.machine import machine
-from play_launch.graph_daemon.address import daemon_address
+from play_launch.graph_daemon.contract import daemon_address
 
 FULL = Size(
     processes=61,

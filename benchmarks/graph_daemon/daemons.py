@@ -9,7 +9,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from play_launch.graph_daemon.address import daemon_address
+from play_launch.graph_daemon.contract import daemon_address
 from play_launch.graph_daemon.control.port import listen_within
 
 _LIMIT = 60.0

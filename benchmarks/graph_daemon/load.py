@@ -10,8 +10,8 @@ import time
 import xmlrpc.client
 from dataclasses import dataclass, field
 
-from play_launch.graph_daemon.address import DaemonAddress
 from play_launch.graph_daemon.client.graph_client import DaemonError, GraphClient
+from play_launch.graph_daemon.contract import DaemonAddress
 
 _CHUNK = 1 << 20
 

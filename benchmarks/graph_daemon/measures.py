@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from benchmarks.graph_daemon.crowd import Crowd
 from benchmarks.graph_daemon.daemons import Daemon
 from benchmarks.graph_daemon.load import NODES, TOPICS, bursts, call_all, nodes
-from play_launch.graph_daemon.address import DaemonAddress
+from play_launch.graph_daemon.contract import DaemonAddress
 
 Figures = dict[str, float]
 LATE = 1.0

@@ -27,9 +27,8 @@ from benchmarks.graph_daemon.__main__ import (
 )
 from benchmarks.graph_daemon.daemons import OURS
 from benchmarks.graph_daemon.measures import Size, warm
-from play_launch.graph_daemon.address import DaemonAddress, daemon_address
 from play_launch.graph_daemon.client.graph_client import GraphClient
-from play_launch.graph_daemon.contract import STATUS_METHOD
+from play_launch.graph_daemon.contract import STATUS_METHOD, DaemonAddress, daemon_address
 from play_launch.graph_daemon.control.observer import LONGEST_LOOK
 
 GOAL = 0.5

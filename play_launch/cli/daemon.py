@@ -15,7 +15,7 @@ from play_launch.core.exit_code import ExitCode
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from play_launch.graph_daemon.address import DaemonAddress
+    from play_launch.graph_daemon.contract import DaemonAddress
     from play_launch.graph_daemon.control.takeover import Occupant
 
 daemon_app = typer.Typer(
@@ -230,7 +230,7 @@ def _blind(occupant: Occupant) -> list[str]:
 
 
 def _address() -> DaemonAddress:
-    from play_launch.graph_daemon.address import DomainError, daemon_address  # noqa: PLC0415
+    from play_launch.graph_daemon.contract import DomainError, daemon_address  # noqa: PLC0415
 
     try:
         return daemon_address()

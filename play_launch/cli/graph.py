@@ -14,7 +14,6 @@ import time
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
-from play_launch.graph_daemon.address import DomainError, daemon_address
 from play_launch.graph_daemon.client.graph_client import (
     DEFAULT_TIMEOUT,
     DaemonError,
@@ -24,11 +23,12 @@ from play_launch.graph_daemon.client.graph_client import (
     NodeName,
     RemoteError,
 )
+from play_launch.graph_daemon.contract import DomainError, daemon_address
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-    from play_launch.graph_daemon.address import DaemonAddress
+    from play_launch.graph_daemon.contract import DaemonAddress
 
 GROUPS: Final = {
     "node": "Nodes of the running system: list, info.",

@@ -9,8 +9,7 @@ import logging
 import os
 import socket
 
-from play_launch.graph_daemon.address import DOMAIN_VARIABLE, DaemonAddress
-from play_launch.graph_daemon.contract import WARM
+from play_launch.graph_daemon.contract import DOMAIN_VARIABLE, WARM, DaemonAddress
 from play_launch.graph_daemon.server.daemon import Daemon
 
 

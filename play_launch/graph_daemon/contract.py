@@ -1,8 +1,26 @@
-"""What the daemon, its clients and its starter agree upon."""
+"""What the daemon, its clients and its starter agree upon: where it listens, and what it answers.
+
+The address, the port's rule and the path are those of ros2cli (``ros2cli/daemon``), so that its
+clients find this daemon without any setting.
+"""
 
 from __future__ import annotations
 
-from typing import Final
+import os
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+DOMAIN_VARIABLE: Final = "ROS_DOMAIN_ID"
+HOST: Final = "127.0.0.1"
+BASE_PORT: Final = 11511
+PATH: Final = "/ros2cli/"
+NODE_PREFIX: Final = "_ros2cli_daemon_"
+"""How the nodes of daemons begin, ros2cli's and ours; the underscore hides them from lists."""
+LARGEST_DOMAIN: Final = 232
+"""With more, the port numbers of DDS do not fit into 16 bits."""
 
 IDLE_TIMEOUT: Final = 2 * 60 * 60.0
 """Seconds without a request after which the daemon ends; ros2cli's value."""
@@ -14,7 +32,10 @@ BACKLOG: Final = 1024
 """Clients that may wait to be accepted; the kernel may allow fewer (net.core.somaxconn)."""
 
 STATUS_METHOD: Final = "system.play_launch_status"
-"""Answers with a JSON text, see `status`. ros2cli's clients ignore names with ``system.``."""
+"""Answers with a JSON text, see `server.daemon.DaemonStatus`.
+
+ros2cli's clients ignore names with ``system.``.
+"""
 SHUTDOWN_METHOD: Final = "system.shutdown"
 GRAPH_METHODS: Final = (
     "get_name",
@@ -38,3 +59,63 @@ GRAPH_METHODS: Final = (
     "count_services",
 )
 """The methods of Jazzy; with Humble's rclpy the last two do not exist."""
+
+
+class DomainError(ValueError):
+    """``ROS_DOMAIN_ID`` is no number of a ROS domain; the message says which are."""
+
+    def __init__(self, value: str) -> None:
+        shown = value if len(value) <= 40 else f"{value[:40]}…"
+        super().__init__(
+            f"{DOMAIN_VARIABLE} is a number from 0 to {LARGEST_DOMAIN}, given {shown!r}"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class DaemonAddress:
+    """The address of the daemon of one domain."""
+
+    domain: int
+
+    def __post_init__(self) -> None:
+        """Raise ``DomainError`` for a number that is no domain."""
+        if not 0 <= self.domain <= LARGEST_DOMAIN:
+            raise DomainError(str(self.domain))
+
+    @property
+    def host(self) -> str:
+        """The IPv4 address; always loopback."""
+        return HOST
+
+    @property
+    def port(self) -> int:
+        """The TCP port: 11511 and the domain."""
+        return BASE_PORT + self.domain
+
+    @property
+    def path(self) -> str:
+        """The only path that requests are accepted on."""
+        return PATH
+
+    @property
+    def url(self) -> str:
+        """What an XML-RPC client is given."""
+        return f"http://{self.host}:{self.port}{self.path}"
+
+
+def domain_id(environment: Mapping[str, str] = os.environ) -> int:
+    """Read the ROS domain of ``environment``: 0 when it is not set or empty, as in rcl.
+
+    Raises ``DomainError`` for anything but a decimal number from 0 to 232.
+    """
+    text = environment.get(DOMAIN_VARIABLE, "")
+    if not text:
+        return 0
+    if not (text.isascii() and text.isdecimal()) or len(text) > len(str(LARGEST_DOMAIN)):
+        raise DomainError(text)
+    return DaemonAddress(int(text)).domain
+
+
+def daemon_address(environment: Mapping[str, str] = os.environ) -> DaemonAddress:
+    """Return where the daemon of ``environment``'s domain listens; may raise ``DomainError``."""
+    return DaemonAddress(domain_id(environment))

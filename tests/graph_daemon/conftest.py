@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from play_launch.graph_daemon.address import DaemonAddress
+from play_launch.graph_daemon.contract import DaemonAddress
 from play_launch.graph_daemon.control.start_stop import start_daemon, stop_daemon
 from tests.graph_daemon.scene import NODES
 from tests.graph_daemon.waiting import until

@@ -8,7 +8,7 @@ import xmlrpc.client
 from collections.abc import Callable
 from typing import Any, ClassVar
 
-from play_launch.graph_daemon.address import PATH, DaemonAddress
+from play_launch.graph_daemon.contract import PATH, DaemonAddress
 
 _VOLATILE = (
     (re.compile(r"_ros2cli_daemon_\d+_[0-9a-f]{32}"), "OWN_NAME"),

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from rosbags.highlevel import AnyReader
 
-from play_launch.graph_daemon.address import daemon_address
+from play_launch.graph_daemon.contract import daemon_address
 from play_launch.graph_daemon.control.takeover import Kind, look
 from tests.support.replay import replaying
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from play_launch.graph_daemon.client.reply import Fault, ReplyFormatError, Value, read_reply
 
 if TYPE_CHECKING:
-    from play_launch.graph_daemon.address import DaemonAddress
+    from play_launch.graph_daemon.contract import DaemonAddress
 
 DEFAULT_TIMEOUT: Final = 10.0
 """Seconds for one call; a daemon that is just being started answers within its warm-up of 5 s."""

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import socket
     from collections.abc import Iterator, Mapping
 
-    from play_launch.graph_daemon.address import DaemonAddress
+    from play_launch.graph_daemon.contract import DaemonAddress
 
 START_LIMIT: Final = 30.0
 """Seconds until a daemon must serve; on a machine under full load loading ROS takes some."""

@@ -11,9 +11,8 @@ from collections import Counter
 from typing import TYPE_CHECKING, Final
 
 from play_launch.core.events import GraphChanged
-from play_launch.graph_daemon.address import NODE_PREFIX, daemon_address
 from play_launch.graph_daemon.client.graph_client import DaemonError, GraphClient
-from play_launch.graph_daemon.contract import LISTENING, STATUS_METHOD
+from play_launch.graph_daemon.contract import LISTENING, NODE_PREFIX, STATUS_METHOD, daemon_address
 from play_launch.graph_daemon.control.start_stop import (
     PortHeldError,
     Started,
@@ -26,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Iterable, Mapping
 
     from play_launch.core.events import EventSink
-    from play_launch.graph_daemon.address import DaemonAddress
+    from play_launch.graph_daemon.contract import DaemonAddress
 
 LOOK: Final = 0.5
 """Seconds between two questions whether the graph has changed, while it changes."""

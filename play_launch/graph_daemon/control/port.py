@@ -17,7 +17,7 @@ from play_launch.graph_daemon.contract import BACKLOG
 from play_launch.graph_daemon.control.sockets import time_wait_ports
 
 if TYPE_CHECKING:
-    from play_launch.graph_daemon.address import DaemonAddress
+    from play_launch.graph_daemon.contract import DaemonAddress
 
 _IP_LOCAL_PORT_RANGE: Final = 51
 """See ip(7); Python has no name for it."""

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     import subprocess
     from collections.abc import Mapping
 
-    from play_launch.graph_daemon.address import DaemonAddress
+    from play_launch.graph_daemon.contract import DaemonAddress
 
 _ATTEMPTS: Final = 5
 """Any command of ros2cli that runs while nobody has the port starts its daemon there."""

@@ -29,7 +29,7 @@ from play_launch.graph_daemon.settings import differences
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from play_launch.graph_daemon.address import DaemonAddress
+    from play_launch.graph_daemon.contract import DaemonAddress
 
 PROBE_LIMIT: Final = 5.0
 """Seconds that whoever has the port is given for each of two questions. ros2cli's daemon answers

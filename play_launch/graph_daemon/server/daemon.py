@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import json
 import logging
 import os
 import signal
 import time
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Final
 
 from play_launch.fastdds.profiles import files_here
@@ -16,21 +18,74 @@ from play_launch.fastdds.transports import choose_transports
 from play_launch.graph_daemon.contract import IDLE_TIMEOUT, LISTENING, WARM
 from play_launch.graph_daemon.server.clients import Limits, Server
 from play_launch.graph_daemon.server.interfaces import InterfaceWatch
-from play_launch.graph_daemon.server.participants import participants_here
 from play_launch.graph_daemon.server.replacement import Replacer
 from play_launch.graph_daemon.server.service import GraphService
-from play_launch.graph_daemon.server.status import DaemonStatus
+from play_launch.graph_daemon.server.warm_up import participants_here
 from play_launch.graph_daemon.settings import compared_settings
 
 if TYPE_CHECKING:
     import socket
     from collections.abc import Callable, Iterator
 
-    from play_launch.graph_daemon.address import DaemonAddress
+    from play_launch.graph_daemon.contract import DaemonAddress
 
 _SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _MOST_IDLE_CHECK: Final = 60.0
+STATUS_VERSION: Final = 1
+"""Of the format of `DaemonStatus`; a field may be added without a change of it."""
 _log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DaemonStatus:
+    """The daemon's state at one moment: the answer of ``system.play_launch_status``."""
+
+    daemon: str = "play_launch"
+    version: int = STATUS_VERSION
+    pid: int
+    domain: int
+    rmw: str
+    """The middleware's identifier, such as ``rmw_fastrtps_cpp``."""
+    node: str
+    """Name of the node that looks at the graph."""
+    age: float
+    """Seconds since the daemon started."""
+    warm: bool
+    """Whether it answers about the graph; before, such requests wait."""
+    settled: bool
+    """Whether nothing changed for half a second and no participant is known to be missing."""
+    generation: int
+    """Grows with every change of the graph."""
+    unchanged_for: float
+    """Seconds since the last change."""
+    changes_per_second: float
+    """Over the last ten seconds. Changes within 50 ms count as one."""
+    nodes: int
+    """Nodes in the graph, without the daemon's own."""
+    participants: int
+    """DDS participants that the daemon has met, itself too; 0 where that cannot be seen."""
+    participants_here: int
+    """DDS participants of the domain on this machine, by the kernel's table of sockets."""
+    replacements: int
+    """How often the node was replaced because the network's addresses changed."""
+    requests: int
+    cached_replies: int
+    """Requests that were answered without asking the graph again."""
+    connections: int
+    resets: int
+    """Connections that were reset for their deadline, or because there were too many."""
+    idle_timeout: float
+    """Seconds without a request after which the daemon ends; 0 for never."""
+    transports: str
+    """Value of FASTDDS_BUILTIN_TRANSPORTS in the daemon, empty when it is not set."""
+    transports_reason: str
+    """Why; empty with another middleware than Fast DDS, where the variable means nothing."""
+    settings: dict[str, str] = field(default_factory=dict)
+    """The settings that decide whom it meets, by environment variable."""
+
+    def to_json(self) -> str:
+        """Return it as one JSON object."""
+        return json.dumps(asdict(self), ensure_ascii=False)
 
 
 class Daemon:

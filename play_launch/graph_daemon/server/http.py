@@ -11,7 +11,7 @@ import zlib
 from dataclasses import dataclass
 from typing import Final
 
-from play_launch.graph_daemon.address import PATH
+from play_launch.graph_daemon.contract import PATH
 
 LONGEST_HEAD: Final = 8 * 1024
 """Bytes of request line and headers."""

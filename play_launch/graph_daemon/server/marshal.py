@@ -9,13 +9,12 @@ no ROS.
 from __future__ import annotations
 
 import base64
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from enum import Enum
+from typing import Final
 from xml.parsers import expat
 from xmlrpc.client import MAXINT, MININT, Binary, Fault, Unmarshaller, escape
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 _HEAD: Final = "<?xml version='1.0'?>\n<methodResponse>\n"
 _TAIL: Final = "</methodResponse>\n"
@@ -23,6 +22,25 @@ _BASE64_LINE: Final = 57
 """Bytes on a line of base64; 57 give the 76 characters of RFC 2045."""
 FAULT_CODE: Final = 1
 """ros2cli's only fault code."""
+
+
+_DURATION: Final = "rclpy.duration.Duration"
+_STRUCTS: Final = frozenset(
+    {
+        "rclpy.qos.QoSProfile",
+        "rclpy.topic_endpoint_info.TopicEndpointInfo",
+        "rclpy.type_hash.TypeHash",
+    }
+)
+_ENUMERATIONS: Final = frozenset(
+    {
+        "rclpy.qos.HistoryPolicy",
+        "rclpy.qos.ReliabilityPolicy",
+        "rclpy.qos.DurabilityPolicy",
+        "rclpy.qos.LivelinessPolicy",
+        "rclpy.topic_endpoint_info.TopicEndpointTypeEnum",
+    }
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +84,30 @@ def parse_call(body: bytes) -> tuple[str | None, tuple[object, ...]]:
     parser.Parse(b"", True)
     arguments = target.close()
     return target.getmethodname(), tuple(arguments)
+
+
+def to_wire(value: object) -> object:
+    """Return ``value`` with every known object of rclpy replaced; others stay as they are.
+
+    An object says by its class what it is. That also fits Humble, whose classes have fewer members.
+    """
+    if isinstance(value, str | bytes):
+        return value
+    if isinstance(value, Sequence):
+        return [to_wire(element) for element in value]
+    if isinstance(value, Mapping):
+        return {name: to_wire(member) for name, member in value.items()}
+    kind = type(value)
+    tag = f"{kind.__module__}.{kind.__name__}"
+    if tag == _DURATION:
+        return Tagged(tag, str(value.nanoseconds))  # type: ignore[attr-defined]
+    if isinstance(value, Enum) and tag in _ENUMERATIONS:
+        return Tagged(tag, str(value.value))
+    if tag in _STRUCTS:
+        # The slots give order and names of the members; their properties give the values.
+        names = [slot.lstrip("_") for slot in kind.__slots__]  # type: ignore[attr-defined]
+        return TaggedStruct(tag, {name: to_wire(getattr(value, name)) for name in names})
+    return value
 
 
 def dump_response(value: object) -> bytes:

@@ -21,9 +21,8 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from play_launch.fastdds.announcement import quick_announcement
-from play_launch.graph_daemon.address import NODE_PREFIX
-from play_launch.graph_daemon.contract import GRAPH_METHODS
-from play_launch.graph_daemon.server.ros_values import to_wire
+from play_launch.graph_daemon.contract import GRAPH_METHODS, NODE_PREFIX
+from play_launch.graph_daemon.server.marshal import to_wire
 from play_launch.ros.graph_guard import GraphGuard
 
 if TYPE_CHECKING:

@@ -7,11 +7,11 @@ import contextlib
 import logging
 import threading
 import time
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from play_launch.graph_daemon.server.methods import Call, Methods, parse
-from play_launch.graph_daemon.server.pulse import Pulse
 from play_launch.graph_daemon.server.reply_cache import ReplyCache
+from play_launch.graph_daemon.server.warm_up import Population, Pulse
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -48,24 +48,6 @@ class Graph(Protocol):
     def close(self) -> None:
         """Leave the graph."""
         ...
-
-
-class Population(NamedTuple):
-    """Who is in the graph, and who should be."""
-
-    nodes: int
-    """Nodes without the daemon's own."""
-    participants: int
-    participants_here: int
-    nameless: int
-    """Publishers whose nodes are not known yet."""
-
-    @property
-    def is_complete(self) -> bool:
-        """Whether nobody is known to be missing."""
-        return not self.nameless and (
-            not self.participants or self.participants >= self.participants_here
-        )
 
 
 class GraphService:

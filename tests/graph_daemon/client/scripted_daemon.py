@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from typing import Any
 from xmlrpc.client import Fault, dumps, loads
 
-from play_launch.graph_daemon.address import HOST, DaemonAddress
+from play_launch.graph_daemon.contract import HOST, DaemonAddress
 
 LIMIT = 60.0
 

@@ -13,7 +13,7 @@ from xmlrpc.client import Fault
 import pytest
 
 from play_launch.cli import graph
-from play_launch.graph_daemon.address import DaemonAddress
+from play_launch.graph_daemon.contract import DaemonAddress
 from play_launch.graph_daemon.control import start_stop
 from tests.graph_daemon.client.scripted_daemon import LIMIT, ScriptedDaemon, answering, scripted
 
@@ -287,7 +287,7 @@ def test_wrong_usage(arguments: str, capsys: pytest.CaptureFixture[str]) -> None
 COMMAND = """
 import sys
 from play_launch.cli import entry, graph
-from play_launch.graph_daemon.address import DaemonAddress
+from play_launch.graph_daemon.contract import DaemonAddress
 class At(DaemonAddress):
     port = int(sys.argv.pop(1))
 graph.daemon_address = lambda: At(0)

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from xmlrpc.server import SimpleXMLRPCRequestHandler, SimpleXMLRPCServer
 
-from play_launch.graph_daemon.address import BASE_PORT, DaemonAddress
+from play_launch.graph_daemon.contract import BASE_PORT, DaemonAddress
 from play_launch.graph_daemon.control.port import listen_within
 
 ROOT = Path(__file__).resolve().parents[3]

@@ -13,11 +13,11 @@ from typing import Any
 import pytest
 
 from play_launch.cli.daemon import describe
-from play_launch.graph_daemon.address import DaemonAddress
+from play_launch.graph_daemon.contract import DaemonAddress
 from play_launch.graph_daemon.control.sockets import Holder
 from play_launch.graph_daemon.control.start_stop import stop_daemon
 from play_launch.graph_daemon.control.takeover import Kind, Occupant
-from play_launch.graph_daemon.server.status import DaemonStatus
+from play_launch.graph_daemon.server.daemon import DaemonStatus
 from tests.graph_daemon.control.occupants import occupied
 
 COMMAND = Path(sys.executable).parent / "play-launch"

@@ -16,8 +16,7 @@ from pathlib import Path
 import pytest
 
 from play_launch.fastdds.shared_memory import sweep
-from play_launch.graph_daemon.address import DaemonAddress
-from play_launch.graph_daemon.contract import LISTENING, STATUS_METHOD
+from play_launch.graph_daemon.contract import LISTENING, STATUS_METHOD, DaemonAddress
 from play_launch.graph_daemon.control.background import StartError, log_path, spawn
 from play_launch.graph_daemon.control.port import is_free, listen
 from play_launch.graph_daemon.control.sockets import holder_of

@@ -14,8 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from play_launch.core.events import GraphChanged, RunEvent
-from play_launch.graph_daemon.address import DaemonAddress
-from play_launch.graph_daemon.contract import LISTENING
+from play_launch.graph_daemon.contract import LISTENING, DaemonAddress
 from play_launch.graph_daemon.control.observer import (
     FORSAKEN,
     LONGEST_LOOK,

@@ -7,7 +7,7 @@ import socket
 
 import pytest
 
-from play_launch.graph_daemon.address import DaemonAddress
+from play_launch.graph_daemon.contract import DaemonAddress
 from play_launch.graph_daemon.control import takeover
 from play_launch.graph_daemon.control.background import START_LIMIT
 from play_launch.graph_daemon.control.port import (

@@ -13,8 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from play_launch.graph_daemon.address import DaemonAddress
-from play_launch.graph_daemon.contract import STATUS_METHOD
+from play_launch.graph_daemon.contract import STATUS_METHOD, DaemonAddress
 from play_launch.graph_daemon.server.http import LONGEST_BODY
 from tests.graph_daemon.waiting import until
 from tests.graph_daemon.wire import ask, post, read, request_body

@@ -6,10 +6,9 @@ import json
 import subprocess
 import sys
 
-from play_launch.graph_daemon.address import DaemonAddress
-from play_launch.graph_daemon.contract import LISTENING, STATUS_METHOD
+from play_launch.graph_daemon.contract import LISTENING, STATUS_METHOD, DaemonAddress
 from play_launch.graph_daemon.control.start_stop import start_daemon, stop_daemon
-from play_launch.graph_daemon.server.pulse import LONGEST_WARM_UP
+from play_launch.graph_daemon.server.warm_up import LONGEST_WARM_UP
 from tests.graph_daemon.wire import ask
 
 PROCESSES = 6

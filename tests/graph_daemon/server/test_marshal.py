@@ -1,4 +1,4 @@
-"""Marshalling is that of `xmlrpc.client`, with ROS's own elements besides."""
+"""XML-RPC as ros2cli's daemon and its clients read and write it; rclpy's objects in it."""
 
 from __future__ import annotations
 
@@ -8,6 +8,10 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from rclpy.duration import Duration
+from rclpy.qos import QoSPresetProfiles, QoSProfile, ReliabilityPolicy
+from rclpy.topic_endpoint_info import TopicEndpointInfo, TopicEndpointTypeEnum
+from rclpy.type_hash import TypeHash
 
 from play_launch.graph_daemon.server.marshal import (
     DocumentTypeError,
@@ -16,6 +20,7 @@ from play_launch.graph_daemon.server.marshal import (
     dump_fault,
     dump_response,
     parse_call,
+    to_wire,
 )
 from play_launch.graph_daemon.server.methods import Call, parse
 from tests.graph_daemon.wire import read
@@ -115,3 +120,48 @@ def test_deep_nesting_ends_in_an_answer() -> None:
     found = parse(f"<methodCall><methodName>m</methodName>{params}</methodCall>".encode())
     assert isinstance(found, Call)
     assert found.method == "m"
+
+
+def members(value: object) -> dict[str, object]:
+    assert isinstance(value, TaggedStruct)
+    return dict(value.members)
+
+
+def test_a_duration_is_its_nanoseconds() -> None:
+    forever = Duration(nanoseconds=2**63 - 1)
+    assert to_wire(forever) == Tagged("rclpy.duration.Duration", "9223372036854775807")
+
+
+def test_an_enumeration_is_its_number() -> None:
+    policy = to_wire(ReliabilityPolicy.BEST_EFFORT)
+    assert policy == Tagged("rclpy.qos.ReliabilityPolicy", "2")
+
+
+@pytest.mark.parametrize("preset", list(QoSPresetProfiles), ids=str)
+def test_a_profile_has_its_members_in_order(preset: QoSPresetProfiles) -> None:
+    profile = preset.value
+    found = to_wire(profile)
+    assert list(members(found)) == [slot.lstrip("_") for slot in QoSProfile.__slots__]
+    assert members(found)["depth"] == profile.depth
+
+
+def test_an_endpoint_is_written_whole() -> None:
+    endpoint = TopicEndpointInfo(
+        node_name="talker",
+        node_namespace="/",
+        topic_type="std_msgs/msg/String",
+        topic_type_hash=TypeHash(1, bytes(range(32))),
+        endpoint_type=TopicEndpointTypeEnum.PUBLISHER,
+        endpoint_gid=list(range(16)),
+        qos_profile=QoSProfile(depth=7),
+    )
+    found = to_wire(endpoint)
+    values = members(found)
+    assert values["endpoint_gid"] == list(range(16))
+    assert members(values["topic_type_hash"]) == {"version": 1, "value": bytes(range(32))}
+    assert dump_response([found]).count(b"<rclpy.") == 11
+
+
+@pytest.mark.parametrize("value", [1, "text", b"bytes", True, None, object])
+def test_everything_else_stays(value: object) -> None:
+    assert to_wire(value) is value

@@ -11,8 +11,7 @@ from typing import Any
 
 import pytest
 
-from play_launch.graph_daemon.address import DaemonAddress
-from play_launch.graph_daemon.contract import GRAPH_METHODS, STATUS_METHOD
+from play_launch.graph_daemon.contract import GRAPH_METHODS, STATUS_METHOD, DaemonAddress
 from tests.graph_daemon.calls import Call, calls
 from tests.graph_daemon.wire import ask, comparable, post, read, request_body
 

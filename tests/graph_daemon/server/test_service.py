@@ -12,7 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from play_launch.graph_daemon.server.reply_cache import ReplyCache
-from play_launch.graph_daemon.server.service import LONGEST_COUNT, GraphService, Population
+from play_launch.graph_daemon.server.service import LONGEST_COUNT, GraphService
+from play_launch.graph_daemon.server.warm_up import Population
 from tests.graph_daemon.server.graphs import FakeGraph
 from tests.graph_daemon.wire import read, request_body
 

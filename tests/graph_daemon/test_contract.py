@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from play_launch.graph_daemon.address import DaemonAddress, DomainError, daemon_address, domain_id
+from play_launch.graph_daemon.contract import DaemonAddress, DomainError, daemon_address, domain_id
 
 
 @given(st.integers(0, 232))
