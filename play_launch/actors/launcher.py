@@ -53,7 +53,7 @@ from play_launch.wire.messages import Hello
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
-    from play_launch.actors.ports import ControlLink, ManagedProcess, OutputCallback
+    from play_launch.actors.ports import ControlLink, ManagedProcess
     from play_launch.actors.stock.starter import StockContainers
     from play_launch.config.model import (
         ComposableNodeConfig,
@@ -64,6 +64,7 @@ if TYPE_CHECKING:
     from play_launch.install.ros import RosInstallation
     from play_launch.process.child import Child
     from play_launch.process.exit import Exit
+    from play_launch.process.lines import OutputCallback
 
 _log = logging.getLogger(__name__)
 

@@ -5,14 +5,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Protocol, TypeAlias
-
-from play_launch.core.events import Stream
-from play_launch.process.lines import Line
+from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
     import asyncio
+    from collections.abc import Callable
 
     from play_launch.config.model import (
         ComposableNodeConfig,
@@ -20,9 +17,8 @@ if TYPE_CHECKING:
         ProcessConfig,
     )
     from play_launch.process.exit import Exit
+    from play_launch.process.lines import OutputCallback
     from play_launch.wire.messages import Hello, Incoming, Outgoing
-
-OutputCallback: TypeAlias = Callable[[Stream, Sequence[Line]], None]
 
 
 class StartError(Exception):

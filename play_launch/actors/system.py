@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
-import os
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Final
@@ -14,7 +13,7 @@ import anyio
 
 from play_launch.actors.container.container import ContainerMember
 from play_launch.actors.container.library_probes import LibraryProbes
-from play_launch.actors.container.limits import LIMITS, Limits
+from play_launch.actors.container.limits import LIMITS, Limits, default_starts
 from play_launch.actors.container.nodes import AttemptNumbers
 from play_launch.actors.launcher import NativeLauncher
 from play_launch.actors.process_node import ProcessMember
@@ -48,11 +47,6 @@ class Outcome:
     """The system after that."""
     reason: str
     signum: int | None = None
-
-
-def default_starts() -> int:
-    """How many containers start up at the same time: creating a participant is CPU time."""
-    return max(4, 2 * (os.cpu_count() or 1))
 
 
 STOCK_STARTS: Final = 4

@@ -6,14 +6,8 @@ Everything heavy (pydantic, rclpy, rich's tables) is imported by the verbs when 
 
 from __future__ import annotations
 
-import signal
 import sys
 from typing import TYPE_CHECKING, Annotated, Any
-
-if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-    # Until the run takes its signals, Ctrl-C just ends the process. A KeyboardInterrupt in the
-    # middle of an import can be swallowed there, and would leave a traceback at best.
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 import typer
 from typer.core import TyperGroup

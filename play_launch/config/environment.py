@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING
 from play_launch.config.problems import excerpt
 from play_launch.config.yaml.scalars import ScalarKind
 from play_launch.config.yaml.tree import Mapping, Scalar, describe_node
+from play_launch.core.domain import LARGEST_DOMAIN
 
 if TYPE_CHECKING:
     from play_launch.config.yaml.tree import At
 
 _OURS = frozenset({"PLAY_LAUNCH_CONTROL_FD"})
 _DOMAIN = "ROS_DOMAIN_ID"
-_MOST_DOMAIN = 232
-"""With more, port numbers of DDS do not fit; Fast DDS then just ends the process."""
 _QUOTABLE = frozenset({ScalarKind.INTEGER, ScalarKind.FLOAT, ScalarKind.BOOL})
 
 
@@ -44,10 +43,10 @@ def resolve_environment(at: At | None) -> dict[str, str]:
 def domain_problem(value: str) -> str | None:
     """Say what is wrong with a ROS_DOMAIN_ID; None for a good one."""
     if value == "" or (
-        value.isascii() and value.isdecimal() and len(value) < 4 and int(value) <= _MOST_DOMAIN
+        value.isascii() and value.isdecimal() and len(value) < 4 and int(value) <= LARGEST_DOMAIN
     ):
         return None
-    return f"{_DOMAIN} is a number from 0 to {_MOST_DOMAIN}, given {excerpt(value)}"
+    return f"{_DOMAIN} is a number from 0 to {LARGEST_DOMAIN}, given {excerpt(value)}"
 
 
 def _string(at: At) -> str | None:

@@ -68,7 +68,8 @@ class Composition:
     _abandoned: AbandonedLoads = field(default_factory=AbandonedLoads)
     _rejecting: dict[int, str] = field(default_factory=dict)
     """Nodes that were not unloaded and why; the list is to tell whether they are there."""
-    _is_stopping: bool = False
+    is_stopping: bool = False
+    """Whether no further loads are sent."""
 
     def begin(self, nodes: Iterable[tuple[int, str]]) -> None:
         """Take the first list: what is there before anything is loaded."""
@@ -109,7 +110,7 @@ class Composition:
 
     def stop(self) -> None:
         """Send no further loads; what was sent takes its course."""
-        self._is_stopping = True
+        self.is_stopping = True
         self._queue.clear()
         if self._current is not None and self._current.stage is Stage.NEXT:
             self._current.stage = Stage.QUEUED
@@ -224,7 +225,7 @@ class Composition:
         return []
 
     def _go_on(self) -> list[Action]:
-        if self._is_stopping or self._current is not None or not self._queue:
+        if self.is_stopping or self._current is not None or not self._queue:
             return []
         self._current = load = self._queue.popleft()
         load.stage = Stage.NEXT

@@ -17,14 +17,14 @@ if TYPE_CHECKING:
     from play_launch.core.node_key import NodeKey
 
 
-class ListedState(IntEnum):
+class NodeStatusState(IntEnum):
     """``play_launch_msgs/NodeStatus.state``, and one that no container sends."""
 
     CONSTRUCTING = 0
     LOADED = 1
     UNLOADING = 2
     QUEUED = 255
-    """The queue is on our side: see :mod:`play_launch.core.composition`."""
+    """A load that waits on our side, in the queue of a stock container."""
 
 
 class Asked(NamedTuple):
@@ -49,7 +49,7 @@ class Listed(Protocol):
 
     @property
     def state(self) -> int:
-        """A :class:`ListedState`, if the container tells sense."""
+        """A :class:`NodeStatusState`, if the container tells sense."""
 
 
 _ListedT = TypeVar("_ListedT", bound=Listed)
@@ -65,10 +65,10 @@ class Answer(NamedTuple, Generic[_ListedT]):
 
 
 _SAID = {
-    ListedState.CONSTRUCTING: NodeInput.STATUS_CONSTRUCTING,
-    ListedState.LOADED: NodeInput.STATUS_LOADED,
-    ListedState.UNLOADING: NodeInput.STATUS_UNLOADING,
-    ListedState.QUEUED: NodeInput.STATUS_QUEUED,
+    NodeStatusState.CONSTRUCTING: NodeInput.STATUS_CONSTRUCTING,
+    NodeStatusState.LOADED: NodeInput.STATUS_LOADED,
+    NodeStatusState.UNLOADING: NodeInput.STATUS_UNLOADING,
+    NodeStatusState.QUEUED: NodeInput.STATUS_QUEUED,
 }
 
 
@@ -102,6 +102,6 @@ def read_answer(asked: Sequence[Asked], listed: Iterable[_ListedT]) -> list[Answ
 
 def _said(state: int) -> NodeInput | None:
     try:
-        return _SAID[ListedState(state)]
+        return _SAID[NodeStatusState(state)]
     except ValueError:
         return None

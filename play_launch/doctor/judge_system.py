@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
+from play_launch.core.domain import LARGEST_DOMAIN
 from play_launch.doctor.finding import Finding, fail, ok, warn
 from play_launch.fastdds.middleware import is_fastdds
 from play_launch.process.machine import (
@@ -43,7 +44,6 @@ PARTICIPANTS: Final = 32
 Cyclone DDS, as rmw_cyclonedds sets it up, has places for that many and no more.
 """
 _CYCLONE: Final = "rmw_cyclonedds_cpp"
-HIGHEST_DOMAIN: Final = 232
 _DDS_PORT: Final = 7400
 _PORTS_PER_DOMAIN: Final = 250
 _PORTS_USED: Final = 118
@@ -260,12 +260,12 @@ def _discovery(facts: NetworkFacts, rmw: str) -> Finding:
 
 def _domain(facts: NetworkFacts) -> Finding:
     text = facts.domain_id or "0"
-    if not text.isascii() or not text.isdecimal() or int(text) > HIGHEST_DOMAIN:
+    if not text.isascii() or not text.isdecimal() or int(text) > LARGEST_DOMAIN:
         return fail(
             "domain",
             f"ROS_DOMAIN_ID is {facts.domain_id}",
             "no node can be created",
-            f"a number from 0 to {HIGHEST_DOMAIN}",
+            f"a number from 0 to {LARGEST_DOMAIN}",
         )
     first = _DDS_PORT + _PORTS_PER_DOMAIN * int(text)
     last = first + _PORTS_USED - 1

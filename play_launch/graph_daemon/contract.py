@@ -10,6 +10,8 @@ import os
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
+from play_launch.core.domain import LARGEST_DOMAIN
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
@@ -19,8 +21,6 @@ BASE_PORT: Final = 11511
 PATH: Final = "/ros2cli/"
 NODE_PREFIX: Final = "_ros2cli_daemon_"
 """How the nodes of daemons begin, ros2cli's and ours; the underscore hides them from lists."""
-LARGEST_DOMAIN: Final = 232
-"""With more, the port numbers of DDS do not fit into 16 bits."""
 
 IDLE_TIMEOUT: Final = 2 * 60 * 60.0
 """Seconds without a request after which the daemon ends; ros2cli's value."""

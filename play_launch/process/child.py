@@ -9,21 +9,20 @@ import shutil
 import signal
 import subprocess
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import TypeAlias
+from typing import TYPE_CHECKING
 
 from play_launch.core.events import Stream
 from play_launch.process.exit import Exit
 from play_launch.process.guard import Ourselves, Parent, SessionGuard
 from play_launch.process.identity import ProcessIdentity, ProcessStat, read_stat
-from play_launch.process.lines import Line, LineReader
+from play_launch.process.lines import LineReader, OutputCallback
 from play_launch.process.machine import explained
 from play_launch.process.session import session_members, signal_each, wait_all_ended
 
-OutputCallback: TypeAlias = Callable[[Stream, Sequence[Line]], None]
-"""Gets each batch of lines; it is called on the loop's thread and must not block."""
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
 
 OUTPUT_GRACE = 0.5
 """Seconds that output is read on after everything we could kill is dead."""

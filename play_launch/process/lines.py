@@ -10,6 +10,8 @@ import os
 from collections.abc import Callable, Sequence
 from typing import NamedTuple, TypeAlias
 
+from play_launch.core.events import Stream
+
 MAX_LINE_BYTES = 16 * 1024
 """Longer lines are cut here and marked as truncated."""
 _READ_BYTES = 64 * 1024
@@ -23,6 +25,8 @@ class Line(NamedTuple):
 
 
 LinesCallback: TypeAlias = Callable[[Sequence[Line]], None]
+OutputCallback: TypeAlias = Callable[[Stream, Sequence[Line]], None]
+"""Gets each batch of lines; it is called on the loop's thread and must not block."""
 
 
 class LineSplitter:

@@ -25,12 +25,7 @@ from play_launch.wire.frames import (
     FrameError,
 )
 from play_launch.wire.messages import (
-    Cancel,
     Hello,
-    Load,
-    Query,
-    Shutdown,
-    Unload,
 )
 
 if TYPE_CHECKING:
@@ -155,16 +150,6 @@ class ControlChannel:
         self._reading = False
         self._read_on()
 
-    @property
-    def queued_frames(self) -> int:
-        """Frames that arrived and were not received."""
-        return len(self._frames)
-
-    @property
-    def outgoing_bytes(self) -> int:
-        """Bytes that the container has not taken yet."""
-        return len(self._outgoing)
-
     async def handshake(self, hello: Hello) -> Hello:
         """Wait for the container's hello and answer it.
 
@@ -202,15 +187,6 @@ class ControlChannel:
             self._arrived.clear()
             await self._arrived.wait()
 
-    def __aiter__(self) -> Self:
-        return self
-
-    async def __anext__(self) -> Incoming:
-        try:
-            return await self.receive()
-        except ChannelClosedError:
-            raise StopAsyncIteration from None
-
     def send(self, message: Outgoing) -> None:
         """Send a message, without waiting.
 
@@ -225,26 +201,6 @@ class ControlChannel:
         if len(self._outgoing) > MAX_OUTGOING_BYTES:
             raise self._fail(ChannelOverflowError(len(self._outgoing)))
         self._write()
-
-    def send_load(self, load: Load) -> None:
-        """Ask for a node; raises as `send`."""
-        self.send(load)
-
-    def send_query(self, query_id: int, unique_ids: tuple[int, ...] = ()) -> None:
-        """Ask about nodes, without ids about all; raises as `send`."""
-        self.send(Query(query_id=query_id, unique_ids=unique_ids))
-
-    def send_cancel(self, unique_id: int) -> None:
-        """Give up a load; raises as `send`."""
-        self.send(Cancel(unique_id=unique_id))
-
-    def send_unload(self, unique_id: int) -> None:
-        """Unload a node; raises as `send`."""
-        self.send(Unload(unique_id=unique_id))
-
-    def send_shutdown(self, reason: str = "") -> None:
-        """Ask the container to unload everything and exit; raises as `send`."""
-        self.send(Shutdown(reason=reason))
 
     def close(self) -> None:
         """Close the channel; the container stops by itself then. May be called twice."""

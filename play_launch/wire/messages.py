@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import IntEnum
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 from play_launch.core.events import ComponentEvent
 from play_launch.wire.frames import PROTOCOL_VERSION
 
 if TYPE_CHECKING:
     from play_launch.config.model import ParameterConfig
+    from play_launch.core.questions import NodeStatusState
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,22 +71,16 @@ class Rejected:
     reason: str
 
 
+NO_NODE: Final = (0,)
+"""The ids of a query that only asks for a sign of life: containers number their nodes from 1."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Query:
-    """Which nodes do you have? No `unique_ids` means all (ControlQuery)."""
+    """Which nodes do you have? No `unique_ids` means all, `NO_NODE` none (ControlQuery)."""
 
     query_id: int
     unique_ids: tuple[int, ...] = ()
-
-
-class NodeStatusState(IntEnum):
-    """`play_launch_msgs/NodeStatus.state`."""
-
-    CONSTRUCTING = 0
-    LOADED = 1
-    UNLOADING = 2
-    QUEUED = 255
-    """No container sends it: a load that waits on our side, in the queue of a stock container."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

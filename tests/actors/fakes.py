@@ -17,6 +17,7 @@ from play_launch.config.model import (
 from play_launch.core.crash import OnCrash
 from play_launch.core.events import ComponentEvent, ComponentEventKind, Stream
 from play_launch.core.node_key import NodeKey
+from play_launch.core.questions import NodeStatusState
 from play_launch.core.restart import RestartLimits
 from play_launch.process.exit import Exit
 from play_launch.process.lines import Line
@@ -33,7 +34,6 @@ from play_launch.wire.messages import (
     Incoming,
     Load,
     NodeStatus,
-    NodeStatusState,
     Outgoing,
     Query,
     Rejected,
@@ -45,7 +45,8 @@ from play_launch.wire.messages import (
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from play_launch.actors.ports import OutputCallback, StartError
+    from play_launch.actors.ports import StartError
+    from play_launch.process.lines import OutputCallback
 
 
 class FakeProcess:

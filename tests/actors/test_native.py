@@ -45,8 +45,9 @@ from .running import Running
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator
 
-    from play_launch.actors.ports import ControlLink, ManagedProcess, OutputCallback
+    from play_launch.actors.ports import ControlLink, ManagedProcess
     from play_launch.config.model import ReplayConfig
+    from play_launch.process.lines import OutputCallback
     from play_launch.wire.messages import Incoming
 
 QUICK = RestartLimits(max_restarts=2, within=60.0, initial=0.05, maximum=0.1)

@@ -8,6 +8,7 @@ import pytest
 
 from play_launch.actors.stock.ports import StockLimits
 from play_launch.core.events import ComponentEvent, ComponentEventKind
+from play_launch.core.questions import NodeStatusState
 from play_launch.ros.composition import LoadReply
 from play_launch.ros.thread import RosThreadError
 from play_launch.wire.channel import ChannelClosedError, ControlError
@@ -16,7 +17,6 @@ from play_launch.wire.messages import (
     Cancel,
     Hello,
     Load,
-    NodeStatusState,
     Query,
     Rejected,
     Shutdown,

@@ -31,7 +31,7 @@ from .jumping_loop import run
 from .running import Running, running
 
 if TYPE_CHECKING:
-    from play_launch.actors.ports import OutputCallback
+    from play_launch.process.lines import OutputCallback
 
 POISON = {"error": "cannot load library /lib.so", "signal": 11, "backtrace": ["init() in lib.so"]}
 

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import pytest
 
-from play_launch.actors.ports import OutputCallback
 from play_launch.actors.publisher import Publisher
 from play_launch.actors.stop_requests import StopRequests
 from play_launch.actors.system import Outcome, run_system
@@ -19,6 +18,7 @@ from play_launch.core.events import (
 )
 from play_launch.core.view import SystemView
 from play_launch.process.exit import Exit
+from play_launch.process.lines import OutputCallback
 from play_launch.wire.messages import Incoming
 
 from .fakes import (

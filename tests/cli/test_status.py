@@ -82,7 +82,7 @@ def test_durations_are_for_people(seconds: float, expected: str) -> None:
 def test_how_a_process_ended() -> None:
     assert ending(3, 0) == "exited with status 3"
     assert ending(0, 11) == "exited with signal 11 (SIGSEGV)"
-    assert ending(0, 99) == "exited with signal 99"
+    assert ending(0, 60) == "exited with signal 60 (SIGRTMIN+26)"
     killed = view(process("/p", ProcessEventKind.EXITED, signal=9)).processes["/p"]
     assert process_status(killed) == "exited with signal 9 (SIGKILL)"
     gone = view(process("/p", ProcessEventKind.GAVE_UP, message="5 restarts")).processes["/p"]

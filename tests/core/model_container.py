@@ -6,7 +6,7 @@ from collections import deque
 from dataclasses import dataclass, field
 
 from play_launch.core.node_table import NodeInput
-from play_launch.core.questions import ListedState
+from play_launch.core.questions import NodeStatusState
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ class ModelContainer:
 
 
 def _listed(held: Held) -> Listed:
-    state = ListedState.LOADED if held.loaded else ListedState.CONSTRUCTING
+    state = NodeStatusState.LOADED if held.loaded else NodeStatusState.CONSTRUCTING
     if held.cancelled:
-        state = ListedState.UNLOADING
+        state = NodeStatusState.UNLOADING
     return Listed(unique_id=held.unique_id, attempt=held.attempt, state=state)

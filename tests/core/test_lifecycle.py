@@ -10,7 +10,7 @@ from play_launch.core.events import NodeState
 from play_launch.core.lifecycle import NodeRecord, Patience, Step, is_silent, step
 from play_launch.core.node_key import NodeKey
 from play_launch.core.node_table import TABLE, WAITING, NodeAction, NodeInput
-from play_launch.core.questions import Asked, ListedState, ids_to_ask, read_answer
+from play_launch.core.questions import Asked, NodeStatusState, ids_to_ask, read_answer
 
 from .model_container import Listed
 
@@ -253,9 +253,9 @@ def test_an_answer_is_read_by_attempt() -> None:
         Asked(KEYS[4], 5, 0),
     ]
     listed = [
-        Listed(unique_id=7, attempt=1, state=ListedState.LOADED),
-        Listed(unique_id=8, attempt=99, state=ListedState.LOADED),
-        Listed(unique_id=5, attempt=3, state=ListedState.CONSTRUCTING),
+        Listed(unique_id=7, attempt=1, state=NodeStatusState.LOADED),
+        Listed(unique_id=8, attempt=99, state=NodeStatusState.LOADED),
+        Listed(unique_id=5, attempt=3, state=NodeStatusState.CONSTRUCTING),
         Listed(unique_id=6, attempt=5, state=77),
     ]
     answers = {each.asked.key: each.said for each in read_answer(asked, listed)}

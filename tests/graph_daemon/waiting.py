@@ -5,6 +5,9 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
+from play_launch.graph_daemon.contract import DaemonAddress
+from play_launch.graph_daemon.control.port import PortBusyError, listen
+
 LIMIT = 60.0
 
 
@@ -14,3 +17,12 @@ def until(done: Callable[[], bool], what: str, limit: float = LIMIT) -> None:
     while not done():
         assert time.monotonic() < deadline, f"waited {limit} s for {what}"
         time.sleep(0.02)
+
+
+def is_free(address: DaemonAddress) -> bool:
+    """Whether ros2cli could start its daemon at this moment."""
+    try:
+        listen(address).close()
+    except PortBusyError:
+        return False
+    return True

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import subprocess
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,19 +18,22 @@ from play_launch.config.model import (
     ParameterValue,
 )
 from play_launch.core.events import ComponentEvent, ComponentEventKind
+from play_launch.core.questions import NodeStatusState
 from play_launch.install.command import container_argv
 from play_launch.install.environment import child_environment
 from play_launch.install.ros import component_container, ros_installation
-from play_launch.wire.channel import ControlChannel, control_pair
+from play_launch.wire.channel import ChannelClosedError, ControlChannel, control_pair
 from play_launch.wire.frames import PROTOCOL_VERSION
 from play_launch.wire.messages import (
     Accepted,
     Hello,
     Incoming,
     Load,
-    NodeStatusState,
+    Query,
     Rejected,
+    Shutdown,
     Status,
+    Unload,
 )
 
 if TYPE_CHECKING:
@@ -115,7 +118,7 @@ async def test_hello_says_who_it_is() -> None:
 
 async def test_the_life_of_a_node() -> None:
     async with talking() as talk:
-        talk.channel.send_load(TALKER)
+        talk.channel.send(TALKER)
         accepted = await talk.hear()
         assert isinstance(accepted, Accepted)
         assert accepted.attempt == TALKER.attempt
@@ -132,7 +135,9 @@ async def test_the_life_of_a_node() -> None:
         assert loaded.pid == talk.process.pid
         assert loaded.stamp_ns >= loading.stamp_ns > 10**18
 
-        talk.channel.send_query(3, (accepted.unique_id, accepted.unique_id + 100))
+        talk.channel.send(
+            Query(query_id=3, unique_ids=(accepted.unique_id, accepted.unique_id + 100))
+        )
         status = await talk.hear()
         assert isinstance(status, Status)
         (node,) = status.nodes
@@ -143,9 +148,9 @@ async def test_the_life_of_a_node() -> None:
             "/ns/my_talker",
         )
 
-        talk.channel.send_unload(accepted.unique_id)
+        talk.channel.send(Unload(unique_id=accepted.unique_id))
         assert (await talk.hear_event(ComponentEventKind.UNLOADED)).unique_id == accepted.unique_id
-        talk.channel.send_unload(accepted.unique_id)
+        talk.channel.send(Unload(unique_id=accepted.unique_id))
         rejected = await talk.hear()
         assert isinstance(rejected, Rejected)
         assert rejected.unique_id == accepted.unique_id
@@ -154,18 +159,21 @@ async def test_the_life_of_a_node() -> None:
 
 async def test_shutdown_unloads_and_ends_well() -> None:
     async with talking() as talk:
-        talk.channel.send_load(TALKER)
-        talk.channel.send_shutdown("the test is over")
-        kinds = [
-            message.kind async for message in talk.channel if isinstance(message, ComponentEvent)
-        ]
+        talk.channel.send(TALKER)
+        talk.channel.send(Shutdown(reason="the test is over"))
+        kinds: list[ComponentEventKind] = []
+        with suppress(ChannelClosedError):
+            while True:
+                message = await talk.hear()
+                if isinstance(message, ComponentEvent):
+                    kinds.append(message.kind)
         assert kinds[-1] is ComponentEventKind.UNLOADED
         assert await talk.exit_code() == 0
 
 
 async def test_a_container_without_a_supervisor_ends() -> None:
     async with talking() as talk:
-        talk.channel.send_load(TALKER)
+        talk.channel.send(TALKER)
         assert isinstance(await talk.hear(), Accepted)
         talk.channel.close()
         await talk.exit_code()

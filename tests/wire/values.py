@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 
 from play_launch.config.model import ParameterConfig, ParameterType, ParameterValue
 from play_launch.core.events import ComponentEvent, ComponentEventKind
+from play_launch.core.questions import NodeStatusState
 from play_launch.wire.messages import (
     Accepted,
     Cancel,
@@ -13,7 +14,6 @@ from play_launch.wire.messages import (
     Incoming,
     Load,
     NodeStatus,
-    NodeStatusState,
     Outgoing,
     Query,
     Rejected,

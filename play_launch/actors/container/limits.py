@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from typing import Final
 
@@ -29,3 +30,8 @@ class Limits:
 
 
 LIMITS: Final = Limits()
+
+
+def default_starts() -> int:
+    """How many containers start up at the same time: creating a participant is CPU time."""
+    return max(4, 2 * (os.cpu_count() or 1))

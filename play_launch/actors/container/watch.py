@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 from play_launch.core.episode import Episode
 from play_launch.core.watchdog import Verdict, Watch, WatchLimits, answered, begin, look
 from play_launch.wire.channel import ControlError
-from play_launch.wire.messages import Query
+from play_launch.wire.messages import NO_NODE, Query
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -19,8 +19,6 @@ _log = logging.getLogger(__name__)
 
 _FIRST_QUERY: Final = 1 << 63
 """Our questions are counted from here on, those about nodes from 1."""
-_NO_NODE: Final = (0,)
-"""Containers number their nodes from 1; a question about this one has a short answer."""
 
 
 class ContainerWatch:
@@ -98,7 +96,7 @@ class ContainerWatch:
         assert self._send is not None
         self._query_id += 1
         try:
-            self._send(Query(query_id=self._query_id, unique_ids=_NO_NODE))
+            self._send(Query(query_id=self._query_id, unique_ids=NO_NODE))
         except ControlError as error:
             # Whoever reads the channel learns it as well and deals with the container.
             _log.debug("%s: a question was not sent: %s", self._container, error)

@@ -32,6 +32,7 @@ from play_launch.core.events import ComponentEventKind
 from play_launch.ros.thread import RosThreadError
 from play_launch.wire.channel import ChannelClosedError, ControlError
 from play_launch.wire.messages import (
+    NO_NODE,
     Cancel,
     Hello,
     Incoming,
@@ -51,9 +52,6 @@ if TYPE_CHECKING:
     from play_launch.ros.composition import ListedNode, LoadReply
 
 _log = logging.getLogger(__name__)
-
-_WATCH = (0,)
-"""What the actor asks for when it only wants to know whether the other side lives."""
 
 
 _FIRST_LISTS = 8
@@ -111,7 +109,6 @@ class StockLink:
         self._changed = asyncio.Event()
         self._heard_at = self._loop.time()
         self._is_reported_silent = False
-        self._is_stopping = False
         self._is_closed = False
         self.is_greeted = False
         self.on_list: Callable[[tuple[ListedNode, ...]], None] = lambda _: None
@@ -170,7 +167,7 @@ class StockLink:
             case Load():
                 self._requests[message.attempt] = Request(message, self._encode(message))
                 self._do(self._composition.load(message.attempt, _wanted(message)))
-            case Query(unique_ids=ids) if ids == _WATCH:
+            case Query(unique_ids=ids) if ids == NO_NODE:
                 # It asks whether we live. Silence of the container is no reason to kill it.
                 self._say(Status(query_id=message.query_id))
             case Query():
@@ -179,7 +176,6 @@ class StockLink:
             case Unload():
                 self._do(self._composition.unload(message.unique_id))
             case Shutdown():
-                self._is_stopping = True
                 self._composition.stop()
                 raise CannotBeAskedError("a stock container is asked to end by a signal")
             case Cancel() | Hello():
@@ -190,7 +186,7 @@ class StockLink:
 
     def end(self, reason: str, *, in_order: bool) -> None:
         """The container is gone; ``in_order`` is whether it ended as it should when asked to."""
-        if in_order and self._is_stopping:
+        if in_order and self._composition.is_stopping:
             for record in self._composition.loaded():
                 self._report_unloaded(
                     record.attempt, record.unique_id, record.full_name, "with its container"
@@ -255,7 +251,10 @@ class StockLink:
         return [attempt for attempt, request in self._requests.items() if self._is_overdue(request)]
 
     def _is_overdue(self, request: Request) -> bool:
-        return request.sent_at is not None and self._loop.time() - request.sent_at >= self._timeout
+        return (
+            request.served_since is not None
+            and self._loop.time() - request.served_since >= self._timeout
+        )
 
     def _do(self, actions: list[Action]) -> None:
         changed, self._changed = self._changed, asyncio.Event()
@@ -334,7 +333,7 @@ class StockLink:
             if self._composition.stage(attempt) is not Stage.NEXT:
                 return  # it was stopped while it waited for its turn
             reply = self._services.load_node(request.message)
-            request.sent_at = self._loop.time()
+            request.served_since = self._loop.time()
             request.cpu_time_ns = self._reports.container.cpu_time_ns()
             self._composition.sent(attempt)
             self._say(self._reports.event(ComponentEventKind.LOADING, request.load))

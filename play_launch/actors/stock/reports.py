@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 from play_launch.core.composition_words import Stage
 from play_launch.core.events import ComponentEvent, ComponentEventKind
-from play_launch.wire.messages import NodeStatus, NodeStatusState
+from play_launch.core.questions import NodeStatusState
+from play_launch.wire.messages import NodeStatus
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -46,8 +47,8 @@ class Request:
     load: Load
     message: object
     """The request for the service."""
-    sent_at: float | None = None
-    """Seconds of the event loop's clock."""
+    served_since: float | None = None
+    """When it left the queue for the container, in seconds of the event loop's clock."""
     cpu_time_ns: int = 0
     """The container's, when it was sent."""
     container_answers: bool = False
@@ -91,8 +92,8 @@ class StockReports:
     def status(self, record: LoadRecord, request: Request) -> NodeStatus:
         """Say how far a load has come."""
         now, cpu = self._clock(), self.container.cpu_time_ns()
-        elapsed = 0.0 if request.sent_at is None else now - request.sent_at
-        used = max(0, cpu - request.cpu_time_ns) if request.sent_at is not None else 0
+        elapsed = 0.0 if request.served_since is None else now - request.served_since
+        used = max(0, cpu - request.cpu_time_ns) if request.served_since is not None else 0
         state, note = NodeStatusState.QUEUED, ""
         match record.stage:
             case Stage.SENT | Stage.SAID_LOADED | Stage.SAID_FAILED:

@@ -7,6 +7,7 @@ import os
 from collections import Counter
 from typing import TYPE_CHECKING, Any, Final
 
+from play_launch.actors.container.limits import default_starts
 from play_launch.actors.stock.attached import AttachedContainer
 from play_launch.actors.stock.link import StockLink
 from play_launch.actors.stock.ports import STOCK_LIMITS, StockLimits
@@ -126,7 +127,7 @@ class StockContainers:
     ) -> tuple[StockLink, CompositionClient]:
         if self._places is None:
             # A load is discovery and a constructor: as many at a time as start up at a time.
-            self._places = asyncio.Semaphore(max(4, 2 * (os.cpu_count() or 1)))
+            self._places = asyncio.Semaphore(default_starts())
         thread = self._threads[_domain(config)]
         services = self._services(config, thread)
         link = StockLink(

@@ -82,11 +82,6 @@ class Display:
         self._thread = threading.Thread(target=self._run, name="display", daemon=True)
         self._thread.start()
 
-    @property
-    def reader_is_gone(self) -> bool:
-        """Whether stdout's reader has closed it."""
-        return self._gone
-
     def publish(self, event: RunEvent, before: SystemView, after: SystemView) -> None:
         """Show an event soon; never blocks."""
         if self._gone or not self._style.wants(event):

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import signal as signals
 from typing import TYPE_CHECKING, Final
 
 from play_launch.core.events import ContainerState, ProcessEventKind
+from play_launch.process.exit import Exit
 
 if TYPE_CHECKING:
     from play_launch.core.view import ContainerView, NodeView, ProcessView
@@ -59,12 +59,7 @@ def process_status(process: ProcessView) -> str:
 
 def ending(exit_code: int, signal: int) -> str:
     """Say how a process ended."""
-    if not signal:
-        return f"exited with status {exit_code}"
-    try:
-        return f"exited with signal {signal} ({signals.Signals(signal).name})"
-    except ValueError:
-        return f"exited with signal {signal}"
+    return str(Exit(code=exit_code, signal=signal))
 
 
 def duration(nanoseconds: int) -> str:

@@ -71,15 +71,6 @@ def listen_within(address: DaemonAddress, seconds: float) -> socket.socket:
                 pause = min(2 * pause, _LONGEST_PAUSE)
 
 
-def is_free(address: DaemonAddress) -> bool:
-    """Whether ros2cli could start its daemon at this moment."""
-    try:
-        listen(address).close()
-    except PortBusyError:
-        return False
-    return True
-
-
 def end_time_wait(address: DaemonAddress) -> int:
     """End what closed connections leave at the port for a minute; returns how many there were.
 

@@ -18,7 +18,7 @@ import pytest
 from play_launch.fastdds.shared_memory import sweep
 from play_launch.graph_daemon.contract import LISTENING, STATUS_METHOD, DaemonAddress
 from play_launch.graph_daemon.control.background import StartError, log_path, spawn
-from play_launch.graph_daemon.control.port import is_free, listen
+from play_launch.graph_daemon.control.port import listen
 from play_launch.graph_daemon.control.sockets import holder_of
 from play_launch.graph_daemon.control.start_stop import (
     PortHeldError,
@@ -28,7 +28,7 @@ from play_launch.graph_daemon.control.start_stop import (
 )
 from play_launch.graph_daemon.control.takeover import Kind, look
 from tests.graph_daemon.control.occupants import occupied
-from tests.graph_daemon.waiting import until
+from tests.graph_daemon.waiting import is_free, until
 from tests.graph_daemon.wire import ask
 
 WAIT = 60.0

@@ -13,7 +13,6 @@ from play_launch.graph_daemon.control.background import START_LIMIT
 from play_launch.graph_daemon.control.port import (
     PortBusyError,
     end_time_wait,
-    is_free,
     listen,
     listen_within,
 )
@@ -28,6 +27,7 @@ from play_launch.graph_daemon.control.takeover import (
     look,
 )
 from tests.graph_daemon.control.occupants import occupied
+from tests.graph_daemon.waiting import is_free
 
 HOLDER = Holder(7, ("python3", "-c", "ros2cli.daemon"))
 SETTINGS = {"settings": {"ROS_DOMAIN_ID": "3", "RMW_IMPLEMENTATION": "rmw_a"}}
