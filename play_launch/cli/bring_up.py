@@ -56,7 +56,7 @@ def _load(path: Path, duration: str | None) -> ReplayConfig:
 
 
 def _require_log_folder(config: ReplayConfig) -> None:
-    from play_launch.config.environment import log_folder_problem  # noqa: PLC0415
+    from play_launch.config.values import log_folder_problem  # noqa: PLC0415
 
     for container in config.containers:
         problem = log_folder_problem({**os.environ, **container.environment})
@@ -104,7 +104,7 @@ def _sweep() -> None:
 
 
 def _require_ros() -> None:
-    from play_launch.config.environment import domain_problem  # noqa: PLC0415
+    from play_launch.config.values import domain_problem  # noqa: PLC0415
     from play_launch.install.middleware import middleware_problem  # noqa: PLC0415
     from play_launch.install.ros import (  # noqa: PLC0415
         MixedInstallationError,

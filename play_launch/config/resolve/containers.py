@@ -6,13 +6,12 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
-from play_launch.config.environment import resolve_environment
 from play_launch.config.model import ContainerConfig, ContainerType
 from play_launch.config.resolve.nodes import resolve_composable_node
 from play_launch.config.resolve.policy import ISOLATED_KEYS, refuse, refuse_unread
 from play_launch.config.schema import ContainerSection
 from play_launch.config.validation import items_of, validate_mapping
-from play_launch.config.values import join_full_name
+from play_launch.config.values import join_full_name, resolve_environment
 from play_launch.config.yaml.tree import Mapping
 
 if TYPE_CHECKING:

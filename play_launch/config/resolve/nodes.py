@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
-from play_launch.config.environment import resolve_environment
 from play_launch.config.model import ComposableNodeConfig, ProcessConfig
 from play_launch.config.resolve.parameters import resolve_parameters
 from play_launch.config.resolve.policy import refined_restart, refuse_unread
@@ -20,6 +19,7 @@ from play_launch.config.values import (
     check_namespace,
     check_node_name,
     join_full_name,
+    resolve_environment,
 )
 from play_launch.config.yaml.tree import Mapping
 from play_launch.core.node_key import NodeKey

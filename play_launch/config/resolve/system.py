@@ -7,7 +7,6 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from play_launch.config.environment import resolve_environment
 from play_launch.config.model import ContainerType, ReplayConfig, StopLimits
 from play_launch.config.resolve.containers import resolve_container
 from play_launch.config.resolve.nodes import Shared, resolve_process
@@ -15,6 +14,7 @@ from play_launch.config.resolve.parameter_files import ParameterFiles
 from play_launch.config.resolve.policy import ISOLATED_KEYS, Policy
 from play_launch.config.schema import DocumentSection, LoadingSection
 from play_launch.config.validation import items_of, validate_mapping
+from play_launch.config.values import resolve_environment
 from play_launch.config.yaml.tree import At, Mapping, Sequence
 
 if TYPE_CHECKING:
