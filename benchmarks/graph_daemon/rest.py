@@ -59,9 +59,10 @@ def nobody_asks(seconds: float) -> None:
 
 def a_replay_asks(seconds: float) -> None:
     client = GraphClient(daemon_address())
+    generation = str(json.loads(str(client.call(STATUS_METHOD)))["generation"])
     end = time.monotonic() + seconds
     while time.monotonic() < end:
-        client.call(STATUS_METHOD)
+        client.call(STATUS_METHOD, generation)
         time.sleep(max(0.0, min(LONGEST_LOOK, end - time.monotonic())))
 
 

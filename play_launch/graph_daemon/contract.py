@@ -34,6 +34,8 @@ BACKLOG: Final = 1024
 STATUS_METHOD: Final = "system.play_launch_status"
 """Answers with a JSON text, see `server.daemon.DaemonStatus`.
 
+The text is empty when an argument is given that is the present generation.
+
 ros2cli's clients ignore names with ``system.``.
 """
 SHUTDOWN_METHOD: Final = "system.shutdown"

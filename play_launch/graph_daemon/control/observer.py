@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 LOOK: Final = 0.5
 """Seconds between two questions whether the graph has changed, while it changes."""
 LONGEST_LOOK: Final = 2.0
-"""Seconds between them at rest; a question takes the daemon one to two milliseconds."""
+"""Seconds between them at rest."""
 FORSAKEN: Final = 60.0
 """Seconds without a question after which the daemon ends by itself: we ask all the time, so then
 we were killed."""
@@ -129,15 +129,17 @@ class _Observer:
     async def look(self) -> bool:
         """Publish what has changed since the last look; whether a change is to be expected soon."""
         try:
-            status = json.loads(str(await asyncio.to_thread(self._client.call, STATUS_METHOD)))
+            known = str(self._generation)
+            text = await asyncio.to_thread(self._client.call, STATUS_METHOD, known)
+            if not text:
+                self._failing = False
+                return False
+            status = json.loads(str(text))
             generation, unchanged_for = int(status["generation"]), float(status["unchanged_for"])
             stamp_ns = time.time_ns() - round(1e9 * unchanged_for)
             # Before that the daemon does not answer, and a list that is not complete is no change.
             if not status["warm"]:
                 return True
-            if generation == self._generation:
-                self._failing = False
-                return False
             nodes = await asyncio.to_thread(self._client.nodes)
         except (DaemonError, ValueError, KeyError, TypeError) as error:
             if not self._failing:

@@ -132,7 +132,7 @@ class Daemon:
         self._service = GraphService(
             graph_functions(lambda: self._service.graph),
             participants_here=lambda: participants_here(self._address.domain),
-            status=lambda: self.status().to_json(),
+            status=self._status_text,
             shutdown=self._shut_down,
         )
         self._server = Server(listener, self._service.answer, self._limits)
@@ -186,6 +186,11 @@ class Daemon:
             transports_reason="" if chosen is None else chosen.reason,
             settings=compared_settings(os.environ, self._rmw),
         )
+
+    def _status_text(self, generation: str = "") -> str:
+        # To count participants takes longer than all the rest of an answer.
+        is_known = generation == str(self._service.generation)
+        return "" if is_known else self.status().to_json()
 
     def _shut_down(self) -> None:
         # At once: when its caller has the answer, the port refuses connections.

@@ -57,7 +57,7 @@ class Methods:
         self,
         functions: Mapping[str, Callable[..., Any]],
         *,
-        status: Callable[[], str],
+        status: Callable[..., str],
         shutdown: Callable[[], None],
     ) -> None:
         self._dispatcher = SimpleXMLRPCDispatcher(allow_none=True)

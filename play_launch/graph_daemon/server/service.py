@@ -68,7 +68,7 @@ class GraphService:
         functions: Mapping[str, Callable[..., Any]],
         *,
         participants_here: Callable[[], int],
-        status: Callable[[], str],
+        status: Callable[..., str],
         shutdown: Callable[[], None],
         cache: ReplyCache | None = None,
     ) -> None:

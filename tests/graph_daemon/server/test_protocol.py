@@ -64,6 +64,25 @@ def test_our_own_method_is_not_listed(daemon: DaemonAddress) -> None:
     assert STATUS_METHOD not in ask(daemon, "system.listMethods")
 
 
+def test_whoever_knows_the_generation_gets_no_status_until_it_changes(
+    known_scene: DaemonAddress,
+) -> None:
+    from tests.graph_daemon.waiting import until
+    from tests.support.ros import Probe
+
+    known = ""
+
+    def is_at_rest() -> bool:
+        nonlocal known
+        known = str(json.loads(ask(known_scene, STATUS_METHOD))["generation"])
+        return bool(ask(known_scene, STATUS_METHOD, known) == "")
+
+    until(is_at_rest, "a graph at rest")
+    with Probe("newcomer"):
+        until(lambda: ask(known_scene, STATUS_METHOD, known) != "", "a change")
+    assert int(json.loads(ask(known_scene, STATUS_METHOD, known))["generation"]) > int(known)
+
+
 def test_a_changed_graph_is_answered_at_once(known_scene: DaemonAddress) -> None:
     """The node of `Probe` is unknown, known and unknown again, through a warm cache."""
     from tests.graph_daemon.waiting import until
