@@ -14,6 +14,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from play_launch.actors import head_start
 from play_launch.actors.ports import StartError
 from play_launch.config.model import ContainerType, Isolation
 from play_launch.fastdds.middleware import asks_for_fastdds
@@ -65,6 +66,7 @@ if TYPE_CHECKING:
     from play_launch.process.child import Child
     from play_launch.process.exit import Exit
     from play_launch.process.lines import OutputCallback
+    from play_launch.process.zygote import Zygote
 
 _log = logging.getLogger(__name__)
 
@@ -134,6 +136,7 @@ class NativeLauncher:
         stock: StockContainers | None = None,
         allocator: Path | None = None,
         uses_fastdds: bool = True,
+        containers: Iterable[str] = (),
     ) -> None:
         """Take the facts about this machine, see `of`."""
         self._stock = stock
@@ -142,7 +145,10 @@ class NativeLauncher:
         self._ros = ros
         self._container = container
         self._guard_program = guard
-        self._guards: list[SessionGuard] = []
+        begun = head_start.take()
+        self._guards = [begun.guard] if begun.guard is not None else []
+        self._zygotes = begun.zygotes
+        self._not_started = set(containers)
         self._policy = policy
         self._parameters = parameters
         self._cleaning = asyncio.Lock()
@@ -176,6 +182,7 @@ class NativeLauncher:
             stock=_stock_containers(config),
             allocator=_allocator(config),
             uses_fastdds=uses_fastdds,
+            containers=_own_containers(config),
         )
 
     def hello(self) -> Hello:
@@ -208,7 +215,22 @@ class NativeLauncher:
             )
             pair.close_child_end()
             opened.pop_all()
+        self._started(config)
         return process, ControlChannel(pair.ours, container=config.full_name)
+
+    def _started(self, config: ContainerConfig) -> None:
+        self._not_started.discard(config.full_name)
+        if not self._not_started:
+            # One that is started again is executed: its memory is laid out anew.
+            self._end_zygotes()
+
+    def _zygote(self, program: str, environment: Mapping[str, str]) -> Zygote | None:
+        able = (each for each in self._zygotes if each.can_become(program, environment))
+        return next(able, None)
+
+    def _end_zygotes(self) -> None:
+        for zygote in self._zygotes:
+            zygote.close()
 
     async def library_of(self, container: ContainerConfig, node: ComposableNodeConfig) -> str:
         """Find the library in the ament index that the container uses; empty: it has none."""
@@ -272,6 +294,7 @@ class NativeLauncher:
     async def close(self) -> None:
         """Remove our own files."""
         await asyncio.to_thread(self._parameters.remove)
+        self._end_zygotes()
         for guard in self._guards:
             await asyncio.to_thread(guard.close)
         if self._stock is not None and self._stock.is_open:
@@ -290,6 +313,7 @@ class NativeLauncher:
         try:
             # One that is lost is kept: what it has started would end with it.
             if not (self._guards and self._guards[-1].is_alive):
+                self._end_zygotes()
                 self._guards.append(SessionGuard.start(self._guard_program))
             child = spawn(
                 argv,
@@ -299,6 +323,7 @@ class NativeLauncher:
                 on_output=on_output,
                 # Our containers end in order when their control channel does.
                 leaves_by_itself=control_fd is not None,
+                zygote=self._zygote(argv[0], environment) if control_fd is not None else None,
             )
         except SpawnError as error:
             raise StartError(str(error), permanent=error.errno not in _PASSING) from error
@@ -358,6 +383,14 @@ def _stock_containers(config: ReplayConfig) -> StockContainers | None:
     from play_launch.actors.stock.starter import StockContainers  # noqa: PLC0415
 
     return StockContainers.of(config)
+
+
+def _own_containers(config: ReplayConfig) -> Iterable[str]:
+    return (
+        each.full_name
+        for each in config.containers
+        if not each.attach and each.container_type is not ContainerType.STOCK
+    )
 
 
 def _shares_memory(config: ContainerConfig) -> bool:

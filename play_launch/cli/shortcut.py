@@ -60,6 +60,9 @@ def run_plainly(arguments: Sequence[str]) -> int | None:
         from play_launch.cli.find_mistakes import find_mistakes  # noqa: PLC0415
 
         return find_mistakes(**parameters)
+    from play_launch.actors import head_start  # noqa: PLC0415 - before all that takes its time
+
+    head_start.begin(parameters["config"])
     from play_launch.cli.bring_up import bring_up  # noqa: PLC0415
 
     return bring_up(**parameters)

@@ -24,6 +24,8 @@ from play_launch.process.session import session_members, signal_each, wait_all_e
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
+    from play_launch.process.zygote import Zygote
+
 OUTPUT_GRACE = 0.5
 """Seconds that output is read on after everything we could kill is dead."""
 _STRAGGLER_ROUNDS = 5
@@ -244,6 +246,7 @@ def spawn(
     pass_fds: Sequence[int] = (),
     on_output: OutputCallback | None = None,
     leaves_by_itself: bool = False,
+    zygote: Zygote | None = None,
 ) -> Child:
     """Start a program in a session of its own; about a millisecond, on the loop's thread.
 
@@ -258,6 +261,7 @@ def spawn(
         pass_fds: Descriptors that it inherits under the same numbers. All others are closed.
         on_output: Gets its lines; None sends its output to /dev/null.
         leaves_by_itself: Whether it ends by itself when we are gone, see `SessionGuard.spawn`.
+        zygote: Who is forked for it; only with a `SessionGuard`.
 
     Raises:
         SpawnError: When it cannot be started: no such program, not executable, too many open
@@ -281,7 +285,9 @@ def spawn(
                 standard[1:] = pipes[Stream.STDOUT][1], pipes[Stream.STDERR][1]
             if isinstance(guard, SessionGuard):
                 descriptors = {**dict(enumerate(standard)), **{fd: fd for fd in pass_fds}}
-                pid = guard.spawn(argv, env, descriptors, leaves_by_itself=leaves_by_itself)
+                pid = guard.spawn(
+                    argv, env, descriptors, leaves_by_itself=leaves_by_itself, zygote=zygote
+                )
             else:
                 pid = _fork(
                     argv, env=env, guard=guard, cwd=cwd, standard=standard, pass_fds=pass_fds

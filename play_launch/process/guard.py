@@ -1,7 +1,7 @@
 """The process that outlives the supervisor and ends what it started: ``spawn_guard --session``.
 
 The protocol is described in ``container_native/src/spawn_guard/session.hpp``. Every request is
-answered within a millisecond, like a fork of our own, so it may be made on the loop's thread.
+answered within a few milliseconds, like a fork of our own, so it may be made on the loop's thread.
 """
 
 from __future__ import annotations
@@ -21,9 +21,12 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
+    from play_launch.process.zygote import Zygote
+
 _SPAWN: Final = 1
 _STATUS: Final = 2
 _REAP: Final = 3
+_HELPER: Final = 4
 _ANSWER: Final = struct.Struct("=3i")
 _ANSWER_LIMIT: Final = 10.0
 """Seconds after which a guard that does not answer counts as lost."""
@@ -70,6 +73,7 @@ class SessionGuard:
         self._socket = ours
         self._process = process
         self._is_lost = False
+        self._helpers = 0
 
     @classmethod
     def start(cls, program: Path, *, answer_limit: float = _ANSWER_LIMIT) -> Self:
@@ -111,6 +115,7 @@ class SessionGuard:
         descriptors: Mapping[int, int],
         *,
         leaves_by_itself: bool,
+        zygote: Zygote | None = None,
     ) -> int:
         """Start a command in a session of its own; returns its pid.
 
@@ -119,25 +124,34 @@ class SessionGuard:
             env: The whole environment; its PATH is searched.
             descriptors: What it gets, by the number it has there; 0, 1 and 2 among them.
             leaves_by_itself: Whether it ends by itself, within 0.7 s, when we are gone.
+            zygote: Who is forked for it; if that fails, the command is executed, and the zygote
+                is lost.
 
         Raises:
             OSError: When it cannot be started.
             ValueError: When a NUL is in what it should get.
         """
-        variables = [f"{name}={value}" for name, value in env.items()]
-        texts = [os.fsencode(text) for text in (*argv, *variables)]
-        if any(b"\0" in text for text in texts):
-            msg = "embedded null byte"
-            raise ValueError(msg)
-        content = struct.pack("=2I", len(argv), len(variables)) + b"".join(t + b"\0" for t in texts)
-        request = struct.pack(
-            f"={3 + len(descriptors)}i", _SPAWN, leaves_by_itself, len(descriptors), *descriptors
-        )
-        with _file(content) as command:
-            pid, *_ = self._ask(request, (command.fileno(), *descriptors.values()))
+        helper = () if zygote is None else (zygote.fileno(),)
+        head = (_SPAWN, leaves_by_itself, 0 if zygote is None else zygote.number, len(descriptors))
+        request = struct.pack(f"={4 + len(descriptors)}i", *head, *descriptors)
+        with _file(_command(argv, env)) as command:
+            answer = self._ask(request, (command.fileno(), *helper, *descriptors.values()))
+        pid, obstacle, _ = answer
+        if zygote is not None and obstacle:
+            zygote.lose(os.strerror(obstacle))
         if pid < 0:
             raise OSError(-pid, os.strerror(-pid))
         return pid
+
+    def spawn_helper(
+        self, argv: Sequence[str], env: Mapping[str, str], descriptors: Mapping[int, int]
+    ) -> int:
+        """Start a command of which nothing is heard; does not wait for that. Returns its number."""
+        request = struct.pack(f"={2 + len(descriptors)}i", _HELPER, len(descriptors), *descriptors)
+        with _file(_command(argv, env)) as command:
+            self._send(request, (command.fileno(), *descriptors.values()))
+        self._helpers += 1
+        return self._helpers
 
     def ended(self, pid: int) -> Exit | None:
         """See `Parent`."""
@@ -163,19 +177,35 @@ class SessionGuard:
         return Exit.of(code, status) if result else None
 
     def _ask(self, request: bytes, descriptors: Sequence[int] = ()) -> tuple[int, int, int]:
-        rights = (socket.SOL_SOCKET, socket.SCM_RIGHTS, array.array("i", descriptors))
+        self._send(request, descriptors)
+        answer = b""
         if not self._is_lost:
-            try:
-                self._socket.sendmsg([request], [rights] if descriptors else [])
+            with suppress(TimeoutError, ConnectionError):
                 answer = self._socket.recv(_ANSWER.size)
-            except (TimeoutError, ConnectionError):
-                answer = b""
             # Whatever comes later would be taken for the answer to another request.
             self._is_lost = len(answer) != _ANSWER.size
         if self._is_lost:
             raise ConnectionResetError(errno.ECONNRESET, "the guard of the session does not answer")
         result, code, status = _ANSWER.unpack(answer)
         return result, code, status
+
+    def _send(self, request: bytes, descriptors: Sequence[int]) -> None:
+        rights = (socket.SOL_SOCKET, socket.SCM_RIGHTS, array.array("i", descriptors))
+        if not self._is_lost:
+            try:
+                self._socket.sendmsg([request], [rights] if descriptors else [])
+            except (TimeoutError, ConnectionError):
+                self._is_lost = True
+
+
+def _command(argv: Sequence[str], env: Mapping[str, str]) -> bytes:
+    """Write a command as ``container_native/src/base/command_file.hpp`` reads it."""
+    variables = [f"{name}={value}" for name, value in env.items()]
+    texts = [os.fsencode(text) for text in (*argv, *variables)]
+    if any(b"\0" in text for text in texts):
+        msg = "embedded null byte"
+        raise ValueError(msg)
+    return struct.pack("=2I", len(argv), len(variables)) + b"".join(t + b"\0" for t in texts)
 
 
 def _file(content: bytes) -> BinaryIO:

@@ -27,7 +27,7 @@ LAYERS = (
     {"main"},
 )
 LEVEL = {room: level for level, rooms in enumerate(LAYERS) for room in rooms}
-# A program of its own, which uses nothing but headers of base/.
+# A program of its own, which uses nothing but base/.
 APART = {"spawn_guard"}
 
 INCLUDE = re.compile(r'^#include "([^"]+)"', re.MULTILINE)

@@ -1,6 +1,8 @@
 #include <cstdio>
+#include <cstdlib>
 #include <exception>
 #include <string>
+#include <string_view>
 
 #include "base/core_limit.hpp"
 #include "base/failpoints.hpp"
@@ -12,6 +14,7 @@
 #include "main/installation.hpp"
 #include "main/options.hpp"
 #include "main/probe.hpp"
+#include "main/zygote.hpp"
 
 namespace {
 
@@ -31,9 +34,7 @@ int usage_error(const std::exception& error) {
   return kExitUsage;
 }
 
-}  // namespace
-
-int main(int argc, char** argv) {
+int run(int argc, char** argv) {
   try {
     const Options options = parse_options(argc, argv);
     if (options.help) {
@@ -63,4 +64,22 @@ int main(int argc, char** argv) {
     report(std::string("cannot start: ") + error.what());
     return kExitFailed;
   }
+}
+
+/// The number behind "--zygote"; 0 when this is another command line.
+int zygote_socket(int argc, char** argv) {
+  const bool is_zygote = argc == 3 && std::string_view(argv[1]) == "--zygote";
+  return is_zygote ? std::atoi(argv[2]) : 0;
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  const int socket = zygote_socket(argc, argv);
+  if (socket == 0) {
+    return run(argc, argv);
+  }
+  // Here as long as the process, like what exec puts on the stack.
+  Command& command = *new Command(serve_as_zygote(socket));
+  return run(static_cast<int>(command.argv.size()) - 1, command.argv.data());
 }

@@ -14,15 +14,16 @@
 #include <cerrno>
 #include <chrono>
 #include <cstdint>
-#include <cstring>
 #include <set>
 #include <span>
-#include <string>
 #include <vector>
 
+#include "base/command_file.hpp"
+#include "base/descriptor_message.hpp"
 #include "base/unique_fd.hpp"
 #include "spawn_guard/command.hpp"
 #include "spawn_guard/descendants.hpp"
+#include "spawn_guard/zygote_line.hpp"
 
 namespace play_launch::guard {
 
@@ -33,109 +34,15 @@ using std::chrono::steady_clock;
 
 constexpr milliseconds kGrace{700};
 constexpr milliseconds kRound{5};
-constexpr std::size_t kMostDescriptors = 16;
-constexpr std::size_t kMostNumbers = kMostDescriptors + 3;
 
-enum Request : std::int32_t { kSpawn = 1, kStatus = 2, kReap = 3 };
+enum Request : std::int32_t { kSpawn = 1, kStatus = 2, kReap = 3, kHelper = 4 };
 
 using Answer = std::array<std::int32_t, 3>;
+using Message = DescriptorMessage;
 
-struct Message {
-  std::vector<std::int32_t> numbers;
-  std::vector<UniqueFd> descriptors;
-};
-
-/// A command as it was written into a file: pointers into the text, each list with a null at its
-/// end.
-struct Command {
-  std::string text;
-  std::vector<char*> argv;
-  std::vector<char*> environment;
-};
-
-/// False at the end of the socket.
-bool receive(int socket, Message& message) {
-  message = {};
-  std::array<std::int32_t, kMostNumbers> numbers{};
-  alignas(cmsghdr) std::array<char, CMSG_SPACE((kMostDescriptors + 1) * sizeof(int))> control{};
-  iovec part{numbers.data(), sizeof numbers};
-  msghdr header{};
-  header.msg_iov = &part;
-  header.msg_iovlen = 1;
-  header.msg_control = control.data();
-  header.msg_controllen = control.size();
-  ssize_t size = 0;
-  do {
-    size = ::recvmsg(socket, &header, MSG_CMSG_CLOEXEC);
-  } while (size < 0 && errno == EINTR);
-  if (size <= 0) {
-    return false;
-  }
-  for (cmsghdr* each = CMSG_FIRSTHDR(&header); each != nullptr; each = CMSG_NXTHDR(&header, each)) {
-    if (each->cmsg_level == SOL_SOCKET && each->cmsg_type == SCM_RIGHTS) {
-      std::vector<int> fds((each->cmsg_len - CMSG_LEN(0)) / sizeof(int));
-      std::memcpy(fds.data(), CMSG_DATA(each), fds.size() * sizeof(int));
-      for (const int fd : fds) {
-        message.descriptors.emplace_back(fd);
-      }
-    }
-  }
-  const auto count = static_cast<std::size_t>(size) / sizeof(std::int32_t);
-  message.numbers.assign(numbers.begin(), numbers.begin() + static_cast<std::ptrdiff_t>(count));
-  return true;
-}
-
-std::string read_all(int file) {
-  std::string text;
-  std::array<char, 65536> piece{};
-  ssize_t size = 0;
-  while ((size = ::pread(file, piece.data(), piece.size(), static_cast<off_t>(text.size()))) > 0) {
-    text.append(piece.data(), static_cast<std::size_t>(size));
-  }
-  return text;
-}
-
-/// False when the file does not hold a command.
-bool read_command(int file, Command& command) {
-  command.text = read_all(file);
-  std::array<std::uint32_t, 2> counts{};
-  if (command.text.size() < sizeof counts || command.text.back() != '\0') {
-    return false;
-  }
-  std::memcpy(counts.data(), command.text.data(), sizeof counts);
-  std::size_t at = sizeof counts;
-  for (auto* list : {&command.argv, &command.environment}) {
-    for (std::uint32_t left = counts[list == &command.environment]; left > 0; --left) {
-      if (at >= command.text.size()) {
-        return false;
-      }
-      list->push_back(command.text.data() + at);
-      at = command.text.find('\0', at) + 1;
-    }
-    list->push_back(nullptr);
-  }
-  return at == command.text.size() && command.argv.front() != nullptr;
-}
-
-/// Gives the received descriptors the numbers that the command knows; false with errno set.
-bool place_descriptors(std::span<const UniqueFd> received, std::span<const std::int32_t> wanted) {
-  // Out of the way first: a number that is wanted may be one that was received.
-  const int above = std::max(2, *std::max_element(wanted.begin(), wanted.end())) + 1;
-  std::vector<int> moved;
-  for (const UniqueFd& each : received) {
-    moved.push_back(::fcntl(each.get(), F_DUPFD_CLOEXEC, above));
-    if (moved.back() < 0) {
-      return false;
-    }
-  }
-  ::close_range(3, ~0U, CLOSE_RANGE_CLOEXEC);
-  for (std::size_t index = 0; index < wanted.size(); ++index) {
-    if (::dup2(moved[index], wanted[index]) < 0) {
-      return false;
-    }
-  }
-  return true;
-}
+/// What stands before the numbers of the descriptors.
+constexpr std::size_t kSpawnHead = 4;
+constexpr std::size_t kHelperHead = 2;
 
 class Session {
  public:
@@ -164,10 +71,16 @@ class Session {
         reap_orphans();
       }
       if (sources[0].revents != 0) {
-        if (!receive(socket_.get(), message)) {
+        if (!message.receive(socket_.get())) {
           break;
         }
+        if (message.numbers.size() > kHelperHead && message.numbers[0] == kHelper) {
+          start_helper(message);
+          message = {};
+          continue;
+        }
         const Answer answer = carry_out(message);
+        message = {};  // what was passed on is no business of ours any more
         if (::send(socket_.get(), answer.data(), sizeof answer, MSG_NOSIGNAL) < 0) {
           break;
         }
@@ -180,10 +93,8 @@ class Session {
  private:
   Answer carry_out(const Message& message) {
     const std::span numbers(message.numbers);
-    if (numbers.size() >= 3 && numbers[0] == kSpawn) {
-      const auto count = static_cast<std::size_t>(numbers[2]);
-      const bool fits = numbers.size() == 3 + count && message.descriptors.size() == 1 + count;
-      return {fits && count >= 3 ? spawn(message, numbers[1] != 0) : -EINVAL, 0, 0};
+    if (numbers.size() >= kSpawnHead && numbers[0] == kSpawn) {
+      return spawn(message);
     }
     if (numbers.size() == 2 && (numbers[0] == kStatus || numbers[0] == kReap)) {
       return status(numbers[1], numbers[0] == kReap);
@@ -191,11 +102,51 @@ class Session {
     return {-EINVAL, 0, 0};
   }
 
-  std::int32_t spawn(const Message& message, bool leaves_by_itself) {
+  Answer spawn(const Message& message) {
+    const std::span numbers(message.numbers);
+    const auto helper = static_cast<std::size_t>(numbers[2]);
+    const std::size_t zygotes = helper == 0 ? 0 : 1;
+    const std::span wanted = numbers.subspan(kSpawnHead);
     Command command;
-    if (!read_command(message.descriptors.front().get(), command)) {
-      return -EINVAL;
+    if (wanted.size() < 3 || wanted.size() != static_cast<std::size_t>(numbers[3]) ||
+        message.descriptors.size() != 1 + zygotes + wanted.size() ||
+        !command.read(message.descriptors.front().get())) {
+      return {-EINVAL, 0, 0};
     }
+    const std::span descriptors = std::span(message.descriptors).subspan(1 + zygotes);
+    pid_t pid = 0;
+    int obstacle = 0;
+    if (zygotes != 0) {
+      pid = fork_of_zygote(message.descriptors[1].get(), message.descriptors.front(), descriptors,
+                           wanted);
+      obstacle = pid < 0 ? -pid : 0;
+    }
+    if (obstacle == ETIMEDOUT && helper <= helpers_.size() && helpers_[helper - 1] > 0) {
+      // It would keep open what was sent to it.
+      ::kill(helpers_[helper - 1], SIGKILL);
+    }
+    if (pid <= 0) {
+      pid = start(command, descriptors, wanted);
+    }
+    if (pid > 0) {
+      (numbers[1] != 0 ? leaving_ : started_).insert(pid);
+    }
+    return {pid, obstacle, 0};
+  }
+
+  void start_helper(const Message& message) {
+    const std::span wanted = std::span(message.numbers).subspan(kHelperHead);
+    const std::span descriptors(message.descriptors);
+    Command command;
+    const bool fits = wanted.size() == static_cast<std::size_t>(message.numbers[1]) &&
+                      descriptors.size() == 1 + wanted.size() &&
+                      command.read(descriptors.front().get());
+    helpers_.push_back(fits ? start(command, descriptors.subspan(1), wanted) : -EINVAL);
+  }
+
+  /// -errno when it could not be started.
+  pid_t start(Command& command, std::span<const UniqueFd> descriptors,
+              std::span<const std::int32_t> wanted) const {
     std::array<int, 2> ends{};
     if (::pipe2(ends.data(), O_CLOEXEC) != 0) {
       return -errno;
@@ -209,13 +160,11 @@ class Session {
     if (pid == 0) {
       environ = command.environment.data();
       ::setsid();
-      if (!place_descriptors(std::span(message.descriptors).subspan(1),
-                             std::span(message.numbers).subspan(3))) {
+      if (!place_descriptors(descriptors, wanted)) {
         ::_exit(kRefused);
       }
       ::_exit(tie_to(guard_, command.argv[0]) ? become(command.argv.data()) : kRefused);
     }
-    (leaves_by_itself ? leaving_ : started_).insert(pid);
     // Until exec or its end: from then on it leads a session of its own, and can be signalled.
     write_end.reset();
     char ignored = 0;
@@ -248,6 +197,7 @@ class Session {
     for (const pid_t pid : zombie_children()) {
       if (std::find(ours.begin(), ours.end(), pid) == ours.end()) {
         ::waitpid(pid, nullptr, WNOHANG);
+        std::replace(helpers_.begin(), helpers_.end(), pid, pid_t{0});
       }
     }
   }
@@ -272,6 +222,7 @@ class Session {
   const pid_t guard_;
   std::set<pid_t> started_;
   std::set<pid_t> leaving_;
+  std::vector<pid_t> helpers_;  // 0 or less: it does not run
 };
 
 }  // namespace

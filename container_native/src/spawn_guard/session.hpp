@@ -11,13 +11,15 @@ namespace play_launch::guard {
 /// ends.
 ///
 /// The socket is a SOCK_SEQPACKET; each request has one answer, both native-endian 32-bit integers:
-///   spawn   {1, leaves by itself, number n of descriptors, their numbers in the child}, with the
-///           descriptors: a file with the command and the environment, then those n.
-///           -> {pid, or -errno}
+///   spawn   {1, leaves by itself, number of a zygote or 0, number n of descriptors, their numbers
+///   in
+///           the child}, with the descriptors: a file with the command (see Command), the socket of
+///           the zygote if there is one, then those n.
+///           -> {pid, or -errno; why the zygote did not do it: errno, or 0}
 ///   status  {2, pid} -> {1: ended, 0: runs, or -errno; code, status as in siginfo_t}
 ///   reap    {3, pid} -> the same, and the zombie is gone
-/// The file holds two 32-bit counts, then the arguments, then NAME=VALUE, each with a NUL at its
-/// end.
+///   helper  {4, n, their numbers in the child}, with the command and the descriptors: starts what
+///           nobody asks about any more. The first is number 1. No answer.
 ///
 /// Returns the exit status.
 int guard_session(int socket);

@@ -1,0 +1,69 @@
+#include "base/command_file.hpp"
+
+#include <fcntl.h>
+#include <linux/close_range.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <array>
+#include <cstring>
+
+namespace play_launch {
+
+namespace {
+
+std::string read_all(int file) {
+  std::string text;
+  std::array<char, 65536> piece{};
+  ssize_t size = 0;
+  while ((size = ::pread(file, piece.data(), piece.size(), static_cast<off_t>(text.size()))) > 0) {
+    text.append(piece.data(), static_cast<std::size_t>(size));
+  }
+  return text;
+}
+
+}  // namespace
+
+bool Command::read(int file) {
+  text = read_all(file);
+  argv.clear();
+  environment.clear();
+  std::array<std::uint32_t, 2> counts{};
+  if (text.size() < sizeof counts || text.back() != '\0') {
+    return false;
+  }
+  std::memcpy(counts.data(), text.data(), sizeof counts);
+  std::size_t at = sizeof counts;
+  for (auto* list : {&argv, &environment}) {
+    for (std::uint32_t left = counts[list == &environment]; left > 0; --left) {
+      if (at >= text.size()) {
+        return false;
+      }
+      list->push_back(text.data() + at);
+      at = text.find('\0', at) + 1;
+    }
+    list->push_back(nullptr);
+  }
+  return at == text.size() && argv.front() != nullptr;
+}
+
+bool place_descriptors(std::span<const UniqueFd> received, std::span<const std::int32_t> wanted) {
+  // Out of the way first: a number that is wanted may be one that was received.
+  const int above = std::max(2, *std::max_element(wanted.begin(), wanted.end())) + 1;
+  std::vector<int> moved;
+  for (const UniqueFd& each : received) {
+    moved.push_back(::fcntl(each.get(), F_DUPFD_CLOEXEC, above));
+    if (moved.back() < 0) {
+      return false;
+    }
+  }
+  ::close_range(3, ~0U, CLOSE_RANGE_CLOEXEC);
+  for (std::size_t index = 0; index < wanted.size(); ++index) {
+    if (::dup2(moved[index], wanted[index]) < 0) {
+      return false;
+    }
+  }
+  return true;
+}
+
+}  // namespace play_launch

@@ -1,0 +1,27 @@
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "base/unique_fd.hpp"
+
+namespace play_launch {
+
+/// A command with its environment: two 32-bit counts, then the arguments, then NAME=VALUE, each
+/// with a NUL at its end. Pointers into the text, each list with a null at its end.
+struct Command {
+  std::string text;
+  std::vector<char*> argv;
+  std::vector<char*> environment;
+
+  /// False when the file does not hold a command.
+  bool read(int file);
+};
+
+/// Gives the received descriptors the numbers that the command knows; false with errno set. Every
+/// other descriptor from 3 on is closed by the next exec.
+bool place_descriptors(std::span<const UniqueFd> received, std::span<const std::int32_t> wanted);
+
+}  // namespace play_launch
