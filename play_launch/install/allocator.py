@@ -42,6 +42,9 @@ TUNABLES_VARIABLE: Final = "GLIBC_TUNABLES"
 """Settings of glibc, `name=value` with colons between them."""
 _ARENAS: Final = 100_000
 """More than a container has threads in its life."""
+_HUGE_PAGES: Final = "MIMALLOC_ALLOW_THP"
+"""Where mimalloc may use transparent huge pages. Most threads of a container touch a few of theirs,
+and the kernel clears all 2 MB: half of a container's CPU time at its start, and 20 MB."""
 _NAME: Final = re.compile(r"lib(?:mimalloc|jemalloc)\b.*\.so\b")
 _LDCONFIG_LIMIT: Final = 5.0
 """Seconds."""
@@ -103,7 +106,10 @@ def for_isolation(environment: Mapping[str, str], library: Path | None) -> dict[
 
 
 def preloading(environment: Mapping[str, str], library: Path) -> dict[str, str]:
-    """Add the library to what is preloaded, unless such an allocator is preloaded already."""
+    """Add the library to what is preloaded, unless such an allocator is preloaded already.
+
+    It then does without huge pages, unless the environment says otherwise.
+    """
     changed = dict(environment)
     preloaded = [name for name in re.split(r"[: ]", changed.get("LD_PRELOAD", "")) if name]
     if any(_NAME.match(Path(name).name) for name in preloaded):
@@ -116,6 +122,8 @@ def preloading(environment: Mapping[str, str], library: Path) -> dict[str, str]:
         changed["LD_LIBRARY_PATH"] = os.pathsep.join(searched)
         entry = library.name
     changed["LD_PRELOAD"] = ":".join([entry, *preloaded])
+    if library.name.startswith("libmimalloc"):
+        changed.setdefault(_HUGE_PAGES, "0")
     return changed
 
 

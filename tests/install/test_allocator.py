@@ -133,6 +133,20 @@ def test_preloading(before: dict[str, str], after: str) -> None:
 
 
 @pytest.mark.parametrize(
+    ("library", "before", "after"),
+    [
+        ("libmimalloc.so.3", {}, "0"),
+        ("libmimalloc.so.2", {"MIMALLOC_ALLOW_THP": "1"}, "1"),
+        ("libjemalloc.so.2", {}, None),
+    ],
+)
+def test_mimalloc_does_without_huge_pages_unless_asked_for(
+    library: str, before: dict[str, str], after: str | None
+) -> None:
+    assert preloading(before, Path("/l") / library).get("MIMALLOC_ALLOW_THP") == after
+
+
+@pytest.mark.parametrize(
     ("before", "after"),
     [
         ({}, "glibc.malloc.arena_max=100000"),
@@ -150,4 +164,5 @@ def test_without_a_library_each_thread_gets_an_arena(before: dict[str, str], aft
 
 def test_with_a_library_the_c_librarys_allocator_is_left_alone() -> None:
     library = Path("/l/libmimalloc.so.2")
-    assert for_isolation({}, library) == {"LD_PRELOAD": str(library)}
+    environment = {"LD_PRELOAD": str(library), "MIMALLOC_ALLOW_THP": "0"}
+    assert for_isolation({}, library) == environment
