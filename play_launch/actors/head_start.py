@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 SWITCH: Final = "PLAY_LAUNCH_ZYGOTE"
 """Environment variable: with 0 every container is executed on its own."""
 _TYPE: Final = re.compile(rb"container_type[\"']?\s*:\s*[\"']?(\w+)")
+
 _MOST_TEXT: Final = 4_000_000
 
 
@@ -50,9 +51,10 @@ def begin(config: Path) -> None:
     if os.environ.get(SWITCH) == "0":
         return
     try:
+        if not config.is_file():
+            return  # opening a pipe would wait, and opening a device can set something off
         with config.open("rb") as file:
-            text = file.read(_MOST_TEXT)
-        kinds = kinds_of_containers(text)
+            kinds = kinds_of_containers(file.read(_MOST_TEXT))
         if not kinds:
             return
         plain = child_environment(os.environ, ros_installation())

@@ -105,6 +105,16 @@ def refused(config: Path, **environment: str) -> tuple[int, str, str]:
     return done.returncode, done.stdout, done.stderr
 
 
+def test_what_is_no_file_is_refused_and_not_waited_for(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe.yaml"
+    os.mkfifo(pipe)
+    result = subprocess.run(
+        [COMMAND, "replay", str(pipe)], check=False, capture_output=True, text=True, timeout=60
+    )
+    assert result.returncode == 2
+    assert "not a regular file" in result.stderr
+
+
 def test_a_mistake_in_the_configuration_leaves_nothing(tmp_path: Path) -> None:
     config = written(tmp_path / "bad.yaml", container("c", "standard", no_such_setting=1))
     mark = f"{tmp_path}"
