@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 _LONGEST_EXCERPT = 60
+_PLAIN_KEY = re.compile(r"[\w\-./~*]+")
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -97,7 +99,7 @@ def excerpt(text: str) -> str:
 
 def path_key(key: str) -> str:
     """Write one key of a path so that the path stays on one line and can be read back."""
-    if key and all(character.isalnum() or character in "_-./~*" for character in key):
+    if _PLAIN_KEY.fullmatch(key):
         return key[:_LONGEST_EXCERPT]
     return excerpt(key)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from typing import TYPE_CHECKING, TypeVar
 
 from pydantic_core import ValidationError
@@ -131,6 +130,8 @@ def _unknown_key(key: str, section: type[Section], report: Report) -> str:
         if " " in advice:
             return f"{message}; {advice}"
     if len(key) <= _LONGEST_KEY_TO_GUESS and len(report) < _MOST_GUESSES:
+        import difflib  # noqa: PLC0415 - a good file needs no guesses
+
         close = difflib.get_close_matches(key.lower().replace("-", "_"), known, n=1)
         if close:
             return f"{message}; did you mean {excerpt(close[0])}?"

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 REDACTED: Final = "(redacted)"
 
-_PACKAGES: Final = ("play-launch-py", "ros-rclpy", "rclpy", "mcap", "zstandard", "pydantic")
+_PACKAGES: Final = ("play-launch-py", "ros-rclpy", "rclpy", "mcap", "zstandard", "pydantic-core")
 
 _KEPT_NAMES: Final = frozenset(
     {
