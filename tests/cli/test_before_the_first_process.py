@@ -33,6 +33,7 @@ main()
 """
 LATER = {
     "composition_interfaces",
+    "difflib",
     "em",
     "lark",
     "numpy",
