@@ -15,7 +15,7 @@ from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from play_launch.ros2cli_patch.errors import PatchError, VerificationError
+from play_launch.ros2cli_patch import PatchError, VerificationError
 from play_launch.ros2cli_patch.known import KNOWN, Known
 from play_launch.ros2cli_patch.manifest import (
     FILE,

@@ -12,7 +12,7 @@ import hashlib
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from play_launch.ros2cli_patch.errors import PatchError
+from play_launch.ros2cli_patch import PatchError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path, PurePosixPath
 from typing import Final
 
-from play_launch.ros2cli_patch.errors import PatchError
+from play_launch.ros2cli_patch import PatchError
 
 PACKAGE: Final = "play_launch_ros2cli"
 """The overlay's name as a package; beside it stands the .pth file that starts it."""

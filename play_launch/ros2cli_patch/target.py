@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from play_launch.ros2cli_patch.errors import PatchError
+from play_launch.ros2cli_patch import PatchError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

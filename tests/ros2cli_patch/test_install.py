@@ -11,8 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from play_launch.ros2cli_patch import install
-from play_launch.ros2cli_patch.errors import PatchError, VerificationError
+from play_launch.ros2cli_patch import PatchError, VerificationError, install
 from play_launch.ros2cli_patch.install import Action, PatchPlan, overlays, plan_patch, remove
 from play_launch.ros2cli_patch.manifest import PACKAGE, STARTER
 from tests.ros2cli_patch.conftest import Ros, known_of, write_release

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from play_launch.ros2cli_patch import install
-from play_launch.ros2cli_patch.errors import PatchError
+from play_launch.ros2cli_patch import PatchError, install
 from play_launch.ros2cli_patch.known import KNOWN, definition_digest
 from tests.ros2cli_patch.conftest import STAND_IN, known_of
 

@@ -21,7 +21,7 @@ from xmlrpc.client import ServerProxy
 import pytest
 
 from play_launch.graph_daemon.contract import daemon_address
-from play_launch.ros2cli_patch.errors import PatchError
+from play_launch.ros2cli_patch import PatchError
 from play_launch.ros2cli_patch.install import overlays, plan_patch, remove
 from play_launch.ros2cli_patch.known import KNOWN
 from play_launch.ros2cli_patch.target import Target, find_target

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from play_launch.ros2cli_patch.errors import PatchError
+from play_launch.ros2cli_patch import PatchError
 from play_launch.ros2cli_patch.install import overlays, plan_patch, remove
 from play_launch.ros2cli_patch.manifest import PACKAGE
 from play_launch.ros2cli_patch.target import find_target

@@ -3,7 +3,9 @@
 It is put together from the parser's events rather than by PyYAML's composer. That one recurses in C
 without a limit (deep nesting ends the process), follows aliases without counting, keeps the last of
 two equal keys, refuses an anchor that is given twice, which YAML allows, and gives up at the first
-error of the syntax, whatever is wrong before it.
+error of the syntax, whatever is wrong before it. Its nodes do not say either whether a tag was
+written or concluded by the rules of YAML 1.1. To scan the events for bounds and let it compose then
+was weighed: the scan needs as many lines as the following of aliases here, and parses twice.
 """
 
 from __future__ import annotations
