@@ -68,6 +68,8 @@ def spawn(tmp_path: Path) -> Iterator[StartContainer]:
                     stdout=output,
                     stderr=subprocess.STDOUT,
                     pass_fds=() if theirs is None else (theirs.fileno(),),
+                    # Ignored where the tests run under nohup.
+                    preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),  # noqa: PLW1509
                 )
             container = Container(process, ours, log)
             if theirs is not None:

@@ -7,6 +7,7 @@ import pty
 import signal
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import pytest
 from rosbags.highlevel import AnyReader
@@ -25,6 +26,14 @@ nodes:
     command: [sh, -c, "while :; do echo line; sleep 0.1; done"]
     respawn: true
 """
+# Ends by itself when all is written.
+LINES = 50
+SHORT = f"""
+version: 1
+nodes:
+  - name: writes
+    command: [sh, -c, "for n in $(seq {LINES}); do echo line $n; done"]
+"""
 
 
 def write(folder: Path, duration: str) -> Path:
@@ -42,6 +51,17 @@ def assert_recorded(logs: Path) -> None:
     assert not list(bag.parent.glob("*.active"))
 
 
+def written(logs: Path) -> list[str]:
+    """The lines that were recorded."""
+    with AnyReader([logs / "latest" / "session.mcap"]) as reader:
+        output = [each for each in reader.connections if each.topic == "/play_launch/output"]
+        messages: list[Any] = [
+            reader.deserialize(raw, connection.msgtype)
+            for connection, _, raw in reader.messages(output)
+        ]
+    return [each.msg for each in messages]
+
+
 @pytest.mark.parametrize("arguments", [[], ["--json"]], ids=["plain", "json"])
 @pytest.mark.parametrize(
     "redirection",
@@ -51,7 +71,8 @@ def assert_recorded(logs: Path) -> None:
 def test_a_run_whose_output_nobody_takes(
     tmp_path: Path, redirection: str, arguments: list[str]
 ) -> None:
-    config = write(tmp_path, "2 s")
+    config = tmp_path / "config.yaml"
+    config.write_text(SHORT, encoding="utf-8")
     redirected = ["sh", "-c", f'exec "$@" {redirection}', "sh"]
     result = subprocess.run(
         [*redirected, COMMAND, "replay", config, "--log-dir", tmp_path / "logs", *arguments],
@@ -62,6 +83,7 @@ def test_a_run_whose_output_nobody_takes(
     )
     assert (result.returncode, result.stderr) == (0, "")
     assert_recorded(tmp_path / "logs")
+    assert written(tmp_path / "logs") == [f"line {number + 1}" for number in range(LINES)]
 
 
 @pytest.mark.parametrize(("controls", "duration"), [(True, "50 s"), (False, "3 s")])
