@@ -1,5 +1,7 @@
 #include "main/fastdds.hpp"
 
+#include <rcutils/error_handling.h>
+#include <rmw/rmw.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -9,6 +11,7 @@
 #include <string_view>
 
 #include "base/number_list.hpp"
+#include "overrides/type_supports.hpp"
 
 namespace play_launch::container {
 namespace {
@@ -77,6 +80,14 @@ void unlink_own_segments() noexcept {
     unlink_in_folder("sem.", name, "_mutex");
     unlink_in_folder("", name, "_el");
   });
+}
+
+void open_type_supports() {
+  if (std::string_view(rmw_get_implementation_identifier()) == "rmw_fastrtps_cpp") {
+    isolation::look_up_type_supports_of_program("rosidl_typesupport_fastrtps_cpp",
+                                                "rosidl_typesupport_fastrtps_c");
+    rcutils_reset_error();
+  }
 }
 
 }  // namespace play_launch::container

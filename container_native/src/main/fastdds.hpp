@@ -8,4 +8,8 @@ namespace play_launch::container {
 /// Async-signal-safe.
 void unlink_own_segments() noexcept;
 
+/// Opens the libraries in which the middleware, if it is Fast DDS, is going to look for the types
+/// that a container has of its own. Initialises nothing of it. Takes the dynamic loader's lock.
+void open_type_supports();
+
 }  // namespace play_launch::container

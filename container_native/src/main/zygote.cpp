@@ -13,6 +13,7 @@
 
 #include "base/descriptor_message.hpp"
 #include "base/number_list.hpp"
+#include "main/fastdds.hpp"
 #include "main/memory_map.hpp"
 #include "main/same_parent_fork.hpp"
 #include "main/tracing_threads.hpp"
@@ -86,6 +87,7 @@ Command serve_as_zygote(int socket) {
   if (!can_fork_beside_us() || !can_show_commands() || !is_as_expected(kStandard + 1, tracing)) {
     ::_exit(kRefused);
   }
+  open_type_supports();
   DescriptorMessage message;
   Command command;
   while (message.receive(socket)) {
