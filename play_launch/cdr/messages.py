@@ -18,6 +18,7 @@ STATE_EVENT: Final = Layout(
     "attempt:Q elapsed_ns:q cpu_time_ns:q pid:i exit_code:i signal:i crashes:I restarts:I "
     "command:s[]"
 )
+GRAPH_EVENT: Final = Layout("stamp:t appeared:s[] vanished:s[] nodes:I")
 CONTROL_HELLO: Final = Layout(
     "protocol_version:H version:s pid:i start_time:Q full_node_name:s mode:s thread_num:I "
     "backends:s[] rmw_implementation:s domain_id:I mechanism:s notes:s[]"

@@ -5,12 +5,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 from play_launch.cdr.layout import CdrError
-from play_launch.cdr.messages import COMPONENT_EVENT, LOG, STATE_EVENT
+from play_launch.cdr.messages import COMPONENT_EVENT, GRAPH_EVENT, LOG, STATE_EVENT
 from play_launch.core.events import (
     ComponentEvent,
     ComponentEventKind,
     ContainerState,
     ContainerStateChanged,
+    GraphChanged,
     LogRecord,
     NodeState,
     NodeStateChanged,
@@ -38,10 +39,12 @@ class UnreadableEventError(Exception):
 def event_of(message: Message) -> RunEvent | None:
     """Read an event; None for a topic that holds none, or repeats another one.
 
+    A topic of another type, as earlier versions wrote the graph, counts as one that holds none.
+
     Raises:
         UnreadableEventError: When the message is not what it should be.
     """
-    read = _READERS.get(message.topic.name)
+    read = _READERS.get(message.topic[:2])
     if read is None:
         return None
     try:
@@ -105,6 +108,16 @@ def _component(data: bytes) -> RunEvent:
     )
 
 
+def _graph(data: bytes) -> RunEvent:
+    fields = GRAPH_EVENT.read(data)
+    return GraphChanged(
+        stamp_ns=fields["stamp"],
+        appeared=fields["appeared"],
+        vanished=fields["vanished"],
+        nodes=fields["nodes"],
+    )
+
+
 def _output(data: bytes) -> RunEvent:
     fields = LOG.read(data)
     text = fields["msg"]
@@ -132,9 +145,13 @@ def _log(data: bytes) -> RunEvent:
     )
 
 
-_READERS: Final[dict[str, Callable[[bytes], RunEvent]]] = {
-    topics.STATES.name: _state,
-    topics.COMPONENT_EVENTS.name: _component,
-    topics.OUTPUT.name: _output,
-    topics.LOG_ALL.name: _log,
+_READERS: Final[dict[tuple[str, str], Callable[[bytes], RunEvent]]] = {
+    (topic.name, topic.type_name): read
+    for topic, read in (
+        (topics.STATES, _state),
+        (topics.COMPONENT_EVENTS, _component),
+        (topics.GRAPH, _graph),
+        (topics.OUTPUT, _output),
+        (topics.LOG_ALL, _log),
+    )
 }

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, assert_never
 
 from play_launch.cdr.log import log_message
-from play_launch.cdr.messages import COMPONENT_EVENT, STATE_EVENT
+from play_launch.cdr.messages import COMPONENT_EVENT, GRAPH_EVENT, STATE_EVENT
 from play_launch.core.events import (
     ComponentEvent,
     ComponentEventKind,
@@ -21,7 +21,7 @@ from play_launch.core.events import (
     RunEvent,
 )
 from play_launch.recording import topics
-from play_launch.recording.console_format import ERROR, INFO, WARN, line_level
+from play_launch.recording.console_format import ERROR, WARN, line_level
 
 if TYPE_CHECKING:
     from play_launch.recording.topics import Topic
@@ -95,7 +95,15 @@ def convert(event: RunEvent) -> tuple[Recorded, ...]:
             data = event.received or _component_event(event)
             return (Recorded(topics.COMPONENT_EVENTS, data),)
         case GraphChanged():
-            return (Recorded(topics.GRAPH, _graph(event)),)
+            data = GRAPH_EVENT.write(
+                {
+                    "stamp": event.stamp_ns,
+                    "appeared": event.appeared,
+                    "vanished": event.vanished,
+                    "nodes": event.nodes,
+                }
+            )
+            return (Recorded(topics.GRAPH, data),)
     assert_never(event)
 
 
@@ -175,13 +183,3 @@ def _component_event(event: ComponentEvent) -> bytes:
 
 
 _COMPONENT_FIELDS: Final = COMPONENT_EVENT.types.keys() - {"stamp", "event_type"}
-
-
-def _graph(event: GraphChanged) -> bytes:
-    parts = [
-        f"{word} {', '.join(names)}"
-        for word, names in (("appeared", event.appeared), ("vanished", event.vanished))
-        if names
-    ]
-    text = f"{'; '.join(parts)}; {event.nodes} nodes"
-    return log_message(event.stamp_ns, INFO, "graph", text)

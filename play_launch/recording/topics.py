@@ -52,7 +52,7 @@ COMPONENT_EVENTS: Final = Topic(
     "/play_launch/events", "play_launch_msgs/msg/ComponentEvent", depth=100, latched=True
 )
 STATES: Final = Topic("/play_launch/states", "play_launch_msgs/msg/StateEvent", latched=True)
-GRAPH: Final = Topic("/play_launch/graph", "rcl_interfaces/msg/Log")
+GRAPH: Final = Topic("/play_launch/graph", "play_launch_msgs/msg/GraphEvent")
 OUTPUT: Final = Topic("/play_launch/output", "rcl_interfaces/msg/Log")
 LOG: Final = Topic("/play_launch/log", "rcl_interfaces/msg/Log")
 LOG_ALL: Final = Topic("/play_launch/log/all", "rcl_interfaces/msg/Log")

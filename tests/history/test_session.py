@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from play_launch.cdr.log import log_message
 from play_launch.core.events import (
     ComponentEvent,
     ComponentEventKind,
@@ -22,9 +24,10 @@ from play_launch.recording import topics
 from play_launch.recording.bag import McapBagWriter
 from play_launch.recording.convert import convert
 from play_launch.recording.session import METADATA_NAME
-from tests.recording.test_states import EVENTS, INT32, NAMES, STAMPS, TEXTS, UINT64
+from tests.recording.test_states import EVENTS, GRAPH_CHANGES, INT32, NAMES, STAMPS, TEXTS, UINT64
 
 OTHERS = st.one_of(
+    GRAPH_CHANGES,
     st.builds(
         OutputLine,
         stamp_ns=STAMPS,
@@ -101,3 +104,15 @@ def test_a_message_that_is_no_event_is_damage_and_the_rest_is_read(tmp_path: Pat
     assert [each.event for each in session.events()] == [line]
     (damage,) = session.reader.damages
     assert "/play_launch/states" in damage.reason
+
+
+def test_the_graph_as_earlier_versions_recorded_it_is_passed_over(tmp_path: Path) -> None:
+    log = log_message(1, 20, "graph", "appeared /a; 1 nodes")
+    writer = McapBagWriter(tmp_path / "x.mcap")
+    channel = writer.register(replace(topics.GRAPH, type_name="rcl_interfaces/msg/Log"))
+    writer.metadata(METADATA_NAME, {"name": "x", "started_ns": "500"})
+    writer.write(channel, log, log_time=1, publish_time=1)
+    writer.close()
+    session = PastSession(writer.path)
+    assert list(session.events()) == []
+    assert session.reader.damages == []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 from pathlib import Path
+from typing import Any
 
 from rosbags.highlevel import AnyReader
 
@@ -38,12 +39,13 @@ def test_the_graph_is_served_and_recorded(tmp_path: Path) -> None:
         assert summary["exit_code"] == 128 + signal.SIGINT
     assert look(address).kind is Kind.NOBODY
     with AnyReader([replay.bag]) as reader:
-        recorded = [
-            str(getattr(reader.deserialize(data, connection.msgtype), "msg", ""))
+        recorded: list[Any] = [
+            reader.deserialize(data, connection.msgtype)
             for connection, _, data in reader.messages()
             if connection.topic == "/play_launch/graph"
         ]
-    assert any(text.startswith("appeared ") and "/talker" in text for text in recorded)
+    assert any("/talker" in message.appeared for message in recorded)
+    assert all(message.nodes >= len(message.appeared) for message in recorded)
 
 
 def test_without_the_wish_there_is_no_daemon(tmp_path: Path) -> None:

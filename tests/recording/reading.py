@@ -16,6 +16,7 @@ from zstandard import ZstdError
 from play_launch.core.events import (
     ContainerState,
     ContainerStateChanged,
+    GraphChanged,
     NodeState,
     NodeStateChanged,
     ProcessEvent,
@@ -117,4 +118,14 @@ def state_event(message: Any) -> NodeStateChanged | ContainerStateChanged | Proc
         restarts=message.restarts,
         message=message.reason,
         command=tuple(message.command),
+    )
+
+
+def graph_changed(message: Any) -> GraphChanged:
+    """The event that a ``play_launch_msgs/GraphEvent`` records."""
+    return GraphChanged(
+        stamp_ns=message.stamp.sec * 1_000_000_000 + message.stamp.nanosec,
+        appeared=tuple(message.appeared),
+        vanished=tuple(message.vanished),
+        nodes=message.nodes,
     )

@@ -8,12 +8,14 @@ from typing import Any
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from play_launch_msgs.msg import GraphEvent as GraphMessage
 from play_launch_msgs.msg import StateEvent as StateMessage
 from rclpy.serialization import deserialize_message
 
 from play_launch.core.events import (
     ContainerState,
     ContainerStateChanged,
+    GraphChanged,
     NodeState,
     NodeStateChanged,
     ProcessEvent,
@@ -24,7 +26,7 @@ from play_launch.core.view import SystemView
 from play_launch.recording import topics
 from play_launch.recording.bag import McapBagWriter
 from play_launch.recording.convert import convert
-from tests.recording.reading import messages, state_event
+from tests.recording.reading import graph_changed, messages, state_event
 
 STAMPS = st.integers(0, (2**31 - 1) * 1_000_000_000)
 # Few names, so that events of one thing follow each other.
@@ -73,6 +75,14 @@ EVENTS = st.one_of(
     ),
 )
 
+GRAPH_CHANGES = st.builds(
+    GraphChanged,
+    stamp_ns=STAMPS,
+    appeared=st.lists(NAMES, max_size=3).map(tuple),
+    vanished=st.lists(NAMES, max_size=3).map(tuple),
+    nodes=UINT32,
+)
+
 
 @settings(deadline=None, max_examples=50)
 @given(st.lists(EVENTS, max_size=20))
@@ -94,6 +104,23 @@ def test_any_event_is_read_back_as_it_was(
     for before, after in zip(events, read, strict=True):
         live, past = live.after(before), past.after(after)
     assert live == past
+
+
+@settings(deadline=None, max_examples=50)
+@given(GRAPH_CHANGES)
+def test_any_change_of_the_graph_is_read_back_as_it_was(event: GraphChanged) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        writer = McapBagWriter(Path(folder) / "x.mcap")
+        ((topic, data),) = convert(event)
+        writer.write(writer.register(topic), data, log_time=1, publish_time=event.stamp_ns)
+        writer.close()
+        (read,) = messages(writer.path)
+    assert (read.topic, read.type_name) == (
+        "/play_launch/graph",
+        "play_launch_msgs/msg/GraphEvent",
+    )
+    assert graph_changed(read.message) == event
+    assert graph_changed(deserialize_message(data, GraphMessage)) == event
 
 
 @settings(deadline=None)

@@ -25,7 +25,6 @@ from play_launch.graph_daemon.control.observer import (
 )
 from play_launch.graph_daemon.control.start_stop import start_daemon, stop_daemon
 from play_launch.graph_daemon.control.takeover import Kind, look
-from play_launch.recording.convert import convert
 from tests.graph_daemon.control.occupants import occupied
 from tests.support.ros import Probe
 
@@ -81,13 +80,6 @@ def test_at_rest_it_is_asked_seldom_and_in_a_storm_not_often(moments: list[float
         now += pause
         looks += 1
     assert looks <= 120.0 / LONGEST_LOOK + 5 * (len(moments) + 1)
-
-
-def test_a_change_is_recorded_in_words() -> None:
-    event = GraphChanged(stamp_ns=1, appeared=("/a", "/b"), vanished=("/c",), nodes=2)
-    (recorded,) = convert(event)
-    assert recorded.topic.name == "/play_launch/graph"
-    assert b"appeared /a, /b; vanished /c; 2 nodes" in recorded.data
 
 
 def test_nodes_that_come_and_go_are_published(address: DaemonAddress, logs: Path) -> None:
