@@ -1,4 +1,4 @@
-"""Errors that a person made or can mend: told in a sentence, never with a traceback."""
+"""Errors that a person made or can mend: reported in a sentence, never with a traceback."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from play_launch.core.exit_code import ExitCode
 
 
 def fail(message: str, code: ExitCode = ExitCode.USAGE) -> NoReturn:
-    """Tell on stderr what is wrong and end with ``code``."""
-    tell(message)
+    """Report on stderr what is wrong and end with ``code``."""
+    report(message)
     sys.exit(code)
 
 
-def tell(message: str) -> None:
+def report(message: str) -> None:
     """Write ``error: message`` to stderr; several lines keep their form."""
     label = "\x1b[1;31merror:\x1b[0m" if wants_colour(sys.stderr) else "error:"
     print(f"{label} {message}", file=sys.stderr, flush=True)  # noqa: T201 - what it is for

@@ -6,7 +6,7 @@ import json
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
-from play_launch.cli.failure import tell
+from play_launch.cli.failure import report
 from play_launch.cli.show.terminal import say
 from play_launch.core.exit_code import ExitCode
 
@@ -27,7 +27,7 @@ def find_mistakes(config: Path, *, as_json: bool = False) -> int:
             problems = [asdict(problem) for problem in error.problems]
             say(json.dumps({"valid": False, "problems": problems}, ensure_ascii=False))
         else:
-            tell(f"{config} cannot be used\n{error.for_people()}")
+            report(f"{config} cannot be used\n{error.for_people()}")
         return ExitCode.USAGE
     if as_json:
         from play_launch.config.description import describe as describe_values  # noqa: PLC0415

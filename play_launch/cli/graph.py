@@ -83,16 +83,16 @@ def _run(options: argparse.Namespace) -> int:
             return verb(client, options)
         except NoDaemonError as error:
             if options.no_start:
-                _tell(f"{error}; start one with 'play-launch daemon start'")
+                _report(f"{error}; start one with 'play-launch daemon start'")
                 return FAILED
         _start(address)
         options.no_start = True
         return verb(client, options)
     except DomainError as error:
-        _tell(str(error))
+        _report(str(error))
         return USAGE
     except DaemonError as error:
-        _tell(str(error))
+        _report(str(error))
     return FAILED
 
 
@@ -218,7 +218,7 @@ def node_info(client: GraphClient, options: argparse.Namespace) -> int:
     wanted = options.node if options.node.startswith("/") else f"/{options.node}"
     bearers = [node for node in client.nodes() if node.full_name == wanted]
     if not bearers:
-        _tell(f"there is no node {wanted}")
+        _report(f"there is no node {wanted}")
         return FAILED
     if len(bearers) > 1:
         _warn(f"{len(bearers)} nodes bear the name {wanted}; this is about one of them")
@@ -231,7 +231,7 @@ def node_info(client: GraphClient, options: argparse.Namespace) -> int:
     except RemoteError as error:
         if node in client.nodes():
             raise
-        _tell(f"the node {wanted} has gone meanwhile ({error.text})")
+        _report(f"the node {wanted} has gone meanwhile ({error.text})")
         return FAILED
     if options.json:
         facts = {key: [_plain(entry) for entry in found] for key, found in sections.items()}
@@ -277,9 +277,9 @@ def wait(client: GraphClient, options: argparse.Namespace) -> int:
     elif reached:
         _say(f"{seen} nodes after {elapsed:.1f} s")
     if not reached:
-        _tell(f"{seen} of {options.nodes} nodes are there after {elapsed:.1f} s")
+        _report(f"{seen} of {options.nodes} nodes are there after {elapsed:.1f} s")
         if trouble is not None:
-            _tell(str(trouble))
+            _report(str(trouble))
     return OK if reached else NODES_MISSING
 
 
@@ -312,7 +312,7 @@ def _print_lines(lines: Iterable[str]) -> None:
     sys.stdout.writelines(f"{line}\n" for line in lines)
 
 
-def _tell(message: str) -> None:
+def _report(message: str) -> None:
     sys.stderr.write(f"error: {message}\n")
 
 

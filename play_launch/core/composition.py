@@ -67,7 +67,7 @@ class Composition:
     """The delay of the list after the open one; None when none is needed."""
     _abandoned: AbandonedLoads = field(default_factory=AbandonedLoads)
     _rejecting: dict[int, str] = field(default_factory=dict)
-    """Nodes that were not unloaded and why; the list is to tell whether they are there."""
+    """Nodes that were not unloaded and why; the list is to show whether they are there."""
     is_stopping: bool = False
     """Whether no further loads are sent."""
 
@@ -82,7 +82,7 @@ class Composition:
 
     @property
     def is_asking(self) -> bool:
-        """Whether the list is to tell about a silent load."""
+        """Whether the list is to decide about a silent load."""
         return any(
             load.is_asked_about and load.stage is Stage.SENT for load in self._loads.values()
         )

@@ -30,7 +30,7 @@ class Wanted:
     full_name: str = ""
     namespace: str = ""
     label: str = ""
-    """Tells nodes apart that have no name."""
+    """Distinguishes nodes that have no name."""
 
     def is_called(self, full_name: str) -> bool:
         """Whether a node of that name may be it."""
@@ -57,7 +57,7 @@ class Load:
     before: frozenset[int] = frozenset()
     """Nodes that were there before it was sent."""
     is_asked_about: bool = False
-    """Whether it is sent and silent, and the list is to tell."""
+    """Whether it is sent and silent, and the list is to decide."""
     list_from: int = 0
     """The first list that may count for it."""
     absent: int = 0

@@ -1,4 +1,4 @@
-"""Telling about a number that grows in bursts: at once when it begins, and once when it is over."""
+"""Reporting a number that grows in bursts: at once when it begins, and once when it is over."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ class Episode:
     """Of the burst that goes on; None without one."""
 
     def see(self, count: int, now: float) -> bool:
-        """Take the number as it is now; tell whether its reader should hear of it."""
+        """Take the number as it is now; return whether it is to be reported."""
         if count > self.count:
             self.count = count
             began = self._grew_at is None
             self._grew_at = now
-            return began and self._tell()
+            return began and self._report()
         if self._grew_at is not None and now - self._grew_at >= self.quiet:
             self._grew_at = None
-            return self.count > self._reported and self._tell()
+            return self.count > self._reported and self._report()
         return False
 
-    def _tell(self) -> bool:
+    def _report(self) -> bool:
         self._reported = self.count
         return True

@@ -1,6 +1,6 @@
 """Everything that can happen in a run, as immutable values.
 
-These are the only things that actors tell the outside: the live view, the summary, the exit code
+These are the only things that actors publish: the live view, the summary, the exit code
 and the recording are all derived from this one stream. The numbers of the enumerations are those
 of the ``play_launch_msgs`` messages, so that they can go to the wire and the recording unchanged.
 
@@ -85,7 +85,7 @@ class Stream(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ComponentEvent:
-    """One step of one load attempt, as the container told it."""
+    """One step of one load attempt, as the container reported it."""
 
     stamp_ns: int
     kind: ComponentEventKind
@@ -233,7 +233,7 @@ RunEvent = (
 
 
 REPORTED_LOGGER: Final = "play_launch.reported"
-"""Logger for what an event tells a reader as well: recorded, but shown once only."""
+"""Logger for what an event reports as well: recorded, but shown once only."""
 
 
 class EventSink(Protocol):

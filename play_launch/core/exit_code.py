@@ -2,7 +2,7 @@
 
 ====== ======================================================================
 0      everything that was declared was there when the run ended
-1      a node failed: it did not load, crashed or was given up
+1      a node failed: it did not load, or crashed and is not loaded again
 3      nobody failed, but something was missing: a node that is not loaded
        (yet, or not any more), a container or a process between two starts
 128+n  the run was ended by signal n

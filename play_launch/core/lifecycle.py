@@ -154,7 +154,7 @@ def step(
 
 
 def is_silent(record: NodeRecord, now: float) -> bool:
-    """Tell whether SILENT is due."""
+    """Return whether SILENT is due."""
     return record.ask_at is not None and now >= record.ask_at
 
 

@@ -305,7 +305,7 @@ TABLE: Final[Mapping[NodeState, Mapping[NodeInput, Transition]]] = {
     State.UNLOADED: _row(
         State.UNLOADED,
         # A new container process is brought up as declared: a container that was ended from
-        # outside tells that it unloads its nodes, too.
+        # outside says that it unloads its nodes, too.
         {
             Said.LOAD_REQUESTED: _NEW_LOAD,
             Said.RELOAD_REQUESTED: _NEW_LOAD,

@@ -50,20 +50,20 @@ def read_probe(lines: Iterable[str], *, exit_code: int = 0, signal: int = 0) -> 
         exit_code: Its exit status; 0 when a signal ended it.
         signal: The signal that ended it; 0 when none did.
     """
-    told = _last_object(lines)
-    if told is None and exit_code in UNUSABLE:
+    result = _last_object(lines)
+    if result is None and exit_code in UNUSABLE:
         return None
-    number = signal or _number(told, "signal")
+    number = signal or _number(result, "signal")
     # Without a word it did not come to its end, whatever its status is: exit() in an initialiser.
-    loads = told is not None and exit_code == 0 and number == 0
+    loads = result is not None and exit_code == 0 and number == 0
     ending = f"ended with {_name(number)}" if number else f"exited with status {exit_code}"
     return Finding(
         loads=loads,
-        library=_text(told, "library"),
-        error="" if loads else _text(told, "error") or f"the process that loaded it {ending}",
+        library=_text(result, "library"),
+        error="" if loads else _text(result, "error") or f"the process that loaded it {ending}",
         exit_code=exit_code,
         signal=number,
-        backtrace=_texts(told, "backtrace"),
+        backtrace=_texts(result, "backtrace"),
     )
 
 
@@ -101,18 +101,18 @@ def _object(text: str) -> Mapping[str, Any]:
     return value if isinstance(value, dict) else {}
 
 
-def _number(told: Mapping[str, Any] | None, name: str) -> int:
-    value = told.get(name) if told else None
+def _number(result: Mapping[str, Any] | None, name: str) -> int:
+    value = result.get(name) if result else None
     return value if isinstance(value, int) and value > 0 else 0
 
 
-def _text(told: Mapping[str, Any] | None, name: str) -> str:
-    value = told.get(name) if told else None
+def _text(result: Mapping[str, Any] | None, name: str) -> str:
+    value = result.get(name) if result else None
     return value if isinstance(value, str) else ""
 
 
-def _texts(told: Mapping[str, Any] | None, name: str) -> tuple[str, ...]:
-    value = told.get(name) if told else None
+def _texts(result: Mapping[str, Any] | None, name: str) -> tuple[str, ...]:
+    value = result.get(name) if result else None
     return tuple(map(str, value)) if isinstance(value, list) else ()
 
 

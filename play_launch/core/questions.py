@@ -49,7 +49,7 @@ class Listed(Protocol):
 
     @property
     def state(self) -> int:
-        """A :class:`NodeStatusState`, if the container tells sense."""
+        """A :class:`NodeStatusState`, if the container makes sense."""
 
 
 _ListedT = TypeVar("_ListedT", bound=Listed)

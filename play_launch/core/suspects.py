@@ -90,7 +90,7 @@ class Suspects:
         return self._known[node]
 
     def excuse_death(self) -> bool:
-        """Return whether a death now costs the container no restart; before `container_died`."""
+        """Return whether a death now does not count as a restart; before `container_died`."""
         tried = [node for node, each in self._known.items() if each.stage is Stage.TRIED]
         excused = any(self._excused[node] < MOST_DEATHS - 1 for node in tried)
         self._excused.update(tried)

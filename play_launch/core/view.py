@@ -89,7 +89,7 @@ class ProcessView:
 
     @property
     def failed(self) -> bool:
-        """Whether it ended otherwise than with status 0, or was given up."""
+        """Whether it ended otherwise than with status 0, or is not started again."""
         if self.kind is ProcessEventKind.GAVE_UP:
             return True
         return self.kind is ProcessEventKind.EXITED and not self.ended_well
@@ -131,7 +131,7 @@ class ContainerView:
 
     @property
     def failed(self) -> tuple[NodeView, ...]:
-        """The nodes that failed to load, crashed or were given up."""
+        """The nodes that failed to load, or crashed."""
         return tuple(node for node in self.nodes.values() if node.state in FAILED_STATES)
 
     @property
@@ -180,7 +180,7 @@ class SystemView:
 
     @property
     def failed(self) -> tuple[NodeView, ...]:
-        """All nodes that failed to load, crashed or were given up."""
+        """All nodes that failed to load, or crashed."""
         return tuple(node for each in self.containers.values() for node in each.failed)
 
     @property

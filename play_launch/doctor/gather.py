@@ -181,12 +181,12 @@ def _imports(environ: Mapping[str, str]) -> tuple[dict[str, str], str]:
             timeout=_IMPORT_LIMIT,
             check=False,
         )
-        told = json.loads(result.stdout)
+        report = json.loads(result.stdout)
     except subprocess.TimeoutExpired:
         return {"rclpy": f"takes longer than {_IMPORT_LIMIT:g} s"}, ""
     except ValueError:
         return {"rclpy": result.stderr.strip() or f"ended with {result.returncode}"}, ""
-    return told["errors"], told["rmw"]
+    return report["errors"], report["rmw"]
 
 
 def _kernel() -> KernelFacts:

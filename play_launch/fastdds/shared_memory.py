@@ -127,7 +127,7 @@ class _Port:
 
     @property
     def is_suspect(self) -> bool:
-        """Whether it may be dead, as far as can be told without looking who maps what."""
+        """Whether it may be dead, as far as can be known without looking who maps what."""
         return self._mutex is None or (self._mutex and _Lock.BUSY not in self._locks)
 
     def take(self, held: ExitStack) -> None:
@@ -253,7 +253,7 @@ def _libc() -> ctypes.CDLL:
 class _Mappings:
     """Which processes map which files of `/dev/shm`, at the time this is made.
 
-    Files are told apart by their inodes. The names in `/proc/<pid>/maps` are of no use: glibc makes
+    Files are identified by their inodes. The names in `/proc/<pid>/maps` are of no use: glibc makes
     a semaphore under a temporary name, and its maker shows that name, deleted, for ever.
     """
 

@@ -123,7 +123,7 @@ class Child:
 
         The process was waited for, the rest of its session killed, all its output handed over
         and every descriptor closed. Output that a process outside the session still holds open
-        is given up `OUTPUT_GRACE` seconds after the end.
+        is closed `OUTPUT_GRACE` seconds after the end.
         """
         return await asyncio.shield(self._gone)
 

@@ -1,7 +1,7 @@
 """Which process is meant: a pid together with its start time, and a pidfd to act on it.
 
 The kernel gives a pid to somebody else as soon as its process was waited for. The start time
-tells the two apart, and a pidfd never means the other one.
+distinguishes the two, and a pidfd never means the other one.
 """
 
 from __future__ import annotations

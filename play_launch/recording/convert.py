@@ -45,7 +45,7 @@ class Recorded(NamedTuple):
 
 
 def is_failure(event: RunEvent) -> bool:
-    """Whether an event tells of a failure, so that it must reach the disk at once.
+    """Whether an event reports a failure, so that it must reach the disk at once.
 
     Output lines are not looked into here: that would cost their producer time.
     """

@@ -139,7 +139,7 @@ def versions() -> dict[str, str]:
 
 
 def boot_id() -> str:
-    """The kernel's identifier of this boot; empty where /proc does not tell."""
+    """The kernel's identifier of this boot; empty where /proc does not have it."""
     try:
         return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
     except OSError:

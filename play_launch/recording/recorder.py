@@ -38,7 +38,7 @@ class RecorderLimits:
     """Characters of output waiting to be written."""
     other_events: int = 10_000
     """Room for other events when ``lines`` is used up: a flood of output must not drive out the
-    events that tell what happened."""
+    events that say what happened."""
     batch: float = 0.05
     """Seconds to gather events before they are written together."""
     flush: float = 0.15
@@ -91,7 +91,7 @@ class Recorder:
         self._queue: list[tuple[int, RunEvent]] = []
         self._text = 0
         self._not_taken: Counter[str] = Counter()
-        """Drops that the recording does not tell of yet: lines by process, the rest under ""."""
+        """Drops that the recording does not report yet: lines by process, the rest under ""."""
         self._dropped = 0
         self._lost = 0
         """As ``_dropped``, but counted by the recorder's thread."""
@@ -140,7 +140,7 @@ class Recorder:
             self._wake.set()
 
     def close(self) -> RecordingSummary:
-        """Write what is waiting, complete the file and tell what became of it.
+        """Write what is waiting, complete the file and return what became of it.
 
         Blocks for at most ``limits.close`` seconds. Further calls return the same summary.
         """

@@ -1,1 +1,1 @@
-"""ROS as a client sees it: one rclpy thread, and what it tells the event loop."""
+"""ROS as a client sees it: one rclpy thread, and what it reports to the event loop."""

@@ -90,7 +90,7 @@ class CompositionClient:
         )
 
     async def servers(self) -> frozenset[bytes]:
-        """Identify those who answer ListNodes; empty where the middleware does not tell.
+        """Identify those who answer ListNodes; empty where the middleware does not report them.
 
         A dead one is among them until its lease is over, 20 s by default.
         """
@@ -119,7 +119,7 @@ class CompositionClient:
         )
 
     def close(self) -> None:
-        """End it; answers that are still expected are given up."""
+        """End it; answers that are still expected are dropped."""
         if self._closed:
             return
         self._closed = True
@@ -148,7 +148,7 @@ class CompositionClient:
 
         def answered(ros_future: Any) -> None:
             error = ros_future.exception()
-            self._tell(finish, None if error else ros_future.result(), error)
+            self._hand_over(finish, None if error else ros_future.result(), error)
 
         def send(_: Node) -> None:
             client = self._clients.get(name)
@@ -157,19 +157,19 @@ class CompositionClient:
             try:
                 expected = client.call_async(request(client.srv_type))
             except Exception as error:  # noqa: BLE001 - it is the caller's
-                self._tell(finish, None, error)
+                self._hand_over(finish, None, error)
                 return
             expected.add_done_callback(answered)
-            self._tell(future.add_done_callback, lambda _: forget(client, expected))
+            self._hand_over(future.add_done_callback, lambda _: forget(client, expected))
 
         def forget(client: Any, expected: Any) -> None:
             if future.cancelled() and not self._closed:
                 self._ros.post(lambda _: client.remove_pending_request(expected))
 
-        self._ros.post(send, lambda error: self._tell(finish, None, error))
+        self._ros.post(send, lambda error: self._hand_over(finish, None, error))
         return future
 
-    def _tell(self, callback: Callable[..., None], *values: Any) -> None:
+    def _hand_over(self, callback: Callable[..., None], *values: Any) -> None:
         # A loop that has ended in the meantime has nobody who waits.
         with suppress(RuntimeError):
             self._loop.call_soon_threadsafe(callback, *values)
@@ -183,7 +183,7 @@ class CompositionClient:
         for name, kind in _SERVICES.items():
             full_name = f"{self._name}/_container/{name}"
             self._clients[name] = node.create_client(getattr(srv, kind), full_name)
-        self._tell(self._graph_changed)
+        self._hand_over(self._graph_changed)
 
     def _destroy(self, node: Node) -> None:
         for client in self._clients.values():
@@ -209,7 +209,7 @@ _SERVICES = {"load_node": "LoadNode", "unload_node": "UnloadNode", "list_nodes":
 
 
 def _listed(reply: Any) -> tuple[ListedNode, ...]:
-    # A container that tells two lists of different lengths is not worth more than the shorter one.
+    # Of two lists of different lengths no more than the shorter one can be used.
     pairs = zip(reply.unique_ids, reply.full_node_names, strict=False)
     return tuple(ListedNode(int(unique_id), str(name)) for unique_id, name in pairs)
 

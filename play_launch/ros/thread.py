@@ -140,14 +140,14 @@ class RosThread:
         """
         loop = asyncio.get_running_loop()
 
-        def told() -> None:
+        def changed() -> None:
             _hand_over(loop, on_change)
 
-        self.post(lambda _: self._listeners.append(told))
+        self.post(lambda _: self._listeners.append(changed))
 
         def forget(_: Node) -> None:
             with suppress(ValueError):
-                self._listeners.remove(told)
+                self._listeners.remove(changed)
 
         return lambda: self.post(forget)
 

@@ -91,7 +91,7 @@ class ControlPair:
 
     @property
     def environment(self) -> dict[str, str]:
-        """What tells the container about it."""
+        """What passes it to the container."""
         return {CONTROL_FD_VARIABLE: str(self.child_fd)}
 
     def close_child_end(self) -> None:

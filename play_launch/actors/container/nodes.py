@@ -119,7 +119,7 @@ class ContainerNodes:
         return key in self._nodes
 
     def announce(self) -> None:
-        """Tell that the nodes are declared."""
+        """Report that the nodes are declared."""
         for node in self._nodes.values():
             self._reports.state(node, NOTHING)
 

@@ -91,7 +91,7 @@ class SuspectNodes:
             self._to_probe.put_nowait(probe)
 
     def excuse_death(self) -> bool:
-        """Return whether a death now costs the container no restart: a suspect was being loaded."""
+        """Return whether a death now does not count as a restart: a suspect was being loaded."""
         return self._suspects.excuse_death()
 
     def survived(self, node: NodeKey) -> None:

@@ -55,7 +55,7 @@ _log = logging.getLogger(__name__)
 
 
 _FIRST_LISTS = 8
-"""Answers to so many first questions are waited for."""
+"""How many first questions may be open."""
 _BREATH = 0.05
 """Seconds from one of them to the next at least: while the graph changes, it changes a lot."""
 _UNLOADS = 2
@@ -287,15 +287,15 @@ class StockLink:
     def _say(self, message: Incoming) -> None:
         self._said.put_nowait(message)
 
-    def _report_loaded(self, told: ReportLoaded) -> None:
+    def _report_loaded(self, report: ReportLoaded) -> None:
         self._say(
             self._reports.event(
                 ComponentEventKind.LOADED,
-                self._requests[told.attempt].load,
-                unique_id=told.unique_id,
-                full_name=told.full_name,
-                message=told.remark,
-                confirmed_by=told.confirmed_by,
+                self._requests[report.attempt].load,
+                unique_id=report.unique_id,
+                full_name=report.full_name,
+                message=report.remark,
+                confirmed_by=report.confirmed_by,
             )
         )
 
@@ -403,7 +403,7 @@ class StockLink:
             if greeted and self._loop.time() - greeted > self._limits.lease:
                 servers = await self._services.servers()
                 if len(servers) > 1:
-                    greeted = 0.0  # told once
+                    greeted = 0.0  # reported once
                     _log.warning(
                         "%d containers are called %s: each of them gets every request",
                         len(servers),

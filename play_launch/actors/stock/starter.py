@@ -171,7 +171,7 @@ def load_node_request(load: Load) -> Any:
 
 
 async def _follow(process: ManagedProcess, link: StockLink) -> None:
-    """Tell the dialogue when the process has ended."""
+    """Report the end of the process to the dialogue."""
     exit_ = await process.wait()
     link.end(str(exit_), in_order=exit_.ok)
 

@@ -125,7 +125,7 @@ class Display:
                 if closing:
                     return
         except OSError as error:
-            # A terminal that was closed answers EIO; SIGHUP tells the run what to do about it.
+            # A terminal that was closed answers EIO; what follows for the run is up to SIGHUP.
             self._gone = True
             let_go_of(sys.stdout)
             if not isinstance(error, BrokenPipeError):

@@ -35,7 +35,7 @@ class Line:
     text: str
     level: int = INFO
     is_progress: bool = False
-    """It only tells what a live view shows anyway."""
+    """It only says what a live view shows anyway."""
 
 
 def line_of(event: RunEvent, before: SystemView, after: SystemView) -> Line | None:

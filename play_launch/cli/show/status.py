@@ -18,7 +18,7 @@ _SHOWN_AFTER: Final = 2 * _SECOND
 def container_status(container: ContainerView, now_ns: int = 0) -> str:
     """Describe a container and its nodes at ``now_ns`` (nanoseconds since the epoch).
 
-    For example ``loaded 3/4, waiting on /talker … 12 s``; without ``now_ns`` no time is told.
+    For example ``loaded 3/4, waiting on /talker … 12 s``; without ``now_ns`` no time is given.
     """
     if container.state is ContainerState.STOPPED:
         return _because("stopped", container.reason)

@@ -56,7 +56,7 @@ class PlainStyle:
 
 
 class LiveStyle:
-    """On a terminal: lines scroll by above a view that says what is up and what is waited for."""
+    """On a terminal: lines scroll by above a view that says what is up and what is missing."""
 
     def __init__(self, console: Console, *, quiet: bool, colour: bool) -> None:
         """``console`` is a terminal; ``quiet`` leaves the output of nodes away."""
