@@ -57,7 +57,7 @@ function(ros_package name)
   endforeach()
   target_link_options(ros::${name} INTERFACE "-Wl,--as-needed" "-Wl,-rpath-link,${prefix}/lib")
 
-  # A dependency that is not installed is a build tool; the compiler tells if a header is missing.
+  # A dependency that is not installed is a build tool; the compiler reports a missing header.
   file(READ "${prefix}/share/${name}/package.xml" manifest)
   string(REGEX MATCHALL "<(depend|build_depend|build_export_depend|exec_depend)[^>]*>[^<]+<" entries
                "${manifest}")

@@ -24,7 +24,7 @@ Settings = dict[str, list[str] | str] | None
 
 
 def ros_is_sourced(environment: Mapping[str, str]) -> bool:
-    """Tell whether AMENT_PREFIX_PATH names a ROS installation that has rcl."""
+    """Return whether AMENT_PREFIX_PATH names a ROS installation that has rcl."""
     return any((prefix / "share" / "rcl").is_dir() for prefix in _prefixes(environment))
 
 

@@ -139,7 +139,7 @@ class Node {
   [[nodiscard]] bool has_parameter(const std::string& name) const;
 
   /// Sets all or none. Never throws for a refused value: the verdict says why (undeclared, other
-  /// type, the node's own callback). On success /parameter_events tells everybody.
+  /// type, the node's own callback). On success it is published on /parameter_events.
   SetParametersVerdict set_parameters(const std::vector<Parameter>& parameters);
 
   /// Has `callback` asked before values are declared or set, in the thread that sets; replaces an

@@ -24,7 +24,7 @@ void check_node_name(const std::string& name) {
   std::size_t where = 0;
   if (rmw_validate_node_name(name.c_str(), &result, &where) != RMW_RET_OK) {
     rmw_reset_error();
-    return;  // no verdict; creating the node will tell
+    return;  // no verdict; creating the node will show
   }
   if (result != RMW_NODE_NAME_VALID) {
     throw LoadError("node name '" + name + "': " + rmw_node_name_validation_result_string(result) +

@@ -28,7 +28,7 @@ struct ComponentOptions {
 /// extra arguments, an unknown parameter type.
 ComponentOptions component_options(const LoadRequest& request);
 
-/// Full name that a node will have whose default namespace is the root, as far as it can be told
+/// Full name that a node will have whose default namespace is the root, as far as it can be known
 /// before construction. Nothing: it is not certain, or not valid.
 std::optional<std::string> expected_full_name(const LoadRequest& request);
 

@@ -50,7 +50,7 @@ class NodeHostObserver {
 };
 
 /// Where nodes live: makes them, lets their callbacks run, and destroys them. No member blocks for
-/// what user code does; outcomes are told to the observer, never from within a call of the caller.
+/// what user code does; outcomes go to the observer, never from within a call of the caller.
 class NodeHost {
  public:
   NodeHost() = default;

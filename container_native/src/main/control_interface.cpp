@@ -78,7 +78,7 @@ UniqueFd take_control_socket() {
   }
   fd = move_out_of_reach(fd);
   ::fcntl(fd, F_SETFD, FD_CLOEXEC);
-  // spawn_guard had us killed with the supervisor. From here on the end of this socket tells of its
+  // spawn_guard had us killed with the supervisor. From here on the end of this socket reports its
   // death, and we leave in order: a killed process leaves its shared memory behind.
   ::prctl(PR_SET_PDEATHSIG, 0);
   return UniqueFd(fd);
@@ -198,9 +198,9 @@ void ControlInterface::on_protocol_error(const std::string& what) {
 
 void ControlInterface::handle_hello(const Frame& frame) {
   const auto hello = control::decode<msg::ControlHello>(frame.payload);
-  Frame as_told = frame;
-  as_told.version = hello.protocol_version;
-  understands(as_told);
+  Frame announced = frame;
+  announced.version = hello.protocol_version;
+  understands(announced);
 }
 
 void ControlInterface::handle_load(const Frame& frame) {

@@ -27,7 +27,7 @@ class RosInterface final : public EventSink {
   /// answer still gets it.
   static constexpr std::size_t kQueueCapacity = 4096;
 
-  /// `supervised`: somebody gets the events over the control channel and tells them, so that the
+  /// `supervised`: somebody gets the events over the control channel and reports them, so that the
   /// log need not.
   RosInterface(std::shared_ptr<Node> node, ObservableComponentManager& manager, bool supervised);
   /// Publishes what is queued.

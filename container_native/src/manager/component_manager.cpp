@@ -140,7 +140,7 @@ std::optional<std::string> ObservableComponentManager::retire(std::uint64_t uniq
   if (entry == nullptr) {
     return no_such_node(unique_id);
   }
-  // A load that never came to its end is told apart from a node that was there.
+  // A load that never came to its end is distinguished from a node that was there.
   const bool constructing = entry->state == NodeState::constructing;
   const NodeTable::Retirement retirement =
       table_.retire(unique_id, constructing ? kCancelled : verdict, Clock::now());

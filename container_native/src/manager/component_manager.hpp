@@ -18,7 +18,7 @@ namespace play_launch::container {
 
 using ComponentEvent = play_launch_msgs::msg::ComponentEvent;
 
-/// Is told of every event, in the order in which they happened. Called with the manager locked:
+/// Gets every event, in the order in which they happened. Called with the manager locked:
 /// must neither block nor call the manager.
 class EventSink {
  public:
@@ -46,7 +46,7 @@ struct DeathTotals {
   std::uint32_t unquiesced = 0;
 };
 
-/// Owns the table of nodes: takes up requests, lets a NodeHost carry them out, and tells the
+/// Owns the table of nodes: takes up requests, lets a NodeHost carry them out, and reports to the
 /// outcome as events. Any thread may call; no member waits for user code.
 class ObservableComponentManager final : public NodeHostObserver {
  public:
@@ -82,7 +82,7 @@ class ObservableComponentManager final : public NodeHostObserver {
   void refuse_loads();
 
   /// Takes up no load any more and begins to unload all nodes. `on_empty` is called (once, with the
-  /// manager locked) when none is left. `why` is told with the end of each node; empty: somebody
+  /// manager locked) when none is left. `why` goes with the end of each node; empty: somebody
   /// asked for the stop.
   void begin_stop(std::function<void()> on_empty, const std::string& why = "");
   bool empty() const;

@@ -29,9 +29,9 @@ std::string library_of(const void* code) {
   }
   const std::string path = found.dlfo_link_map->l_name;
   // The last call of a function leaves nothing of it on the stack: then it is who starts threads.
-  const bool tells = !path.empty() && path.find("/libstdc++.so") == std::string::npos &&
-                     path.find("/libc.so") == std::string::npos;
-  return tells ? "a thread in " + path : "a thread that no executor knows";
+  const bool is_known = !path.empty() && path.find("/libstdc++.so") == std::string::npos &&
+                        path.find("/libc.so") == std::string::npos;
+  return is_known ? "a thread in " + path : "a thread that no executor knows";
 }
 
 bool decide(pid_t container, const ContextGuard::OnShutdown& on_shutdown, const void* caller) {

@@ -19,12 +19,12 @@ void notify_token(const void* token, std::size_t events) {
   const_cast<WakeToken*>(static_cast<const WakeToken*>(token))->notify(events);
 }
 
-/// A destructor can do no more than tell.
+/// A destructor can do no more than report it.
 void report_unless_ok(rcl_ret_t code, const char* doing) noexcept {
   if (code == RCL_RET_OK) return;
   try {
     PLAY_LAUNCH_ERROR(Logger("play_launch"), "%s", RclError(doing, code).what());
-  } catch (...) {  // out of memory: nothing left to tell with
+  } catch (...) {  // out of memory: nothing left to report it with
   }
 }
 

@@ -1,5 +1,5 @@
 // Every way to die, again and again, beside children that go on: each death ends that child alone,
-// is told at once and with its place, and leaves a donor on which C++ works.
+// is reported at once and with its place, and leaves a donor on which C++ works.
 
 #include <signal.h>
 #include <sys/mman.h>
@@ -228,7 +228,7 @@ constexpr std::array kKinds{
          "#0 crash_by_damaged_unwind_data", "address 0x8"},
 };
 
-/// Lives and ticks until told to stop.
+/// Lives and ticks until asked to stop.
 class Neighbour {
  public:
   Neighbour()

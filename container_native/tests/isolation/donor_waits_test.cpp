@@ -32,7 +32,7 @@ using namespace isolation_test;
   }
 }
 
-/// Children that sleep until told, each on a donor of its own.
+/// Children that sleep until asked to end, each on a donor of its own.
 class Sleepers {
  public:
   explicit Sleepers(std::size_t count) {
@@ -216,7 +216,7 @@ const std::array<Death, 9> kDeaths{{
      true},
 }};
 
-/// One child, and whether its end is told as it was; false: the donor went on before that.
+/// One child, and whether its end is reported as it was; false: the donor went on before that.
 void die_once(const Death& death) {
   Event alive;
   Program program([&](Program&) { return death.way(alive); });

@@ -135,7 +135,7 @@ void test_case(const Case& subject) {
   std::fflush(stdout);
 }
 
-/// One that never comes out is given up, and told.
+/// One that never comes out is left alone, and reported.
 void test_thread_that_cannot_be_parked() {
   Outcome outcome;
   Program program([](Program&) {
@@ -155,7 +155,7 @@ void test_thread_that_cannot_be_parked() {
   stand_in::renew_locks();
 }
 
-/// A thread that crashes with a lock of the middleware cannot be helped, but told.
+/// A thread that crashes with a lock of the middleware cannot be helped, but reported.
 void test_crash_inside_the_middleware() {
   Outcome outcome;
   run_patiently(outcome, [](Program&) {

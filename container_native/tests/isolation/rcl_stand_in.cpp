@@ -22,9 +22,9 @@ void publish() {
 
 void spin_once(void (*callback)()) { callback(); }
 
-void stay_inside(const std::function<void()>& tell) {
+void stay_inside(const std::function<void()>& report) {
   const std::lock_guard guard(lock);
-  tell();
+  report();
   busy_for_ever();
 }
 

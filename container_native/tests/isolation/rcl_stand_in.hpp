@@ -12,8 +12,8 @@ std::mutex& shared_lock();
 void publish();
 /// Calls the callback without holding the lock, as an executor does.
 void spin_once(void (*callback)());
-/// Takes it, tells that it has it, and never gives it back.
-[[noreturn]] void stay_inside(const std::function<void()>& tell);
+/// Takes it, reports that it has it, and never gives it back.
+[[noreturn]] void stay_inside(const std::function<void()>& report);
 /// Closes a descriptor, and comes back.
 int close_file(int fd);
 /// Crashes while it holds the lock.

@@ -10,12 +10,12 @@ namespace {
 
 struct Residue {
   Deed deed = Deed::nothing;
-  Told told = nullptr;
+  Report report = nullptr;
   std::string ballast;
 
   void end() const {
-    if (told != nullptr) {
-      told();
+    if (report != nullptr) {
+      report();
     }
     switch (deed) {
       case Deed::fault:
@@ -51,7 +51,7 @@ Late& late() {
 
 Object::~Object() noexcept(false) {
   if (deed == Deed::another) {
-    late().told = told;
+    late().report = report;
   }
   end();
 }
@@ -70,16 +70,16 @@ void end_value(void* value) {
 
 extern "C" {
 
-[[gnu::visibility("default")]] void leave_object(Deed deed, Told told) {
+[[gnu::visibility("default")]] void leave_object(Deed deed, Report report) {
   object.deed = deed;
-  object.told = told;
+  object.report = report;
   object.ballast.assign(1000, 'x');
 }
 
-[[gnu::visibility("default")]] void leave_value(Deed deed, Told told) {
+[[gnu::visibility("default")]] void leave_value(Deed deed, Report report) {
   static const bool made = ::pthread_key_create(&key, end_value) == 0;
   if (made) {
-    ::pthread_setspecific(key, new Residue{deed, told, std::string(1000, 'x')});
+    ::pthread_setspecific(key, new Residue{deed, report, std::string(1000, 'x')});
   }
 }
 }

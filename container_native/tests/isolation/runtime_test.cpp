@@ -158,7 +158,7 @@ void test_mutexes() {
   });
 }
 
-/// A robust mutex tells that its owner died.
+/// A robust mutex reports that its owner died.
 void test_robust_mutex() {
   static Mutex robust(PTHREAD_MUTEX_NORMAL, PTHREAD_PRIO_NONE, PTHREAD_MUTEX_ROBUST);
   Outcome outcome;
@@ -301,7 +301,7 @@ void test_signal_actions_and_mask() {
   ::signal(SIGINT, SIG_DFL);
 }
 
-/// An uncaught exception is told each time, though all children share the C++ library's memory.
+/// An uncaught exception is reported each time, though all children share the C++ library's memory.
 void test_exception_text() {
   for (const char* const text : {"first", "second"}) {
     Outcome outcome;

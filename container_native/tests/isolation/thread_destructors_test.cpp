@@ -22,12 +22,12 @@ const pid_t container = ::getpid();
 std::atomic<int> told_in_children{0};
 
 /// The container would die here, as it might of a destructor.
-void tell() {
+void report() {
   CHECK(::getpid() != container);
   ++told_in_children;
 }
 
-using Leave = void (*)(Deed, Told);
+using Leave = void (*)(Deed, Report);
 
 struct Library {
   Library(const std::string& name, int flags) {
@@ -78,29 +78,29 @@ void check_death(int signal, const char* text, std::function<void()> body) {
 }
 
 void test_orderly_ends(const Library& library) {
-  check_orderly(1, [&] { library.object(Deed::nothing, tell); });
-  check_orderly(1, [&] { library.value(Deed::nothing, tell); });
+  check_orderly(1, [&] { library.object(Deed::nothing, report); });
+  check_orderly(1, [&] { library.value(Deed::nothing, report); });
   check_orderly(2, [&] {
-    library.object(Deed::nothing, tell);
-    library.value(Deed::nothing, tell);
+    library.object(Deed::nothing, report);
+    library.value(Deed::nothing, report);
   });
-  check_orderly(2, [&] { library.object(Deed::another, tell); });
-  check_orderly(PTHREAD_DESTRUCTOR_ITERATIONS, [&] { library.value(Deed::another, tell); });
+  check_orderly(2, [&] { library.object(Deed::another, report); });
+  check_orderly(PTHREAD_DESTRUCTOR_ITERATIONS, [&] { library.value(Deed::another, report); });
   check_orderly(2, [&] {
     std::thread([&] {
-      library.object(Deed::nothing, tell);
-      library.value(Deed::nothing, tell);
+      library.object(Deed::nothing, report);
+      library.value(Deed::nothing, report);
     }).join();
   });
 }
 
 void test_deaths(const Library& library) {
   for (const Leave leave : {library.object, library.value}) {
-    check_death(SIGSEGV, "no memory at address 0x8", [=] { leave(Deed::fault, tell); });
+    check_death(SIGSEGV, "no memory at address 0x8", [=] { leave(Deed::fault, report); });
     // What was thrown by a C++ library inside of a library, only that one knows.
     const char* const text = library.brings_cpp ? "abort() was called" : "from a destructor";
-    check_death(SIGABRT, text, [=] { leave(Deed::raise, tell); });
-    check_death(SIGTERM, "did not end in time", [=] { leave(Deed::loop, tell); });
+    check_death(SIGABRT, text, [=] { leave(Deed::raise, report); });
+    check_death(SIGTERM, "did not end in time", [=] { leave(Deed::loop, report); });
   }
 }
 
@@ -108,7 +108,7 @@ void test_deaths(const Library& library) {
 void test_closed_library() {
   check_orderly(1, [] {
     const Library library(kLibrary, 0);
-    library.object(Deed::nothing, tell);
+    library.object(Deed::nothing, report);
     CHECK(::dlclose(library.handle) == 0);
   });
 }
@@ -118,8 +118,8 @@ void test_nothing_after_a_death(const Library& library) {
   told_in_children = 0;
   Outcome outcome;
   Program dying([&](Program&) -> int {
-    library.object(Deed::nothing, tell);
-    library.value(Deed::nothing, tell);
+    library.object(Deed::nothing, report);
+    library.value(Deed::nothing, report);
     std::abort();
   });
   Program cleaning([](Program&) { return 0; });
@@ -139,7 +139,7 @@ void test_nothing_after_a_death(const Library& library) {
 void test_after_a_request(const Library& library) {
   Outcome outcome;
   CHECK(end_with(outcome, [&] {
-          library.object(Deed::nothing, tell);
+          library.object(Deed::nothing, report);
           ::raise(SIGTERM);
         }) == 1);
   CHECK(outcome.end.signal == SIGTERM && outcome.end.returned);
@@ -150,7 +150,7 @@ void test_a_loop_that_ignores_the_request(const Library& library) {
   Outcome outcome;
   CHECK(end_with(outcome, [&] {
           ::signal(SIGTERM, SIG_IGN);
-          library.object(Deed::loop, tell);
+          library.object(Deed::loop, report);
         }) == 1);
   CHECK(outcome.end.signal == SIGKILL);
 }

@@ -20,7 +20,7 @@ void ticks_cancels_and_restarts(const std::shared_ptr<Context>& context) {
   CHECK(ticks.reaches_at_least(5));
   timer->cancel();
   CHECK(timer->cancelled());
-  // One that was taken before may still come; a later timer tells when it is over.
+  // One that was taken before may still come; a later timer shows when it is over.
   const auto witness = node->create_timer(10ms, [&] { other.increment(); });
   CHECK(other.reaches_at_least(1));
   const int stopped_at = ticks.get();

@@ -58,7 +58,7 @@ class Waitable {
   [[nodiscard]] const Logger& logger() const noexcept { return logger_; }
   [[nodiscard]] const std::shared_ptr<WakeToken>& token() const noexcept { return token_; }
 
-  /// Tells the executor to look; `events` is how many messages are new, as far as known. Any
+  /// Has the executor look; `events` is how many messages are new, as far as known. Any
   /// thread; does not block.
   void notify(std::size_t events = 1) noexcept;
 

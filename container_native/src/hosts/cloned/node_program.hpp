@@ -43,7 +43,7 @@ class NodeProgram final : public isolation::ChildProgram {
   HandleLedger* handles() noexcept override { return &handles_; }
 
   NodeLife life() const { return life_.so_far(); }
-  /// How long its executor has not come round; nothing: before it spins, or when it cannot tell.
+  /// How long its executor has not come round; nothing: before it spins, or when that is not known.
   std::optional<std::chrono::nanoseconds> silence() const;
   /// Its own code asked for its end.
   bool ends_itself() const { return ends_itself_.load(); }

@@ -31,10 +31,10 @@ struct DeadLock {
 /// For people: who waits, and for whom.
 std::string describe(const DeadLock& lock);
 
-/// Finds them, from outside of the threads: what the kernel tells of the system call that a thread
-/// sleeps in says which futex it waits for, and the lock there which thread took it. Told are only
-/// locks whose holder is known to have died with its child and has no living namesake: mutexes of
-/// the C library (also std::mutex, std::recursive_mutex), and its read-write locks when a writer
+/// Finds them, from outside of the threads: what the kernel shows of the system call that a thread
+/// sleeps in says which futex it waits for, and the lock there which thread took it. Reported are
+/// only locks whose holder is known to have died with its child and has no living namesake: mutexes
+/// of the C library (also std::mutex, std::recursive_mutex), and its read-write locks when a writer
 /// held them (std::shared_mutex). Not seen: locks held by readers, spin locks, and conditions that
 /// nobody will signal any more.
 class DeadLockSearch {

@@ -108,7 +108,7 @@ void* DonorThread::start(void* self) {
     donor.ended_();
   }
   if (!like_others) {
-    // Past the C library's end of a thread, with its destructors. The kernel tells join().
+    // Past the C library's end of a thread, with its destructors. The kernel wakes join().
     ::syscall(SYS_exit, 0);
   }
   return nullptr;

@@ -13,7 +13,7 @@ namespace play_launch::isolation {
 /// After a child that did not come to its end (ChildEnd::returned is false) the body must not
 /// allocate, free, or touch thread_local objects with destructors: the child may have left them
 /// half changed. It can run another child, write to an eventfd, store into atomics, and return.
-/// Therefore keep everything else out of it: tell another thread.
+/// Therefore keep everything else out of it: leave it to another thread.
 ///
 /// When the body returns after such a child, the thread ends without running any destructor of
 /// thread-local storage; what the allocator keeps for the thread is given back by one more

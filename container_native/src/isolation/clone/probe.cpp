@@ -36,7 +36,7 @@ void write_no_cores() noexcept {
   ::setrlimit(RLIMIT_CORE, &limit);
 }
 
-void tell(int fd, int result) noexcept {
+void answer(int fd, int result) noexcept {
   [[maybe_unused]] const ssize_t written = ::write(fd, &result, sizeof result);
 }
 
@@ -49,10 +49,10 @@ void tell(int fd, int result) noexcept {
   }
   write_no_cores();
   const ChildEnd orderly = clone_and_wait([](void*) { return 0; }, nullptr);
-  tell(fd, orderly.error);
+  answer(fd, orderly.error);
   if (orderly.error == 0) {
     clone_and_wait([](void*) { return -SIGABRT; }, nullptr);
-    tell(fd, 0);
+    answer(fd, 0);
   }
   ::_exit(0);
 }

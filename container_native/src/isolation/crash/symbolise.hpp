@@ -9,7 +9,7 @@
 namespace play_launch::isolation {
 
 /// One line per frame of the slot, such as "#1 demo::Talker::tick()+0x2e (libdemo.so+0x51ae)":
-/// function and offset where the library tells it, library and offset always. To be called in the
+/// function and offset where the library has it, library and offset always. To be called in the
 /// container, not on a donor, when CrashSlot::traced is set, or after the child's death. Remembers
 /// what it has looked up.
 std::vector<std::string> symbolise(const CrashSlot& slot);

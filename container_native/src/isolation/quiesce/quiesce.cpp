@@ -29,7 +29,7 @@ using std::chrono::nanoseconds;
 /// looks come at a bad moment.
 constexpr nanoseconds kRetry = 100us;
 /// How often to look carefully at one thread. If it was never in a place that is known to be
-/// harmless, it hardly ever is: its code has no exported names, and more looks tell no more.
+/// harmless, it hardly ever is: its code has no exported names, and more looks show no more.
 constexpr int kCarefulLooks = 5;
 /// How many times the limit to wait for threads that had no processor to be looked at on: nothing
 /// is known of them, and on a loaded machine they may be in the middle of anything.

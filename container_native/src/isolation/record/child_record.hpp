@@ -35,11 +35,11 @@ class ChildProgram {
   /// call park_if_dying() wherever such a thread comes out.
   virtual void cancel() noexcept = 0;
 
-  /// Called in a signal handler of the child when the slot tells of its crash (CrashSlot::traced is
+  /// Called in a signal handler of the child when the slot reports its crash (CrashSlot::traced is
   /// set), some time before the death: whoever wants to look the backtrace up can begin.
   virtual void crashed() noexcept {}
 
-  /// Called in the child, in any of its threads, when the slot tells of something else that is
+  /// Called in the child, in any of its threads, when the slot reports something else that is
   /// worth a line (CrashSlot::refused_call). Async-signal-safe functions only.
   virtual void noted() noexcept {}
 

@@ -67,7 +67,7 @@ struct CrashReport {
   std::array<char, 256> other_program{};
 };
 
-/// What a child tells about itself: written by the child and by its signal handlers, read by the
+/// What a child reports about itself: written by the child and by its signal handlers, read by the
 /// container. Lives in ordinary memory of the container, as the child shares it. Holds nothing that
 /// must be destroyed.
 struct CrashSlot {
