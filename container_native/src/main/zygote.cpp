@@ -10,9 +10,12 @@
 #include <algorithm>
 #include <array>
 #include <span>
+#include <string>
+#include <vector>
 
 #include "base/descriptor_message.hpp"
 #include "base/number_list.hpp"
+#include "main/backends.hpp"
 #include "main/fastdds.hpp"
 #include "main/memory_map.hpp"
 #include "main/same_parent_fork.hpp"
@@ -84,7 +87,10 @@ bool may_begin(int line) {
 Command serve_as_zygote(int socket) {
   const pid_t parent = ::getppid();
   TracingThreads tracing;
-  if (!can_fork_beside_us() || !can_show_commands() || !is_as_expected(kStandard + 1, tracing)) {
+  // What the libraries of rclcpp do before main() was not looked at: such containers are executed.
+  const bool is_known = backend_names() == std::vector<std::string>{"native"};
+  if (!is_known || !can_fork_beside_us() || !can_show_commands() ||
+      !is_as_expected(kStandard + 1, tracing)) {
     ::_exit(kRefused);
   }
   open_type_supports();

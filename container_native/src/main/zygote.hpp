@@ -19,7 +19,7 @@ namespace play_launch::container {
 /// and can be sure that there will be no container. A zygote that cannot fork closes the line.
 ///
 /// Returns in each child, with what it has to do. The zygote itself never returns: it ends when the
-/// socket does, or at once when it may not fork here, see fork_obstacle().
+/// socket does, or at once when it cannot fork here.
 Command serve_as_zygote(int socket);
 
 }  // namespace play_launch::container
