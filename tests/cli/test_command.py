@@ -228,9 +228,8 @@ def test_the_recording_survives_a_sigkill(start: Start, tmp_path: Path) -> None:
     assert process.stdout is not None
     process.stdout.readline()
     active = bag(tmp_path).with_name("session.mcap.active")
-    head = active.stat().st_size
-    while active.stat().st_size == head:
-        process.stdout.readline()
+    while not raw_messages(active, "/play_launch/output"):
+        assert process.stdout.readline()
     process.kill()
     process.communicate()
     assert raw_messages(active, "/play_launch/output")

@@ -12,8 +12,9 @@ from play_launch.history.bag_reader import BagReader
 from play_launch.history.recover import RecoverError, default_output, recover
 from play_launch.recording import topics
 from play_launch.recording.bag import McapBagWriter
+from tests.graph_daemon.waiting import until
 from tests.history.test_session import record
-from tests.recording.reading import messages
+from tests.recording.reading import messages, raw_messages
 from tests.support.replay import alive, replaying
 
 if TYPE_CHECKING:
@@ -94,6 +95,8 @@ def test_the_recording_of_a_killed_supervisor_is_recovered(tmp_path: Path) -> No
         active = session.bag.with_name("session.mcap.active")
         with pytest.raises(RecoverError, match="running session"):
             recover(active, session.bag)
+        # What happened in the last moments is not on disk yet.
+        until(lambda: bool(raw_messages(active, topics.STATES.name)), "a state in the recording")
         others = session.descendants()
         session.process.send_signal(signal.SIGKILL)
         session.process.wait()
