@@ -6,8 +6,10 @@ import json
 import os
 import resource
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
+
+from msgspec.structs import replace
 
 from play_launch.config.load import parse_config
 from play_launch.config.model import ReplayConfig

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct
 
 from play_launch.core.restart import CONTEXT_EXIT_CODE, PERMANENT_EXIT_CODES
 
@@ -15,8 +16,7 @@ _NEVER_RAN: Final = frozenset({126, 127})
 """Exit codes that say that the program itself was not executed."""
 
 
-@dataclass(frozen=True, slots=True)
-class Death:
+class Death(Struct, frozen=True):
     """The end of a member's process, or that it could not be started."""
 
     reason: str

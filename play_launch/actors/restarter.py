@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import random
-from dataclasses import replace
 from typing import TYPE_CHECKING
+
+from msgspec.structs import replace
 
 from play_launch.core.crash import FollowUp, OnCrash, follow_up
 from play_launch.core.restart import GiveUp, Restart, RestartHistory, RestartLimits, decide

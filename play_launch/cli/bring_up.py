@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import os
 from datetime import datetime
 from typing import TYPE_CHECKING
+
+from msgspec.structs import replace
 
 from play_launch.cli.failure import fail
 
@@ -52,7 +53,7 @@ def _load(path: Path, duration: str | None) -> ReplayConfig:
         loaded = load_config(path)
     except ConfigError as error:
         fail(f"{path} cannot be used, nothing was started\n{error.for_people()}")
-    return loaded if seconds is None else dataclasses.replace(loaded, duration=seconds)
+    return loaded if seconds is None else replace(loaded, duration=seconds)
 
 
 def _require_log_folder(config: ReplayConfig) -> None:

@@ -9,8 +9,9 @@ import json
 import logging
 import os
 import sys
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
+
+from msgspec import Struct
 
 from play_launch.cli.find_mistakes import describe
 from play_launch.cli.show.display import Display, Style
@@ -35,8 +36,7 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
-class RunOptions:
+class RunOptions(Struct, frozen=True):
     """How to show a run and where to record it."""
 
     log_folder: Path | None

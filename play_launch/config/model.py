@@ -5,10 +5,11 @@ Nothing in here reads YAML. Durations are seconds, full names are absolute ROS n
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
 from types import MappingProxyType
 from typing import TYPE_CHECKING, TypeAlias
+
+from msgspec import Struct, field
 
 from play_launch.core.crash import OnCrash
 from play_launch.core.restart import RestartLimits
@@ -77,24 +78,21 @@ ParameterPayload: TypeAlias = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class ParameterValue:
+class ParameterValue(Struct, frozen=True):
     """A value and its ROS type; `value` is bytes for a byte array, a tuple for other arrays."""
 
     type: ParameterType
     value: ParameterPayload
 
 
-@dataclass(frozen=True, slots=True)
-class ParameterConfig:
+class ParameterConfig(Struct, frozen=True):
     """One parameter; nested names are joined with dots."""
 
     name: str
     value: ParameterValue
 
 
-@dataclass(frozen=True, slots=True)
-class StopLimits:
+class StopLimits(Struct, frozen=True):
     """Seconds to wait after asking, after SIGINT and after SIGTERM before going further."""
 
     ask: float = 3.0
@@ -106,8 +104,7 @@ def _no_environment() -> Mapping[str, str]:
     return MappingProxyType({})
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ComposableNodeConfig:
+class ComposableNodeConfig(Struct, frozen=True, kw_only=True):
     """A node to load into a container.
 
     An empty `name` or `namespace` keeps the component's own. `key` is unique in the configuration.
@@ -134,8 +131,7 @@ class ComposableNodeConfig:
         return self.key.name
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ContainerConfig:
+class ContainerConfig(Struct, frozen=True, kw_only=True):
     """A component container.
 
     `environment` holds the variables of the whole system too, `thread_num` is None for
@@ -165,8 +161,7 @@ class ContainerConfig:
     line: int = 0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ProcessConfig:
+class ProcessConfig(Struct, frozen=True, kw_only=True):
     """An ordinary executable: either `command`, or `executable` of `package`.
 
     An empty `name` or `namespace` keeps the program's own; `full_name` is then a label such as
@@ -191,16 +186,14 @@ class ProcessConfig:
     line: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class ParameterFile:
+class ParameterFile(Struct, frozen=True):
     """A parameter file that a configuration names, and its bytes, for the recording."""
 
     path: Path
     text: bytes
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ReplayConfig:
+class ReplayConfig(Struct, frozen=True, kw_only=True):
     """A whole system.
 
     `source` is the file it was read from and `text` its bytes, for the recording, as are

@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 import re
 import stat
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
+
+from msgspec import Struct
 
 from play_launch.config.problems import Place
 
@@ -33,8 +34,7 @@ _KINDS = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Refused:
+class Refused(Struct, frozen=True):
     """Why a file is of no use, and where; `inside` is whether its content is to blame."""
 
     place: Place

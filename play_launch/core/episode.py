@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from msgspec import Struct
 
 QUIET = 10.0
 """Seconds without growth after which a burst counts as over."""
 
 
-@dataclass(slots=True)
-class Episode:
+class Episode(Struct):
     """One number that only grows. Times are seconds of any monotonic clock and are passed in."""
 
     quiet: float = QUIET

@@ -15,6 +15,8 @@ from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
 from typing import TYPE_CHECKING, Final, Protocol
 
+from msgspec import Struct
+
 if TYPE_CHECKING:
     from play_launch.core.node_key import NodeKey
 
@@ -83,6 +85,7 @@ class Stream(StrEnum):
     STDERR = "stderr"
 
 
+# Not a Struct, which would compare all of its fields.
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ComponentEvent:
     """One step of one load attempt, as the container reported it."""
@@ -112,8 +115,7 @@ class ComponentEvent:
     """The message in CDR as its container sent it, for the recording; else empty."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ProcessEvent:
+class ProcessEvent(Struct, frozen=True, kw_only=True):
     """One step in the life of a process that the supervisor owns."""
 
     stamp_ns: int
@@ -131,8 +133,7 @@ class ProcessEvent:
     command: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class OutputLine:
+class OutputLine(Struct, frozen=True, kw_only=True):
     """One line that a process wrote, without its line end."""
 
     stamp_ns: int
@@ -144,8 +145,7 @@ class OutputLine:
     truncated: bool = False
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LogRecord:
+class LogRecord(Struct, frozen=True, kw_only=True):
     """One record of the supervisor's own log; ``level`` as in ``rcl_interfaces/Log``."""
 
     stamp_ns: int
@@ -158,8 +158,7 @@ class LogRecord:
     line: int = 0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class NodeStateChanged:
+class NodeStateChanged(Struct, frozen=True, kw_only=True):
     """The supervisor's view of a declared composable node changed, or is reported again.
 
     It is repeated with the same state while a constructor is slow.
@@ -192,8 +191,7 @@ class NodeStateChanged:
         return self.key.name
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ContainerStateChanged:
+class ContainerStateChanged(Struct, frozen=True, kw_only=True):
     """The supervisor's view of a container changed."""
 
     stamp_ns: int
@@ -204,8 +202,7 @@ class ContainerStateChanged:
     """How its nodes are isolated, while it runs: ``shared_memory``, ``process``; else empty."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GraphChanged:
+class GraphChanged(Struct, frozen=True, kw_only=True):
     """Nodes came into the ROS graph, or left it, as the graph daemon sees it.
 
     They may be anybody's: the graph is that of the whole ROS domain. A name stands there as often

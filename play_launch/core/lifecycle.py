@@ -17,8 +17,10 @@ newer one. Times are seconds of any monotonic clock and are passed in.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from play_launch.core.events import NodeState
 from play_launch.core.node_table import FROM_CONTAINER, TABLE, WAITING, NodeAction, NodeInput
@@ -65,8 +67,7 @@ _LEFT: Final = frozenset(
 _LOADS_ANEW: Final = frozenset({NodeInput.CONTAINER_READY, NodeInput.RELOAD_DUE})
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Patience:
+class Patience(Struct, frozen=True, kw_only=True):
     """How long silence is just silence, in seconds."""
 
     loading_timeout: float = 10.0
@@ -75,8 +76,7 @@ class Patience:
     """From one report of a slow constructor to the next."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class NodeRecord:
+class NodeRecord(Struct, frozen=True, kw_only=True):
     """What is known about one node."""
 
     state: NodeState = NodeState.PENDING

@@ -7,9 +7,11 @@ table is asked (:mod:`play_launch.core.restart`); so the table stays a table.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from enum import StrEnum, auto
 from typing import TYPE_CHECKING, Final, NamedTuple
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from play_launch.core.events import ContainerState
 
@@ -78,8 +80,7 @@ class MemberTransition(NamedTuple):
     actions: tuple[MemberAction, ...] = ()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MemberRecord:
+class MemberRecord(Struct, frozen=True, kw_only=True):
     """What has to be remembered between two inputs."""
 
     state: MemberState = ContainerState.STOPPED

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from msgspec import Struct
 
 
-@dataclass(frozen=True, slots=True, order=True)
-class NodeKey:
+class NodeKey(Struct, frozen=True, order=True):
     """A declared composable node; other nodes may come, go and change places around it.
 
     `container` is the full name of its container. `name` is the declared full name or, where the

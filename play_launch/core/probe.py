@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import json
 import signal as signals
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
+
+from msgspec import Struct
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -22,8 +23,7 @@ _QUOTES: Final = 4
 """Quotation marks up to the end of the last whole entry of a list that was cut."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Finding:
+class Finding(Struct, frozen=True, kw_only=True):
     """How it ended."""
 
     loads: bool

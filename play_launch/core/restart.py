@@ -7,8 +7,10 @@ at the same instant. A life that lasted longer than the window starts the pauses
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import Final
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 _EXPONENT_LIMIT: Final = 60
 
@@ -24,8 +26,7 @@ CONTEXT_EXIT_CODE: Final = 79
 """Of a container whose nodes share one process, when one of them shut the ROS context down."""
 
 
-@dataclass(frozen=True, slots=True)
-class RestartLimits:
+class RestartLimits(Struct, frozen=True):
     """How often something is started again: at most `max_restarts` times `within` seconds."""
 
     max_restarts: int = 5
@@ -39,8 +40,7 @@ class RestartLimits:
     """Whether the first restart after a healthy life comes without a pause."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RestartHistory:
+class RestartHistory(Struct, frozen=True, kw_only=True):
     """What has to be remembered between two deaths."""
 
     recent: tuple[float, ...] = ()
@@ -50,15 +50,13 @@ class RestartHistory:
     total: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class Restart:
+class Restart(Struct, frozen=True):
     """Start again after ``delay`` seconds."""
 
     delay: float
 
 
-@dataclass(frozen=True, slots=True)
-class GiveUp:
+class GiveUp(Struct, frozen=True):
     """Do not start again."""
 
     reason: str

@@ -24,9 +24,11 @@ inquiry needs.
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, replace
 from enum import StrEnum, auto
 from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable
@@ -56,8 +58,7 @@ class Stage(StrEnum):
     """It took the container down too often."""
 
 
-@dataclass(frozen=True, slots=True)
-class Suspicion:
+class Suspicion(Struct, frozen=True):
     """What is known about one node."""
 
     stage: Stage = Stage.TRUSTED

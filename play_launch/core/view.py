@@ -6,9 +6,11 @@ code read nothing else, so all of them can be made from a recording as well.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Protocol, TypeVar
+
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from play_launch.core.events import (
     ContainerState,
@@ -34,8 +36,7 @@ WAITING_STATES = frozenset(
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class NodeView:
+class NodeView(Struct, frozen=True, kw_only=True):
     """One declared composable node."""
 
     key: NodeKey
@@ -61,8 +62,7 @@ class NodeView:
         return self.key.name
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ProcessView:
+class ProcessView(Struct, frozen=True, kw_only=True):
     """One process that the supervisor owns."""
 
     name: str
@@ -95,8 +95,7 @@ class ProcessView:
         return self.kind is ProcessEventKind.EXITED and not self.ended_well
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ContainerView:
+class ContainerView(Struct, frozen=True, kw_only=True):
     """One container and its nodes, in the order in which they were announced: as declared."""
 
     name: str
@@ -140,8 +139,7 @@ class ContainerView:
         return sum(node.crashes for node in self.nodes.values())
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SystemView:
+class SystemView(Struct, frozen=True, kw_only=True):
     """Containers and ordinary processes by full name."""
 
     containers: Mapping[str, ContainerView] = field(default_factory=lambda: MappingProxyType({}))

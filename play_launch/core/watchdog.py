@@ -6,13 +6,13 @@ are seconds of any monotonic clock and are passed in.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import StrEnum, auto
 from typing import Final
 
+from msgspec import Struct
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class WatchLimits:
+
+class WatchLimits(Struct, frozen=True, kw_only=True):
     """Seconds."""
 
     interval: float = 1.0
@@ -35,8 +35,7 @@ class Verdict(StrEnum):
     FROZEN = auto()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Watch:
+class Watch(Struct, frozen=True, kw_only=True):
     """One process under watch."""
 
     due: float

@@ -29,11 +29,12 @@ import fcntl
 import os
 import re
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, field
 from enum import Enum
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from msgspec import Struct, field
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -44,8 +45,7 @@ _SEGMENT = re.compile(r"(fastrtps_[0-9a-f]{16})(?:_el)?")
 _PORT = re.compile(r"(?:sem\.)?(fastrtps_port\d+)(?:_el|_sl|_mutex)?")
 
 
-@dataclass(slots=True)
-class SweepReport:
+class SweepReport(Struct):
     """What a sweep found.
 
     Attributes:
@@ -59,8 +59,7 @@ class SweepReport:
     failed: dict[str, str] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, slots=True)
-class FileCount:
+class FileCount(Struct, frozen=True):
     """How many files there are.
 
     Attributes:

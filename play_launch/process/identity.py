@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import os
 import signal
-from dataclasses import dataclass
 from typing import Self
+
+from msgspec import Struct
 
 _ZOMBIE_STATES = frozenset("ZXx")
 
@@ -29,8 +30,7 @@ class StatFormatError(ValueError):
         super().__init__(f"not the stat of a process: {text[:80]!r}")
 
 
-@dataclass(frozen=True, slots=True)
-class ProcessStat:
+class ProcessStat(Struct, frozen=True):
     """The fields of `/proc/<pid>/stat` (see proc_pid_stat(5)) that matter to a supervisor.
 
     `start_time` is field 22: clock ticks after boot.
@@ -55,8 +55,7 @@ class ProcessStat:
         return ProcessIdentity(self.pid, self.start_time)
 
 
-@dataclass(frozen=True, slots=True)
-class ProcessIdentity:
+class ProcessIdentity(Struct, frozen=True):
     """One process for all time: pid and start time in clock ticks after boot."""
 
     pid: int

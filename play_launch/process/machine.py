@@ -5,8 +5,10 @@ from __future__ import annotations
 import os
 import resource
 import signal
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct
 
 if TYPE_CHECKING:
     from play_launch.process.exit import Exit
@@ -23,8 +25,7 @@ _FULL: Final = 1024**2
 _MEBIBYTE: Final = 1024**2
 
 
-@dataclass(frozen=True, slots=True)
-class Room:
+class Room(Struct, frozen=True):
     """The size of a file system and what is free of it, in bytes."""
 
     total: int

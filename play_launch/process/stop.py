@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import asyncio
 import signal
-from dataclasses import dataclass
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any
+
+from msgspec import Struct
 
 from play_launch.process.session import signal_each, wait_all_ended
 
@@ -39,8 +40,7 @@ _SIGNALS = {
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StopPolicy:
+class StopPolicy(Struct, frozen=True, kw_only=True):
     """Seconds to wait at each level before the next; 0 leaves a level out.
 
     `hurried` is what is left of the present level, and all the later ones get at most, once
@@ -55,16 +55,14 @@ class StopPolicy:
     hurried: float = 0.3
 
 
-@dataclass(frozen=True, slots=True)
-class StopStep:
+class StopStep(Struct, frozen=True):
     """One level and its limit in seconds."""
 
     level: StopLevel
     limit: float
 
 
-@dataclass(frozen=True, slots=True)
-class StopOutcome:
+class StopOutcome(Struct, frozen=True):
     """How a stop went.
 
     Attributes:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import threading
 import time
 from collections import Counter
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct
 
 from play_launch.core.events import LogRecord, OutputLine, RunEvent
 from play_launch.recording import topics
@@ -28,8 +29,7 @@ _NAMED_PROCESSES: Final = 5
 """How many processes a report of drops names; the rest is summed up."""
 
 
-@dataclass(frozen=True, slots=True)
-class RecorderLimits:
+class RecorderLimits(Struct, frozen=True):
     """Sizes and times of a recorder; the defaults suit a run of a few hundred nodes."""
 
     lines: int = 50_000
@@ -50,8 +50,7 @@ class RecorderLimits:
     """Seconds to wait at the end for what is still to be written."""
 
 
-@dataclass(frozen=True, slots=True)
-class RecordingSummary:
+class RecordingSummary(Struct, frozen=True):
     """What became of a recording."""
 
     path: Path

@@ -12,10 +12,11 @@ import re
 import sys
 import time
 import uuid
-from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct
 
 from play_launch.cdr.text import text_bytes
 from play_launch.recording import facts
@@ -39,8 +40,7 @@ SCHEMA_VERSION: Final = 1
 METADATA_NAME: Final = "play_launch.session"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SessionDescription:
+class SessionDescription(Struct, frozen=True, kw_only=True):
     """What a session is about; it becomes the head of the recording."""
 
     name: str
@@ -57,8 +57,7 @@ class SessionDescription:
     """File names and contents, in the order in which the configuration names them."""
 
 
-@dataclass(frozen=True, slots=True)
-class Session:
+class Session(Struct, frozen=True):
     """An open session."""
 
     id: str
@@ -138,8 +137,7 @@ def _json(values: Mapping[str, object]) -> bytes:
     return text_bytes(json.dumps(values, indent=2, ensure_ascii=False))
 
 
-@dataclass(frozen=True, slots=True)
-class SessionFolder:
+class SessionFolder(Struct, frozen=True):
     """Where one session keeps what it writes."""
 
     path: Path

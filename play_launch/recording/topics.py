@@ -6,8 +6,9 @@ system: nothing subscribes to ``/play_launch`` but people who look at recordings
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Final
+
+from msgspec import Struct
 
 _INFINITE: Final = "{sec: 9223372036, nsec: 854775807}"
 _KEEP_LAST: Final = 1
@@ -17,8 +18,7 @@ _VOLATILE: Final = 2
 _LIVELINESS_AUTOMATIC: Final = 1
 
 
-@dataclass(frozen=True, slots=True)
-class Topic:
+class Topic(Struct, frozen=True):
     """A recorded topic: its name, its message type and what a publisher would offer."""
 
     name: str

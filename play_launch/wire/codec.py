@@ -1,7 +1,7 @@
 """Messages of the control channel to frames and back, through the layouts of `play_launch_msgs`.
 
 Only what a supervisor sends is encoded and only what a container sends is decoded. A message has
-the fields of its dataclass, by name; what differs is spelled out.
+the fields of its class, by name; what differs is spelled out.
 """
 
 from __future__ import annotations

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, TypeAlias
+
+from msgspec import Struct
 
 from play_launch.core.events import ComponentEvent
 from play_launch.wire.frames import PROTOCOL_VERSION
@@ -13,8 +14,7 @@ if TYPE_CHECKING:
     from play_launch.core.questions import NodeStatusState
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Hello:
+class Hello(Struct, frozen=True, kw_only=True):
     """First message in each direction (ControlHello).
 
     From the supervisor only `version`, `pid` and `start_time` say anything. `start_time` is in
@@ -36,8 +36,7 @@ class Hello:
     notes: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Load:
+class Load(Struct, frozen=True, kw_only=True):
     """Load one node (ControlLoad); empty names are the component's own, log_level 0 is unset."""
 
     attempt: int
@@ -51,16 +50,14 @@ class Load:
     extra_arguments: tuple[ParameterConfig, ...] = ()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Accepted:
+class Accepted(Struct, frozen=True, kw_only=True):
     """The load was taken up (ControlAccepted)."""
 
     attempt: int
     unique_id: int
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Rejected:
+class Rejected(Struct, frozen=True, kw_only=True):
     """A request was not taken up (ControlRejected).
 
     `attempt` is that of a load, else 0; `unique_id` names the node it was about, or 0.
@@ -75,16 +72,14 @@ NO_NODE: Final = (0,)
 """The ids of a query that only asks for a sign of life: containers number their nodes from 1."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Query:
+class Query(Struct, frozen=True, kw_only=True):
     """Which nodes do you have? No `unique_ids` means all, `NO_NODE` none (ControlQuery)."""
 
     query_id: int
     unique_ids: tuple[int, ...] = ()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class NodeStatus:
+class NodeStatus(Struct, frozen=True, kw_only=True):
     """One node as its container sees it.
 
     `elapsed_ns` is the time in this state and `cpu_time_ns` what its constructor used up (0 once
@@ -106,8 +101,7 @@ class NodeStatus:
     silence_ns: int = -1
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Status:
+class Status(Struct, frozen=True, kw_only=True):
     """The answer to the query of the same `query_id` (ControlStatus).
 
     A node that was asked about and is not listed does not exist; those that have been silent for
@@ -127,22 +121,19 @@ class Status:
     dead_locks: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Cancel:
+class Cancel(Struct, frozen=True, kw_only=True):
     """Give up a load (ControlCancel)."""
 
     unique_id: int
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Unload:
+class Unload(Struct, frozen=True, kw_only=True):
     """Unload a node (ControlUnload)."""
 
     unique_id: int
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Shutdown:
+class Shutdown(Struct, frozen=True, kw_only=True):
     """Unload everything and exit with status 0 (ControlShutdown)."""
 
     reason: str = ""

@@ -7,12 +7,12 @@ import os
 import signal
 import sys
 from contextlib import asynccontextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import psutil
 import pytest
+from msgspec.structs import replace
 
 from play_launch.actors.launcher import NativeLauncher
 from play_launch.actors.publisher import Publisher

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import replace
 from types import MappingProxyType
 
 import pytest
+from msgspec.structs import replace
 
 from play_launch.actors.stock.starter import StockContainers, load_node_request
 from play_launch.config.model import (

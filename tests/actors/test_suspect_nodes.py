@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import pytest
+from msgspec.structs import replace
 
 from play_launch.actors.container.library_probes import LibraryProbes
 from play_launch.actors.ports import StartError

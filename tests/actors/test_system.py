@@ -2,9 +2,9 @@ from __future__ import annotations
 
 import asyncio
 import signal
-from dataclasses import replace
 
 import pytest
+from msgspec.structs import replace
 
 from play_launch.actors.publisher import Publisher
 from play_launch.actors.stop_requests import StopRequests

@@ -81,7 +81,15 @@ def imported_before_the_first_process(config: Path, tmp_path: Path, zygote: str)
 def test_zygotes_are_started_before_what_takes_its_time(config: Path, tmp_path: Path) -> None:
     imported = imported_before_the_first_process(config, tmp_path, "1")
     assert "play_launch.process.guard" in imported
-    slow = {"anyio", "asyncio", "mcap", "play_launch.config", "pydantic_core", "yaml", *LATER}
+    slow = {
+        "anyio",
+        "asyncio",
+        "mcap",
+        "msgspec",
+        "play_launch.config",
+        "pydantic_core",
+        "yaml",
+    } | LATER
     assert not {module for module in imported for late in slow if belongs_to(module, late)}
 
 

@@ -2,8 +2,9 @@ from __future__ import annotations
 
 import io
 import json
-from dataclasses import replace
 from pathlib import Path
+
+from msgspec.structs import replace
 
 from play_launch.cli.show.summary import print_summary, size, summary_object
 from play_launch.core.events import ContainerState, NodeState, ProcessEventKind

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -136,7 +135,7 @@ def test_defaults() -> None:
 
 
 def test_nothing_can_be_changed(full: ReplayConfig) -> None:
-    with pytest.raises(dataclasses.FrozenInstanceError):
+    with pytest.raises(AttributeError):
         full.name = "other"  # type: ignore[misc]
     with pytest.raises(TypeError):
         full.environment["A"] = "b"  # type: ignore[index]
@@ -155,10 +154,10 @@ def test_the_description_is_json(full: ReplayConfig) -> None:
 
 def test_the_description_says_everything(full: ReplayConfig) -> None:
     described = describe(full)
-    fields = {field.name for field in dataclasses.fields(full)} - {"text"}
+    fields = set(full.__struct_fields__) - {"text"}
     assert fields <= described.keys()
     for one, shown in zip(full.nodes, json.loads(json.dumps(described["nodes"])), strict=True):
-        assert {field.name for field in dataclasses.fields(one)} <= shown.keys()
+        assert set(one.__struct_fields__) <= shown.keys()
 
 
 def test_doubles_that_json_does_not_know() -> None:

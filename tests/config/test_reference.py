@@ -148,7 +148,7 @@ NOT_WRITTEN = {"first_at_once"}
 def test_defaults(title: str, defaults: StopLimits | RestartLimits) -> None:
     listed = re.findall(r"^\| `(\w+)` \|.*\| ([\d.]+ ?\w*) \|$", section(title), re.MULTILINE)
     assert {key: parse_duration(written) for key, written in listed} == {
-        key: getattr(defaults, key) for key in defaults.__slots__ if key not in NOT_WRITTEN
+        key: getattr(defaults, key) for key in defaults.__struct_fields__ if key not in NOT_WRITTEN
     }
 
 

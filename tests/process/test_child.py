@@ -7,6 +7,7 @@ import gc
 import os
 import resource
 import signal
+import sys
 import threading
 from contextlib import suppress
 from pathlib import Path
@@ -302,7 +303,7 @@ async def test_a_child_dies_with_a_killed_parent(guard: Path) -> None:
     root = Path(__file__).resolve().parents[2]
     # No guard for the parent, and its session is held: what dies here dies by PR_SET_PDEATHSIG.
     parent = spawn(
-        ["/usr/bin/env", "python3", "-c", code],
+        [sys.executable, "-c", code],
         env={**os.environ, "PYTHONPATH": str(root)},
         guard=None,
         on_output=output,

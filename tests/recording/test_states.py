@@ -27,6 +27,7 @@ from play_launch.recording import topics
 from play_launch.recording.bag import McapBagWriter
 from play_launch.recording.convert import convert
 from tests.recording.reading import graph_changed, messages, state_event
+from tests.support.structs import structs
 
 STAMPS = st.integers(0, (2**31 - 1) * 1_000_000_000)
 # Few names, so that events of one thing follow each other.
@@ -38,7 +39,7 @@ INT64 = st.integers(-(2**63), 2**63 - 1)
 UINT64 = st.integers(0, 2**64 - 1)
 
 EVENTS = st.one_of(
-    st.builds(
+    structs(
         NodeStateChanged,
         stamp_ns=STAMPS,
         key=st.builds(NodeKey, container=NAMES, name=NAMES),

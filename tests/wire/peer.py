@@ -6,7 +6,6 @@ against itself.
 
 from __future__ import annotations
 
-from dataclasses import fields
 from typing import Any, TypeAlias
 
 import play_launch_msgs.msg as msgs
@@ -84,7 +83,7 @@ def outgoing(frame: Frame) -> Outgoing:
 
 
 def values(message: Any) -> dict[str, Any]:
-    found = {field.name: getattr(message, field.name) for field in fields(message)}
+    found = {name: getattr(message, name) for name in type(message).__annotations__}
     return {name: [*value] if isinstance(value, tuple) else value for name, value in found.items()}
 
 

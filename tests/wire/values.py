@@ -21,6 +21,7 @@ from play_launch.wire.messages import (
     Status,
     Unload,
 )
+from tests.support.structs import structs
 
 # CDR ends a string with a zero byte, and surrogates are no text.
 TEXT = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), max_size=20)
@@ -71,7 +72,7 @@ FILE_VALUES = values(
 )
 PARAMETERS = st.lists(st.builds(ParameterConfig, TEXT, values()), max_size=4).map(tuple)
 
-NODE_STATUS = st.builds(
+NODE_STATUS = structs(
     NodeStatus,
     unique_id=U64,
     attempt=U64,
@@ -135,7 +136,7 @@ INCOMING: st.SearchStrategy[Incoming] = st.one_of(
 )
 OUTGOING: st.SearchStrategy[Outgoing] = st.one_of(
     HELLOS,
-    st.builds(
+    structs(
         Load,
         attempt=U64,
         package_name=TEXT,

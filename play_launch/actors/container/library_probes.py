@@ -5,8 +5,9 @@ from __future__ import annotations
 import asyncio
 import logging
 import os
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct, field
 
 from play_launch.actors.ports import StartError
 from play_launch.core.events import Stream
@@ -23,8 +24,7 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ProbeLimits:
+class ProbeLimits(Struct, frozen=True, kw_only=True):
     """Seconds."""
 
     report_interval: float = 10.0
@@ -41,8 +41,7 @@ def default_places() -> int:
     return max(2, os.cpu_count() or 1)
 
 
-@dataclass(slots=True)
-class _Output:
+class _Output(Struct):
     """What one scratch process writes: its result is on stdout, all else goes to the recording."""
 
     publish: Callable[[Stream, Sequence[Line]], None]

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct
 
 from play_launch.core.events import ComponentEventKind
 from play_launch.core.node_table import NodeInput
@@ -19,8 +20,7 @@ if TYPE_CHECKING:
     from play_launch.wire.messages import NodeStatus
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Facts:
+class Facts(Struct, frozen=True, kw_only=True):
     """What is known besides the word itself; 0 and empty where it is not."""
 
     attempt: int = 0

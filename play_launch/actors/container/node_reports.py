@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, assert_never
+
+from msgspec import Struct, field
 
 from play_launch.core.events import (
     REPORTED_LOGGER,
@@ -35,8 +36,7 @@ _TIMED: Final = frozenset(
 """States that are reported with the time since the load was sent."""
 
 
-@dataclass(slots=True)
-class MirroredNode:
+class MirroredNode(Struct):
     """What is known about a node; times are seconds of the event loop's clock."""
 
     config: ComposableNodeConfig

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import logging
 import random
-from dataclasses import replace
 from typing import TYPE_CHECKING, Final, assert_never
+
+from msgspec.structs import replace
 
 from play_launch.actors.container.load_request import load_request
 from play_launch.actors.container.node_facts import (

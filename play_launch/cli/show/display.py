@@ -6,8 +6,9 @@ import contextlib
 import logging
 import sys
 import threading
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
+
+from msgspec import Struct
 
 from play_launch.cli.show.streams import let_go_of
 from play_launch.core.events import LogRecord, OutputLine, RunEvent
@@ -48,8 +49,7 @@ class Style(Protocol):
         """Leave the terminal as it was."""
 
 
-@dataclass(frozen=True, slots=True)
-class DisplayLimits:
+class DisplayLimits(Struct, frozen=True):
     """Sizes and times of a display."""
 
     lines: int = 5_000

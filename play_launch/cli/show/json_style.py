@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import fields
 from enum import Enum, IntEnum
 from typing import IO, TYPE_CHECKING, Final
 
@@ -34,8 +33,9 @@ _TYPES: Final[dict[type[RunEvent], str]] = {
     GraphChanged: "graph",
 }
 _FIELDS: Final = {
-    kind: tuple(field.name for field in fields(kind) if field.compare) for kind in _TYPES
+    kind: tuple(name for name in kind.__annotations__ if name != "received") for kind in _TYPES
 }
+"""Of what was received, the other fields are made."""
 
 
 def event_object(event: RunEvent) -> dict[str, object]:

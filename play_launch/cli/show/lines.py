@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct
 
 from play_launch.cli.show.status import container_status, duration, ending
 from play_launch.core.events import (
@@ -25,8 +26,7 @@ if TYPE_CHECKING:
 OWN_NAME: Final = "play-launch"
 
 
-@dataclass(frozen=True, slots=True)
-class Line:
+class Line(Struct, frozen=True):
     """One line to show."""
 
     stamp_ns: int

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from play_launch.config.model import ContainerConfig, ContainerType
 from play_launch.config.resolve.nodes import resolve_composable_node
@@ -88,8 +90,7 @@ def _composable_nodes(
     return tuple(one for one in resolved if one is not None)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _StockProgram:
+class _StockProgram(Struct, frozen=True, kw_only=True):
     """What a stock container is; all empty for one of play-launch's own."""
 
     package: str = ""

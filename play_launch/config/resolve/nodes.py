@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct, field
 
 from play_launch.config.model import ComposableNodeConfig, ProcessConfig
 from play_launch.config.resolve.parameters import resolve_parameters
@@ -87,8 +88,7 @@ class NodeNames:
         return join_full_name(namespace or "/", f"[{what}{suffix}]")
 
 
-@dataclass(frozen=True, slots=True)
-class Shared:
+class Shared(Struct, frozen=True):
     """What all nodes of one configuration share."""
 
     files: ParameterFiles

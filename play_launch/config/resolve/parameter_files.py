@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import os
 import re
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
+
+from msgspec import Struct
 
 from play_launch.config.model import ParameterFile
 from play_launch.config.problems import excerpt
@@ -31,8 +32,7 @@ _PATTERN = re.compile(r"(?:/(?:\*\*|\*|[A-Za-z_][A-Za-z0-9_]*))+", re.ASCII)
 _FOR_ALL = "/**"
 
 
-@dataclass(slots=True)
-class _Section:
+class _Section(Struct):
     pattern: str
     at: At
     values: dict[str, ParameterValue] | None = None  # flattened when a node asks for it

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final
+
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from play_launch.config.model import ContainerType, Isolation
 from play_launch.core.crash import OnCrash
@@ -25,8 +27,7 @@ ISOLATED_KEYS: Final = ("isolation", "core_dumps", "auto_reload_on_crash", "on_c
 """Keys of containers that say something for isolated ones only."""
 
 
-@dataclass(frozen=True, slots=True)
-class Policy:
+class Policy(Struct, frozen=True):
     """What may be said for all containers, for one, and partly for one node; in seconds."""
 
     container_type: ContainerType = ContainerType.STANDARD
@@ -50,7 +51,7 @@ class Policy:
         )
 
 
-_PLAIN: Final = set(Policy.__slots__) - {"on_crash", "restart"}
+_PLAIN: Final = set(Policy.__struct_fields__) - {"on_crash", "restart"}
 
 
 def refined_restart(base: RestartLimits, section: RestartSection | None, at: At) -> RestartLimits:

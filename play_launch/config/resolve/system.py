@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
-from dataclasses import replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING
+
+from msgspec.structs import replace
 
 from play_launch.config.model import ContainerType, ReplayConfig, StopLimits
 from play_launch.config.resolve.containers import resolve_container

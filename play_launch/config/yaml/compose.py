@@ -11,10 +11,10 @@ was weighed: the scan needs as many lines as the following of aliases here, and 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, NoReturn
 
 import yaml
+from msgspec import Struct
 
 from play_launch.config.problems import Place, excerpt, join_path
 from play_launch.config.yaml.scalars import (
@@ -94,8 +94,7 @@ class _StopReadingError(Exception):
         self.message = message
 
 
-@dataclass(frozen=True, slots=True)
-class _Found:
+class _Found(Struct, frozen=True):
     """A value with its keys and values, itself included, and the levels below it.
 
     That is what it costs to have it once more, by an alias.

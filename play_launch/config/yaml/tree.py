@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
+
+from msgspec import Struct
 
 from play_launch.config.problems import excerpt, join_path
 from play_launch.config.yaml.scalars import ScalarKind
@@ -15,8 +16,7 @@ if TYPE_CHECKING:
     from play_launch.config.yaml.scalars import ScalarValue
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Scalar:
+class Scalar(Struct, frozen=True, eq=False):
     """A single value; `plain` is whether it stands without quotes and tag."""
 
     place: Place
@@ -26,8 +26,7 @@ class Scalar:
     plain: bool
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Sequence:
+class Sequence(Struct, frozen=True, eq=False):
     """A list; `array_tag` is one of the tags for ROS arrays, such as `!string_array`."""
 
     place: Place
@@ -35,8 +34,7 @@ class Sequence:
     array_tag: str | None = None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Entry:
+class Entry(Struct, frozen=True, eq=False):
     """One key of a mapping and its value."""
 
     key: str
@@ -44,8 +42,7 @@ class Entry:
     value: Node
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Mapping:
+class Mapping(Struct, frozen=True, eq=False):
     """A mapping with distinct keys, merge keys resolved; keys are the text they are written as."""
 
     place: Place
@@ -69,8 +66,7 @@ class Mapping:
 Node: TypeAlias = Scalar | Sequence | Mapping
 
 
-@dataclass(frozen=True, slots=True)
-class At:
+class At(Struct, frozen=True):
     """A node, the path that leads to it, and the report for what is wrong with it."""
 
     node: Node
