@@ -163,7 +163,6 @@ void crash(ChildRecord& child, int signal, const siginfo_t& info, void* context)
   CrashSlot& slot = *child.slot;
   slot.phase = ChildPhase::crashed;
   describe(slot, signal, info, context);
-  begin_quiescing(child);
   trace(slot, context);
   survive([&] { child.program->crashed(); });
   quiesce(child);

@@ -140,15 +140,6 @@ void park(ChildRecord& child, bool at_rest) noexcept {
   }
 }
 
-void begin_quiescing(ChildRecord& child) noexcept {
-  if (child.options.dies_abruptly || is_only_thread()) {
-    return;
-  }
-  survive([&] { child.program->cancel(); });
-  NumberList threads(kOwnThreads);
-  ask_to_park(child, threads);
-}
-
 void quiesce(ChildRecord& child) noexcept {
   if (is_only_thread()) {
     child.slot->report.threads_parked = child.parked_count;

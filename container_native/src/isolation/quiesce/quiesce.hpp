@@ -15,10 +15,6 @@ namespace play_launch::isolation {
 /// into the slot. Async-signal-safe.
 void quiesce(ChildRecord& child) noexcept;
 
-/// Begins with it and does not wait, so that the other threads come to rest, on other processors,
-/// while the calling one has something else to do; quiesce() has to follow. Async-signal-safe.
-void begin_quiescing(ChildRecord& child) noexcept;
-
 /// In a child: installs the handler of the signal that quiesce() interrupts threads with
 /// (park_signal()).
 void install_park_handler() noexcept;
