@@ -64,6 +64,11 @@ class ParameterType(IntEnum):
     DOUBLE_ARRAY = 8
     STRING_ARRAY = 9
 
+    @property
+    def field(self) -> str:
+        """The field of `rcl_interfaces/msg/ParameterValue` that holds such a value."""
+        return f"{self.name.lower()}_value"
+
 
 ParameterPayload: TypeAlias = (
     bool

@@ -2,26 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from play_launch.config.model import ParameterConfig, ParameterType
-
-_FIELDS = {
-    ParameterType.BOOL: "bool_value",
-    ParameterType.INTEGER: "integer_value",
-    ParameterType.DOUBLE: "double_value",
-    ParameterType.STRING: "string_value",
-    ParameterType.BYTE_ARRAY: "byte_array_value",
-    ParameterType.BOOL_ARRAY: "bool_array_value",
-    ParameterType.INTEGER_ARRAY: "integer_array_value",
-    ParameterType.DOUBLE_ARRAY: "double_array_value",
-    ParameterType.STRING_ARRAY: "string_array_value",
-}
+if TYPE_CHECKING:
+    from play_launch.config.model import ParameterConfig
 
 
 def to_parameter_message(parameter: ParameterConfig) -> Any:
     """Make a `rcl_interfaces/msg/Parameter`."""
-    # Takes long.
+    # Takes long, and is for stock containers only.
     from rcl_interfaces.msg import Parameter  # noqa: PLC0415
     from rcl_interfaces.msg import ParameterValue as ParameterValueMessage  # noqa: PLC0415
 
@@ -34,5 +23,5 @@ def to_parameter_message(parameter: ParameterConfig) -> Any:
         value = [bytes((byte,)) for byte in value]
     elif isinstance(value, tuple):
         value = list(value)
-    setattr(message.value, _FIELDS[parameter.value.type], value)
+    setattr(message.value, parameter.value.type.field, value)
     return message

@@ -10,7 +10,7 @@ from struct import error as struct_error
 from typing import TYPE_CHECKING, Any
 
 from play_launch.cdr import messages as layouts
-from play_launch.config.model import ParameterConfig, ParameterType
+from play_launch.config.model import ParameterConfig
 from play_launch.core.events import ComponentEvent, ComponentEventKind
 from play_launch.core.questions import NodeStatusState
 from play_launch.wire.frames import Frame, FrameKind, FrameLengthError, encode_frame
@@ -118,18 +118,6 @@ _SENT: dict[type[Outgoing], tuple[FrameKind, Layout]] = {
     Shutdown: (FrameKind.SHUTDOWN, layouts.CONTROL_SHUTDOWN),
 }
 
-_PARAMETER_FIELDS = {
-    ParameterType.BOOL: "bool_value",
-    ParameterType.INTEGER: "integer_value",
-    ParameterType.DOUBLE: "double_value",
-    ParameterType.STRING: "string_value",
-    ParameterType.BYTE_ARRAY: "byte_array_value",
-    ParameterType.BOOL_ARRAY: "bool_array_value",
-    ParameterType.INTEGER_ARRAY: "integer_array_value",
-    ParameterType.DOUBLE_ARRAY: "double_array_value",
-    ParameterType.STRING_ARRAY: "string_array_value",
-}
-
 
 def _value(value: Any) -> Any:
     match value:
@@ -140,7 +128,9 @@ def _value(value: Any) -> Any:
         case tuple():
             return tuple(map(_value, value))
         case ParameterConfig(name=name, value=parameter):
-            field = _PARAMETER_FIELDS[parameter.type]
             payload = _value(parameter.value)
-            return {"name": _value(name), "value": {"type": parameter.type, field: payload}}
+            return {
+                "name": _value(name),
+                "value": {"type": parameter.type, parameter.type.field: payload},
+            }
     return value
