@@ -5,6 +5,7 @@ python -m benchmarks.graph_daemon.crowd INDEX NODES TOPICS
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import threading
@@ -17,8 +18,12 @@ from play_launch.fastdds.shared_memory import sweep
 
 _MADE = "made"
 _START_LIMIT = 120.0
+_TRANSPORT = {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}
+"""Of the crowd alone. In a storm over shared memory with Fast DDS 2.14, nodes that want to renew a
+port (``SharedMemManager::Port::regenerate_port``) wait for ever for its lock, in most attempts.
+The daemons choose for themselves; discovery is over UDP either way."""
 ATTEMPTS = 3
-"""How often a crowd is started that does not come up: see `Crowd.wait`."""
+"""How often a crowd is started that does not come up."""
 
 
 def node_name(process: int, node: int) -> str:
@@ -76,17 +81,13 @@ class Crowd:
                     stdin=subprocess.PIPE,
                     stdout=subprocess.PIPE,
                     stderr=subprocess.DEVNULL,
+                    env=os.environ | _TRANSPORT,
                     text=True,
                 )
             )
 
     def wait(self) -> bool:
-        """Wait until every node is ready; returns whether they are.
-
-        In some storms they never are: seen with Fast DDS 2.14, a node that wants to renew a port in
-        shared memory (``SharedMemManager::Port::regenerate_port``) waits for ever for its lock. All
-        are killed then.
-        """
+        """Wait until every node is ready; returns whether they are. Else all are killed."""
         limit = threading.Timer(_START_LIMIT, self._kill)
         limit.start()
         try:

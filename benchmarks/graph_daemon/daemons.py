@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import importlib.util
+import os
+import signal
 import subprocess
 import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
+
+import psutil
 
 from play_launch.graph_daemon.contract import daemon_address
 from play_launch.graph_daemon.control.port import listen_within
@@ -50,7 +54,23 @@ class Daemon:
         return seconds
 
     def stop(self) -> float:
-        return self.run("daemon", "stop")[0]
+        try:
+            return self.run("daemon", "stop")[0]
+        except subprocess.TimeoutExpired:
+            # It answers nobody any more.
+            for pid in _listeners(daemon_address().port):
+                os.kill(pid, signal.SIGKILL)
+            return _LIMIT
+
+
+def _listeners(port: int) -> set[int]:
+    return {
+        connection.pid
+        for connection in psutil.net_connections("tcp")
+        if connection.pid
+        and connection.status == psutil.CONN_LISTEN
+        and connection.laddr[1:] == (port,)
+    }
 
 
 OURS = Daemon("play-launch", (str(Path(sys.executable).parent / "play-launch"),))

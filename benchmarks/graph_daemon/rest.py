@@ -19,14 +19,10 @@ from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
-from benchmarks.graph_daemon.__main__ import (
-    enter_namespace,
-    is_inside,
-    report_progress,
-    risen_crowd,
-)
+from benchmarks.graph_daemon.__main__ import report_progress, risen_crowd
 from benchmarks.graph_daemon.daemons import OURS
 from benchmarks.graph_daemon.measures import Size, warm
+from benchmarks.own_network import enter_namespace, is_inside
 from play_launch.graph_daemon.client.graph_client import GraphClient
 from play_launch.graph_daemon.contract import STATUS_METHOD, DaemonAddress, daemon_address
 from play_launch.graph_daemon.control.observer import LONGEST_LOOK

@@ -12,6 +12,7 @@ import re
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
+from play_launch.fastdds.sweep_command import sweep_command
 from play_launch.install.allocator import find_allocator, for_isolation
 from play_launch.install.environment import child_environment
 from play_launch.install.ros import (
@@ -59,7 +60,7 @@ def begin(config: Path) -> None:
             return
         plain = child_environment(os.environ, ros_installation())
         program = component_container()
-        _head_start.guard = SessionGuard.start(spawn_guard())
+        _head_start.guard = SessionGuard.start(spawn_guard(), afterwards=sweep_command())
         for is_isolated in kinds:
             environment = _with_allocator(plain) if is_isolated else plain
             _head_start.zygotes.append(Zygote.start(_head_start.guard, program, environment))

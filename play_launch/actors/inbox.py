@@ -31,6 +31,8 @@ class Inbox:
         self._deadlines = deadlines
         self._on_time = on_time
         self._on_error = on_error
+        self.on_settled: Callable[[], None] = lambda: None
+        """Called when nothing is left to be done for now."""
         self._waiting: deque[Callable[[], None]] = deque()
         self._is_busy = False
         self._is_closed = False
@@ -51,6 +53,7 @@ class Inbox:
         finally:
             self._is_busy = False
         self._set_timer()
+        self.on_settled()
 
     def close(self) -> None:
         """Do nothing at any later time."""

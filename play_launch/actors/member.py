@@ -17,11 +17,13 @@ from typing import TYPE_CHECKING, Final, assert_never
 
 import anyio
 
+from play_launch.actors.death import Death
 from play_launch.actors.failures import failure_reason
 from play_launch.actors.inbox import Inbox
 from play_launch.actors.ports import StartError
 from play_launch.actors.process_reports import ProcessReports
 from play_launch.actors.restarter import Restarter
+from play_launch.actors.turn import StartTurn
 from play_launch.core.events import REPORTED_LOGGER, ContainerState, ProcessEventKind
 from play_launch.core.member import MemberAction, MemberInput, MemberRecord, step
 from play_launch.core.restart import GiveUp
@@ -31,7 +33,6 @@ if TYPE_CHECKING:
 
     from anyio.abc import TaskGroup
 
-    from play_launch.actors.death import Death
     from play_launch.actors.ports import ManagedProcess
     from play_launch.actors.publisher import Publisher
     from play_launch.actors.stop_requests import StopRequests
@@ -57,17 +58,16 @@ class Member:
         restart: RestartLimits,
         publisher: Publisher,
         stop: StopRequests,
-        slots: asyncio.Semaphore | None = None,
+        turn: StartTurn | None = None,
         jitter: Callable[[], float] = random.random,
     ) -> None:
-        """Know the member by its full name; ``slots`` bounds how many start at the same time."""
+        """Know the member by its full name; it starts when it has its ``turn``."""
         self.name = name
         self._stop = stop
         self._loop = asyncio.get_running_loop()
         self._reports = ProcessReports(name, publisher)
         self._restarter = Restarter(restart, jitter)
-        self._slots = slots
-        self._has_slot = False
+        self._turn = turn or StartTurn()
         self._record = MemberRecord()
         self._inbox = Inbox(deadlines=self._deadlines, on_time=self._on_time, on_error=self._fail)
         self._tasks: TaskGroup | None = None
@@ -105,13 +105,18 @@ class Member:
         """Whether it does not run, nothing is left of it, and it does not start by itself."""
         return self._rests.is_set()
 
-    async def rests(self) -> None:
-        """Wait until it is at rest."""
+    async def rests(self) -> bool:
+        """Wait until it is at rest; False when its process lives on although it was killed."""
         await self._rests.wait()
+        return not self._is_stuck
 
     def post(self, said: MemberInput, reason: str = "") -> None:
         """Hand over an input, with its reason where one is to be reported."""
         self.deliver(partial(self._apply, said, reason))
+
+    def when_settled(self, callback: Callable[[], None]) -> None:
+        """Have this called whenever something was done to it."""
+        self._inbox.on_settled = callback
 
     def deliver(self, work: Callable[[], None]) -> None:
         """Have something done to this member, at once or after what is being done to it.
@@ -220,7 +225,7 @@ class Member:
             case MemberAction.SPAWN:
                 self._start()
             case MemberAction.BEGIN:
-                self._release_slot()
+                self._turn.give_back()
                 self._begin_work()
             case MemberAction.LOSE:
                 self._lose(reason, comes_back=said is MemberInput.DIED_RESTART)
@@ -234,7 +239,8 @@ class Member:
                 self._publish(ProcessEventKind.RESTARTING, reason)
             case MemberAction.REPORT_GAVE_UP:
                 if said is not MemberInput.FAILED:  # else it is logged with its call stack
-                    _reported.error("%s is not started again: %s", self.name, reason)
+                    again = " again" if self._reports.has_started else ""
+                    _reported.error("%s is not started%s: %s", self.name, again, reason)
                 self._publish(ProcessEventKind.GAVE_UP, reason)
             case _:
                 assert_never(action)
@@ -267,19 +273,13 @@ class Member:
         """Wait for its turn; ``scope`` is cancelled when it is to stop instead."""
         with scope:
             await self._nothing_left.wait()
-            if self._slots is not None:
-                await self._slots.acquire()
-                if scope.cancel_called:
-                    self._slots.release()
-                    return
-                self._has_slot = True
-            if not scope.cancel_called:
+            why = await self._turn.take()
+            if scope.cancel_called:
+                self._turn.give_back()
+            elif why:
+                self.deliver(partial(self._die, Death(why, permanent=True)))
+            else:
                 self.post(MemberInput.SLOT)
-
-    def _release_slot(self) -> None:
-        if self._has_slot and self._slots is not None:
-            self._has_slot = False
-            self._slots.release()
 
     def _start(self) -> None:
         self._has_ended = False
@@ -348,13 +348,13 @@ class Member:
     def _is_gone(self) -> None:
         self._process = None
         self._stopped = None
-        self._release_slot()
+        self._turn.give_back()
         self._nothing_left.set()
         self._look_whether_it_rests()
 
     def _die(self, death: Death) -> None:
         """Decide what follows from the end of the process, or from a start that failed."""
-        self._release_slot()
+        self._turn.give_back()
         self._is_decided = True
         self._kill_due = None
         self._death_reason = death.reason
@@ -399,7 +399,7 @@ class Member:
         if self._queue_scope is not None:
             self._queue_scope.cancel()
         if self._process is None or self._is_decided:
-            self._release_slot()
+            self._turn.give_back()
             self.post(MemberInput.DIED_FOR_GOOD, "it was stopped before it was started")
             return
         if self._stopped is not None:

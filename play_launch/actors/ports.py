@@ -9,12 +9,16 @@ from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
     import asyncio
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping, Sequence
+    from contextlib import AbstractAsyncContextManager
 
+    from play_launch.actors.world import Graph, OnGraphChange
     from play_launch.config.model import (
         ComposableNodeConfig,
         ContainerConfig,
+        ParameterConfig,
         ProcessConfig,
+        ReplayConfig,
     )
     from play_launch.process.exit import Exit
     from play_launch.process.lines import OutputCallback
@@ -98,6 +102,52 @@ class ControlLink(Protocol):
         """Close it; a container that still lives stops by itself then."""
 
 
+class ParameterService(Protocol):
+    """Sets parameters of nodes that run."""
+
+    async def set(
+        self,
+        node: str,
+        parameters: Sequence[ParameterConfig],
+        environment: Mapping[str, str],
+    ) -> str:
+        """Set all of them or none.
+
+        Args:
+            node: Its full name.
+            parameters: What it is to take.
+            environment: The variables that the configuration gives its process.
+
+        Returns:
+            Why they are not set; empty when they are.
+        """
+
+    async def close(self) -> None:
+        """Give back what it takes to talk to nodes."""
+
+
+class ManagedNode(Protocol):
+    """A way to talk to a managed node."""
+
+    async def state(self) -> int:
+        """Wait for its services and ask for its state, a number of ``lifecycle_msgs``."""
+
+    async def change(self, transition: int) -> bool:
+        """Ask for a transition and wait for its end; whether it succeeded."""
+
+
+class RosAccess(Protocol):
+    """What is asked of ROS for those that wait; fulfilled by :mod:`play_launch.ros.access`."""
+
+    def watch_graph(self, on_change: OnGraphChange) -> Graph:
+        """Give a view of the graph; it watches nothing yet."""
+
+    def managed_node(
+        self, name: str, on_state: Callable[[int], None]
+    ) -> AbstractAsyncContextManager[ManagedNode]:
+        """Give a client of a managed node; ``on_state`` gets every state that it enters."""
+
+
 class Launcher(Protocol):
     """Starts processes; a start takes about a millisecond and does not wait for anything."""
 
@@ -130,6 +180,13 @@ class Launcher(Protocol):
 
         Raises:
             StartError: When that is not possible.
+        """
+
+    async def prepare(self, config: ReplayConfig) -> None:
+        """Get ready for what a system needs that is to become this one.
+
+        Raises:
+            StartError: When something is not there.
         """
 
     async def clean_up(self) -> None:

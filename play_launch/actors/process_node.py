@@ -7,7 +7,10 @@ from typing import TYPE_CHECKING
 
 from play_launch.actors.death import Death, death_of_process
 from play_launch.actors.member import Member
+from play_launch.actors.resource_report import report_shortfalls
+from play_launch.core.events import ContainerState
 from play_launch.core.member import MemberInput
+from play_launch.core.restart import OnExit
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -15,6 +18,7 @@ if TYPE_CHECKING:
     from play_launch.actors.ports import Launcher, ManagedProcess, StartError
     from play_launch.actors.publisher import Publisher
     from play_launch.actors.stop_requests import StopRequests
+    from play_launch.actors.turn import StartTurn
     from play_launch.config.model import ProcessConfig
     from play_launch.process.exit import Exit
 
@@ -29,26 +33,50 @@ class ProcessMember(Member):
         launcher: Launcher,
         publisher: Publisher,
         stop: StopRequests,
+        turn: StartTurn,
         jitter: Callable[[], float] = random.random,
     ) -> None:
         """Know the executable."""
         super().__init__(
-            config.full_name, restart=config.restart, publisher=publisher, stop=stop, jitter=jitter
+            config.full_name,
+            restart=config.restart,
+            publisher=publisher,
+            stop=stop,
+            turn=turn,
+            jitter=jitter,
         )
         self._config = config
+        self._publisher = publisher
         self._launcher = launcher
+        self._respawns = config.on_exit is OnExit.RESTART
         self._began = 0.0
+
+    def adopt(self, config: ProcessConfig) -> None:
+        """Take another configuration; what its process reads holds from the next start on."""
+        self._config = config
+        self._respawns = config.on_exit is OnExit.RESTART
+        self._restarter.limit(config.restart)
 
     def _spawn(self) -> ManagedProcess:
         self._began = self._loop.time()
         return self._launcher.start_process(self._config, self._reports.on_output)
 
     def _started(self) -> None:
+        assert self._process is not None
+        resources = self._config.resources
+        report_shortfalls(self.name, resources, self._process.pid, self._publisher)
         self._apply(MemberInput.READY)
 
     def _death_of(self, exit_: Exit) -> Death:
         lived = self._loop.time() - self._began
-        return death_of_process(exit_, lived, respawn=self._config.respawn)
+        return death_of_process(exit_, lived, respawn=self._respawns)
 
     def _cannot_start(self, error: StartError) -> Death:
-        return Death(str(error), permanent=error.permanent or not self._config.respawn)
+        return Death(str(error), permanent=error.permanent or not self._respawns)
+
+    def _die(self, death: Death) -> None:
+        was_stopped = self.state is ContainerState.STOPPING
+        super()._die(death)
+        # After that was published: the exit code of the run is that of the system as it is now.
+        if self._config.on_exit is OnExit.SHUTDOWN and not was_stopped:
+            self._stop.request(reason=f"{self.name} has ended")

@@ -33,6 +33,11 @@ class ProcessReports:
         self._publisher = publisher
         self._process: ManagedProcess | None = None
 
+    @property
+    def has_started(self) -> bool:
+        """Whether there ever was a process."""
+        return self._process is not None
+
     def started(self, process: ManagedProcess, restarts: int) -> None:
         """Report it; what follows is about this process."""
         self._process = process

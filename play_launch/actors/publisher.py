@@ -5,14 +5,14 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING
 
-from play_launch.core.events import ContainerState, ContainerStateChanged, OutputLine
+from play_launch.core.events import ContainerStateChanged, OutputLine, Withdrawn
 from play_launch.core.view import SystemView
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from play_launch.actors.stop_requests import StopRequests
-    from play_launch.core.events import RunEvent, Stream
+    from play_launch.core.events import ContainerState, RunEvent, Stream, SubjectKind
     from play_launch.core.view import StateSink
     from play_launch.process.lines import Line
 
@@ -22,12 +22,16 @@ class Publisher:
 
     def __init__(self, *sinks: StateSink, stamp_ns: Callable[[], int] = time.time_ns) -> None:
         """Take the sinks; ``stamp_ns`` gives the wall-clock time in nanoseconds."""
-        self._sinks = sinks
+        self._sinks = list(sinks)
         self.stamp_ns = stamp_ns
         self.view = SystemView()
         self._stop: StopRequests | None = None
         self._view_before_stop: SystemView | None = None
         self._warnings: set[str] = set()
+
+    def add_sink(self, sink: StateSink) -> None:
+        """Hand the events from now on to another sink as well."""
+        self._sinks.append(sink)
 
     def is_news(self, warning: str) -> bool:
         """Whether a warning that may concern many members alike is given for the first time."""
@@ -67,6 +71,10 @@ class Publisher:
                 mechanism=mechanism,
             )
         )
+
+    def withdraw(self, kind: SubjectKind, key: str) -> None:
+        """Publish that something was taken out of the running system."""
+        self.publish(Withdrawn(stamp_ns=self.stamp_ns(), kind=kind, key=key))
 
     def publish_output(self, name: str, pid: int, stream: Stream, lines: Sequence[Line]) -> None:
         """Take what a process wrote."""

@@ -23,6 +23,10 @@ class Restarter:
         self._jitter = jitter
         self._history = RestartHistory()
 
+    def limit(self, limits: RestartLimits) -> None:
+        """Take other limits; what happened so far counts against them."""
+        self._limits = limits
+
     @property
     def total(self) -> int:
         """Restarts so far."""
@@ -55,10 +59,14 @@ class CrashFollower:
         jitter: Callable[[], float] = random.random,
     ) -> None:
         """Take policy and limits; ``jitter`` gives random numbers in [0, 1)."""
-        self._policy = policy
-        self._limits = replace(limits, first_at_once=True)
+        self.limit(policy, limits)
         self._jitter = jitter
         self._history = RestartHistory()
+
+    def limit(self, policy: OnCrash, limits: RestartLimits) -> None:
+        """Take another policy and limits; what happened so far counts against them."""
+        self._policy = policy
+        self._limits = replace(limits, first_at_once=True)
 
     def forget(self) -> None:
         """Somebody asked for a load: what was before that counts no more."""

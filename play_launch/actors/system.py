@@ -6,29 +6,28 @@ import asyncio
 import logging
 import math
 from functools import partial
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import anyio
 from msgspec import Struct
 
-from play_launch.actors.container.container import ContainerMember
-from play_launch.actors.container.library_probes import LibraryProbes
-from play_launch.actors.container.limits import LIMITS, Limits, default_starts
-from play_launch.actors.container.nodes import AttemptNumbers
+from play_launch.actors.container.limits import LIMITS, Limits
 from play_launch.actors.launcher import NativeLauncher
-from play_launch.actors.process_node import ProcessMember
-from play_launch.config.model import ContainerType
+from play_launch.actors.members import Members
+from play_launch.actors.start_conditions import StartConditions
 from play_launch.core.exit_code import exit_code
 from play_launch.core.member import MemberInput
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from play_launch.actors.member import Member
-    from play_launch.actors.ports import Launcher
+    from play_launch.actors.applying import Applying
+    from play_launch.actors.container.container import ContainerMember
+    from play_launch.actors.ports import Launcher, ParameterService, RosAccess
     from play_launch.actors.publisher import Publisher
     from play_launch.actors.stop_requests import StopRequests
-    from play_launch.config.model import ContainerConfig, ReplayConfig
+    from play_launch.config.model import ReplayConfig
+    from play_launch.core.events import ContainerState
     from play_launch.core.node_key import NodeKey
     from play_launch.core.view import SystemView
 
@@ -48,20 +47,6 @@ class Outcome(Struct, frozen=True, kw_only=True):
     signum: int | None = None
 
 
-STOCK_STARTS: Final = 4
-"""How many times as many stock containers start up at the same time: they spend most of it waiting
-until they are found in the graph."""
-
-
-def _slots_of(
-    container: ContainerConfig, slots: asyncio.Semaphore, stock_slots: asyncio.Semaphore
-) -> asyncio.Semaphore:
-    if container.attach:
-        # Waiting for somebody else's container takes no slot from those that start.
-        return asyncio.Semaphore(1)
-    return stock_slots if container.container_type is ContainerType.STOCK else slots
-
-
 class System:
     """The members of a running system by their full names, and what can be asked of them.
 
@@ -75,41 +60,89 @@ class System:
         stop: StopRequests,
         *,
         launcher: Launcher,
+        parameters: ParameterService | None = None,
         limits: Limits = LIMITS,
         starts: int | None = None,
+        ros: RosAccess | None = None,
     ) -> None:
-        """Know the members; ``starts`` is how many containers start up at the same time."""
+        """Know the members; ``starts`` is how many containers start up at the same time.
+
+        ``ros`` is asked about the graph and managed nodes, if need be; None is the real one.
+        """
         self._config = config
         self._publisher = publisher
         self._stop = stop
-        attempts = AttemptNumbers()
-        starts = starts or default_starts()
-        slots = asyncio.Semaphore(starts)
-        stock_slots = asyncio.Semaphore(STOCK_STARTS * starts)
-        probes = LibraryProbes(launcher, publisher)
-        self._containers = {
-            container.full_name: ContainerMember(
-                container,
-                launcher=launcher,
-                publisher=publisher,
-                stop=stop,
-                attempts=attempts,
-                slots=_slots_of(container, slots, stock_slots),
-                probes=None if container.container_type is ContainerType.STOCK else probes,
-                limits=limits,
+        self._conditions = StartConditions(config, publisher, ros)
+        self._members = Members(
+            config,
+            publisher,
+            stop,
+            launcher=launcher,
+            limits=limits,
+            starts=starts,
+            conditions=self._conditions,
+        )
+        self._conditions.attach(self._members)
+        self._launcher = launcher
+        self._parameters = parameters
+        self._applying: Applying | None = None
+        self._recalled = asyncio.Event()
+
+    @property
+    def processes(self) -> tuple[str, ...]:
+        """Full names of the ordinary executables, as declared."""
+        return tuple(self._members.processes)
+
+    @property
+    def config(self) -> ReplayConfig:
+        """As it is configured now."""
+        return self._config if self._applying is None else self._applying.config
+
+    @property
+    def applying(self) -> Applying:
+        """What changes it while it runs."""
+        if self._applying is None:
+            # The start of a system needs none of it.
+            from play_launch.actors.applying import Applying  # noqa: PLC0415
+            from play_launch.ros.parameter_setter import ParameterSetter  # noqa: PLC0415
+
+            self._applying = Applying(
+                self._config,
+                self._members,
+                self._publisher,
+                self._stop,
+                launcher=self._launcher,
+                parameters=self._parameters or ParameterSetter(),
+                # A system of which nothing runs may be brought up again.
+                on_begin=self._recalled.set,
+                use_rules=self._conditions.use,
             )
-            for container in config.containers
-        }
-        processes = {
-            process.full_name: ProcessMember(
-                process, launcher=launcher, publisher=publisher, stop=stop
-            )
-            for process in config.nodes
-        }
-        self._members: dict[str, Member] = {**self._containers, **processes}
+        return self._applying
+
+    @property
+    def is_stopping(self) -> bool:
+        """Whether its end was asked for."""
+        return self._stop.requested.is_set()
+
+    def state_of(self, member: str) -> ContainerState:
+        """State of a container or executable; KeyError for an unknown name."""
+        return self._members[member].state
+
+    def is_at_rest(self, member: str) -> bool:
+        """Whether one does not run, nothing is left of it, and it does not start by itself."""
+        return self._members[member].is_at_rest
+
+    async def rests(self, member: str) -> None:
+        """Wait until one is at rest."""
+        await self._members[member].rests()
 
     def start(self, member: str) -> None:
-        """Have a container or executable run that does not; KeyError for an unknown name."""
+        """Have a container or executable run that does not; KeyError for an unknown name.
+
+        It does not wait for what it depends on.
+        """
+        self._recalled.set()
+        self._conditions.order.release(member)
         self._members[member].post(MemberInput.START)
 
     def stop(self, member: str, reason: str) -> None:
@@ -118,26 +151,31 @@ class System:
 
     def restart(self, member: str, reason: str) -> None:
         """Have one replaced by a new process, or started."""
+        self._recalled.set()
+        self._conditions.order.release(member)
         self._members[member].post(MemberInput.RESTART, reason)
 
     def load(self, node: NodeKey) -> None:
-        """Have a composable node loaded; KeyError for an unknown one."""
+        """Have a composable node loaded, whatever it waits for; KeyError for an unknown one."""
         member = self._container_of(node)
+        self._conditions.order.release(str(node))
         member.deliver(partial(member.nodes.load, node))
 
     def unload(self, node: NodeKey) -> None:
         """Have one unloaded, for good."""
         member = self._container_of(node)
+        self._conditions.order.forget(str(node))
         member.deliver(partial(member.nodes.unload, node))
 
     def reload(self, node: NodeKey) -> None:
         """Have one replaced by a new one, or loaded."""
         member = self._container_of(node)
+        self._conditions.order.release(str(node))
         member.deliver(partial(member.nodes.reload, node))
 
     def _container_of(self, node: NodeKey) -> ContainerMember:
         """Find its container; KeyError here, for what is delivered fails the whole member."""
-        member = self._containers[node.container]
+        member = self._members.containers[node.container]
         if node not in member.nodes:
             raise KeyError(node)
         return member
@@ -147,27 +185,25 @@ class System:
         until = None
         if self._config.duration is not None:
             until = asyncio.get_running_loop().time() + self._config.duration
-        for container in self._containers.values():
-            container.announce()
+        self._members.announce()
         self._publisher.remember_view_before(self._stop)
-        members = self._members.values()
         try:
             async with anyio.create_task_group() as tasks:
-                for member in members:
-                    member.begin(tasks)
+                await self._conditions.begin(tasks)
+                self._members.begin(tasks)
                 tasks.start_soon(self._end_with_members)
                 if not await _happens_before(self._stop.requested, until):
                     reason = f"its duration of {self._config.duration:g} s is over"
                     self._stop.request(reason=reason)
                 _log.info("stopping: %s", self._stop.reason)
-                for member in members:
-                    member.post(MemberInput.STOP, self._stop.reason)
-                for member in members:
-                    await member.rests()
+                # None is added any more, or it would not start.
+                await self._conditions.stop_in_reverse(self._members, self._stop)
                 tasks.cancel_scope.cancel()
         finally:
-            for member in members:
-                member.close()
+            self._members.close()
+            await self._conditions.close()
+            if self._applying is not None:
+                await self._applying.close()
         view = self._publisher.view_before_stop
         return Outcome(
             exit_code=exit_code(view, self._stop.signum),
@@ -178,11 +214,20 @@ class System:
         )
 
     async def _end_with_members(self) -> None:
-        """Ask for the end when nothing runs any more, nor is going to by itself."""
-        members = self._members.values()
-        while not all(member.is_at_rest for member in members):
-            for member in members:
-                await member.rests()
+        """Ask for the end when nothing runs any more, nor is going to by itself.
+
+        Whoever was stopped by a person is there to be started again: that is no end.
+        """
+        while True:
+            await self._members.rest()
+            if self._applying is not None:
+                await self._applying.idle.wait()
+            if not all(member.is_at_rest for member in self._members.all):
+                continue
+            if self._publisher.view.dismissed.isdisjoint(self._members.names):
+                break
+            self._recalled.clear()
+            await self._recalled.wait()
         self._stop.request(reason="nothing is left to run")
 
 
@@ -192,8 +237,10 @@ async def run_system(
     stop: StopRequests,
     *,
     launcher: Launcher | None = None,
+    parameters: ParameterService | None = None,
     limits: Limits = LIMITS,
     starts: int | None = None,
+    ros: RosAccess | None = None,
     on_begin: Callable[[System], None] = lambda _system: None,
 ) -> Outcome:
     """Run a system from its start to the end of its last process.
@@ -206,8 +253,10 @@ async def run_system(
         publisher: Gets every event, on the loop's thread, and keeps the view.
         stop: The way to end it.
         launcher: Starts the processes; None for the real one.
+        parameters: Sets parameters of nodes; None for the real one.
         limits: Time limits for containers.
         starts: How many containers start up at the same time; None for `default_starts`.
+        ros: Is asked about the graph and managed nodes, if need be; None for the real one.
         on_begin: Gets the system, to operate it while it runs.
     """
     if launcher is None:
@@ -215,7 +264,16 @@ async def run_system(
     try:
         # A participant that gets a port number of a dead one stumbles over what that one left.
         await launcher.clean_up()
-        system = System(config, publisher, stop, launcher=launcher, limits=limits, starts=starts)
+        system = System(
+            config,
+            publisher,
+            stop,
+            launcher=launcher,
+            parameters=parameters,
+            limits=limits,
+            starts=starts,
+            ros=ros,
+        )
         on_begin(system)
         return await system.run()
     finally:

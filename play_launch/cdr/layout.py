@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 from play_launch.cdr.text import text_bytes
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Container, Mapping
 
     Writer = Callable[[bytearray, Any], None]
     Reader = Callable[[bytes, int], tuple[Any, int]]
@@ -51,6 +51,7 @@ class Layout:
             for name, kind in self.types.items()
         ]
         self._readers = [(name, _reader(kind, others)) for name, kind in self.types.items()]
+        self._plain = _Plain(self.types) if _Plain.can_hold(self.types) else None
 
     def write(self, values: Mapping[str, Any]) -> bytes:
         r"""Serialise a message; what is not given is zero or empty.
@@ -61,6 +62,8 @@ class Layout:
             struct.error: When a number does not fit into its field.
             KeyError: When there is no such field.
         """
+        if self._plain is not None:
+            return self._plain.write(values)
         data = bytearray()
         self._append(data, values)
         return _ENCAPSULATION + data
@@ -74,10 +77,34 @@ class Layout:
         if data[:2] != _ENCAPSULATION[:2]:
             raise CdrError("it does not begin as little-endian CDR")
         try:
+            if self._plain is not None:
+                return self._plain.read(data)
             values, _ = self._take(data[len(_ENCAPSULATION) :], 0)
         except (error, ValueError) as reason:
             raise CdrError(str(reason)) from reason
         return values
+
+    def picker(self, *names: str) -> Callable[[bytes], tuple[Any, ...]]:
+        """Give a function that reads only these numbers, in the order of the layout, or CdrError.
+
+        Raises:
+            ValueError: When these messages hold other things than numbers, or not these.
+        """
+        if not _Plain.can_hold(self.types) or not all(
+            _is_number(self.types.get(name, "s")) for name in names
+        ):
+            raise ValueError(f"these are not numbers of a message of numbers: {', '.join(names)}")
+        unpack_from = Struct(_plain_code(self.types, wanted=names)).unpack_from
+
+        def pick(data: bytes) -> tuple[Any, ...]:
+            if data[:2] != _ENCAPSULATION[:2]:
+                raise CdrError("it does not begin as little-endian CDR")
+            try:
+                return unpack_from(data, len(_ENCAPSULATION))
+            except error as reason:
+                raise CdrError(str(reason)) from reason
+
+        return pick
 
     def _append(self, data: bytearray, values: Mapping[str, Any]) -> None:
         if unknown := values.keys() - self.types.keys():
@@ -90,6 +117,51 @@ class Layout:
         for name, read in self._readers:
             values[name], at = read(data, at)
         return values, at
+
+
+class _Plain:
+    """A message of numbers and times alone: all of it is packed and unpacked at once.
+
+    Samples are such, and a long recording has hundreds of thousands of them.
+    """
+
+    def __init__(self, types: Mapping[str, str]) -> None:
+        self._defaults = dict.fromkeys(types, 0)
+        self._times = tuple(name for name, kind in types.items() if kind == "t")
+        self._slots: list[str] = []
+        for name, kind in types.items():
+            self._slots += (name, f"{name} in ns") if kind == "t" else (name,)
+        self._packer = Struct(_plain_code(types, wanted=types))
+
+    @staticmethod
+    def can_hold(types: Mapping[str, str]) -> bool:
+        return all(_is_number(kind) or kind == "t" for kind in types.values())
+
+    def write(self, values: Mapping[str, Any]) -> bytes:
+        given = {**self._defaults, **values}
+        if len(given) > len(self._defaults):
+            raise KeyError(*(given.keys() - self._defaults.keys()))
+        for name in self._times:
+            given[name], given[f"{name} in ns"] = split_time(given[name])
+        return _ENCAPSULATION + self._packer.pack(*[given[name] for name in self._slots])
+
+    def read(self, data: bytes) -> dict[str, Any]:
+        numbers = self._packer.unpack_from(data, len(_ENCAPSULATION))
+        values = dict(zip(self._slots, numbers, strict=True))
+        for name in self._times:
+            values[name] = values[name] * _NANOSECONDS + values.pop(f"{name} in ns")
+        return values
+
+
+def _plain_code(types: Mapping[str, str], *, wanted: Container[str]) -> str:
+    """Give what `struct` takes for a message of numbers and times; the unwanted are passed over."""
+    code, size = "<", 0
+    for name, kind in types.items():
+        number = _TIME if kind == "t" else Struct(f"<{kind}")
+        padding = -size % (4 if kind == "t" else number.size)
+        code += f"{padding}x{number.format[1:]}" if name in wanted else f"{padding + number.size}x"
+        size += padding + number.size
+    return code
 
 
 def _writer(kind: str, others: Mapping[str, Layout]) -> Writer:

@@ -12,6 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+from play_launch.cli.session_verbs import SESSION_VERBS
+from play_launch.cli.verbs import ABOUT_RECORDINGS, VERBS
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -20,6 +23,8 @@ _EPILOG = """\b
 Examples:
   play-launch check robot.yaml                   find mistakes, start nothing
   play-launch replay robot.yaml                  bring it up; Ctrl-C stops it
+  play-launch launch PKG FILE name:=value        bring up a launch file of ROS
+  play-launch dump PKG FILE -o robot.yaml        ... write it as a configuration
   play-launch replay robot.yaml --duration 30s   ... stop it after 30 s
   play-launch replay robot.yaml --json | jq .    events for programs
 
@@ -42,67 +47,73 @@ _PLAIN: dict[str, Any] = {
 }
 
 
-_VERBS = (
-    "replay",
-    "check",
-    "info",
-    "inspect",
-    "recover",
-    "doctor",
-    "version",
-    "node",
-    "topic",
-    "service",
-    "graph",
-    "daemon",
-)
-"""In the order of the help."""
-
-
 def _typer_of(verb: str) -> typer.Typer:
     # What the other verbs import would slow down the start of a system.
     callback: Callable[..., None]
     match verb:
         case "replay":
             from play_launch.cli.replay import replay as callback  # noqa: PLC0415
+        case "launch":
+            from play_launch.cli.launch import launch as callback  # noqa: PLC0415
+        case "dump":
+            from play_launch.cli.dump import dump as callback  # noqa: PLC0415
         case "check":
             from play_launch.cli.check import check as callback  # noqa: PLC0415
-        case "info":
-            from play_launch.cli.past_sessions import info as callback  # noqa: PLC0415
-        case "inspect":
-            from play_launch.cli.past_sessions import inspect as callback  # noqa: PLC0415
-        case "recover":
-            from play_launch.cli.past_sessions import recover as callback  # noqa: PLC0415
+        case verb if verb in ABOUT_RECORDINGS:
+            from play_launch.cli import past_sessions  # noqa: PLC0415
+
+            callback = getattr(past_sessions, verb)
+        case "import":
+            from play_launch.cli.import_system import import_system as callback  # noqa: PLC0415
+        case "init":
+            from play_launch.cli.init import init as callback  # noqa: PLC0415
+        case "schema":
+            from play_launch.cli.schema import schema as callback  # noqa: PLC0415
         case "doctor":
             from play_launch.cli.doctor import doctor as callback  # noqa: PLC0415
+        case "completion":
+            from play_launch.cli.completion_script import (  # noqa: PLC0415
+                completion as callback,
+            )
         case "version":
             from play_launch.cli.version import version as callback  # noqa: PLC0415
         case "daemon":
             from play_launch.cli.daemon import daemon_app  # noqa: PLC0415
 
             return daemon_app
-        case _:
-            from play_launch.cli.graph_commands import graph_command  # noqa: PLC0415
+        case verb if verb in SESSION_VERBS:
+            from play_launch.cli.operate import main as operate  # noqa: PLC0415
+            from play_launch.cli.passed_on import passed_on  # noqa: PLC0415
 
-            return graph_command(verb)
+            return passed_on(verb, SESSION_VERBS[verb][1], operate)
+        case _:
+            from play_launch.cli import graph  # noqa: PLC0415
+            from play_launch.cli.passed_on import passed_on  # noqa: PLC0415
+
+            return passed_on(verb, graph.GROUPS[verb], graph.main)
     made = typer.Typer(**_PLAIN)
     made.command()(callback)
     return made
+
+
+def command_of(verb: str) -> Any:
+    """Give the command of a verb, as typer makes it."""
+    return typer.main.get_command(_typer_of(verb))
 
 
 class _Verbs(TyperGroup):
     """Imports a verb when it is asked for."""
 
     def list_commands(self, ctx: Any) -> list[str]:  # noqa: ARG002 - typer's signature
-        return list(_VERBS)
+        return list(VERBS)
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        if cmd_name not in _VERBS:
+        if cmd_name not in VERBS:
             # The error proposes a similar one of `commands`.
-            for verb in _VERBS:
+            for verb in VERBS:
                 self.get_command(ctx, verb)
         elif cmd_name not in self.commands:
-            self.commands[cmd_name] = typer.main.get_command(_typer_of(cmd_name))
+            self.commands[cmd_name] = command_of(cmd_name)
         return self.commands.get(cmd_name)
 
 

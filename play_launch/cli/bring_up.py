@@ -12,8 +12,10 @@ from msgspec.structs import replace
 from play_launch.cli.failure import fail
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
+    from play_launch.cli.watch import Watched
     from play_launch.config import ReplayConfig
 
 
@@ -22,11 +24,15 @@ def bring_up(
     log_dir: Path | None = None,
     duration: str | None = None,
     *,
+    arguments: Sequence[str] = (),
     quiet: bool = False,
     as_json: bool = False,
+    watch: bool = False,
 ) -> int:
     """Run a system until its end and return the exit code; mistakes end the process."""
-    loaded = _load(config, duration)
+    if watch and is_recording(config):
+        fail(f"--watch: {config} is a recording, which nobody edits; leave --watch out")
+    loaded = _load(config, duration, arguments)
     _require_machine()
     _require_ros()
     _require_log_folder(loaded)
@@ -36,13 +42,26 @@ def bring_up(
     from play_launch.recording.errors import RecordingError  # noqa: PLC0415
 
     try:
-        return run(loaded, RunOptions(log_folder=log_dir, as_json=as_json, quiet=quiet))
+        return run(
+            loaded,
+            RunOptions(
+                log_folder=log_dir,
+                as_json=as_json,
+                quiet=quiet,
+                keeps_duration=duration is not None,
+                watched=_watched(config, arguments) if watch else None,
+            ),
+        )
     except (RecordingError, NotInstalledError) as error:
         fail(str(error))
 
 
-def _load(path: Path, duration: str | None) -> ReplayConfig:
+def _load(path: Path, duration: str | None, arguments: Sequence[str]) -> ReplayConfig:
     from play_launch.config import ConfigError, load_config  # noqa: PLC0415
+    from play_launch.config.sources.surroundings import (  # noqa: PLC0415
+        Surroundings,
+        parse_arguments,
+    )
     from play_launch.config.values import parse_positive_duration  # noqa: PLC0415
 
     try:
@@ -50,10 +69,31 @@ def _load(path: Path, duration: str | None) -> ReplayConfig:
     except ValueError as error:
         fail(f"--duration: {error}")
     try:
-        loaded = load_config(path)
+        given = parse_arguments(arguments)
+    except ValueError as error:
+        fail(str(error))
+    try:
+        if is_recording(path):
+            from play_launch.cli.recorded_system import load_recorded  # noqa: PLC0415
+
+            loaded = load_recorded(path, given)
+        else:
+            loaded = load_config(path, Surroundings(arguments=given))
     except ConfigError as error:
         fail(f"{path} cannot be used, nothing was started\n{error.for_people()}")
     return loaded if seconds is None else replace(loaded, duration=seconds)
+
+
+def _watched(path: Path, arguments: Sequence[str]) -> Watched:
+    from play_launch.cli.watch import Watched  # noqa: PLC0415
+    from play_launch.config.sources.surroundings import parse_arguments  # noqa: PLC0415
+
+    return Watched(path, parse_arguments(arguments))
+
+
+def is_recording(path: Path) -> bool:
+    """Whether the name is that of a recording; others are configurations."""
+    return path.name.endswith((".mcap", ".mcap.active"))
 
 
 def _require_log_folder(config: ReplayConfig) -> None:

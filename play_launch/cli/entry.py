@@ -6,6 +6,7 @@ import gc
 import signal
 import sys
 
+from play_launch.cli.session_verbs import SESSION_VERBS
 from play_launch.cli.show.streams import give_up_output, is_about_output, prepare_standard_streams
 
 OUTPUT_FAILED = 2
@@ -36,6 +37,16 @@ def _run() -> None:
         from play_launch.cli.graph import main as ask  # noqa: PLC0415 - not for other verbs
 
         sys.exit(ask(sys.argv[1:]))
+    if len(sys.argv) > 1 and sys.argv[1] in SESSION_VERBS:
+        # As above: they are asked again and again.
+        from play_launch.cli.operate import main as operate  # noqa: PLC0415 - as above
+
+        sys.exit(operate(sys.argv[1:]))
+    if sys.argv[1:3] == ["completion", "--answer"] and len(sys.argv) > 4:
+        # As above: at each press of a key.
+        from play_launch.cli.completion.answer import main as answer  # noqa: PLC0415 - as above
+
+        sys.exit(answer(sys.argv[3:]))
     from play_launch.cli.shortcut import run_plainly  # noqa: PLC0415 - after the lines above
 
     # Of what is imported and of a configuration nothing becomes garbage: looking for it again and

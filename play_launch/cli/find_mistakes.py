@@ -3,26 +3,52 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING
+from enum import StrEnum
+from typing import TYPE_CHECKING, Any
 
 from msgspec.structs import asdict
 
-from play_launch.cli.failure import report
+from play_launch.cli.failure import fail, report
 from play_launch.cli.show.terminal import say
 from play_launch.core.exit_code import ExitCode
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     from play_launch.config import ReplayConfig
 
 
-def find_mistakes(config: Path, *, as_json: bool = False) -> int:
+class GraphForm(StrEnum):
+    """How ``check --graph`` writes the graph."""
+
+    TEXT = "text"
+    MERMAID = "mermaid"
+
+
+def find_mistakes(
+    config: Path,
+    *,
+    arguments: Sequence[str] = (),
+    as_json: bool = False,
+    graph: GraphForm | None = None,
+    explain: bool = False,
+) -> int:
     """Report every mistake in a configuration and return the exit code."""
     from play_launch.config import ConfigError, load_config  # noqa: PLC0415
+    from play_launch.config.sources.surroundings import (  # noqa: PLC0415
+        Surroundings,
+        parse_arguments,
+    )
 
+    if explain and graph is not None and not as_json:
+        fail("--graph and --explain: only --json prints both")
     try:
-        loaded = load_config(config)
+        given = parse_arguments(arguments)
+    except ValueError as error:
+        fail(str(error))
+    try:
+        loaded = load_config(config, Surroundings(arguments=given))
     except ConfigError as error:
         if as_json:
             problems = [asdict(problem) for problem in error.problems]
@@ -30,14 +56,42 @@ def find_mistakes(config: Path, *, as_json: bool = False) -> int:
         else:
             report(f"{config} cannot be used\n{error.for_people()}")
         return ExitCode.USAGE
+    started = _started(loaded) if explain else []
     if as_json:
-        from play_launch.config.description import describe as describe_values  # noqa: PLC0415
+        values: dict[str, object] = {"valid": True, "problems": [], "config": _resolved(loaded)}
+        if graph is not None:
+            from play_launch.cli.draw_graph import as_values  # noqa: PLC0415
 
-        values = {"valid": True, "problems": [], "config": describe_values(loaded)}
+            values["graph"] = as_values(loaded)
+        if explain:
+            values["processes"] = started
         say(json.dumps(values, ensure_ascii=False))
+    elif graph is not None:
+        from play_launch.cli.draw_graph import as_mermaid, as_text  # noqa: PLC0415
+
+        say((as_text if graph is GraphForm.TEXT else as_mermaid)(loaded))
+    elif explain:
+        from play_launch.cli.what_starts import as_text as commands  # noqa: PLC0415
+
+        say(commands(_resolved(loaded), started))
     else:
         say(f"{config}: {describe(loaded)}")
-    return ExitCode.OK
+    problems = [each for each in started if each["problem"]]
+    for each in problems:
+        report(f"{each['name']} ({each['place']}) cannot be started: {each['problem']}")
+    return ExitCode.NODE_FAILED if problems else ExitCode.OK
+
+
+def _resolved(config: ReplayConfig) -> dict[str, object]:
+    from play_launch.recording.resolved_form import resolved_form  # noqa: PLC0415
+
+    return resolved_form(config)
+
+
+def _started(config: ReplayConfig) -> list[dict[str, Any]]:
+    from play_launch.cli.what_starts import processes  # noqa: PLC0415
+
+    return processes(config)
 
 
 def describe(config: ReplayConfig) -> str:

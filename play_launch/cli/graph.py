@@ -8,12 +8,12 @@ like, so that people need not learn them.
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 import time
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
+from play_launch.cli.show.streams import let_go_of
 from play_launch.graph_daemon.client.graph_client import (
     DEFAULT_TIMEOUT,
     DaemonError,
@@ -59,15 +59,13 @@ _POLL: Final = 0.1
 
 def main(arguments: Sequence[str]) -> int:
     """Run one of the verbs; ``arguments`` start with its group. Returns the exit code."""
-    options = _parser(arguments[0]).parse_args(arguments[1:])
+    options = parser_of_group(arguments[0]).parse_args(arguments[1:])
     try:
         status = _run(options)
         sys.stdout.flush()
     except BrokenPipeError:
-        # The reader has seen enough (`| head`); Python would complain when it flushes at exit.
-        nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, sys.stdout.fileno())
-        os.close(nowhere)
+        # The reader has seen enough (`| head`).
+        let_go_of(sys.stdout)
         status = OK
     return status
 
@@ -110,7 +108,7 @@ def _start(address: DaemonAddress) -> None:
         _warn(message)
 
 
-def _parser(group: str) -> argparse.ArgumentParser:
+def parser_of_group(group: str) -> argparse.ArgumentParser:
     """Build the parser of one group only; the others would take time for nothing."""
     parser = argparse.ArgumentParser(prog=f"play-launch {group}", description=GROUPS[group])
     # Named, or argparse would lay out a usage line first.

@@ -10,10 +10,23 @@ import typer
 from play_launch.cli.bring_up import bring_up
 
 
-def replay(
+def replay(  # noqa: PLR0917 - typer calls it by keywords
     config: Annotated[
-        Path, typer.Argument(metavar="CONFIG", help="The YAML file.", show_default=False)
+        Path,
+        typer.Argument(
+            metavar="CONFIG",
+            help="The YAML file, or the session.mcap of a session to start again.",
+            show_default=False,
+        ),
     ],
+    arguments: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[NAME:=VALUE]...",
+            help="Arguments of the configuration, which are ${arg:NAME} in there.",
+            show_default=False,
+        ),
+    ] = None,
     log_dir: Annotated[
         Path | None,
         typer.Option(
@@ -39,6 +52,12 @@ def replay(
         bool,
         typer.Option("--json", help="Show events as JSON, one object a line, for programs."),
     ] = False,
+    watch: Annotated[
+        bool,
+        typer.Option(
+            "--watch", help="Apply the configuration whenever it, or a file it names, changes."
+        ),
+    ] = False,
 ) -> None:
     """Bring up a system, keep it running, record it.
 
@@ -47,6 +66,19 @@ def replay(
     hurries. At the end a table says what was up, and where the recording is: an MCAP file that
     `ros2 bag info`, Foxglove and PlotJuggler read.
 
+    From a recording, the system starts again as it was configured then: the configuration and the
+    parameter files are in it. What differs on this machine is reported.
+
     With a mistake in the configuration nothing is started; every problem is named with its place.
     """
-    raise typer.Exit(bring_up(config, log_dir, duration, quiet=quiet, as_json=as_json))
+    raise typer.Exit(
+        bring_up(
+            config,
+            log_dir,
+            duration,
+            arguments=arguments or (),
+            quiet=quiet,
+            as_json=as_json,
+            watch=watch,
+        )
+    )

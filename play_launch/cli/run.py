@@ -6,34 +6,49 @@ import asyncio
 import contextlib
 import gc
 import json
-import logging
+import math
 import os
 import sys
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
 from play_launch.cli.find_mistakes import describe
+from play_launch.cli.library_output import library_output_logged
 from play_launch.cli.show.display import Display, Style
 from play_launch.cli.show.json_style import JsonStyle, encode
 from play_launch.cli.show.terminal import is_terminal, surviving_the_loss_of_stdout, wants_colour
 from play_launch.cli.show.text_styles import LiveStyle, PlainStyle
 from play_launch.cli.signals import RunSignals
-from play_launch.config.description import describe as describe_values
+from play_launch.control.feed import Feed
+from play_launch.core.events import OutputLine
 from play_launch.recording.log_handler import log_published
+from play_launch.recording.resolved_form import resolved_form
 from play_launch.recording.session import Session, SessionDescription, open_session
+from play_launch.topic_recording.snapshot import Snapshots
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import AsyncIterator, Coroutine, Mapping
     from pathlib import Path
 
-    from play_launch.actors.system import Outcome
+    from play_launch.actors.publisher import Publisher
+    from play_launch.actors.stop_requests import StopRequests
+    from play_launch.actors.system import Outcome, System
+    from play_launch.cli.watch import Watched
     from play_launch.config import ReplayConfig
     from play_launch.core.events import EventSink, LogRecord, RunEvent
     from play_launch.core.view import SystemView
     from play_launch.recording.recorder import Recorder, RecordingSummary
 
-_log = logging.getLogger(__name__)
+_HEAD_START: Final = 1.0
+"""Seconds in which the system has the machine for its start."""
+
+
+_BEFORE_TOPICS: Final = 0.1
+"""Seconds before the first look whether the start is over, and topics are to be recorded."""
+
+_BEFORE_CONTROL: Final = 0.2
+"""Seconds from the start of the first processes until the session can be operated."""
 
 
 class RunOptions(Struct, frozen=True):
@@ -42,24 +57,43 @@ class RunOptions(Struct, frozen=True):
     log_folder: Path | None
     as_json: bool
     quiet: bool
+    keeps_duration: bool = False
+    """Whether the command line gave the duration, which no other configuration changes then."""
+    watched: Watched | None = None
+    """What is applied whenever it changes."""
 
 
 class RunSink:
-    """Records and shows."""
+    """Records and shows, the output of each process as the configuration says."""
 
-    def __init__(self, recorder: Recorder, display: Display) -> None:
+    def __init__(self, recorder: Recorder, display: Display, config: ReplayConfig) -> None:
         self._recorder = recorder
         self._display = display
+        self.feed = Feed()
+        """Keeps the latest for whoever operates the session."""
+        self.adopt(config)
+
+    def adopt(self, config: ReplayConfig) -> None:
+        """Take another configuration, in the loop's thread."""
+        output = {each.full_name: each.output for each in config.containers}
+        output |= {each.full_name: each.output for each in config.nodes}
+        self._not_shown = {name for name, where in output.items() if not where.is_shown}
+        self._not_recorded = {name for name, where in output.items() if not where.is_recorded}
 
     def publish(self, event: RunEvent, before: SystemView, after: SystemView) -> None:
         """Take one event, in the loop's thread."""
-        self._recorder.publish(event)
-        self._display.publish(event, before, after)
+        writer = event.process if isinstance(event, OutputLine) else ""
+        if writer not in self._not_recorded:
+            self._recorder.publish(event)
+        if writer not in self._not_shown:
+            self._display.publish(event, before, after)
+        self.feed.publish(event, before, after)
 
     def publish_log(self, event: LogRecord) -> None:
         """Take a record of the log, in any thread; it changes nothing in the view."""
         self._recorder.publish(event)
         self._display.publish_log(event)
+        self.feed.publish_log(event)
 
 
 def run(config: ReplayConfig, options: RunOptions) -> int:
@@ -71,15 +105,15 @@ def run(config: ReplayConfig, options: RunOptions) -> int:
     with RunSignals() as signals:
         session = open_session(
             _description(config),
-            on_failure=lambda message: _log.error("the recording stopped: %s", message),
             log_folder=options.log_folder or config.log_dir,
+            record=config.record,
         )
         _announce(config, session, options)
         display = Display(_style(options))
-        sink = RunSink(session.recorder, display)
+        sink = RunSink(session.recorder, display, config)
         try:
             with log_published(sink.publish_log):
-                outcome = asyncio.run(_until_the_end(config, sink, signals))
+                outcome = asyncio.run(_until_the_end(config, session, sink, signals, options))
         finally:
             display.close()
             recording = session.recorder.close()
@@ -87,7 +121,13 @@ def run(config: ReplayConfig, options: RunOptions) -> int:
     return outcome.exit_code
 
 
-async def _until_the_end(config: ReplayConfig, sink: RunSink, signals: RunSignals) -> Outcome:
+async def _until_the_end(
+    config: ReplayConfig,
+    session: Session,
+    sink: RunSink,
+    signals: RunSignals,
+    options: RunOptions,
+) -> Outcome:
     from play_launch.actors.publisher import Publisher  # noqa: PLC0415
     from play_launch.actors.stop_requests import StopRequests  # noqa: PLC0415
     from play_launch.actors.system import run_system  # noqa: PLC0415
@@ -96,10 +136,104 @@ async def _until_the_end(config: ReplayConfig, sink: RunSink, signals: RunSignal
     gc.freeze()
     gc.enable()
     stop = StopRequests()
-    with signals.delivered_to(stop.request):
+    folder = session.folder.path
+    system: asyncio.Future[System] = asyncio.get_running_loop().create_future()
+    sink.feed.begin()
+    snapshots = Snapshots()
+    with library_output_logged(), signals.delivered_to(stop.request):
         publisher = Publisher(sink)
-        async with _graph_daemon(config, publisher):
-            return await run_system(config, publisher, stop)
+        async with (
+            _beside(_sample(config, publisher, folder)),
+            _beside(_look_after_sessions(config, publisher, folder.parent)),
+            _beside(_record_topics(config, session, publisher, stop, snapshots=snapshots)),
+            _beside(
+                _serve_control(
+                    config,
+                    session,
+                    system,
+                    publisher=publisher,
+                    sink=sink,
+                    snapshots=snapshots,
+                    options=options,
+                )
+            ),
+            _graph_daemon(config, publisher),
+        ):
+            return await run_system(config, publisher, stop, on_begin=system.set_result)
+
+
+@contextlib.asynccontextmanager
+async def _beside(work: Coroutine[None, None, None]) -> AsyncIterator[None]:
+    """Have something done while the block runs."""
+    task = asyncio.create_task(work)
+    try:
+        yield
+    finally:
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+
+
+async def _sample(config: ReplayConfig, publisher: Publisher, folder: Path) -> None:
+    period = config.record.sampling.period
+    if not math.isfinite(period):
+        return
+    await asyncio.sleep(_HEAD_START)
+    from play_launch.sampling.sampling import sample  # noqa: PLC0415 - after the processes' start
+
+    await sample(lambda: publisher.view, publisher.publish, period=period, folder=folder)
+
+
+async def _record_topics(
+    config: ReplayConfig,
+    session: Session,
+    publisher: Publisher,
+    stop: StopRequests,
+    *,
+    snapshots: Snapshots,
+) -> None:
+    if not config.record.ros:
+        return
+    await asyncio.sleep(_BEFORE_TOPICS)
+    from play_launch.cli.record_topics import record_topics  # noqa: PLC0415 - as above
+
+    await record_topics(config, session, publisher, stop, snapshots=snapshots)
+
+
+async def _serve_control(
+    config: ReplayConfig,
+    session: Session,
+    system: asyncio.Future[System],
+    *,
+    publisher: Publisher,
+    sink: RunSink,
+    snapshots: Snapshots,
+    options: RunOptions,
+) -> None:
+    operated = await system
+    await asyncio.sleep(_BEFORE_CONTROL)
+    from play_launch.cli.serve_control import serve_control  # noqa: PLC0415 - as above
+
+    await serve_control(
+        config,
+        session,
+        operated,
+        publisher=publisher,
+        feed=sink.feed,
+        snapshots=snapshots,
+        adopt=sink.adopt,
+        keeps_duration=options.keeps_duration,
+        watched=options.watched,
+    )
+
+
+async def _look_after_sessions(
+    config: ReplayConfig, publisher: Publisher, log_folder: Path
+) -> None:
+    await asyncio.sleep(_HEAD_START)
+    from play_launch.cli.upkeep import look_after_sessions  # noqa: PLC0415 - as above
+    from play_launch.install.ros import spawn_guard  # noqa: PLC0415
+
+    await look_after_sessions(log_folder, config.record.keep, lambda: publisher.view, spawn_guard())
 
 
 def _graph_daemon(
@@ -117,8 +251,9 @@ def _description(config: ReplayConfig) -> SessionDescription:
         name=config.name,
         config_name=config.source.name,
         config_text=config.text,
+        included_files=[(file.path.name, file.text) for file in config.included_files],
         parameter_files=[(file.path.name, file.text) for file in config.parameter_files],
-        resolved_config=_one_line_each(describe_values(config)),
+        resolved_config=_one_line_each(resolved_form(config)),
         argv=sys.argv,
         environ=os.environ,
     )

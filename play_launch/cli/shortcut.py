@@ -20,8 +20,9 @@ _OPTIONS: Mapping[str, Mapping[str, tuple[str, Callable[[str], Any] | None]]] = 
         "--quiet": ("quiet", None),
         "-q": ("quiet", None),
         "--json": ("as_json", None),
+        "--watch": ("watch", None),
     },
-    "check": {"--json": ("as_json", None)},
+    "check": {"--json": ("as_json", None), "--explain": ("explain", None)},
 }
 """The parameter of each option, and how its value is read; None where it has no value."""
 
@@ -35,9 +36,12 @@ def plain_parameters(verb: str, arguments: Sequence[str]) -> dict[str, Any] | No
     rest = iter(arguments)
     for argument in rest:
         if not argument.startswith("-"):
-            if "config" in found or not argument:
+            if not argument:
                 return None
-            found["config"] = Path(argument)
+            if "config" in found:
+                found.setdefault("arguments", []).append(argument)
+            else:
+                found["config"] = Path(argument)
             continue
         name, read = options.get(argument, ("", None))
         if not name:

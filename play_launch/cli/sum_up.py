@@ -14,6 +14,8 @@ from play_launch.cli.show.terminal import printable, say
 from play_launch.history.bag_reader import NotARecordingError
 from play_launch.history.session import PastSession
 from play_launch.recording import topics
+from play_launch.recording.bag import PART_METADATA
+from play_launch.recording.topic_requests import DROPS_METADATA
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -59,6 +61,8 @@ def session_object(session: PastSession) -> dict[str, Any]:
     }
     return {
         "path": str(reader.path),
+        "files": list(reader.files),
+        "part": reader.metadata.get(PART_METADATA, {}).get("number"),
         "bytes": reader.size,
         "complete": reader.is_complete and not reader.damages,
         "damages": [str(damage) for damage in reader.damages],
@@ -71,6 +75,11 @@ def session_object(session: PastSession) -> dict[str, Any]:
         "crashes": {node.node: node.crashes for node in nodes if node.crashes},
         "reloads": {node.node: node.reloads for node in nodes if node.reloads},
         "restarts": {name: each.restarts for name, each in processes.items() if each.restarts},
+        "topic_drops": {
+            name: int(count)
+            for name, count in reader.metadata.get(DROPS_METADATA, {}).items()
+            if count.isdecimal()
+        },
         "topics": [
             {"name": topic.name, "type": topic.type_name, "messages": count}
             for topic, count in sorted(reader.counts.items())
@@ -83,8 +92,11 @@ def _lines(found: dict[str, Any]) -> list[str]:
     about = found["session"]
     started = datetime.fromtimestamp(found["started_ns"] / 1e9).astimezone()
     state = "" if found["complete"] else ", not complete"
+    files = "" if len(found["files"]) == 1 else f"{len(found['files'])} files, "
+    if files == "" and found["part"] is not None:
+        state += "; one of several files: give their folder for the whole session"
     rows = {
-        "File": f"{found['path']} ({found['bytes']:,} bytes{state})",
+        "File": f"{found['path']} ({files}{found['bytes']:,} bytes{state})",
         "Session": f"{about.get('name', 'unknown')} ({about.get('id', 'no id')}), "
         f"play-launch {about.get('play_launch_version') or 'of an unknown version'}",
         "Start": f"{started:%Y-%m-%d %H:%M:%S.%f %z}",
@@ -101,6 +113,8 @@ def _lines(found: dict[str, Any]) -> list[str]:
         "Restarts": _counts(found["restarts"]),
         "Messages": f"{sum(topic['messages'] for topic in found['topics']):,}",
     }
+    if found["topic_drops"]:
+        rows["Dropped"] = f"messages of topics: {_counts(found['topic_drops'])}"
     lines = [f"{name + ':':<10} {printable(text, colour=False)}" for name, text in rows.items()]
     width = max((len(topic["name"]) for topic in found["topics"]), default=0)
     types = max((len(topic["type"]) for topic in found["topics"]), default=0)

@@ -3,31 +3,33 @@
 from __future__ import annotations
 
 import re
+import sys
 from dataclasses import dataclass
 from datetime import datetime
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from play_launch.cli.failure import fail
-from play_launch.cli.show.json_style import encode, event_object
+from play_launch.cli.show.json_style import encode
 from play_launch.cli.show.lines import Line, line_of
-from play_launch.cli.show.terminal import printable, say
+from play_launch.cli.show.streams import let_go_of
+from play_launch.cli.show.terminal import printable
 from play_launch.cli.sum_up import DAMAGED, report_damage
 from play_launch.config.values import parse_duration
+from play_launch.core.event_object import event_object, names_of
 from play_launch.core.events import (
     ComponentEvent,
     ComponentEventKind,
-    ContainerStateChanged,
-    NodeStateChanged,
-    OutputLine,
-    ProcessEvent,
     RunEvent,
 )
+from play_launch.core.exit_code import ExitCode
 from play_launch.history.bag_reader import NotARecordingError
 from play_launch.history.session import PastSession
+from play_launch.recording import topics
 from play_launch.recording.console_format import DEBUG, ERROR, FATAL, INFO, WARN
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
     from play_launch.history.session import Happened
@@ -35,6 +37,8 @@ if TYPE_CHECKING:
 _AROUND: Final = 5.0
 """Seconds on either side of a moment."""
 _LEVELS: Final = {"debug": DEBUG, "info": INFO, "warn": WARN, "error": ERROR, "fatal": FATAL}
+_TOPICS: Final = frozenset(topic.name for topic in topics.ALL_TOPICS)
+"""Samples are no events to be read one by one."""
 _CLOCK: Final = re.compile(r"(\d{1,2}):(\d\d):(\d\d(?:\.\d+)?)")
 
 
@@ -58,12 +62,18 @@ def show_timeline(file: Path, chosen: Filter, *, as_json: bool) -> int:
     session = PastSession(file)
     window: Window | None = None
     try:
-        for happened in session.events():
+        for happened in session.events(_TOPICS):
             window = window or _window(chosen, session.started_ns)
             if happened.log_time in window and _concerns(happened.event, chosen.names):
-                _show(happened, session.started_ns, least, as_json=as_json)
+                for line in _shown(happened, session.started_ns, least, as_json=as_json):
+                    sys.stdout.write(f"{line}\n")
+        sys.stdout.flush()
     except NotARecordingError as error:
         fail(str(error))
+    except BrokenPipeError:
+        # The reader has seen enough (`| head`); the rest of the file need not be read.
+        let_go_of(sys.stdout)
+        return ExitCode.OK
     return DAMAGED if report_damage(session.reader) else 0
 
 
@@ -105,36 +115,20 @@ def _moment(option: str, text: str, started_ns: int) -> float:
 def _concerns(event: RunEvent, patterns: tuple[str, ...]) -> bool:
     if not patterns:
         return True
-    return any(fnmatchcase(name, pattern) for name in _names(event) for pattern in patterns)
+    return any(fnmatchcase(name, pattern) for name in names_of(event) for pattern in patterns)
 
 
-def _names(event: RunEvent) -> tuple[str, ...]:
-    match event:
-        case NodeStateChanged():
-            return event.node, event.container
-        case ContainerStateChanged():
-            return (event.container,)
-        case ProcessEvent():
-            return (event.name,)
-        case OutputLine():
-            return (event.process,)
-        case ComponentEvent():
-            return (event.full_node_name,)
-        case _:
-            return ()
-
-
-def _show(happened: Happened, started_ns: int, level: int, *, as_json: bool) -> None:
+def _shown(happened: Happened, started_ns: int, level: int, *, as_json: bool) -> Iterator[str]:
     line = _line(happened)
     if as_json:
         if line is None or line.level >= level:
-            say(encode(event_object(happened.event)))
+            yield encode(event_object(happened.event))
         return
     if line is None or line.level < level:
         return
     for text in line.text.split("\n"):
         offset = (happened.log_time - started_ns) / 1e9
-        say(f"{offset:10.3f} [{line.source}] {printable(text, colour=False)}")
+        yield f"{offset:10.3f} [{line.source}] {printable(text, colour=False)}"
 
 
 def _line(happened: Happened) -> Line | None:

@@ -2,49 +2,75 @@
 
 from __future__ import annotations
 
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
+from msgspec.structs import replace
+
+from play_launch.config.model import SourceFile, TakenValues
 from play_launch.config.problems import ConfigError, Place, Problem, Report
 from play_launch.config.resolve.system import resolve_document
-from play_launch.config.source import Refused, decode, read_bytes
-from play_launch.config.yaml.compose import compose
-from play_launch.config.yaml.scalars import ScalarKind
-from play_launch.config.yaml.tree import Scalar
+from play_launch.config.source import Refused, read_bytes
+from play_launch.config.sources.documents import Documents
+from play_launch.config.sources.surroundings import Surroundings, Taken
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
     from play_launch.config.model import ReplayConfig
 
 
-def load_config(path: Path) -> ReplayConfig:
-    """Read and validate the configuration at `path`, and the parameter files it names.
+def load_config(
+    path: Path,
+    surroundings: Surroundings | None = None,
+    read: Callable[[Path], bytes | Refused] = read_bytes,
+) -> ReplayConfig:
+    """Read and validate the configuration at `path`, and the files it includes and names.
 
-    Raises ConfigError with every problem found. Reading files is the only effect; calls from
-    different threads do not meet.
+    Raises ConfigError with every problem found. Reading files, by `read`, is the only effect;
+    calls from different threads do not meet.
     """
-    content = read_bytes(path)
+    content = read(path)
     if isinstance(content, Refused):
         raise ConfigError((Problem.at(content.place, "(file)", content.message),))
-    return parse_config(content, path)
+    return parse_config(content, path, read, surroundings)
 
 
-def parse_config(content: bytes, source: Path) -> ReplayConfig:
-    """Validate `content` as if it had been read from `source`; raise ConfigError as above."""
-    file = str(source)
-    text = decode(content, file)
-    if isinstance(text, Refused):
-        raise ConfigError((Problem.at(text.place, "(file)", text.message),))
+def parse_config(
+    content: bytes,
+    source: Path,
+    read: Callable[[Path], bytes | Refused] = read_bytes,
+    surroundings: Surroundings | None = None,
+) -> ReplayConfig:
+    """Validate `content` as if it had been read from `source`; raise ConfigError as above.
+
+    `read` gives the other files.
+    """
     report = Report()
-    root = compose(text, file, report)
-    report_is_empty = len(report) == 0
-    if root is None or (isinstance(root, Scalar) and root.kind is ScalarKind.NULL):
-        if report_is_empty:
-            place = Place(file, 1, 1) if root is None else root.place
-            report.add(place, "(file)", "holds no configuration; begin with version: 1")
-        report.raise_if_any(file)
-        raise AssertionError("a missing tree was not reported")
-    config = resolve_document(root, source, content, report)
-    report.raise_if_any(file)
+    taken = Taken(surroundings or Surroundings())
+    documents = Documents(report, read, taken)
+    root = documents.read(content, source)
+    config = None if root is None else resolve_document(root, source, content, report, read)
+    if root is not None:
+        _refuse_unread(taken, source, report)
+    report.raise_if_any(str(source))
     assert config is not None
-    return config
+    if not documents.included and not taken.is_touched:
+        return config
+    values = TakenValues(
+        arguments=MappingProxyType(taken.arguments),
+        variables=MappingProxyType(taken.variables),
+        packages=MappingProxyType(taken.packages),
+    )
+    included = tuple(SourceFile(path, text) for path, text in documents.included.items())
+    return replace(config, included_files=included, taken=values)
+
+
+def _refuse_unread(taken: Taken, source: Path, report: Report) -> None:
+    """Report arguments that were given and that nothing reads."""
+    known = ", ".join(sorted(taken.known_arguments))
+    what = f"what is read: {known}" if known else "the configuration reads no arguments"
+    for name in taken.unread_arguments:
+        message = f"nothing reads the argument {name}; {what}"
+        report.add(Place(str(source), 1, 1), "(arguments)", message)

@@ -7,17 +7,20 @@ from __future__ import annotations
 
 from enum import IntEnum, StrEnum
 from types import MappingProxyType
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 from msgspec import Struct, field
 
 from play_launch.core.crash import OnCrash
-from play_launch.core.restart import RestartLimits
+from play_launch.core.resources import Resources
+from play_launch.core.restart import OnExit, RestartLimits
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
+    from play_launch.core.dependency import StartRule
+    from play_launch.core.managed import Autostart
     from play_launch.core.node_key import NodeKey
 
 
@@ -49,6 +52,25 @@ class Isolation(StrEnum):
     """By shared memory where the machine can do it, else by ordinary processes."""
     SHARED_MEMORY = "shared_memory"
     PROCESS = "process"
+
+
+class Output(StrEnum):
+    """Where the output of a process goes."""
+
+    SCREEN = "screen"
+    LOG = "log"
+    """Into the recording."""
+    BOTH = "both"
+
+    @property
+    def is_shown(self) -> bool:
+        """Whether it goes to the screen."""
+        return self is not Output.LOG
+
+    @property
+    def is_recorded(self) -> bool:
+        """Whether it goes into the recording."""
+        return self is not Output.SCREEN
 
 
 class ParameterType(IntEnum):
@@ -105,6 +127,82 @@ class StopLimits(Struct, frozen=True):
     sigterm: float = 2.0
 
 
+class RotateConfig(Struct, frozen=True):
+    """When the recording goes on in a new file: at so many bytes, after so many seconds.
+
+    Infinity is never.
+    """
+
+    size: float = 1e9
+    duration: float = 3600.0
+
+
+class KeepConfig(Struct, frozen=True):
+    """How many sessions, and how many bytes of them, stay in the log folder; None: all."""
+
+    sessions: int | None = None
+    size: int | None = None
+
+
+class SamplingConfig(Struct, frozen=True):
+    """Every how many seconds processes and the machine are measured; infinity is never."""
+
+    period: float = 1.0
+
+
+DEFAULT_TOPICS: Final = ("/rosout", "/diagnostics", "/parameter_events")
+"""What is recorded of ROS unasked."""
+
+
+class BeforeCrashConfig(Struct, frozen=True):
+    """Topics of which the last `seconds` are kept in memory, in at most so many megabytes."""
+
+    topics: tuple[str, ...]
+    seconds: float = 10.0
+    megabytes: int = 256
+
+
+class RecordConfig(Struct, frozen=True, kw_only=True):
+    """How the session is recorded.
+
+    `sync` is the seconds after which what was recorded is forced to the disk; infinity is never.
+    `topics` and `exclude` are names of topics and patterns, `budget` is bytes per second of each
+    topic (None: any number). `topic_budgets` are names and patterns with such numbers of their own,
+    infinity is any number; the first that matches a topic holds.
+    """
+
+    sync: float = 1.0
+    rotate: RotateConfig = RotateConfig()
+    keep: KeepConfig = KeepConfig()
+    sampling: SamplingConfig = SamplingConfig()
+    ros: bool = True
+    """Whether topics of ROS are recorded at all."""
+    topics: tuple[str, ...] = DEFAULT_TOPICS
+    exclude: tuple[str, ...] = ()
+    budget: int | None = None
+    topic_budgets: tuple[tuple[str, float], ...] = ()
+    before_crash: BeforeCrashConfig | None = None
+
+
+class ManagedConfig(Struct, frozen=True):
+    """A managed (lifecycle) node: its full name, and how far it is brought (None: watched only).
+
+    `timeout` is the seconds for each transition, and for its services to answer.
+    """
+
+    name: str
+    autostart: Autostart | None = None
+    timeout: float = 60.0
+
+
+def _none_managed() -> Mapping[str, ManagedConfig]:
+    return MappingProxyType({})
+
+
+def _no_rules() -> Mapping[str, StartRule]:
+    return MappingProxyType({})
+
+
 def _no_environment() -> Mapping[str, str]:
     return MappingProxyType({})
 
@@ -113,8 +211,8 @@ class ComposableNodeConfig(Struct, frozen=True, kw_only=True):
     """A node to load into a container.
 
     An empty `name` or `namespace` keeps the component's own. `key` is unique in the configuration.
-    `line` is where the node is declared. `on_crash` and `restart` are what becomes of it when it
-    crashes alone.
+    `line` of `file` is where the node is declared. `on_crash` and `restart` are what becomes of it
+    when it crashes alone.
     """
 
     package: str
@@ -128,7 +226,9 @@ class ComposableNodeConfig(Struct, frozen=True, kw_only=True):
     log_level: str | None = None
     on_crash: OnCrash = OnCrash.RELOAD
     restart: RestartLimits = field(default_factory=RestartLimits)
+    resources: Resources = Resources()
     line: int = 0
+    file: str = ""
 
     @property
     def declared_full_name(self) -> str:
@@ -140,9 +240,10 @@ class ContainerConfig(Struct, frozen=True, kw_only=True):
     """A component container.
 
     `environment` holds the variables of the whole system too, `thread_num` is None for
-    the container's own choice, `loading_timeout` and `probe_timeout` are seconds. A stock
-    container is `executable` of `package` with `arguments`, or, with `attach`, one that somebody
-    else has started. A file gives no other container `arguments`; benchmarks do.
+    the container's own choice, `loading_timeout` and `probe_timeout` are seconds. `prefix` stands
+    before the program in the command line. A stock container is `executable` of `package` with
+    `arguments`, or, with `attach`, one that somebody else has started. A file gives no other
+    container `arguments`; benchmarks do.
     """
 
     name: str
@@ -156,6 +257,8 @@ class ContainerConfig(Struct, frozen=True, kw_only=True):
     executable: str = ""
     arguments: tuple[str, ...] = ()
     attach: bool = False
+    prefix: tuple[str, ...] = ()
+    output: Output = Output.BOTH
     log_level: str | None = None
     environment: Mapping[str, str] = field(default_factory=_no_environment)
     ros_arguments: tuple[str, ...] = ()
@@ -163,7 +266,9 @@ class ContainerConfig(Struct, frozen=True, kw_only=True):
     loading_timeout: float = 10.0
     probe_timeout: float = 60.0
     composable_nodes: tuple[ComposableNodeConfig, ...] = ()
+    resources: Resources = Resources()
     line: int = 0
+    file: str = ""
 
 
 class ProcessConfig(Struct, frozen=True, kw_only=True):
@@ -171,7 +276,8 @@ class ProcessConfig(Struct, frozen=True, kw_only=True):
 
     An empty `name` or `namespace` keeps the program's own; `full_name` is then a label such as
     `/[listener]`, unique in the configuration. `arguments` is empty where `command` is given.
-    `environment` holds the variables of the whole system too.
+    `environment` holds the variables of the whole system too. `prefix` stands before the program in
+    the command line, `cwd` is an absolute path (None: the supervisor's own).
     """
 
     name: str
@@ -185,36 +291,72 @@ class ProcessConfig(Struct, frozen=True, kw_only=True):
     remappings: tuple[tuple[str, str], ...] = ()
     environment: Mapping[str, str] = field(default_factory=_no_environment)
     ros_arguments: tuple[str, ...] = ()
-    respawn: bool = False
+    prefix: tuple[str, ...] = ()
+    cwd: Path | None = None
+    emulate_tty: bool = False
+    output: Output = Output.BOTH
+    on_exit: OnExit = OnExit.IGNORE
     restart: RestartLimits = field(default_factory=RestartLimits)
     log_level: str | None = None
+    resources: Resources = Resources()
     line: int = 0
+    file: str = ""
 
 
-class ParameterFile(Struct, frozen=True):
-    """A parameter file that a configuration names, and its bytes, for the recording."""
+class SourceFile(Struct, frozen=True):
+    """A file that a configuration includes or names, and its bytes, for the recording."""
 
     path: Path
     text: bytes
+
+
+class TakenValues(Struct, frozen=True):
+    """The arguments that were given, and the values of substitutions by name.
+
+    A variable that was not set is None; `packages` are share folders.
+    """
+
+    arguments: Mapping[str, str] = field(default_factory=_no_environment)
+    variables: Mapping[str, str | None] = field(default_factory=_no_environment)
+    packages: Mapping[str, str] = field(default_factory=_no_environment)
 
 
 class ReplayConfig(Struct, frozen=True, kw_only=True):
     """A whole system.
 
     `source` is the file it was read from and `text` its bytes, for the recording, as are
-    `parameter_files`, each once and in the order in which they were read. `duration`
+    `included_files` and `parameter_files`, each once and in the order in which they were read.
+    `taken` is what they took from outside. `duration`
     is the seconds after which the system is stopped, None for never. `graph_daemon` says whether
     the graph daemon of the ROS domain runs before the nodes, and is asked what it sees.
+    `start_rules` are by unit, see `play_launch.core.dependency`, for units that wait for something,
+    as are the nodes in `managed`.
     """
 
     name: str
     source: Path
     text: bytes
-    parameter_files: tuple[ParameterFile, ...] = ()
+    included_files: tuple[SourceFile, ...] = ()
+    parameter_files: tuple[SourceFile, ...] = ()
+    taken: TakenValues = TakenValues()
     duration: float | None = None
     log_dir: Path | None = None
     graph_daemon: bool = False
     environment: Mapping[str, str] = field(default_factory=_no_environment)
     stop: StopLimits = StopLimits()
+    record: RecordConfig = RecordConfig()
     containers: tuple[ContainerConfig, ...] = ()
     nodes: tuple[ProcessConfig, ...] = ()
+    start_rules: Mapping[str, StartRule] = field(default_factory=_no_rules)
+    managed: Mapping[str, ManagedConfig] = field(default_factory=_none_managed)
+
+    @property
+    def units(self) -> dict[str, tuple[str, ...]]:
+        """The members by full name, as declared, each with the units that are its nodes."""
+        return {
+            **{
+                container.full_name: tuple(str(node.key) for node in container.composable_nodes)
+                for container in self.containers
+            },
+            **{process.full_name: () for process in self.nodes},
+        }

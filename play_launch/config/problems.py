@@ -3,19 +3,37 @@
 from __future__ import annotations
 
 import re
+from typing import TYPE_CHECKING
 
 from msgspec import Struct
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 _LONGEST_EXCERPT = 60
 _PLAIN_KEY = re.compile(r"[\w\-./~*]+")
 
 
-class Place(Struct, frozen=True, order=True):
-    """A character in a file: `line` and `column` count from 1, columns in characters."""
+class Place(Struct, frozen=True):
+    """A character in a file: `line` and `column` count from 1, columns in characters.
+
+    `included_from` is where another file includes this one; None in the file that was given.
+    """
 
     file: str
     line: int
     column: int
+    included_from: Place | None = None
+
+    @property
+    def inclusions(self) -> tuple[str, ...]:
+        """Where the file is included from, the nearest first."""
+        found = []
+        place = self.included_from
+        while place is not None:
+            found.append(str(place))
+            place = place.included_from
+        return tuple(found)
 
     def __str__(self) -> str:
         return f"{self.file}:{self.line}:{self.column}"
@@ -26,6 +44,7 @@ class Problem(Struct, frozen=True, order=True):
 
     `path` leads to the value, for example `containers[0].composable_nodes[1].plugin`, or is
     `(file)`, `(yaml)` or `(top level)` where no key is to blame. `line` and `column` count from 1.
+    `included_from` holds the places of the inclusions that led to the file, the nearest first.
     """
 
     file: str
@@ -33,15 +52,19 @@ class Problem(Struct, frozen=True, order=True):
     column: int
     path: str
     message: str
+    included_from: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         # A file may be called anything, and a report has one line for each problem.
-        return _on_one_line(f"{self.file}:{self.line}:{self.column}: {self.path}: {self.message}")
+        text = f"{self.file}:{self.line}:{self.column}: {self.path}: {self.message}"
+        if self.included_from:
+            text += f" (included from {', from '.join(self.included_from)})"
+        return _on_one_line(text)
 
     @classmethod
     def at(cls, place: Place, path: str, message: str) -> Problem:
         """Make the problem `message` at `place`."""
-        return cls(place.file, place.line, place.column, path, message)
+        return cls(place.file, place.line, place.column, path, message, place.inclusions)
 
 
 class ConfigError(Exception):
@@ -76,6 +99,9 @@ class Report:
 
     def __len__(self) -> int:
         return len(self._problems)
+
+    def __iter__(self) -> Iterator[Problem]:
+        return iter(self._problems)
 
     def add(self, place: Place, path: str, message: str) -> None:
         """Add the problem `message` at `place`, where `path` leads."""

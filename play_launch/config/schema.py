@@ -7,196 +7,164 @@ Absent keys are None here; defaults are filled in when the section is resolved.
 
 from __future__ import annotations
 
-import re
-from typing import TYPE_CHECKING, Any, ClassVar, Final, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
-from pydantic_core import core_schema
-
-from play_launch.config.model import ContainerType, Isolation
-from play_launch.config.problems import excerpt
-from play_launch.config.section import Section, nested, optional, raw, required
-from play_launch.config.values import (
-    check_namespace,
-    check_node_name,
-    parse_duration,
-    parse_positive_duration,
-)
+from play_launch.config import kinds
+from play_launch.config.model import ContainerType, Isolation, Output
+from play_launch.config.resource_values import LIMIT_FORMS
+from play_launch.config.section import Section, merging, nested, optional, raw, required
 from play_launch.core.crash import OnCrash
+from play_launch.core.dependency import Otherwise, UnitCondition
+from play_launch.core.managed import Autostart
+from play_launch.core.resources import SchedulerPolicy
+from play_launch.core.restart import OnExit
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-    from enum import StrEnum
+    from collections.abc import Mapping
 
-    from pydantic_core import CoreSchema
-
-LOG_LEVELS = ("debug", "info", "warn", "error", "fatal")
-_LONGEST_RUN_NAME = 150
-_PACKAGE_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*", re.ASCII)
-_SINGLE_COLON = re.compile(r"(?<!:):(?!:)")
-_IDENTITY_RULE = re.compile(r"(?:[^:]*:)?__(?:node|name|ns):=")
-
-_Choice = TypeVar("_Choice", bound="StrEnum")
+    from play_launch.core.resources import IoPriority
 
 
-def _check_text(text: str) -> str:
-    if "\x00" in text:
-        raise ValueError("a NUL character cannot be handed to a program")
-    return text
+class DependencySection(Section):
+    """One entry of `depends_on`; a string there is the `name`."""
 
+    advice: ClassVar[Mapping[str, str]] = {
+        "on_timeout": "otherwise",
+        "regex": "log",
+        "matches": "log",
+        "path": "file",
+    }
 
-def _check_filled(text: str) -> str:
-    if not text.strip():
-        raise ValueError("cannot be empty")
-    return _check_text(text)
-
-
-def _check_command(command: list[str]) -> list[str]:
-    if not command[0].strip():
-        raise ValueError("the program, its first entry, cannot be empty")
-    return command
-
-
-def _check_executable(name: str) -> str:
-    _check_filled(name)
-    if "/" in name or name in {".", ".."}:
-        raise ValueError(
-            f"{excerpt(name)} is a path; give the name of a program of the package, without folders"
-        )
-    return name
-
-
-def _check_run_name(name: str) -> str:
-    _check_filled(name)
-    if "/" in name or name in {".", ".."} or not name.isprintable():
-        raise ValueError(f"{excerpt(name)} cannot name a directory; use letters, digits, - and _")
-    if len(name.encode()) > _LONGEST_RUN_NAME:
-        raise ValueError(
-            f"at most {_LONGEST_RUN_NAME} bytes, because a directory is named after it"
-        )
-    return name
-
-
-def _check_package(name: str) -> str:
-    if not _PACKAGE_NAME.fullmatch(name):
-        raise ValueError(f"{excerpt(name)} is not the name of a package (letters, digits, _ and -)")
-    return name
-
-
-def _check_plugin(name: str) -> str:
-    _check_filled(name)
-    if name != name.strip() or "/" in name or _SINGLE_COLON.search(name):
-        raise ValueError(f"{excerpt(name)} is not a C++ class such as demo::Talker")
-    return name
-
-
-def _check_ros_argument(argument: str) -> str:
-    if argument in {"--ros-args", "--"}:
-        raise ValueError(f"leave {argument} out; it is put around ros_arguments")
-    if _IDENTITY_RULE.match(argument):
-        raise ValueError("use the keys name and namespace to rename a node")
-    return _check_text(argument)
-
-
-def _check_version(version: int) -> int:
-    if version != 1:
-        raise ValueError(f"this program reads version 1, not {version}")
-    return version
-
-
-def _one_of(choices: type[StrEnum]) -> str:
-    *others, last = choices
-    return f"{', '.join(others)} or {last}"
-
-
-def _parse_choice(value: object, choices: type[_Choice]) -> _Choice:
-    if not isinstance(value, str) or value not in set(choices):
-        raise ValueError(f"expected {_one_of(choices)}, given {excerpt(str(value))}")
-    return choices(value)
-
-
-def _parse_log_level(value: object) -> str:
-    level = value.lower() if isinstance(value, str) else ""
-    if level == "warning":
-        raise ValueError('the level is called "warn"')
-    if level not in LOG_LEVELS:
-        raise ValueError(f"expected one of {', '.join(LOG_LEVELS)}, given {excerpt(str(value))}")
-    return level
-
-
-def _checked(check: Callable[[Any], object], schema: CoreSchema) -> CoreSchema:
-    return core_schema.no_info_after_validator_function(check, schema)
-
-
-def _parsed(parse: Callable[[Any], object]) -> CoreSchema:
-    return core_schema.no_info_plain_validator_function(parse)
-
-
-def _text(check: Callable[[str], str]) -> CoreSchema:
-    return _checked(check, core_schema.str_schema(strict=True))
-
-
-def _integer(least: int, most: int) -> CoreSchema:
-    return core_schema.int_schema(strict=True, ge=least, le=most)
-
-
-def _list(items: CoreSchema, *, least: int | None = None) -> CoreSchema:
-    return core_schema.list_schema(items, strict=True, min_length=least)
-
-
-def _choice(choices: type[_Choice]) -> CoreSchema:
-    return _parsed(lambda value: _parse_choice(value, choices))
-
-
-_BOOLEAN: Final = core_schema.bool_schema(strict=True)
-_THREADS: Final = _integer(1, 1024)
-_DURATION: Final = _parsed(parse_duration)
-_POSITIVE_DURATION: Final = _parsed(parse_positive_duration)
-_LOG_LEVEL: Final = _parsed(_parse_log_level)
-_TEXT: Final = _text(_check_text)
-_FILLED_TEXT: Final = _text(_check_filled)
-_COMMAND: Final = _checked(_check_command, _list(_TEXT, least=1))
-_PACKAGE: Final = _text(_check_package)
-_EXECUTABLE: Final = _text(_check_executable)
-_NODE_NAME: Final = _text(check_node_name)
-_NAMESPACE: Final = _text(check_namespace)
-# An empty name is the component's own, as in ROS's launch API.
-_OWN_NODE_NAME: Final = _text(lambda name: check_node_name(name) if name else name)
+    name: str | None = optional(kinds.FILLED_TEXT)
+    condition: UnitCondition | None = optional(kinds.choice(UnitCondition))
+    log: str | None = optional(kinds.PATTERN)
+    node: str | None = optional(kinds.GRAPH_NAME)
+    topic: str | None = optional(kinds.GRAPH_NAME)
+    service: str | None = optional(kinds.GRAPH_NAME)
+    file: str | None = optional(kinds.FILLED_TEXT)
+    timeout: float | None = optional(kinds.POSITIVE_DURATION_OR_NEVER)
+    otherwise: Otherwise | None = optional(kinds.choice(Otherwise))
 
 
 class BackoffSection(Section):
     """`backoff`: the pause before a restart grows from `initial` to `maximum`."""
 
-    initial: float | None = optional(_POSITIVE_DURATION)
-    maximum: float | None = optional(_POSITIVE_DURATION)
+    initial: float | None = optional(kinds.POSITIVE_DURATION)
+    maximum: float | None = optional(kinds.POSITIVE_DURATION)
 
 
 class RestartSection(Section):
     """`restart`: at most `max_restarts` times `within` a duration."""
 
-    max_restarts: int | None = optional(_integer(0, 1_000_000))
-    within: float | None = optional(_POSITIVE_DURATION)
+    max_restarts: int | None = optional(kinds.integer(0, 1_000_000))
+    within: float | None = optional(kinds.POSITIVE_DURATION)
     backoff: BackoffSection | None = nested(BackoffSection)
 
 
 class StopSection(Section):
     """`stop`: how long each step of stopping may take."""
 
-    ask: float | None = optional(_DURATION)
-    sigint: float | None = optional(_DURATION)
-    sigterm: float | None = optional(_DURATION)
+    ask: float | None = optional(kinds.DURATION)
+    sigint: float | None = optional(kinds.DURATION)
+    sigterm: float | None = optional(kinds.DURATION)
+
+
+class SchedulerSection(Section):
+    """`resources.scheduler`: the policy of the kernel's scheduler."""
+
+    policy: SchedulerPolicy = required(kinds.choice(SchedulerPolicy))
+    priority: int | None = optional(kinds.integer(1, 99))
+
+
+RlimitsSection: type[Section] = type(
+    "RlimitsSection",
+    (Section,),
+    # One of them is a keyword of Python.
+    {
+        "__doc__": "`resources.rlimits`: limits of setrlimit(2), by their names.",
+        **{name: optional(kinds.resource_limit(name)) for name in LIMIT_FORMS},
+    },
+)
+
+
+class ResourcesSection(Section):
+    """`resources`: what a process asks of the kernel for itself."""
+
+    advice: ClassVar[Mapping[str, str]] = {
+        "priority": "scheduler",
+        "policy": "scheduler",
+        "cpus": "cpu_affinity",
+        "affinity": "cpu_affinity",
+        "ionice": "io_priority",
+        "mlockall": "lock_memory",
+        "limits": "rlimits",
+        "ulimit": "rlimits",
+        "ulimits": "rlimits",
+    }
+
+    nice: int | None = optional(kinds.integer(-20, 19))
+    scheduler: SchedulerSection | None = nested(SchedulerSection)
+    cpu_affinity: tuple[int, ...] | None = optional(kinds.CPUS)
+    io_priority: IoPriority | None = optional(kinds.IO_PRIORITY)
+    oom_score_adj: int | None = optional(kinds.integer(-1000, 1000))
+    lock_memory: bool | None = optional(kinds.BOOLEAN)
+    rlimits: Section | None = nested(RlimitsSection)
+
+
+class RotateSection(Section):
+    """`record.rotate`: when the recording goes on in a new file."""
+
+    size: float | None = optional(kinds.SIZE_OR_NEVER)
+    duration: float | None = optional(kinds.POSITIVE_DURATION_OR_NEVER)
+
+
+class KeepSection(Section):
+    """`record.keep`: what is kept of earlier sessions."""
+
+    sessions: int | None = optional(kinds.integer(1, 1_000_000))
+    size: int | None = optional(kinds.SIZE)
+
+
+class SamplingSection(Section):
+    """`record.sampling`: how often processes and the machine are measured."""
+
+    period: float | None = optional(kinds.SAMPLING_PERIOD)
+
+
+class BeforeCrashSection(Section):
+    """`record.before_crash`: what is kept in memory until something fails."""
+
+    topics: list[str] = required(kinds.TOPIC_PATTERNS)
+    seconds: float | None = optional(kinds.POSITIVE_DURATION)
+    megabytes: int | None = optional(kinds.integer(1, 1_000_000))
+
+
+class RecordSection(Section):
+    """`record`: how the session is recorded."""
+
+    sync: float | None = optional(kinds.POSITIVE_DURATION_OR_NEVER)
+    rotate: RotateSection | None = nested(RotateSection)
+    keep: KeepSection | None = nested(KeepSection)
+    sampling: SamplingSection | None = nested(SamplingSection)
+    ros: bool | None = optional(kinds.BOOLEAN)
+    topics: list[str] | None = optional(kinds.list_of(kinds.TOPIC_PATTERN))
+    exclude: list[str] | None = optional(kinds.list_of(kinds.TOPIC_PATTERN))
+    budget: int | dict[str, float] | None = optional(kinds.BUDGET)
+    before_crash: BeforeCrashSection | None = nested(BeforeCrashSection)
 
 
 class LoadingSection(Section):
     """`composable_node_loading`: what holds for every container that says nothing else."""
 
-    container_type: ContainerType | None = optional(_choice(ContainerType))
-    thread_num: int | None = optional(_THREADS)
-    isolation: Isolation | None = optional(_choice(Isolation))
-    core_dumps: bool | None = optional(_BOOLEAN)
-    auto_reload_on_crash: bool | None = optional(_BOOLEAN)
-    on_crash: OnCrash | None = optional(_choice(OnCrash))
-    loading_timeout: float | None = optional(_POSITIVE_DURATION)
-    probe_timeout: float | None = optional(_POSITIVE_DURATION)
+    container_type: ContainerType | None = optional(kinds.choice(ContainerType))
+    thread_num: int | None = optional(kinds.THREADS)
+    isolation: Isolation | None = optional(kinds.choice(Isolation))
+    core_dumps: bool | None = optional(kinds.BOOLEAN)
+    auto_reload_on_crash: bool | None = optional(kinds.BOOLEAN)
+    on_crash: OnCrash | None = optional(kinds.choice(OnCrash))
+    loading_timeout: float | None = optional(kinds.POSITIVE_DURATION)
+    probe_timeout: float | None = optional(kinds.POSITIVE_DURATION)
+    resources: ResourcesSection | None = nested(ResourcesSection)
     restart: RestartSection | None = nested(RestartSection)
 
 
@@ -204,22 +172,25 @@ class DocumentSection(Section):
     """The top level of the file."""
 
     advice: ClassVar[Mapping[str, str]] = {
-        "record": "this version records every event; what to record cannot be chosen yet",
+        "recording": "record",
         "env": "environment",
         "load_node": "containers",
         "composable_nodes": "they belong into an entry of containers",
     }
 
-    version: int = required(_checked(_check_version, core_schema.int_schema(strict=True)))
-    name: str | None = optional(_text(_check_run_name))
-    duration: float | None = optional(_POSITIVE_DURATION)
-    log_dir: str | None = optional(_FILLED_TEXT)
-    graph_daemon: bool | None = optional(_BOOLEAN)
+    version: int = required(kinds.VERSION)
+    name: str | None = optional(kinds.RUN_NAME)
+    duration: float | None = optional(kinds.POSITIVE_DURATION)
+    log_dir: str | None = optional(kinds.FILLED_TEXT)
+    graph_daemon: bool | None = optional(kinds.BOOLEAN)
     environment: Any = raw()
     stop: StopSection | None = nested(StopSection)
+    record: RecordSection | None = nested(RecordSection)
     composable_node_loading: LoadingSection | None = nested(LoadingSection)
     containers: Any = raw()
     nodes: Any = raw()
+    include: Any = merging()
+    remove: Any = merging()
 
 
 _SAME_FOR_ALL = {
@@ -237,7 +208,14 @@ _SAME_FOR_ALL = {
     "ros_arg": "ros_arguments",
     "exec": "executable",
     "condition": "conditions are not evaluated here; leave the entry out instead",
-    "output": "not in this version; leave the key out",
+    "launch_prefix": "prefix",
+    "launch-prefix": "prefix",
+    "working_directory": "cwd",
+    "workdir": "cwd",
+    "delay": "start_delay",
+    "nice": "resources: {nice: ...}",
+    "cpu_affinity": "resources: {cpu_affinity: ...}",
+    "rlimits": "resources: {rlimits: ...}",
 }
 
 
@@ -253,25 +231,31 @@ class ContainerSection(Section):
         "respawn": "containers always come back; see restart.max_restarts",
     }
 
-    name: str = required(_NODE_NAME)
-    namespace: str | None = optional(_NAMESPACE)
-    container_type: ContainerType | None = optional(_choice(ContainerType))
-    thread_num: int | None = optional(_THREADS)
-    isolation: Isolation | None = optional(_choice(Isolation))
-    core_dumps: bool | None = optional(_BOOLEAN)
-    package: str | None = optional(_PACKAGE)
-    executable: str | None = optional(_EXECUTABLE)
-    arguments: list[str] | None = optional(_list(_TEXT))
-    attach: bool | None = optional(_BOOLEAN)
-    auto_reload_on_crash: bool | None = optional(_BOOLEAN)
-    on_crash: OnCrash | None = optional(_choice(OnCrash))
-    log_level: str | None = optional(_LOG_LEVEL)
+    name: str = required(kinds.NODE_NAME)
+    namespace: str | None = optional(kinds.NAMESPACE)
+    container_type: ContainerType | None = optional(kinds.choice(ContainerType))
+    thread_num: int | None = optional(kinds.THREADS)
+    isolation: Isolation | None = optional(kinds.choice(Isolation))
+    core_dumps: bool | None = optional(kinds.BOOLEAN)
+    package: str | None = optional(kinds.PACKAGE)
+    executable: str | None = optional(kinds.EXECUTABLE)
+    arguments: list[str] | None = optional(kinds.list_of(kinds.TEXT))
+    attach: bool | None = optional(kinds.BOOLEAN)
+    prefix: list[str] | None = optional(kinds.PREFIX)
+    output: Output | None = optional(kinds.choice(Output))
+    depends_on: Any = raw()
+    start_delay: float | None = optional(kinds.DURATION)
+    auto_reload_on_crash: bool | None = optional(kinds.BOOLEAN)
+    on_crash: OnCrash | None = optional(kinds.choice(OnCrash))
+    log_level: str | None = optional(kinds.LOG_LEVEL)
     environment: Any = raw()
-    ros_arguments: list[str] | None = optional(_list(_text(_check_ros_argument)))
+    ros_arguments: list[str] | None = optional(kinds.ROS_ARGUMENTS)
+    resources: ResourcesSection | None = nested(ResourcesSection)
     restart: RestartSection | None = nested(RestartSection)
-    loading_timeout: float | None = optional(_POSITIVE_DURATION)
-    probe_timeout: float | None = optional(_POSITIVE_DURATION)
+    loading_timeout: float | None = optional(kinds.POSITIVE_DURATION)
+    probe_timeout: float | None = optional(kinds.POSITIVE_DURATION)
     composable_nodes: Any = raw()
+    remove: Any = merging()
 
 
 class ComposableNodeSection(Section):
@@ -286,17 +270,23 @@ class ComposableNodeSection(Section):
         "executable": "a composable node is a class: plugin",
     }
 
-    package: str = required(_PACKAGE)
-    plugin: str = required(_text(_check_plugin))
-    name: str | None = optional(_OWN_NODE_NAME)
-    namespace: str | None = optional(_NAMESPACE)
+    package: str = required(kinds.PACKAGE)
+    plugin: str = required(kinds.PLUGIN)
+    name: str | None = optional(kinds.OWN_NODE_NAME)
+    namespace: str | None = optional(kinds.NAMESPACE)
+    depends_on: Any = raw()
+    start_delay: float | None = optional(kinds.DURATION)
+    autostart: Autostart | None = optional(kinds.choice(Autostart))
+    transition_timeout: float | None = optional(kinds.POSITIVE_DURATION_OR_NEVER)
     parameters: Any = raw()
     remappings: Any = raw()
     extra_arguments: Any = raw()
-    log_level: str | None = optional(_LOG_LEVEL)
-    auto_reload_on_crash: bool | None = optional(_BOOLEAN)
-    on_crash: OnCrash | None = optional(_choice(OnCrash))
+    log_level: str | None = optional(kinds.LOG_LEVEL)
+    auto_reload_on_crash: bool | None = optional(kinds.BOOLEAN)
+    on_crash: OnCrash | None = optional(kinds.choice(OnCrash))
+    resources: ResourcesSection | None = nested(ResourcesSection)
     restart: RestartSection | None = nested(RestartSection)
+    remove: Any = merging()
 
 
 class ProcessSection(Section):
@@ -310,16 +300,27 @@ class ProcessSection(Section):
         "respawn_max_retries": "restart: {max_restarts: ...}",
     }
 
-    command: list[str] | None = optional(_COMMAND)
-    package: str | None = optional(_PACKAGE)
-    executable: str | None = optional(_EXECUTABLE)
-    name: str | None = optional(_OWN_NODE_NAME)
-    namespace: str | None = optional(_NAMESPACE)
+    command: list[str] | None = optional(kinds.COMMAND)
+    package: str | None = optional(kinds.PACKAGE)
+    executable: str | None = optional(kinds.EXECUTABLE)
+    name: str | None = optional(kinds.OWN_NODE_NAME)
+    namespace: str | None = optional(kinds.NAMESPACE)
     parameters: Any = raw()
     remappings: Any = raw()
-    arguments: list[str] | None = optional(_list(_TEXT))
-    ros_arguments: list[str] | None = optional(_list(_text(_check_ros_argument)))
+    arguments: list[str] | None = optional(kinds.list_of(kinds.TEXT))
+    ros_arguments: list[str] | None = optional(kinds.ROS_ARGUMENTS)
     environment: Any = raw()
-    respawn: bool | None = optional(_BOOLEAN)
+    prefix: list[str] | None = optional(kinds.PREFIX)
+    depends_on: Any = raw()
+    start_delay: float | None = optional(kinds.DURATION)
+    autostart: Autostart | None = optional(kinds.choice(Autostart))
+    transition_timeout: float | None = optional(kinds.POSITIVE_DURATION_OR_NEVER)
+    cwd: str | None = optional(kinds.FILLED_TEXT)
+    emulate_tty: bool | None = optional(kinds.BOOLEAN)
+    output: Output | None = optional(kinds.choice(Output))
+    on_exit: OnExit | None = optional(kinds.choice(OnExit))
+    respawn: bool | None = optional(kinds.BOOLEAN)
+    resources: ResourcesSection | None = nested(ResourcesSection)
     restart: RestartSection | None = nested(RestartSection)
-    log_level: str | None = optional(_LOG_LEVEL)
+    log_level: str | None = optional(kinds.LOG_LEVEL)
+    remove: Any = merging()

@@ -21,13 +21,15 @@ if TYPE_CHECKING:
 class Key(NamedTuple):
     """A key of a section: what checks its value, or the section that stands there.
 
-    A raw key gets the YAML node instead of a value.
+    A raw key gets the YAML node instead of a value. One that is `merging` is about other files, and
+    nothing of it is left once these are merged.
     """
 
     schema: CoreSchema
     required: bool = False
     raw: bool = False
     section: type[Section] | None = None
+    merging: bool = False
 
 
 def required(schema: CoreSchema) -> Any:
@@ -43,6 +45,11 @@ def optional(schema: CoreSchema) -> Any:
 def raw() -> Any:
     """Declare an optional key whose value is looked at elsewhere, with places at hand."""
     return Key(core_schema.any_schema(), raw=True)
+
+
+def merging() -> Any:
+    """Declare a key that says what becomes of an included file."""
+    return Key(core_schema.any_schema(), raw=True, merging=True)
 
 
 def nested(section: type[Section]) -> Any:

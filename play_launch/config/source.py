@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import stat
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from msgspec import Struct
@@ -12,13 +13,15 @@ from msgspec import Struct
 from play_launch.config.problems import Place
 
 if TYPE_CHECKING:
-    from pathlib import Path
+    from play_launch.config.yaml.tree import At
 
 LARGEST_FILE = 4 * 1024 * 1024
 """Bytes; keeps reading under a few seconds and is far more than any hand-written system."""
 
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 _MCAP = b"\x89MCAP0\r\n"
+MCAP_MESSAGE = "is an MCAP recording; give the YAML file that describes the system"
+"""About a recording that holds no configuration, or whose name does not say that it is one."""
 _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 _LINE_END = re.compile(r"\r\n|\r|\n")
 # What YAML calls not printable, and the byte order mark, which belongs at the very beginning.
@@ -74,13 +77,17 @@ def read_bytes(path: Path, largest: int = LARGEST_FILE) -> bytes | Refused:
     return content
 
 
+def path_from(at: At, path: str) -> Path:
+    """Return the path that stands there; a relative one starts at the folder of its file."""
+    return Path(at.node.place.file).parent / os.path.expanduser(path)  # noqa: PTH111 - never raises
+
+
 def decode(content: bytes, file: str) -> str | Refused:
     """Turn the bytes of `file` into text that a YAML parser takes without complaint."""
     if content.startswith(_UTF16_MARKS):
         return Refused(Place(file, 1, 1), "is UTF-16; save it as UTF-8", inside=True)
     if content.startswith(_MCAP):
-        message = "is an MCAP recording; give the YAML file that describes the system"
-        return Refused(Place(file, 1, 1), message, inside=True)
+        return Refused(Place(file, 1, 1), MCAP_MESSAGE, inside=True)
     content = content.removeprefix(_BYTE_ORDER_MARK)
     try:
         text = content.decode("utf-8")

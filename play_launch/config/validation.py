@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic_core import ValidationError
 
 from play_launch.config.problems import excerpt
 from play_launch.config.section import Section
+from play_launch.config.sources.merge import REMOVE
 from play_launch.config.yaml.scalars import ScalarKind
 from play_launch.config.yaml.tree import Mapping, Scalar, Sequence, describe_node
 
@@ -24,6 +25,7 @@ SomeSection = TypeVar("SomeSection", bound=Section)
 _LONGEST_KEY_TO_GUESS = 40
 _MOST_GUESSES = 100  # guessing takes long beside everything else; a file with more is no typo
 _YAML_1_1_BOOL = {"yes": "true", "on": "true", "y": "true", "no": "false", "off": "false"}
+_WRAPPERS = frozenset({"nullable", "function-after"})
 _EXPECTED = {
     "string_type": "a string",
     "int_type": "an integer",
@@ -42,10 +44,14 @@ def validate_mapping(section: type[SomeSection], at: At) -> SomeSection | None:
     refused = False
     for entry, value in at.entries():
         key = section.keys.get(entry.key)
+        if key is not None and key.merging:
+            if entry.key == REMOVE:
+                value.problem("nothing to remove: no included file has it", entry.place)
+            continue
         if key is not None and key.raw:
             values[entry.key] = entry.value
             continue
-        values[entry.key] = _plain(entry.value)
+        values[entry.key] = _plain(entry.value, None if key is None else key.schema)
         if key is not None:
             refused |= _refuse_tags(value)
     try:
@@ -67,13 +73,24 @@ def items_of(at: At | None, what: str) -> Iterator[At]:
     yield from at.elements()
 
 
-def _plain(node: Node) -> object:
-    """Return what stands at `node` without places, as pydantic takes it."""
+def _plain(node: Node, schema: Any) -> object:
+    """Return what stands at `node` without places, as pydantic takes it.
+
+    Where `schema` has a string, what was substituted is one.
+    """
+    while schema is not None and schema["type"] in _WRAPPERS:
+        schema = schema["schema"]
+    kind = None if schema is None else schema["type"]
     if isinstance(node, Scalar):
-        return node.value
+        return node.text if node.substituted and kind == "str" else node.value
     if isinstance(node, Sequence):
-        return [_plain(item) for item in node.items]
-    return {entry.key: _plain(entry.value) for entry in node.entries}
+        items = schema["items_schema"] if kind == "list" else None
+        return [_plain(item, items) for item in node.items]
+    fields = schema["fields"] if kind == "typed-dict" else {}
+    return {
+        entry.key: _plain(entry.value, fields[entry.key]["schema"] if entry.key in fields else None)
+        for entry in node.entries
+    }
 
 
 def _refuse_tags(at: At) -> bool:
@@ -147,6 +164,8 @@ def _message(details: ErrorDetails, node: Node) -> str:
         message = f"expected {_EXPECTED[kind]}, given {describe_node(node)}"
         if kind == "string_type" and isinstance(node, Scalar) and node.kind in _QUOTABLE:
             message += f"; quote it: {excerpt(node.text)}"
+        if isinstance(node, Scalar) and node.substituted and not node.plain:
+            message += "; write the substitution without quotes"
         if kind == "bool_type" and isinstance(node, Scalar):
             meant = _YAML_1_1_BOOL.get(node.text.lower())
             message += f"; write {meant}" if meant is not None else ""

@@ -1,15 +1,17 @@
-"""Durations, ROS names and environment variables as people write them.
+"""Durations, sizes, ROS names and environment variables as people write them.
 
-Durations are `250 ms`, `1.5 s` or `2 min`; a number alone is seconds. The rules for names are those
-of rmw (`validate_node_name.c`, `validate_namespace.c`) and of the naming design article; the
-article's ban on `__`, which rmw does not enforce, is enforced here, because `__` marks names with a
-meaning of their own, such as `__node`.
+Durations are `250 ms`, `1.5 s` or `2 min`; a number alone is seconds. Sizes are `100 MB` or
+`2 GiB`; a number alone is bytes. The rules for names are those of rmw (`validate_node_name.c`,
+`validate_namespace.c`) and of the naming design article; the article's ban on `__`, which rmw does
+not enforce, is enforced here, because `__` marks names with a meaning of their own, such as
+`__node`.
 """
 
 from __future__ import annotations
 
 import math
 import re
+import shlex
 from typing import TYPE_CHECKING, Final
 
 from play_launch.config.problems import excerpt
@@ -24,7 +26,7 @@ LONGEST_DURATION = 365 * 24 * 3600.0
 """Seconds. Longer waits overflow timers, and nobody means them."""
 
 _SECONDS = {"us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0}
-_DURATION = re.compile(r"([-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+))\s*([^\W\d_]+)?", re.ASCII)
+_NUMBER_AND_UNIT = re.compile(r"([-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+))\s*([^\W\d_]+)?", re.ASCII)
 _FORMS = "a duration such as 10 s, 250 ms or 2 min (units: us, ms, s, min, h; none is s)"
 _LONGEST_TEXT = 64
 _CLOCK = re.compile(r"[0-9]+(:[0-9]+)+", re.ASCII)
@@ -69,7 +71,7 @@ def parse_positive_duration(value: object) -> float:
 
 def _parse_text(text: str) -> float:
     text = text.strip()
-    found = _DURATION.fullmatch(text) if len(text) <= _LONGEST_TEXT else None
+    found = _NUMBER_AND_UNIT.fullmatch(text) if len(text) <= _LONGEST_TEXT else None
     if found is None:
         if len(text) <= _LONGEST_TEXT and _CLOCK.fullmatch(text):
             raise ValueError(f"{excerpt(text)} is not a duration; write 90 s or 1.5 min")
@@ -86,6 +88,62 @@ def _parse_text(text: str) -> float:
     return float(number) * _SECONDS[unit]
 
 
+NEVER: Final = math.inf
+"""What the word `never` means in place of a duration or a size."""
+
+LARGEST_SIZE: Final = 2**60
+"""Bytes. No disk is larger, and a number of bytes fits the fields that hold it."""
+
+_SIZE_UNITS = {
+    "B": 1,
+    "kB": 10**3,
+    "MB": 10**6,
+    "GB": 10**9,
+    "TB": 10**12,
+    "KiB": 2**10,
+    "MiB": 2**20,
+    "GiB": 2**30,
+    "TiB": 2**40,
+}
+_SIZE_FORMS = f"a size such as 500 MB or 2 GiB (units: {', '.join(_SIZE_UNITS)}; none is B)"
+_UNITS_IN_LOWER_CASE = {unit.lower(): unit for unit in _SIZE_UNITS} | {
+    "k": "kB",
+    "m": "MB",
+    "g": "GB",
+    "t": "TB",
+}
+
+
+def parse_size(value: object) -> int:
+    """Return the bytes that `value` means, more than 0; raise ValueError with the fix."""
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        raise ValueError(f"expected {_SIZE_FORMS}")  # noqa: TRY004 - pydantic collects ValueError
+    number, unit = _split_size(value) if isinstance(value, str) else (value, "B")
+    if unit not in _SIZE_UNITS:
+        meant = f"{number} {_UNITS_IN_LOWER_CASE.get(unit.lower(), 'MB')}"
+        raise ValueError(
+            f"{excerpt(unit)} is not a unit of size; did you mean {excerpt(meant)}? "
+            f"Units: {', '.join(_SIZE_UNITS)}"
+        )
+    if isinstance(number, str):
+        number = float(number)
+    # As for durations: an integer can be larger than any double.
+    if not number <= LARGEST_SIZE / _SIZE_UNITS[unit]:
+        raise ValueError(f"is larger than {LARGEST_SIZE // 2**40} TiB, the largest size")
+    size = int(number * _SIZE_UNITS[unit])
+    if size <= 0:
+        raise ValueError("must be larger than 0 B")
+    return size
+
+
+def _split_size(text: str) -> tuple[str, str]:
+    text = text.strip()
+    found = _NUMBER_AND_UNIT.fullmatch(text) if len(text) <= _LONGEST_TEXT else None
+    if found is None:
+        raise ValueError(f"expected {_SIZE_FORMS}, given {excerpt(text)}")
+    return found[1], found[2] or "B"
+
+
 LONGEST_NODE_NAME: Final = 255
 LONGEST_NAMESPACE: Final = 245
 LONGEST_TOPIC: Final = 247
@@ -93,6 +151,23 @@ LONGEST_FULL_NAME: Final = LONGEST_TOPIC - len("/set_parameters_atomically")
 """Namespace and name together: the services of a node begin with them."""
 
 _UNUSUAL = re.compile(r"[^A-Za-z0-9_]")
+
+
+def parse_prefix(value: object) -> list[str]:
+    """Return the words that stand before a program; raise ValueError with the fix."""
+    if not isinstance(value, str):
+        raise ValueError("expected a string such as gdb -ex run --args")  # noqa: TRY004 - as above
+    if not value.strip():
+        raise ValueError("cannot be empty")
+    if "\x00" in value:
+        raise ValueError("a NUL character cannot be handed to a program")
+    try:
+        words = shlex.split(value)
+    except ValueError as error:
+        raise ValueError(f"{excerpt(value)} cannot be split as a shell does: {error}") from None
+    if not words or not words[0]:
+        raise ValueError("the program, its first word, cannot be empty")
+    return words
 
 
 def check_node_name(name: str) -> str:
@@ -144,6 +219,24 @@ def check_topic(name: str) -> str:
     if len(name) > LONGEST_TOPIC:
         raise ValueError(f"a topic name is at most {LONGEST_TOPIC} characters")
     return name
+
+
+_UNUSUAL_IN_PATTERN = re.compile(r"[^A-Za-z0-9_/*?]")
+
+
+def check_topic_pattern(pattern: str) -> str:
+    """Return the name of a topic, or a pattern with * and ?, from the root on; raise ValueError."""
+    if not pattern:
+        raise ValueError("a topic cannot be empty")
+    unusual = _UNUSUAL_IN_PATTERN.search(pattern)
+    if unusual is not None:
+        raise ValueError(
+            f"{excerpt(pattern)} holds {excerpt(unusual.group())}; topics are made of letters, "
+            "digits, _ and /, patterns of * and ? as well"
+        )
+    if len(pattern) > LONGEST_TOPIC:
+        raise ValueError(f"a topic name is at most {LONGEST_TOPIC} characters")
+    return pattern if pattern[0] in "/*" else f"/{pattern}"
 
 
 def join_full_name(namespace: str, name: str) -> str:
@@ -215,7 +308,7 @@ def _string(at: At) -> str | None:
     if at.string is not None and "\x00" in at.string:
         at.problem("an environment variable cannot hold a NUL character")
         return None
-    if isinstance(node, Scalar) and node.kind in _QUOTABLE:
+    if isinstance(node, Scalar) and node.kind in _QUOTABLE and not node.substituted:
         at.problem(
             f"expected a string, given {describe_node(node)}; quote it: {excerpt(node.text)}"
         )

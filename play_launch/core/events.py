@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 from msgspec import Struct
 
 if TYPE_CHECKING:
+    from play_launch.core.managed import ManagedState
     from play_launch.core.node_key import NodeKey
 
 
@@ -40,6 +41,8 @@ class ProcessEventKind(IntEnum):
     RESTARTING = 3
     GAVE_UP = 4
     STOPPING = 5
+    WAITING = 6
+    """It is not started before what it depends on."""
 
 
 class NodeState(StrEnum):
@@ -78,6 +81,36 @@ class ContainerState(StrEnum):
     STOPPING = "stopping"
 
 
+class SubjectKind(IntEnum):
+    """What a state or a sample is about: ``play_launch_msgs/StateEvent.kind``."""
+
+    NODE = 0
+    CONTAINER = 1
+    PROCESS = 2
+    MANAGED = 3
+    """A managed node, beside what it is otherwise."""
+
+
+class MemoryKind(IntEnum):
+    """What a number of bytes counts: ``play_launch_msgs/ProcessStats.memory_kind``."""
+
+    UNKNOWN = 0
+    PSS = 1
+    """Proportional set size: of shared pages the share of this process."""
+    RSS = 2
+    """Resident set size: shared pages in full."""
+    SHARED = 3
+    """That of the container, whose memory the node shares: not the node's alone."""
+
+
+class ActionPhase(IntEnum):
+    """``play_launch_msgs/ActionEvent.phase``."""
+
+    REQUESTED = 0
+    DONE = 1
+    FAILED = 2
+
+
 class Stream(StrEnum):
     """Where a line of output came from."""
 
@@ -105,6 +138,8 @@ class ComponentEvent:
     exit_code: int = 0
     signal: int = 0
     backtrace: tuple[str, ...] = ()
+    modules: tuple[str, ...] = ()
+    """Libraries and programs of the backtrace: ``name build-id path``, ``-`` for no build id."""
     confirmed_by: str = ""
     """How it is known when the container has not said it by itself, else empty.
 
@@ -171,6 +206,8 @@ class NodeStateChanged(Struct, frozen=True, kw_only=True):
     """Time since the load was sent, or that it took; 0 where no load is meant."""
     reason: str = ""
     pid: int = 0
+    start_time: int = 0
+    """Of the process with this pid; 0 where unknown."""
     cpu_time_ns: int = 0
     """CPU time of the constructor; 0 where unknown."""
     unique_id: int = 0
@@ -202,6 +239,19 @@ class ContainerStateChanged(Struct, frozen=True, kw_only=True):
     """How its nodes are isolated, while it runs: ``shared_memory``, ``process``; else empty."""
 
 
+class Withdrawn(Struct, frozen=True, kw_only=True):
+    """A container, composable node or process was taken out of the running system.
+
+    It counts no more: neither for the view nor for the exit code.
+    """
+
+    stamp_ns: int
+    kind: SubjectKind
+    key: str
+    """As in the changes of state: ``/container:/node`` for a composable node, else the name."""
+    reason: str = ""
+
+
 class GraphChanged(Struct, frozen=True, kw_only=True):
     """Nodes came into the ROS graph, or left it, as the graph daemon sees it.
 
@@ -218,6 +268,105 @@ class GraphChanged(Struct, frozen=True, kw_only=True):
     """How many there are now."""
 
 
+class ManagedNodeChanged(Struct, frozen=True, kw_only=True):
+    """A managed (lifecycle) node that is brought somewhere by ``autostart`` is in another state."""
+
+    stamp_ns: int
+    unit: str
+    """The key of the composable node, written out, or the full name of the process."""
+    node: str
+    """Full name."""
+    state: ManagedState
+    reason: str = ""
+    """Why it failed; else empty."""
+
+
+class ActionEvent(Struct, frozen=True, kw_only=True):
+    """Somebody had something done to the running system, or it is known what came of that."""
+
+    stamp_ns: int
+    number: int
+    """Of the action, from 1 on; all that is published about one has the same."""
+    action: str
+    """``stop``, ``reload`` ...: an operation of the control socket."""
+    phase: ActionPhase
+    targets: tuple[str, ...]
+    """Full names of containers and processes, keys of composable nodes."""
+    uid: int
+    """Of whoever asked, as the kernel says."""
+    pid: int
+    command: str
+    """The command line of that process, as it says itself; empty where it had ended."""
+    reason: str = ""
+    """Why it failed; of a request, what was asked for besides."""
+
+
+class ProcessSample(Struct, frozen=True, kw_only=True):
+    """What the process of a container, of an isolated node or of its own used up to now."""
+
+    stamp_ns: int
+    kind: SubjectKind
+    key: str
+    """As in the changes of state: ``/container:/node`` for a composable node, else the name."""
+    pid: int
+    start_time: int
+    cpu_percent: float
+    """Of one core, since the sample before; in the first one since its start."""
+    cpu_seconds: float
+    """Since its start, user and system."""
+    memory_bytes: int
+    memory_kind: MemoryKind
+    threads: int
+    descriptors: int
+    read_bytes: int
+    """From storage, since its start."""
+    write_bytes: int
+    voluntary_switches: int
+    """Context switches of its main thread since its start, because it waited."""
+    involuntary_switches: int
+
+
+class SystemSample(Struct, frozen=True, kw_only=True):
+    """What the machine was doing; NaN or 0 where the kernel offers no such number.
+
+    Percentages are of the time since the sample before, sizes are in bytes.
+    """
+
+    stamp_ns: int
+    cpu_percent: float
+    """0 to 100, of all cores together."""
+    core_percent: tuple[float, ...]
+    """Of each core by its number; NaN for one that is offline."""
+    core_mhz: tuple[float, ...]
+    """Empty where the machine does not show it."""
+    memory_total: int
+    memory_available: int
+    swap_used: int
+    shm_used: int
+    """Of ``/dev/shm``."""
+    shm_total: int
+    disk_free: int
+    """On the file system of the recording."""
+    load_1: float
+    load_5: float
+    load_15: float
+    cpu_some_avg10: float
+    """Pressure stall: percent of the latest 10 s in which some tasks waited for a core."""
+    memory_some_avg10: float
+    memory_full_avg10: float
+    """As above, but all tasks at once."""
+    io_some_avg10: float
+    io_full_avg10: float
+    steal_percent: float
+    """Time that the hypervisor gave to other machines."""
+
+
+Sample = ProcessSample | SystemSample
+"""Measurements come all the time: they are recorded, and not shown one by one."""
+
+StateEvent = NodeStateChanged | ContainerStateChanged | ProcessEvent
+"""What the view of a system follows from."""
+
 RunEvent = (
     ComponentEvent
     | ProcessEvent
@@ -225,7 +374,12 @@ RunEvent = (
     | LogRecord
     | NodeStateChanged
     | ContainerStateChanged
+    | Withdrawn
     | GraphChanged
+    | ActionEvent
+    | ManagedNodeChanged
+    | ProcessSample
+    | SystemSample
 )
 
 

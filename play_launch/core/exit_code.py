@@ -2,11 +2,15 @@
 
 ====== ======================================================================
 0      everything that was declared was there when the run ended
-1      a node failed: it did not load, or crashed and is not loaded again
+1      a node failed: it did not load, or crashed and is not loaded again,
+       or did not get where ``autostart`` should bring it
 3      nobody failed, but something was missing: a node that is not loaded
        (yet, or not any more), a container or a process between two starts
 128+n  the run was ended by signal n
 ====== ======================================================================
+
+What a person stopped or unloaded while it ran counts neither as failed nor as missing, until it is
+started or loaded again.
 
 A signal comes first, as shells expect it. (2 is for the command line and the configuration; a run
 never gets that far.)
@@ -40,8 +44,9 @@ def exit_code(view: SystemView, signum: int | None) -> int:
     """
     if signum is not None:
         return ExitCode.SIGNAL_BASE + signum
-    if view.failed or view.gave_up or view.failed_processes:
+    expected = view.expected
+    if expected.failed or expected.gave_up or expected.failed_processes or view.failed_managed:
         return ExitCode.NODE_FAILED
-    if not view.is_complete:
+    if not expected.is_complete:
         return ExitCode.NODES_MISSING
     return ExitCode.OK

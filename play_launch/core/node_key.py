@@ -19,3 +19,16 @@ class NodeKey(Struct, frozen=True, order=True):
     def __str__(self) -> str:
         """Write it as ``/container:/name``: a container's name has no colon, so this is unique."""
         return f"{self.container}:{self.name}"
+
+    @classmethod
+    def parsed(cls, text: str) -> NodeKey:
+        """Read what `str` wrote.
+
+        Raises:
+            ValueError: When it is no such text.
+        """
+        # Both are full names or labels: they begin with the only slash that a colon can precede.
+        container, separator, name = text.partition(":/")
+        if not separator:
+            raise ValueError(f"{text!r} is not the key of a node")
+        return cls(container, f"/{name}")

@@ -12,6 +12,10 @@ from play_launch.core.events import NodeState
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
+    from typing import TypeAlias
+
+    _Answer: TypeAlias = tuple[NodeState, *tuple["NodeAction", ...]]
+    """The state that follows, and what to do."""
 
 
 class NodeInput(StrEnum):
@@ -33,7 +37,8 @@ class NodeInput(StrEnum):
     GIVEN_UP = auto()
     """No reload follows any more."""
     REFUSED = auto()
-    """It is not sent to the container, which did not survive an earlier load of it."""
+    """It is not sent to the container, which did not survive an earlier load of it, or what it
+    depends on is not there."""
     SILENT = auto()
     """The container has not said anything for too long."""
     ACCEPTED = auto()
@@ -106,7 +111,7 @@ FROM_CONTAINER: Final = frozenset(
 
 def _row(
     state: NodeState,
-    answers: Mapping[NodeInput, tuple[NodeState, *tuple[NodeAction, ...]]],
+    answers: Mapping[NodeInput, _Answer],
     ignores: Iterable[NodeInput],
 ) -> dict[NodeInput, Transition]:
     row = {said: Transition(then, tuple(todo)) for said, (then, *todo) in answers.items()}
@@ -125,12 +130,28 @@ _FAILED_AGAIN: Final = (State.LOAD_FAILED, Do.FOLLOW_UP)
 _UNLOADED: Final = (State.UNLOADED,)
 _LOST: Final = (State.LOST,)
 _TIMERS: Final = (Said.SILENT, Said.RELOAD_DUE, Said.GIVEN_UP)
+_ENDS_OF_A_LOAD: Final[Mapping[NodeInput, _Answer]] = {
+    Said.LOADED: (State.LOADED,),
+    Said.LOAD_FAILED: _FAILED,
+    Said.RELOAD_FAILED: _FAILED_AGAIN,
+    Said.UNLOADED: _UNLOADED,
+    Said.CRASHED: _CRASH,
+    Said.CONTAINER_LOST: _LOST,
+    Said.STATUS_CONSTRUCTING: (State.LOADING,),
+    Said.STATUS_LOADED: (State.LOADED,),
+    Said.STATUS_UNLOADING: (State.UNLOADING,),
+    Said.STATUS_UNKNOWN: (State.REQUESTED, Do.RESEND_LOAD),
+    Said.STATUS_UNKNOWN_AGAIN: (State.LOAD_FAILED,),
+}
+"""What follows from an answer to a load, whether the container has accepted it yet or not: the
+answers in between may have been dropped."""
 
 TABLE: Final[Mapping[NodeState, Mapping[NodeInput, Transition]]] = {
     State.PENDING: _row(
         State.PENDING,
         {
             Said.CONTAINER_READY: _NEW_LOAD,
+            Said.REFUSED: _FAILED,
             Said.UNLOAD_REQUESTED: _UNLOADED,
         },
         {
@@ -138,7 +159,6 @@ TABLE: Final[Mapping[NodeState, Mapping[NodeInput, Transition]]] = {
             Said.RELOAD_REQUESTED,
             Said.WANTED,
             Said.REPLACED,
-            Said.REFUSED,
             Said.CONTAINER_LOST,
             Said.UNLOAD_REJECTED,
             *_TIMERS,
@@ -148,23 +168,12 @@ TABLE: Final[Mapping[NodeState, Mapping[NodeInput, Transition]]] = {
     State.REQUESTED: _row(
         State.REQUESTED,
         {
+            **_ENDS_OF_A_LOAD,
             Said.RELOAD_REQUESTED: (State.UNLOADING,),
             Said.ACCEPTED: (State.LOADING,),
             Said.LOADING: (State.LOADING,),
             Said.REJECTED: _FAILED,
-            # The answers in between may have been dropped; the last word counts.
-            Said.LOADED: (State.LOADED,),
-            Said.LOAD_FAILED: _FAILED,
-            Said.RELOAD_FAILED: _FAILED_AGAIN,
-            Said.UNLOADED: _UNLOADED,
-            Said.CRASHED: _CRASH,
-            Said.CONTAINER_LOST: _LOST,
             Said.SILENT: (State.REQUESTED, Do.SEND_QUERY),
-            Said.STATUS_CONSTRUCTING: (State.LOADING,),
-            Said.STATUS_LOADED: (State.LOADED,),
-            Said.STATUS_UNLOADING: (State.UNLOADING,),
-            Said.STATUS_UNKNOWN: (State.REQUESTED, Do.RESEND_LOAD),
-            Said.STATUS_UNKNOWN_AGAIN: (State.LOAD_FAILED,),
             # Without a unique_id there is nothing to cancel yet; ACCEPTED brings it.
             Said.UNLOAD_REQUESTED: (State.UNLOADING,),
         },
@@ -183,19 +192,9 @@ TABLE: Final[Mapping[NodeState, Mapping[NodeInput, Transition]]] = {
     State.LOADING: _row(
         State.LOADING,
         {
+            **_ENDS_OF_A_LOAD,
             Said.RELOAD_REQUESTED: (State.UNLOADING, Do.SEND_CANCEL),
-            Said.LOADED: (State.LOADED,),
-            Said.LOAD_FAILED: _FAILED,
-            Said.RELOAD_FAILED: _FAILED_AGAIN,
-            Said.UNLOADED: _UNLOADED,
-            Said.CRASHED: _CRASH,
-            Said.CONTAINER_LOST: _LOST,
             Said.SILENT: (State.LOADING, Do.SEND_QUERY),
-            Said.STATUS_CONSTRUCTING: (State.LOADING,),
-            Said.STATUS_LOADED: (State.LOADED,),
-            Said.STATUS_UNLOADING: (State.UNLOADING,),
-            Said.STATUS_UNKNOWN: (State.REQUESTED, Do.RESEND_LOAD),
-            Said.STATUS_UNKNOWN_AGAIN: (State.LOAD_FAILED,),
             Said.UNLOAD_REQUESTED: (State.UNLOADING, Do.SEND_CANCEL),
             # It was accepted before: the two contradict each other, so ask.
             Said.REJECTED: (State.LOADING, Do.SEND_QUERY),

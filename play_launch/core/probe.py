@@ -1,8 +1,9 @@
 """What a scratch process that loaded a library came to.
 
 It is `component_container --probe PACKAGE PLUGIN`. Its last line on standard output is one JSON
-object: ``{"library": str, "error": str, "signal": int, "backtrace": [str, ...]}``. Its exit status
-is 0 when the library can be loaded and 1 when it cannot.
+object: ``{"library": str, "error": str, "signal": int, "modules": [str, ...], "backtrace":
+[str, ...]}``, the lists as in a ComponentEvent. Its exit status is 0 when the library can be loaded
+and 1 when it cannot.
 """
 
 from __future__ import annotations
@@ -33,6 +34,8 @@ class Finding(Struct, frozen=True, kw_only=True):
     """Why it cannot be loaded."""
     exit_code: int = 0
     signal: int = 0
+    modules: tuple[str, ...] = ()
+    """Libraries of the backtrace, as in a `ComponentEvent`."""
     backtrace: tuple[str, ...] = ()
     """Innermost first."""
 
@@ -63,6 +66,7 @@ def read_probe(lines: Iterable[str], *, exit_code: int = 0, signal: int = 0) -> 
         error="" if loads else _text(result, "error") or f"the process that loaded it {ending}",
         exit_code=exit_code,
         signal=number,
+        modules=_texts(result, "modules"),
         backtrace=_texts(result, "backtrace"),
     )
 

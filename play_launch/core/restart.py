@@ -7,6 +7,7 @@ at the same instant. A life that lasted longer than the window starts the pauses
 
 from __future__ import annotations
 
+from enum import StrEnum
 from typing import Final
 
 from msgspec import Struct
@@ -24,6 +25,14 @@ PERMANENT_EXIT_CODES: Final = {
 
 CONTEXT_EXIT_CODE: Final = 79
 """Of a container whose nodes share one process, when one of them shut the ROS context down."""
+
+
+class OnExit(StrEnum):
+    """What follows when an ordinary process ends by itself: ``on_exit``."""
+
+    IGNORE = "ignore"
+    RESTART = "restart"
+    SHUTDOWN = "shutdown"
 
 
 class RestartLimits(Struct, frozen=True):

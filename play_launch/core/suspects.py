@@ -90,6 +90,15 @@ class Suspects:
         """Return what is known about a node."""
         return self._known[node]
 
+    def trust(self, node: NodeKey) -> None:
+        """Take a node in, or one whose declaration has changed: nothing is known about it."""
+        self._known[node] = Suspicion()
+
+    def forget(self, node: NodeKey) -> None:
+        """Nobody is going to load this one any more."""
+        del self._known[node]
+        del self._excused[node]
+
     def excuse_death(self) -> bool:
         """Return whether a death now does not count as a restart; before `container_died`."""
         tried = [node for node, each in self._known.items() if each.stage is Stage.TRIED]

@@ -13,24 +13,32 @@ from msgspec import Struct, field
 from msgspec.structs import replace
 
 from play_launch.core.events import (
+    ActionEvent,
+    ActionPhase,
     ContainerState,
     ContainerStateChanged,
+    ManagedNodeChanged,
     NodeState,
     NodeStateChanged,
     ProcessEvent,
     ProcessEventKind,
     RunEvent,
+    SubjectKind,
+    Withdrawn,
 )
+from play_launch.core.managed import UNDER_WAY, ManagedState
+from play_launch.core.node_key import NodeKey
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-
-    from play_launch.core.node_key import NodeKey
 
 _Key = TypeVar("_Key")
 _Value = TypeVar("_Value")
 
 FAILED_STATES = frozenset({NodeState.LOAD_FAILED, NodeState.CRASHED, NodeState.GAVE_UP})
+DISMISSING = frozenset({"stop", "unload"})
+"""Actions after which nobody expects those that they are about."""
+RECALLING = frozenset({"start", "restart", "load", "reload", "apply"})
 WAITING_STATES = frozenset(
     {NodeState.PENDING, NodeState.REQUESTED, NodeState.LOADING, NodeState.LOST}
 )
@@ -47,6 +55,8 @@ class NodeView(Struct, frozen=True, kw_only=True):
     reason: str = ""
     pid: int = 0
     """Of the process that holds it, or held it at last."""
+    start_time: int = 0
+    """Of that process, in clock ticks after boot; 0 where unknown."""
     unique_id: int = 0
     crashes: int = 0
     reloads: int = 0
@@ -71,6 +81,8 @@ class ProcessView(Struct, frozen=True, kw_only=True):
     since_ns: int = 0
     pid: int = 0
     """0 when it does not run."""
+    start_time: int = 0
+    """In clock ticks after boot; of the process that ran at last."""
     exit_code: int = 0
     signal: int = 0
     restarts: int = 0
@@ -86,6 +98,11 @@ class ProcessView(Struct, frozen=True, kw_only=True):
     def restarting(self) -> bool:
         """Whether it waits for its restart, so that it is not there at the moment."""
         return self.kind is ProcessEventKind.RESTARTING
+
+    @property
+    def waiting(self) -> bool:
+        """Whether it was not started yet, because of what it depends on."""
+        return self.kind is ProcessEventKind.WAITING
 
     @property
     def failed(self) -> bool:
@@ -138,12 +155,39 @@ class ContainerView(Struct, frozen=True, kw_only=True):
         """How often its nodes crashed."""
         return sum(node.crashes for node in self.nodes.values())
 
+    def without(self, keys: frozenset[str]) -> ContainerView:
+        """The same without some of its nodes."""
+        left = {key: node for key, node in self.nodes.items() if str(key) not in keys}
+        return replace(self, nodes=MappingProxyType(left))
+
 
 class SystemView(Struct, frozen=True, kw_only=True):
     """Containers and ordinary processes by full name."""
 
     containers: Mapping[str, ContainerView] = field(default_factory=lambda: MappingProxyType({}))
     processes: Mapping[str, ProcessView] = field(default_factory=lambda: MappingProxyType({}))
+    managed: Mapping[str, ManagedNodeChanged] = field(default_factory=lambda: MappingProxyType({}))
+    """The latest state of each managed node that is brought somewhere, by unit."""
+    dismissed: frozenset[str] = frozenset()
+    """What a person stopped or unloaded, and nobody wanted again since: containers and processes by
+    name, composable nodes by key."""
+
+    @property
+    def expected(self) -> SystemView:
+        """The same without what a person dismissed; a container goes with its nodes."""
+        if not self.dismissed:
+            return self
+        containers = {
+            name: each.without(self.dismissed)
+            for name, each in self.containers.items()
+            if name not in self.dismissed
+        }
+        processes = {
+            name: each for name, each in self.processes.items() if name not in self.dismissed
+        }
+        return SystemView(
+            containers=MappingProxyType(containers), processes=MappingProxyType(processes)
+        )
 
     @property
     def loaded(self) -> int:
@@ -169,12 +213,13 @@ class SystemView(Struct, frozen=True, kw_only=True):
     def is_complete(self) -> bool:
         """Whether all that is declared is there: containers run, nodes are loaded.
 
-        An ordinary process that has ended has done its work; one that waits for its restart has
-        not.
+        An ordinary process that has ended has done its work; one that waits for its start, or
+        restart, has not.
         """
         running = all(each.state is ContainerState.RUNNING for each in self.containers.values())
-        waiting = any(each.restarting for each in self.processes.values())
-        return running and not waiting and self.loaded == self.total
+        waiting = any(each.restarting or each.waiting for each in self.processes.values())
+        under_way = any(each.state in UNDER_WAY for each in self.managed.values())
+        return running and not waiting and not under_way and self.loaded == self.total
 
     @property
     def failed(self) -> tuple[NodeView, ...]:
@@ -193,6 +238,11 @@ class SystemView(Struct, frozen=True, kw_only=True):
         return tuple(
             each.name for each in self.containers.values() if each.state is ContainerState.GAVE_UP
         )
+
+    @property
+    def failed_managed(self) -> tuple[ManagedNodeChanged, ...]:
+        """The managed nodes that did not get where they should."""
+        return tuple(each for each in self.managed.values() if each.state is ManagedState.FAILED)
 
     @property
     def failed_processes(self) -> tuple[ProcessView, ...]:
@@ -223,8 +273,37 @@ class SystemView(Struct, frozen=True, kw_only=True):
                 process = self.processes.get(event.name, ProcessView(name=event.name))
                 changed = _with(self.processes, event.name, _process_changed(process, event))
                 return replace(self, processes=changed)
+            case ManagedNodeChanged():
+                return replace(self, managed=_with(self.managed, event.unit, event))
+            case ActionEvent(phase=ActionPhase.REQUESTED):
+                return self._asked(event)
+            case Withdrawn():
+                return self._without(event)
             case _:
                 return self
+
+    def _asked(self, event: ActionEvent) -> SystemView:
+        """Note what a person wants: who was dismissed is so until asked for again."""
+        dismissed = self.dismissed
+        if event.action in DISMISSING:
+            dismissed |= {*event.targets}
+        elif event.action in RECALLING:
+            dismissed -= {*event.targets}
+        return self if dismissed == self.dismissed else replace(self, dismissed=dismissed)
+
+    def _without(self, event: Withdrawn) -> SystemView:
+        view = self
+        match event.kind:
+            case SubjectKind.CONTAINER:
+                view = replace(self, containers=_less(self.containers, event.key))
+            case SubjectKind.PROCESS:
+                view = replace(self, processes=_less(self.processes, event.key))
+            case SubjectKind.NODE:
+                key = NodeKey.parsed(event.key)
+                if (container := self.containers.get(key.container)) is not None:
+                    nodes = _less(container.nodes, key)
+                    view = self._with_container(replace(container, nodes=nodes))
+        return replace(view, dismissed=self.dismissed - {event.key})
 
     def _container(self, name: str) -> ContainerView:
         known = self.containers.get(name)
@@ -244,6 +323,7 @@ def _node_changed(container: ContainerView, event: NodeStateChanged) -> Containe
         elapsed_ns=event.elapsed_ns,
         reason=event.reason,
         pid=event.pid,
+        start_time=event.start_time,
         unique_id=event.unique_id,
         crashes=event.crashes,
         reloads=event.reloads,
@@ -256,6 +336,7 @@ def _process_changed(process: ProcessView, event: ProcessEvent) -> ProcessView:
         ProcessEventKind.EXITED,
         ProcessEventKind.RESTARTING,
         ProcessEventKind.GAVE_UP,
+        ProcessEventKind.WAITING,
     }
     ended = event.kind is ProcessEventKind.EXITED
     # Given up while it still ran: its end does not change that.
@@ -266,6 +347,7 @@ def _process_changed(process: ProcessView, event: ProcessEvent) -> ProcessView:
         kind=process.kind if gave_up else event.kind,
         since_ns=event.stamp_ns,
         pid=event.pid if alive else 0,
+        start_time=event.start_time,
         exit_code=event.exit_code if ended else process.exit_code,
         signal=event.signal if ended else process.signal,
         restarts=event.restarts,
@@ -275,6 +357,10 @@ def _process_changed(process: ProcessView, event: ProcessEvent) -> ProcessView:
 
 def _with(mapping: Mapping[_Key, _Value], key: _Key, value: _Value) -> Mapping[_Key, _Value]:
     return MappingProxyType({**mapping, key: value})
+
+
+def _less(mapping: Mapping[_Key, _Value], key: _Key) -> Mapping[_Key, _Value]:
+    return MappingProxyType({each: value for each, value in mapping.items() if each != key})
 
 
 class StateSink(Protocol):

@@ -88,6 +88,14 @@ class LimitFacts:
     core: Limit
     memlock: Limit
     address_space: Limit
+    rtprio: Limit
+    """Highest real-time priority."""
+    nice: Limit
+    """20 less the lowest nice value."""
+    may_schedule: bool
+    """CAP_SYS_NICE: neither of the two counts."""
+    may_lock_memory: bool
+    """CAP_IPC_LOCK: the limit does not count."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -15,6 +15,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from play_launch.core.ament_index import ament_prefixes
 from play_launch.doctor.container_probe import probe_container
 from play_launch.doctor.facts import (
     ContainerFacts,
@@ -36,9 +37,9 @@ from play_launch.install.ros import (
     MixedInstallationError,
     NotInstalledError,
     RosInstallation,
-    ament_prefixes,
     ros_installation,
 )
+from play_launch.process.capabilities import Capability, has_capability
 from play_launch.process.machine import (
     address_space,
     address_space_problem,
@@ -54,7 +55,9 @@ if TYPE_CHECKING:
 
 _MODULES: Final = ("rclpy", "play_launch_msgs.msg", "composition_interfaces.srv")
 _IMPORTS: Final = """
-import importlib, json, sys
+import importlib, json, os, sys
+answer = os.fdopen(os.dup(1), "w")
+os.dup2(2, 1)  # libraries write there as well
 errors, rmw = {}, ""
 for module in sys.argv[1:]:
     try:
@@ -64,7 +67,7 @@ for module in sys.argv[1:]:
 if "rclpy" not in errors:
     from rclpy.utilities import get_rmw_implementation_identifier
     rmw = get_rmw_implementation_identifier()
-print(json.dumps({"errors": errors, "rmw": rmw}))
+print(json.dumps({"errors": errors, "rmw": rmw}), file=answer, flush=True)
 """
 _IMPORT_LIMIT: Final = 60.0
 """Seconds."""
@@ -218,6 +221,10 @@ def _limits() -> LimitFacts:
         core=_limit(resource.RLIMIT_CORE),
         memlock=_limit(resource.RLIMIT_MEMLOCK),
         address_space=_limit(resource.RLIMIT_AS),
+        rtprio=_limit(resource.RLIMIT_RTPRIO),
+        nice=_limit(resource.RLIMIT_NICE),
+        may_schedule=has_capability(Capability.SYS_NICE),
+        may_lock_memory=has_capability(Capability.IPC_LOCK),
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from play_launch.core.domain import LARGEST_DOMAIN
+from play_launch.core.resources import nice_limit
 from play_launch.doctor.finding import Finding, fail, ok, warn
 from play_launch.fastdds.middleware import is_fastdds
 from play_launch.process.machine import (
@@ -49,6 +50,11 @@ _PORTS_PER_DOMAIN: Final = 250
 _PORTS_USED: Final = 118
 """By 54 participants of one domain, which is what fits below the ports of Linux in domain 101."""
 _MEBIBYTE: Final = 1024**2
+_HIGHEST_PRIORITY: Final = 99
+_ALLOW: Final = (
+    'Limit{limit}={unit} in the systemd unit, or "<user> - {item} {value}" in '
+    "/etc/security/limits.conf"
+)
 
 
 def judge_kernel(facts: KernelFacts) -> list[Finding]:
@@ -94,10 +100,7 @@ def judge_limits(facts: LimitFacts) -> list[Finding]:
         findings.append(ok("core dumps", says))
     else:
         findings.append(ok("core dumps", f"up to {_size(facts.core.soft)}"))
-    locked = _size(facts.memlock.soft)
-    if facts.memlock.soft is not None:
-        locked += "; nodes that call mlockall() need more (ulimit -l unlimited)"
-    findings.append(ok("locked memory", locked))
+    findings += [_real_time(facts), _nice_values(facts), _locked_memory(facts)]
     return findings
 
 
@@ -191,6 +194,44 @@ def _address_space(limit: Limit) -> Finding:
         ADDRESS_SPACE_FIX,
         write=_size,
     )
+
+
+def _real_time(facts: LimitFacts) -> Finding:
+    subject = "real-time"
+    if facts.may_schedule:
+        return ok(subject, f"priorities up to {_HIGHEST_PRIORITY} (CAP_SYS_NICE)")
+    highest = facts.rtprio.soft
+    if highest == 0:
+        return ok(
+            subject,
+            "no priorities: scheduler policies fifo and rr are refused "
+            f"({_ALLOW.format(limit='RTPRIO', unit=99, item='rtprio', value=99)})",
+        )
+    return ok(subject, f"priorities up to {_HIGHEST_PRIORITY if highest is None else highest}")
+
+
+def _nice_values(facts: LimitFacts) -> Finding:
+    subject = "nice values"
+    limit = facts.nice.soft
+    lowest = -20 if facts.may_schedule or limit is None else nice_limit(limit)
+    if lowest > 0:
+        return ok(
+            subject,
+            "none below that of play-launch "
+            f"({_ALLOW.format(limit='NICE', unit=-20, item='nice', value=-20)})",
+        )
+    return ok(subject, f"down to {lowest}")
+
+
+def _locked_memory(facts: LimitFacts) -> Finding:
+    subject = "locked memory"
+    if facts.may_lock_memory:
+        return ok(subject, "unlimited (CAP_IPC_LOCK)")
+    says = _size(facts.memlock.soft)
+    if facts.memlock.soft is not None:
+        allow = _ALLOW.format(limit="MEMLOCK", unit="infinity", item="memlock", value="unlimited")
+        says += f"; lock_memory and mlockall() need more ({allow})"
+    return ok(subject, says)
 
 
 def _cgroup(facts: KernelFacts) -> str:

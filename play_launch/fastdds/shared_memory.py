@@ -28,19 +28,23 @@ import errno
 import fcntl
 import os
 import re
-from contextlib import ExitStack, suppress
+import time
+from contextlib import ExitStack, contextmanager, suppress
 from enum import Enum
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct, field
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
 
 SHARED_MEMORY = Path("/dev/shm")  # noqa: S108 (where Linux keeps shared memory)
 
+_LONGEST_WAIT: Final = 2.0
+"""Seconds that one sweep waits for another one; usually it is some milliseconds."""
+_BETWEEN_TRIES: Final = 0.005
 _SEGMENT = re.compile(r"(fastrtps_[0-9a-f]{16})(?:_el)?")
 _PORT = re.compile(r"(?:sem\.)?(fastrtps_port\d+)(?:_el|_sl|_mutex)?")
 
@@ -90,13 +94,35 @@ def sweep() -> SweepReport:
     of other users cannot be looked into; where they hold a lock, that is respected all the same.
     """
     report = SweepReport()
-    names = _names()
-    segments = {match[1] for name in names if (match := _SEGMENT.fullmatch(name))}
-    ports = {match[1] for name in names if (match := _PORT.fullmatch(name))}
-    for name in sorted(segments):
-        _sweep_segment(name, report)
-    _sweep_ports(sorted(ports), report)
+    with _turn():
+        names = _names()
+        segments = {match[1] for name in names if (match := _SEGMENT.fullmatch(name))}
+        ports = {match[1] for name in names if (match := _PORT.fullmatch(name))}
+        for name in sorted(segments):
+            _sweep_segment(name, report)
+        _sweep_ports(sorted(ports), report)
     return report
+
+
+@contextmanager
+def _turn() -> Iterator[None]:
+    """Let one sweep of the machine be at work at a time: two take each other for users of a port.
+
+    Whoever waits too long goes on all the same; then something stays until the next sweep.
+    """
+    folder = os.open(SHARED_MEMORY, os.O_RDONLY | os.O_CLOEXEC | os.O_DIRECTORY)
+    try:
+        deadline = time.monotonic() + _LONGEST_WAIT
+        while time.monotonic() < deadline:
+            try:
+                fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                time.sleep(_BETWEEN_TRIES)
+            else:
+                break
+        yield
+    finally:
+        os.close(folder)
 
 
 def _sweep_segment(name: str, report: SweepReport) -> None:

@@ -1,35 +1,58 @@
-"""An MCAP file from its beginning to its end, or to where it cannot be read any more.
+"""A recording from its beginning to its end, or to where it cannot be read any more.
+
+It is one MCAP file, or a folder with several that follow each other.
 
 The readers of the package ``mcap`` end with whatever exception damage leads to, and believe every
 length that they find. A recording is wanted above all after something went wrong, so this one keeps
-what can be read: a broken chunk is left out, a record that reaches beyond the file ends it, and
-each such place is remembered. The index at the end is not used: a file may not have one.
+what can be read: a broken chunk is left out, behind a record that reaches beyond the file the next
+chunk is looked for, and each such place is remembered. The index at the end is not used: a file may
+not have one.
 """
 
 from __future__ import annotations
 
 import os
 import struct
-import zlib
+import sys
 from dataclasses import dataclass, field
-from io import BytesIO
-from typing import IO, TYPE_CHECKING, Any, Final, NamedTuple
+from typing import IO, TYPE_CHECKING, Final, NamedTuple
 
-from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, Metadata, Schema
+from mcap.records import Attachment, Channel, Metadata, Schema
+
+from play_launch.history.file_end import MAGIC, NotTheEndError, problem_at_the_end
+from play_launch.history.records import (
+    INDEX,
+    INDEX_HEAD,
+    LARGEST_CHUNK,
+    BrokenError,
+    check_index,
+    read_attachment,
+    read_chunk,
+    read_record,
+    refuse,
+)
+from play_launch.history.resync import next_chunk
+from play_launch.recording.bag import PART_METADATA, REPEATED
+from play_launch.recording.folder import BAG_NAME, PartFile, open_bag, parts_of
+from play_launch.recording.part import part_path
+from play_launch.recording.topics import KEY, KIND
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Container, Iterator
+    from collections.abc import Container, Iterator
     from pathlib import Path
 
-_MAGIC: Final = b"\x89MCAP0\r\n"
 _RECORD: Final = struct.Struct("<BQ")
 """Kind and length of the content."""
 _MESSAGE: Final = struct.Struct("<HIQQ")
 """Channel, sequence number, log time, publish time; the data follows."""
-_LARGEST_CHUNK: Final = 1 << 30
-"""Bytes; no writer makes larger ones, so a larger number is damage."""
+_IN_CHUNK: Final = struct.Struct("<BQHIQQ")
+"""A message with what precedes each record."""
+_MESSAGE_KIND: Final = int(Opcode.MESSAGE)
+_INDEX_KIND: Final = int(Opcode.MESSAGE_INDEX)
+_LOOK_AHEAD: Final = 4096
+"""Bytes that are looked at in one go behind a chunk, where the indexes of its messages stand."""
+_KINDS: Final = range(Opcode.HEADER, Opcode.DATA_END + 1)
 
 
 class NotARecordingError(Exception):
@@ -42,9 +65,12 @@ class Damage(NamedTuple):
     offset: int
     """In bytes, of the record."""
     reason: str
+    file: str = ""
+    """Its name, where the recording has several."""
 
     def __str__(self) -> str:
-        return f"byte {self.offset}: {self.reason}"
+        place = f"byte {self.offset}: {self.reason}"
+        return f"{self.file}: {place}" if self.file else place
 
 
 class Topic(NamedTuple):
@@ -53,6 +79,10 @@ class Topic(NamedTuple):
     name: str
     type_name: str
     encoding: str
+    kind: str = ""
+    """What its messages are about, where that is one thing: node, container, process."""
+    key: str = ""
+    """Of that, as in the changes of state."""
 
 
 class Message(NamedTuple):
@@ -66,6 +96,7 @@ class Message(NamedTuple):
     """Its number in the file."""
     offset: int
     """In the file, in bytes: of its record, or of the chunk that holds it."""
+    sequence: int = 0
 
 
 class Description(NamedTuple):
@@ -79,9 +110,13 @@ class Description(NamedTuple):
 
 @dataclass(slots=True)
 class BagReader:
-    """One pass over a file: iterate over `messages`; the rest is known as far as that has come."""
+    """One pass: iterate over `messages`; the rest is known as far as that has come.
+
+    What one of several files repeats from that before it is passed over when that was read.
+    """
 
     path: Path
+    """The file, or the folder with the files."""
     attachments: dict[str, Attachment] = field(default_factory=dict)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     counts: dict[Topic, int] = field(default_factory=dict)
@@ -95,7 +130,17 @@ class BagReader:
     end: int = 0
     """Log times of the earliest and the latest message; 0 without any."""
     channels: dict[int, Description] = field(default_factory=dict)
+    """Those of the file that is being read."""
+    files: tuple[str, ...] = ()
+    """The names of all."""
+    file: str = ""
+    """The name of that file, where the recording has several."""
     _schemas: dict[int, Schema] = field(default_factory=dict)
+    _before: int = -1
+    """Number of the file that was read before this one."""
+    _has_chunks: bool = False
+    _passes_over: bool = False
+    """Whether messages that repeat earlier ones are of no use."""
 
     def messages(self, wanted: Container[str] | None = None) -> Iterator[Message]:
         """Give the messages of these topics (None: all) in the order of the file.
@@ -103,157 +148,251 @@ class BagReader:
         Raises:
             NotARecordingError: At once, when it is none.
         """
-        try:
-            with self.path.open("rb") as file:
-                self.size = os.fstat(file.fileno()).st_size
-                if file.read(len(_MAGIC)) != _MAGIC:
-                    raise NotARecordingError(f"{self.path}: it is not an MCAP file")
-                yield from self._records(file, wanted)
-        except OSError as error:
-            raise NotARecordingError(f"{self.path}: {error.strerror}") from error
+        parts = _parts(self.path)
+        self.files = tuple(part.path.name for part in parts)
+        are_complete, unreadable = [], []
+        for part in parts:
+            self._begin_file(part.path.name if len(parts) > 1 else "")
+            try:
+                yield from self._file_messages(part.path, wanted)
+                self._before = part.number
+            except NotARecordingError as error:
+                unreadable.append(error)
+                self._damaged(0, str(error.__cause__ or "it is not an MCAP file"))
+            are_complete.append(self.is_complete)
+        if len(unreadable) == len(parts):
+            raise unreadable[0]
+        self.is_complete = all(are_complete)
+        self._name_missing(parts)
 
-    def _records(self, file: IO[bytes], wanted: Container[str] | None) -> Iterator[Message]:
-        at = len(_MAGIC)
-        while at < self.size:
+    def _begin_file(self, name: str) -> None:
+        self.file = name
+        self.is_complete = False
+        self.channels, self._schemas = {}, {}
+        self._has_chunks = self._passes_over = False
+
+    def _file_messages(self, path: Path, wanted: Container[str] | None) -> Iterator[Message]:
+        try:
+            with open_bag(path) as file:
+                size = os.fstat(file.fileno()).st_size
+                self.size += size
+                if file.read(len(MAGIC)) != MAGIC:
+                    raise NotARecordingError(f"{path}: it is not an MCAP file")
+                yield from self._records(file, size, wanted)
+        except OSError as error:
+            raise NotARecordingError(f"{path}: {error.strerror}") from error
+
+    def _name_missing(self, parts: list[PartFile]) -> None:
+        there = {part.number for part in parts}
+        for number in range(parts[-1].number if len(parts) > 1 else 0):
+            if number not in there:
+                name = part_path(self.path / BAG_NAME, number).name
+                self.damages.append(Damage(0, "the file is missing", name))
+
+    def _records(
+        self, file: IO[bytes], size: int, wanted: Container[str] | None
+    ) -> Iterator[Message]:
+        at = len(MAGIC)
+        while at < size:
             head = file.read(_RECORD.size)
             if len(head) < _RECORD.size:
                 self._damaged(at, "the file ends within a record")
                 return
             kind, length = _RECORD.unpack(head)
             end = at + _RECORD.size + length
-            if end > self.size or (kind == Opcode.CHUNK and length > _LARGEST_CHUNK):
+            if end > size or (kind == Opcode.CHUNK and length > LARGEST_CHUNK):
                 reason = f"the file ends within a record, or its length ({length} bytes) is wrong"
                 self._damaged(at, reason)
-                return
+                following = next_chunk(file, at + 1, size)
+                if following is None:
+                    return
+                at = file.seek(following)
+                continue
             if kind in {Opcode.DATA_END, Opcode.FOOTER}:
                 # What follows repeats what was read.
-                self.is_complete = self._ends_in_order(file)
-                if not self.is_complete:
-                    self._damaged(at, "the summary at its end is not whole")
+                try:
+                    channels = {number: each.channel for number, each in self.channels.items()}
+                    problem = problem_at_the_end(file, at, kind, channels, self._schemas)
+                except NotTheEndError:
+                    self._damaged(at, "a record says that the data ends here, and it goes on")
+                    at = file.seek(end)
+                    continue
+                self.is_complete = problem is None
+                if problem is not None:
+                    self._damaged(at, problem)
                 return
             try:
                 match kind:
-                    case Opcode.CHUNK:
-                        yield from self._chunk(file.read(length), at, wanted)
-                    case Opcode.SCHEMA | Opcode.CHANNEL | Opcode.MESSAGE:
-                        message = self._record(kind, file.read(length), at, wanted)
-                        if message is not None:
-                            yield message
+                    case Opcode.MESSAGE if self._has_chunks:
+                        # No writer does both. Another record that became one would be believed.
+                        refuse(kind)
+                    case Opcode.CHUNK | Opcode.SCHEMA | Opcode.CHANNEL | Opcode.MESSAGE:
+                        found: list[Message] = []
+                        content = file.read(length)
+                        try:
+                            if kind == Opcode.CHUNK:
+                                self._has_chunks = True
+                                content = read_chunk(content)
+                            else:
+                                content = head + content
+                            self._data(content, at, wanted, found)
+                        finally:
+                            yield from found
+                        if kind == Opcode.CHUNK:
+                            end = _behind_indexes(file, end, size)
                     case Opcode.ATTACHMENT:
-                        attachment = _read(Attachment.read, file.read(length))
-                        self.attachments[attachment.name] = attachment
+                        self._attachment(file.read(length))
                     case Opcode.METADATA:
-                        metadata = _read(Metadata.read, file.read(length))
+                        metadata = read_record(Metadata.read, file.read(length))
                         self.metadata[metadata.name] = metadata.metadata
+                        if metadata.name == PART_METADATA:
+                            number = _number(metadata.metadata.get("number", ""))
+                            self._passes_over = number == self._before + 1 > 0
+                    case Opcode.HEADER if at == len(MAGIC):
+                        pass
+                    case Opcode.MESSAGE_INDEX:
+                        check_index(file.read(INDEX_HEAD), length)
                     case _:
-                        file.seek(end)
-            except _BrokenError as error:
+                        refuse(kind)
+            except BrokenError as error:
                 self._damaged(at, str(error))
-            at = end
+                if not _may_begin(file, end, size):
+                    # Then its length is wrong as well, or nothing but zeros were written.
+                    end = next_chunk(file, at + 1, size) or size
+            at = file.seek(end)
 
-    def _chunk(
-        self, content: bytes, offset: int, wanted: Container[str] | None
-    ) -> Iterator[Message]:
-        data = _decompressed(_read(Chunk.read, content))
-        at = 0
-        while at < len(data):
-            if len(data) - at < _RECORD.size:
-                raise _BrokenError("a chunk ends within a record")
-            kind, length = _RECORD.unpack_from(data, at)
-            at += _RECORD.size
-            if length > len(data) - at:
-                raise _BrokenError("a record reaches beyond its chunk")
-            message = self._record(kind, data[at : at + length], offset, wanted)
-            if message is not None:
-                yield message
-            at += length
+    def _attachment(self, content: bytes) -> None:
+        attachment, is_right = read_attachment(content)
+        self.attachments[attachment.name] = attachment
+        if not is_right:
+            # Better than none: a configuration with a wrong letter is still read by people.
+            raise BrokenError(f"the checksum of the attachment {attachment.name} is wrong")
 
-    def _record(
-        self, kind: int, content: bytes, offset: int, wanted: Container[str] | None
-    ) -> Message | None:
+    def _data(
+        self, data: bytes, offset: int, wanted: Container[str] | None, found: list[Message]
+    ) -> None:
+        """Read the records of a chunk, or one outside of it; add wanted messages to ``found``."""
+        size = len(data)
+        begin = end = 0
+        counts: dict[int, int] = {}
+        earliest, latest = self.begin or sys.maxsize, self.end
+        unpack, head, channels = _IN_CHUNK.unpack_from, _IN_CHUNK.size, self.channels
+        # An hour of a large system has a million messages: this looks at each once.
+        try:
+            while begin < size:
+                if size - begin < head or data[begin] != _MESSAGE_KIND:
+                    begin = self._other(data, begin, wanted)
+                    continue
+                _, length, number, sequence, log_time, publish_time = unpack(data, begin)
+                end = begin + _RECORD.size + length
+                if end > size:
+                    raise BrokenError("a record reaches beyond its chunk")
+                if length < _MESSAGE.size:
+                    raise BrokenError("a message is too short")
+                channel = channels.get(number)
+                if channel is None:
+                    reason = f"a message belongs to channel {number}, which nothing describes"
+                    raise BrokenError(reason)
+                data_at = begin + head
+                begin = end
+                if sequence == REPEATED and self._passes_over:
+                    continue
+                counts[number] = counts.get(number, 0) + 1
+                if log_time > latest:  # noqa: PLR1730 - several times as fast as max()
+                    latest = log_time
+                if log_time < earliest:  # noqa: PLR1730 - and min()
+                    earliest = log_time
+                if channel.is_wanted:
+                    found.append(
+                        Message(
+                            channel.topic,
+                            log_time,
+                            publish_time,
+                            data[data_at:end],
+                            number,
+                            offset,
+                            sequence,
+                        )
+                    )
+        finally:
+            for number, count in counts.items():
+                self.counts[channels[number].topic] += count
+            if counts:
+                self.begin, self.end = earliest, latest
+
+    def _other(self, data: bytes, begin: int, wanted: Container[str] | None) -> int:
+        """Read a record of a chunk that is no whole message; return where the next one begins."""
+        if len(data) - begin < _RECORD.size:
+            raise BrokenError("a chunk ends within a record")
+        kind, length = _RECORD.unpack_from(data, begin)
+        begin += _RECORD.size
+        if length > len(data) - begin:
+            raise BrokenError("a record reaches beyond its chunk")
+        if kind == _MESSAGE_KIND:
+            raise BrokenError("a message is too short")
+        self._describe(kind, data[begin : begin + length], wanted)
+        return int(begin + length)
+
+    def _describe(self, kind: int, content: bytes, wanted: Container[str] | None) -> None:
         match kind:
-            case Opcode.MESSAGE:
-                return self._message(content, offset)
             case Opcode.SCHEMA:
-                schema = _read(Schema.read, content)
+                schema = read_record(Schema.read, content)
                 self._schemas[schema.id] = schema
             case Opcode.CHANNEL:
-                channel = _read(Channel.read, content)
+                channel = read_record(Channel.read, content)
                 described = self._schemas.get(channel.schema_id)
                 type_name = described.name if described else ""
-                topic = Topic(channel.topic, type_name, channel.message_encoding)
+                topic = Topic(
+                    channel.topic,
+                    type_name,
+                    channel.message_encoding,
+                    channel.metadata.get(KIND, ""),
+                    channel.metadata.get(KEY, ""),
+                )
                 is_wanted = wanted is None or topic.name in wanted
                 self.channels[channel.id] = Description(topic, channel, described, is_wanted)
                 self.counts.setdefault(topic, 0)
-        return None
-
-    def _message(self, content: bytes, offset: int) -> Message | None:
-        if len(content) < _MESSAGE.size:
-            raise _BrokenError("a message is too short")
-        number, _, log_time, publish_time = _MESSAGE.unpack_from(content)
-        channel = self.channels.get(number)
-        if channel is None:
-            raise _BrokenError(f"a message belongs to channel {number}, which nothing describes")
-        self.counts[channel.topic] += 1
-        self.begin = min(self.begin, log_time) if self.begin else log_time
-        self.end = max(self.end, log_time)
-        if not channel.is_wanted:
-            return None
-        return Message(
-            channel.topic, log_time, publish_time, content[_MESSAGE.size :], number, offset
-        )
-
-    def _ends_in_order(self, file: IO[bytes]) -> bool:
-        file.seek(-len(_MAGIC), os.SEEK_END)
-        return file.read() == _MAGIC
 
     def _damaged(self, at: int, reason: str) -> None:
-        self.damages.append(Damage(at, reason))
+        self.damages.append(Damage(at, reason, self.file))
 
 
-class _BrokenError(Exception):
-    """A record is not what it should be."""
+def _behind_indexes(file: IO[bytes], at: int, size: int) -> int:
+    """Pass over the indexes of messages that are as they should be; return where that ends."""
+    unpack, head = INDEX.unpack_from, INDEX.size
+    while at < size:
+        file.seek(at)
+        block = file.read(_LOOK_AHEAD)
+        begin, last = 0, len(block) - head
+        while begin <= last:
+            kind, length, _, entries = unpack(block, begin)
+            following = begin + _RECORD.size + length
+            if kind != _INDEX_KIND or length != entries + INDEX_HEAD or at + following > size:
+                return at + begin
+            begin = following
+        at += begin
+        if len(block) < _LOOK_AHEAD:
+            return at
+    return at
 
 
-def _read(read: Callable[[Any], Any], content: bytes) -> Any:
-    stream = ReadDataStream(BytesIO(content))
+def _may_begin(file: IO[bytes], at: int, size: int) -> bool:
+    """Whether a record may begin there."""
+    file.seek(at)
+    return at == size or file.read(1)[0] in _KINDS
+
+
+def _parts(path: Path) -> list[PartFile]:
+    if not path.is_dir():
+        return [PartFile(path, 0)]
     try:
-        return read(stream)
-    except Exception as error:
-        raise _BrokenError(f"a record cannot be read ({type(error).__name__}: {error})") from error
+        parts = parts_of(path)
+    except OSError as error:
+        raise NotARecordingError(f"{path}: {error.strerror}") from error
+    if not parts:
+        raise NotARecordingError(f"{path}: no {BAG_NAME} is in this folder")
+    return parts
 
 
-def _decompressed(chunk: Chunk) -> bytes:
-    if chunk.uncompressed_size > _LARGEST_CHUNK:
-        raise _BrokenError(f"a chunk says that it has {chunk.uncompressed_size} bytes")
-    decompress = _DECOMPRESS.get(chunk.compression)
-    if decompress is None:
-        raise _BrokenError(f"a chunk is compressed by {chunk.compression!r}, which is not known")
-    try:
-        data = decompress(chunk)
-    except Exception as error:  # the libraries' own types
-        raise _BrokenError(f"a chunk cannot be decompressed ({error})") from error
-    if chunk.uncompressed_crc not in {0, zlib.crc32(data)}:
-        raise _BrokenError("the checksum of a chunk is wrong")
-    return data
-
-
-def _zstd(chunk: Chunk) -> bytes:
-    import zstandard  # noqa: PLC0415 - only what a file needs
-
-    size = max(1, chunk.uncompressed_size)
-    return zstandard.ZstdDecompressor().decompress(chunk.data, max_output_size=size)
-
-
-def _lz4(chunk: Chunk) -> bytes:
-    from lz4 import frame  # type: ignore[import-untyped]  # noqa: PLC0415
-
-    data: bytes = frame.decompress(chunk.data)
-    return data
-
-
-_DECOMPRESS: Final[dict[str, Callable[[Chunk], bytes]]] = {
-    "": lambda chunk: chunk.data,
-    "zstd": _zstd,
-    "lz4": _lz4,
-}
+def _number(text: str) -> int:
+    return int(text) if text.isascii() and text.isdecimal() and len(text) < 10 else 0

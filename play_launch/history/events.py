@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from functools import cache
+from typing import TYPE_CHECKING, Final
 
 from play_launch.cdr.layout import CdrError
-from play_launch.cdr.messages import COMPONENT_EVENT, GRAPH_EVENT, LOG, STATE_EVENT
-from play_launch.core.events import (
-    ComponentEvent,
-    ComponentEventKind,
-    ContainerState,
-    ContainerStateChanged,
-    GraphChanged,
-    LogRecord,
-    NodeState,
-    NodeStateChanged,
-    OutputLine,
-    ProcessEvent,
-    ProcessEventKind,
-    RunEvent,
-    Stream,
+from play_launch.cdr.messages import (
+    ACTION_EVENT,
+    COMPONENT_EVENT,
+    GRAPH_EVENT,
+    LOG,
+    PROCESS_STATS,
+    STATE_EVENT,
+    SYSTEM_STATS,
 )
+from play_launch.core.events import LogRecord, OutputLine, RunEvent, Stream, SubjectKind
 from play_launch.core.node_key import NodeKey
-from play_launch.recording import topics
+from play_launch.recording import forms, topics
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -30,6 +25,8 @@ if TYPE_CHECKING:
     from play_launch.history.bag_reader import Message
 
 _CUT: Final = " [cut]"
+_NO_MODULES: Final = bytes(7)
+"""The length of a sequence, and up to three bytes before it that align it."""
 
 
 class UnreadableEventError(Exception):
@@ -44,82 +41,65 @@ def event_of(message: Message) -> RunEvent | None:
     Raises:
         UnreadableEventError: When the message is not what it should be.
     """
-    read = _READERS.get(message.topic[:2])
+    topic = message.topic
+    read = _READERS.get((topic.name, topic.type_name))
+    if read is None and topic.kind and topic.type_name == topics.PROCESS_STATS:
+        read = _process_sample
     if read is None:
         return None
     try:
-        return read(message.data)
+        return read(message)
     except (CdrError, ValueError, KeyError) as error:
         reason = f"a message of {message.topic.name} cannot be read: {error}"
         raise UnreadableEventError(reason) from error
 
 
-def _state(data: bytes) -> RunEvent:
-    fields = STATE_EVENT.read(data)
-    word = fields["state"].upper()
-    match fields["kind"]:
-        case 0:
-            return NodeStateChanged(
-                stamp_ns=fields["stamp"],
-                key=NodeKey(fields["container"], fields["name"]),
-                state=NodeState[word],
-                elapsed_ns=fields["elapsed_ns"],
-                reason=fields["reason"],
-                pid=fields["pid"],
-                cpu_time_ns=fields["cpu_time_ns"],
-                unique_id=fields["unique_id"],
-                attempt=fields["attempt"],
-                crashes=fields["crashes"],
-                reloads=fields["restarts"],
-            )
-        case 1:
-            return ContainerStateChanged(
-                stamp_ns=fields["stamp"],
-                container=fields["key"],
-                state=ContainerState[word],
-                reason=fields["reason"],
-                mechanism=fields["mechanism"],
-            )
-        case 2:
-            return ProcessEvent(
-                stamp_ns=fields["stamp"],
-                kind=ProcessEventKind[word],
-                name=fields["key"],
-                pid=fields["pid"],
-                start_time=fields["start_time"],
-                exit_code=fields["exit_code"],
-                signal=fields["signal"],
-                restarts=fields["restarts"],
-                message=fields["reason"],
-                command=fields["command"],
-            )
-        case kind:
-            raise ValueError(f"there is no kind {kind}")
+def _state(message: Message) -> RunEvent:
+    fields = STATE_EVENT.read(message.data)
+    if fields["state"] == forms.WITHDRAWN_STATE:
+        return forms.WITHDRAWN.event(fields)
+    event: RunEvent = forms.STATES[SubjectKind(fields["kind"])].event(fields)
+    return event
 
 
-def _component(data: bytes) -> RunEvent:
-    fields: dict[str, Any] = COMPONENT_EVENT.read(data)
-    return ComponentEvent(
-        stamp_ns=fields.pop("stamp"),
-        kind=ComponentEventKind(fields.pop("event_type")),
+def _component(message: Message) -> RunEvent:
+    return forms.COMPONENT.event(
+        # Earlier versions wrote no modules: this reads as an empty sequence.
+        COMPONENT_EVENT.read(message.data + _NO_MODULES),
         container="",  # the message does not say: its container sent it
-        received=data,
-        **fields,
+        received=message.data,
     )
 
 
-def _graph(data: bytes) -> RunEvent:
-    fields = GRAPH_EVENT.read(data)
-    return GraphChanged(
-        stamp_ns=fields["stamp"],
-        appeared=fields["appeared"],
-        vanished=fields["vanished"],
-        nodes=fields["nodes"],
+def _graph(message: Message) -> RunEvent:
+    return forms.GRAPH.event(GRAPH_EVENT.read(message.data))
+
+
+def _action(message: Message) -> RunEvent:
+    return forms.ACTION.event(ACTION_EVENT.read(message.data))
+
+
+def _process_sample(message: Message) -> RunEvent:
+    kind, key = message.topic.kind, message.topic.key
+    return forms.PROCESS_SAMPLE.event(
+        PROCESS_STATS.read(message.data), kind=_subject_kind(kind, key), key=key
     )
 
 
-def _output(data: bytes) -> RunEvent:
-    fields = LOG.read(data)
+@cache  # a long recording has hundreds of thousands of samples
+def _subject_kind(word: str, key: str) -> SubjectKind:
+    kind = SubjectKind[word.upper()]
+    if kind is SubjectKind.NODE:
+        NodeKey.parsed(key)  # whoever reads it may rely on that
+    return kind
+
+
+def _system_sample(message: Message) -> RunEvent:
+    return forms.SYSTEM_SAMPLE.event(SYSTEM_STATS.read(message.data))
+
+
+def _output(message: Message) -> RunEvent:
+    fields = LOG.read(message.data)
     text = fields["msg"]
     pid = fields["function"].removeprefix("pid ")
     return OutputLine(
@@ -132,8 +112,8 @@ def _output(data: bytes) -> RunEvent:
     )
 
 
-def _log(data: bytes) -> RunEvent:
-    fields = LOG.read(data)
+def _log(message: Message) -> RunEvent:
+    fields = LOG.read(message.data)
     return LogRecord(
         stamp_ns=fields["stamp"],
         level=fields["level"],
@@ -145,13 +125,15 @@ def _log(data: bytes) -> RunEvent:
     )
 
 
-_READERS: Final[dict[tuple[str, str], Callable[[bytes], RunEvent]]] = {
+_READERS: Final[dict[tuple[str, str], Callable[[Message], RunEvent]]] = {
     (topic.name, topic.type_name): read
     for topic, read in (
         (topics.STATES, _state),
         (topics.COMPONENT_EVENTS, _component),
         (topics.GRAPH, _graph),
+        (topics.ACTIONS, _action),
         (topics.OUTPUT, _output),
         (topics.LOG_ALL, _log),
+        (topics.SYSTEM, _system_sample),
     )
 }

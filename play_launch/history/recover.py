@@ -9,14 +9,13 @@ from typing import IO, TYPE_CHECKING, NamedTuple
 from mcap.writer import CompressionType, Writer
 
 from play_launch.history.bag_reader import BagReader, NotARecordingError
-from play_launch.recording.bag import ACTIVE_SUFFIX
+from play_launch.recording.folder import open_bag
+from play_launch.recording.part import ACTIVE_SUFFIX, HALF_SUFFIX
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from play_launch.history.bag_reader import Message
-
-_HALF: str = ".recovering"
 
 
 class RecoverError(Exception):
@@ -29,6 +28,8 @@ class Recovered(NamedTuple):
     path: Path
     messages: int
     reader: BagReader
+    last_offset: int = 0
+    """Where in the file the last message stands that was read."""
 
 
 def default_output(path: Path) -> Path:
@@ -47,23 +48,38 @@ def recover(path: Path, output: Path) -> Recovered:
         RecoverError: When the file is no recording, is being written, or ``output`` exists or
             cannot be written.
     """
-    half = output.with_name(output.name + _HALF)
     if output.exists():
         raise RecoverError(f"{output} exists; name another file with --output")
     try:
-        with path.open("rb") as source:
+        with open_bag(path) as source:
             _refuse_what_is_written(path, source)
-            with half.open("wb") as file:
-                reader, count = _copy(path, file)
-                os.fsync(file.fileno())
-        half.rename(output)
+            return write_whole(path, output)
     except NotARecordingError as error:
-        half.unlink(missing_ok=True)
         raise RecoverError(str(error)) from error
+    except OSError as error:
+        raise RecoverError(f"{error.filename or path}: {error.strerror}") from error
+
+
+def write_whole(path: Path, output: Path) -> Recovered:
+    """Do the same, and leave it to the caller that nobody else has to do with the files.
+
+    Raises:
+        NotARecordingError: When the file is no recording.
+        RecoverError: When the output cannot be written.
+    """
+    half = output.with_name(output.name + HALF_SUFFIX)
+    try:
+        with half.open("wb") as file:
+            reader, count, last_offset = _copy(path, file)
+            os.fsync(file.fileno())
+        half.rename(output)
+    except NotARecordingError:
+        half.unlink(missing_ok=True)
+        raise
     except OSError as error:
         half.unlink(missing_ok=True)
         raise RecoverError(f"{error.filename or half}: {error.strerror}") from error
-    return Recovered(output, count, reader)
+    return Recovered(output, count, reader, last_offset)
 
 
 def _refuse_what_is_written(path: Path, file: IO[bytes]) -> None:
@@ -74,21 +90,26 @@ def _refuse_what_is_written(path: Path, file: IO[bytes]) -> None:
         raise RecoverError(f"{path} is being written by a running session; stop that") from error
 
 
-def _copy(path: Path, file: IO[bytes]) -> tuple[BagReader, int]:
+def _copy(path: Path, file: IO[bytes]) -> tuple[BagReader, int, int]:
     reader = BagReader(path)
     writer = Writer(file, compression=CompressionType.ZSTD)
     writer.start("ros2", "play_launch recover")
     copied = _Copied(reader, writer)
-    count = 0
+    count = last_offset = 0
     for message in reader.messages():
         copied.head()
         writer.add_message(
-            copied.channel(message), message.log_time, message.data, message.publish_time, count
+            copied.channel(message),
+            message.log_time,
+            message.data,
+            message.publish_time,
+            message.sequence,
         )
         count += 1
+        last_offset = message.offset
     copied.head()
     writer.finish()  # type: ignore[no-untyped-call]
-    return reader, count
+    return reader, count, last_offset
 
 
 class _Copied:

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from play_launch.core.events import RunEvent
+    from play_launch.history.bag_reader import Message
 
 _DAMAGES: Final = 100
 """Messages that cannot be read are listed up to so many."""
@@ -58,9 +59,14 @@ class PastSession:
             try:
                 event = event_of(message)
             except UnreadableEventError as error:
-                if len(self.reader.damages) < _DAMAGES:
-                    self.reader.damages.append(Damage(message.offset, str(error)))
+                self.note_damage(message, error)
                 continue
             if event is not None:
                 before, self.view = self.view, self.view.after(event)
                 yield Happened(message.log_time, event, before, self.view)
+
+    def note_damage(self, message: Message, error: Exception) -> None:
+        """Remember a message that cannot be read; whoever else finds that out adds nothing."""
+        damages, damage = self.reader.damages, Damage(message.offset, str(error), self.reader.file)
+        if len(damages) < _DAMAGES and damage not in damages[-1:]:
+            damages.append(damage)

@@ -38,11 +38,13 @@ def container_argv(
         binary: The program `component_container`.
         stop_timeout: Seconds that it gives its nodes when it stops; None for its own default.
     """
-    argv = [os.fspath(binary)]
+    argv = [*config.prefix, os.fspath(binary)]
     if config.container_type.is_isolated:
         argv += ["--isolated", "--isolation", str(config.isolation)]
         if config.core_dumps:
             argv.append("--core_dumps")
+    if config.resources.lock_memory:
+        argv.append("--lock_memory")
     if config.container_type.is_multi_threaded:
         argv.append("--use_multi_threaded_executor")
     if config.thread_num is not None:
@@ -50,13 +52,7 @@ def container_argv(
     if stop_timeout is not None:
         argv += ["--stop_timeout", f"{stop_timeout:g}"]
     argv += config.arguments
-    argv += _ros_arguments(
-        name=config.name,
-        namespace=config.namespace,
-        log_level=config.log_level,
-        others=config.ros_arguments,
-    )
-    return tuple(argv)
+    return (*argv, *_ros_arguments(config))
 
 
 def probe_argv(package: str, plugin: str, binary: Path) -> tuple[str, ...]:
@@ -72,14 +68,8 @@ def probe_argv(package: str, plugin: str, binary: Path) -> tuple[str, ...]:
 
 def stock_container_argv(config: ContainerConfig, program: Path) -> tuple[str, ...]:
     """Make the command line of a container that is not our own."""
-    argv = [os.fspath(program), *config.arguments]
-    argv += _ros_arguments(
-        name=config.name,
-        namespace=config.namespace,
-        log_level=config.log_level,
-        others=config.ros_arguments,
-    )
-    return tuple(argv)
+    argv = [*config.prefix, os.fspath(program), *config.arguments]
+    return (*argv, *_ros_arguments(config))
 
 
 def process_argv(
@@ -101,22 +91,18 @@ def process_argv(
         ValueError: When neither a command nor an executable is there.
     """
     if config.command is not None:
-        argv = [*config.command, *config.arguments]
-        name = namespace = ""
+        argv = config.command
     elif executable is not None:
-        argv = [os.fspath(executable), *config.arguments]
-        name, namespace = config.name, config.namespace
+        argv = (os.fspath(executable),)
     else:
         raise ValueError(f"{config.full_name} has neither a command nor an executable")
-    argv += _ros_arguments(
-        name=name,
-        namespace=namespace,
+    ros_arguments = _ros_arguments(
+        config,
+        is_named=config.command is None,
         remappings=config.remappings,
         parameter_file=parameter_file,
-        log_level=config.log_level,
-        others=config.ros_arguments,
     )
-    return tuple(argv)
+    return (*config.prefix, *argv, *config.arguments, *ros_arguments)
 
 
 def find_executable(package: str, executable: str, prefixes: Sequence[Path]) -> Path:
@@ -138,24 +124,22 @@ def remap_rules(remappings: Iterable[tuple[str, str]]) -> tuple[str, ...]:
 
 
 def _ros_arguments(
+    config: ContainerConfig | ProcessConfig,
     *,
-    name: str,
-    namespace: str,
-    log_level: str | None,
-    others: Sequence[str],
+    is_named: bool = True,
     remappings: Iterable[tuple[str, str]] = (),
     parameter_file: Path | None = None,
 ) -> list[str]:
     rules = list(remap_rules(remappings))
     # A node without a declared name keeps its own: an empty remapping would be refused by rcl.
-    if name:
-        rules.append(f"__node:={name}")
-    if namespace:
-        rules.append(f"__ns:={namespace}")
+    if is_named and config.name:
+        rules.append(f"__node:={config.name}")
+    if is_named and config.namespace:
+        rules.append(f"__ns:={config.namespace}")
     arguments = [part for rule in rules for part in ("-r", rule)]
     if parameter_file is not None:
         arguments += ["--params-file", os.fspath(parameter_file)]
-    if log_level is not None:
-        arguments += ["--log-level", log_level]
-    arguments += others
+    if config.log_level is not None:
+        arguments += ["--log-level", config.log_level]
+    arguments += config.ros_arguments
     return ["--ros-args", *arguments] if arguments else []

@@ -31,6 +31,8 @@ _DEFAULTS = {
     # The same for print() in nodes written in Python; others take no notice.
     "PYTHONUNBUFFERED": "1",
 }
+_COERCED = {"C.UTF-8", "C.utf8", "UTF-8"}
+"""What Python sets LC_CTYPE to in the C locale, see PEP 538."""
 _PYTHON = re.compile(r"python(\d+(\.\d+)*)?")
 
 
@@ -83,6 +85,19 @@ def foreign_python_environment(
     changed.pop(BOOTSTRAP_MARK, None)
     _remove(changed, "LD_LIBRARY_PATH", ros.library_dirs)
     _remove(changed, "AMENT_PREFIX_PATH", [ros.prefix])
+    return changed
+
+
+def caller_environment(environment: Mapping[str, str], ros: RosInstallation) -> dict[str, str]:
+    """Undo in our own environment what was put into it while this Python came up.
+
+    What the caller had set to the same is undone as well.
+    """
+    changed = dict(environment)
+    if changed.get("LC_CTYPE") in _COERCED:
+        del changed["LC_CTYPE"]
+    if changed.pop(BOOTSTRAP_MARK, None) is not None:
+        _remove(changed, "LD_LIBRARY_PATH", ros.library_dirs)
     return changed
 
 

@@ -10,8 +10,9 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from play_launch.core.ament_index import ament_prefixes
 from play_launch.fastdds.middleware import IMPLEMENTATION
-from play_launch.install.ros import RosSource, ament_prefixes
+from play_launch.install.ros import RosSource
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -52,6 +52,16 @@ def parameter_file_text(parameters: Iterable[ParameterConfig]) -> str:
     return str(yaml.serialize(tree, width=float("inf"), allow_unicode=True))
 
 
+def parameter_text(parameter: ParameterConfig) -> str:
+    """Spell the value of a parameter as it stands behind `-p name:=`.
+
+    Raises:
+        ParameterFileError: As `parameter_file_text`.
+    """
+    text = str(yaml.serialize(_node(parameter), width=float("inf"), allow_unicode=True))
+    return text.removesuffix("...\n").strip()
+
+
 def write_parameter_file(parameters: Iterable[ParameterConfig], directory: Path) -> Path:
     """Write a parameter file with a name of its own into `directory`; its owner deletes it.
 

@@ -17,6 +17,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from play_launch.core.ament_index import ament_prefixes
+
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
@@ -132,6 +134,15 @@ def spawn_guard(environ: Mapping[str, str] | None = None, *, prefix: Path | None
     return _program("spawn_guard", environ, prefix)
 
 
+def topic_recorder(environ: Mapping[str, str] | None = None, *, prefix: Path | None = None) -> Path:
+    """Find the program that records topics.
+
+    Raises:
+        NotInstalledError: When it is nowhere.
+    """
+    return _program("topic_recorder", environ, prefix)
+
+
 def python_packages_problem() -> str | None:
     """Say what of ROS's Python packages is not there for this Python; imports none of them.
 
@@ -153,13 +164,6 @@ def python_packages_problem() -> str | None:
                 f"{sys.version_info.major}.{sys.version_info.minor}"
             )
     return None
-
-
-def ament_prefixes(environ: Mapping[str, str]) -> list[Path]:
-    """List the entries of AMENT_PREFIX_PATH."""
-    return [
-        Path(entry) for entry in environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if entry
-    ]
 
 
 def _program(name: str, environ: Mapping[str, str] | None, prefix: Path | None) -> Path:

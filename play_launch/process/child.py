@@ -5,12 +5,11 @@ from __future__ import annotations
 import asyncio
 import logging
 import os
-import shutil
 import signal
 import subprocess
 import threading
+import tty
 from contextlib import ExitStack, contextmanager, suppress
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from play_launch.core.events import Stream
@@ -19,10 +18,12 @@ from play_launch.process.guard import Ourselves, Parent, SessionGuard
 from play_launch.process.identity import ProcessIdentity, ProcessStat, read_stat
 from play_launch.process.lines import LineReader, OutputCallback
 from play_launch.process.machine import explained
+from play_launch.process.program import SpawnError, check_program
 from play_launch.process.session import session_members, signal_each, wait_all_ended
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
+    from pathlib import Path
 
     from play_launch.process.zygote import Zygote
 
@@ -32,30 +33,6 @@ _STRAGGLER_ROUNDS = 5
 _STRAGGLER_LIMIT = 1.0
 
 _log = logging.getLogger(__name__)
-
-
-class SpawnError(Exception):
-    """A program could not be started.
-
-    Attributes:
-        argv: The command line.
-        errno: The error number, 0 where the arguments themselves are unusable.
-    """
-
-    def __init__(self, argv: Sequence[str], reason: str, errno: int = 0) -> None:
-        program = argv[0] if argv else "a program without a name"
-        super().__init__(f"cannot start {program}: {reason}")
-        self.argv = tuple(argv)
-        self.errno = errno
-
-    @classmethod
-    def of(cls, argv: Sequence[str], error: OSError) -> SpawnError:
-        """Put an error of the system into words."""
-        reason = error.strerror or str(error)
-        named = error.filename
-        if named is not None and str(named) != argv[0]:
-            reason = f"{reason}: {named}"
-        return cls(argv, reason, error.errno or 0)
 
 
 class Child:
@@ -247,6 +224,8 @@ def spawn(
     on_output: OutputCallback | None = None,
     leaves_by_itself: bool = False,
     zygote: Zygote | None = None,
+    emulate_tty: bool = False,
+    settings: Sequence[str] = (),
 ) -> Child:
     """Start a program in a session of its own; about a millisecond, on the loop's thread.
 
@@ -257,17 +236,19 @@ def spawn(
             parent, and ends it with everything that came of it. The program `spawn_guard` makes
             the kernel kill the child alone when the thread that called this ends
             (PR_SET_PDEATHSIG). None starts it without that.
-        cwd: Its working directory; not with a `SessionGuard`.
+        cwd: Its working directory; not with a zygote.
         pass_fds: Descriptors that it inherits under the same numbers. All others are closed.
         on_output: Gets its lines; None sends its output to /dev/null.
         leaves_by_itself: Whether it ends by itself when we are gone, see `SessionGuard.spawn`.
         zygote: Who is forked for it; only with a `SessionGuard`.
+        settings: What it asks of the kernel, see `SessionGuard.spawn`; only with that.
+        emulate_tty: Whether it writes to terminals, one for each stream, instead of pipes.
 
     Raises:
         SpawnError: When it cannot be started: no such program, not executable, too many open
             files. What fails after the guard has taken over appears as exit status 126 or 127.
     """
-    _check_program(argv, env, cwd)
+    check_program(argv, env, cwd)
     _keep_exit_statuses()
     parent: Parent = guard if isinstance(guard, SessionGuard) else Ourselves()
     with ExitStack() as opened:
@@ -275,7 +256,7 @@ def spawn(
             pipes: dict[Stream, tuple[int, int]] = {}
             if on_output is not None:
                 for stream in Stream:
-                    pipes[stream] = ends = os.pipe()
+                    pipes[stream] = ends = _terminal() if emulate_tty else os.pipe()
                     for end in ends:
                         opened.callback(_close_if_open, end)
             nothing = os.open(os.devnull, os.O_RDWR | os.O_CLOEXEC)
@@ -286,7 +267,13 @@ def spawn(
             if isinstance(guard, SessionGuard):
                 descriptors = {**dict(enumerate(standard)), **{fd: fd for fd in pass_fds}}
                 pid = guard.spawn(
-                    argv, env, descriptors, leaves_by_itself=leaves_by_itself, zygote=zygote
+                    argv,
+                    env,
+                    descriptors,
+                    leaves_by_itself=leaves_by_itself,
+                    zygote=zygote,
+                    cwd=cwd,
+                    settings=settings,
                 )
             else:
                 pid = _fork(
@@ -351,23 +338,16 @@ def _fork(
     return process.pid
 
 
+def _terminal() -> tuple[int, int]:
+    """Open a pseudo-terminal for output only; the ends to read from and to write to."""
+    ours, theirs = os.openpty()
+    # What is written arrives as it is: no returns before line ends, nothing echoed.
+    tty.setraw(theirs)
+    return ours, theirs
+
+
 def _reader(descriptor: int, stream: Stream, on_output: OutputCallback) -> LineReader:
     return LineReader(descriptor, lambda lines: on_output(stream, lines))
-
-
-def _check_program(argv: Sequence[str], env: Mapping[str, str], cwd: Path | None) -> None:
-    """Say what is wrong before the guard runs: its own complaint would come as output."""
-    if not argv or not argv[0]:
-        raise SpawnError(argv, "the command line is empty")
-    program = argv[0]
-    if "/" in program:
-        path = Path(cwd or ".") / program
-        if not path.exists():
-            raise SpawnError.of(argv, FileNotFoundError(2, "no such file"))
-        if path.is_dir() or not os.access(path, os.X_OK):
-            raise SpawnError.of(argv, PermissionError(13, "it is not an executable file"))
-    elif shutil.which(program, path=env.get("PATH", os.defpath)) is None:
-        raise SpawnError.of(argv, FileNotFoundError(2, "no such program in PATH"))
 
 
 def _keep_exit_statuses() -> None:

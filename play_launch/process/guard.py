@@ -7,6 +7,7 @@ answered within a few milliseconds, like a fork of our own, so it may be made on
 from __future__ import annotations
 
 import array
+import atexit
 import errno
 import os
 import socket
@@ -27,6 +28,7 @@ _SPAWN: Final = 1
 _STATUS: Final = 2
 _REAP: Final = 3
 _HELPER: Final = 4
+_FAREWELL: Final = 5
 _ANSWER: Final = struct.Struct("=3i")
 _ANSWER_LIMIT: Final = 10.0
 """Seconds after which a guard that does not answer counts as lost."""
@@ -74,17 +76,30 @@ class SessionGuard:
         self._process = process
         self._is_lost = False
         self._helpers = 0
+        atexit.register(self._say_farewell)
 
     @classmethod
-    def start(cls, program: Path, *, answer_limit: float = _ANSWER_LIMIT) -> Self:
-        """Start it; raises OSError. It is lost when an answer takes longer than the limit."""
+    def start(
+        cls,
+        program: Path,
+        *,
+        afterwards: Sequence[str] = (),
+        answer_limit: float = _ANSWER_LIMIT,
+    ) -> Self:
+        """Start it; raises OSError.
+
+        Args:
+            program: The guard.
+            afterwards: A command that it starts when we have died and it has ended everything.
+            answer_limit: Seconds; it is lost when an answer takes longer.
+        """
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with ExitStack() as on_failure, theirs:
             on_failure.callback(ours.close)
             ours.settimeout(answer_limit)
             number = theirs.fileno()
             process = subprocess.Popen(
-                [program, "--session", str(number)],
+                [program, "--session", str(number), *(["--", *afterwards] if afterwards else [])],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
@@ -116,6 +131,8 @@ class SessionGuard:
         *,
         leaves_by_itself: bool,
         zygote: Zygote | None = None,
+        cwd: Path | None = None,
+        settings: Sequence[str] = (),
     ) -> int:
         """Start a command in a session of its own; returns its pid.
 
@@ -126,6 +143,9 @@ class SessionGuard:
             leaves_by_itself: Whether it ends by itself, within 0.7 s, when we are gone.
             zygote: Who is forked for it; if that fails, the command is executed, and the zygote
                 is lost.
+            cwd: Its working directory, ours by default; not with a zygote.
+            settings: What it asks of the kernel for itself, see `play_launch.core.resources`; what
+                is refused is left out.
 
         Raises:
             OSError: When it cannot be started.
@@ -134,7 +154,7 @@ class SessionGuard:
         helper = () if zygote is None else (zygote.fileno(),)
         head = (_SPAWN, leaves_by_itself, 0 if zygote is None else zygote.number, len(descriptors))
         request = struct.pack(f"={4 + len(descriptors)}i", *head, *descriptors)
-        with _file(_command(argv, env)) as command:
+        with _file(_command(argv, env, cwd, settings)) as command:
             answer = self._ask(request, (command.fileno(), *helper, *descriptors.values()))
         pid, obstacle, _ = answer
         if zygote is not None and obstacle:
@@ -163,9 +183,16 @@ class SessionGuard:
 
     def close(self) -> None:
         """Have everything ended that is left, and wait for that; blocks."""
+        self._say_farewell()
+        atexit.unregister(self._say_farewell)
         self._socket.close()
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(_END_LIMIT)
+
+    def _say_farewell(self) -> None:
+        # Without it, the end of the socket is our death.
+        with suppress(OSError):
+            self._send(struct.pack("=i", _FAREWELL), ())
 
     def _wait(self, request: int, pid: int) -> Exit | None:
         try:
@@ -198,14 +225,21 @@ class SessionGuard:
                 self._is_lost = True
 
 
-def _command(argv: Sequence[str], env: Mapping[str, str]) -> bytes:
+def _command(
+    argv: Sequence[str],
+    env: Mapping[str, str],
+    cwd: Path | None = None,
+    settings: Sequence[str] = (),
+) -> bytes:
     """Write a command as ``container_native/src/base/command_file.hpp`` reads it."""
     variables = [f"{name}={value}" for name, value in env.items()]
-    texts = [os.fsencode(text) for text in (*argv, *variables)]
+    folders = () if cwd is None else (os.fspath(cwd),)
+    texts = [os.fsencode(text) for text in (*argv, *variables, *folders, *settings)]
     if any(b"\0" in text for text in texts):
         msg = "embedded null byte"
         raise ValueError(msg)
-    return struct.pack("=2I", len(argv), len(variables)) + b"".join(t + b"\0" for t in texts)
+    counts = struct.pack("=4I", len(argv), len(variables), len(folders), len(settings))
+    return counts + b"".join(text + b"\0" for text in texts)
 
 
 def _file(content: bytes) -> BinaryIO:

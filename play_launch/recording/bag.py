@@ -1,57 +1,83 @@
-"""A bag as the recorder wants one, and as MCAP, written with the package ``mcap``."""
+"""A bag as the recorder wants one, and as MCAP: one file, or several that follow each other."""
 
 from __future__ import annotations
 
 import contextlib
-import fcntl
-import os
-from typing import IO, TYPE_CHECKING, Final, Protocol, Self, cast
+import logging
+import math
+import struct
+import time
+from typing import TYPE_CHECKING, Final, Protocol
 
-from mcap.writer import CompressionType, Writer
+from msgspec import Struct
 
-from play_launch.recording.errors import WriteFailedError
+from play_launch.cdr.layout import CdrError
+from play_launch.recording.disk import Disk
+from play_launch.recording.errors import WriteFailedError, reason
+from play_launch.recording.index import IndexedFile, IndexedTopic, write_index
+from play_launch.recording.latched import Latched
+from play_launch.recording.part import ACTIVE_SUFFIX, Part, part_path
 from play_launch.recording.schema import message_definition
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterator, Mapping
     from pathlib import Path
-    from types import TracebackType
 
+    from play_launch.recording.chunk import TopicChunk
     from play_launch.recording.topics import Topic
 
-ACTIVE_SUFFIX: Final = ".active"
-"""Appended to the name of a bag while it is written."""
-
-_CHUNK_SIZE: Final = 960 * 1024
-"""Bytes, uncompressed. The chunk ends *after* the message that exceeds it; the distance to 1 MiB
-is for that message."""
+PART_METADATA: Final = "play_launch.part"
+"""Every file but the first has it, with its ``number`` (from 1 on)."""
+REPEATED: Final = 0
+"""The sequence number of messages that repeat the latest ones of the files before; others have
+higher ones."""
+_PATIENCE: Final = 10.0
+"""Seconds until the next file is tried again."""
+_log = logging.getLogger(__name__)
 
 
 class BagWriter(Protocol):
     """A bag that is being written.
 
     All times are nanoseconds since the epoch. Every method may raise
-    :class:`~play_launch.recording.errors.WriteFailedError`; after that only :meth:`abandon` may
-    follow. A writer belongs to one thread at a time.
+    :class:`~play_launch.recording.errors.WriteFailedError`. What it was given is not lost then:
+    after :meth:`flush` has worked again, everything is in the bag. Until then nothing but
+    :meth:`has_room`, :meth:`flush`, :meth:`close` and :meth:`abandon` may follow. A writer belongs
+    to one thread at a time.
     """
 
     @property
     def path(self) -> Path:
-        """Where the data is now; it changes once, when :meth:`close` succeeds."""
+        """Where the data is now: the file, or the folder when there are several."""
+
+    @property
+    def parts(self) -> int:
+        """How many files there are."""
 
     @property
     def bytes_written(self) -> int:
-        """Size of the file in bytes."""
+        """Size of the files in bytes."""
 
     @property
     def messages(self) -> int:
-        """Messages in the file: those that :meth:`flush` has reached, or a full chunk."""
+        """Messages in the files: those that :meth:`flush` has reached, or a full chunk."""
 
     def register(self, topic: Topic) -> int:
         """Announce a topic and return its channel, to be given to :meth:`write`."""
 
-    def write(self, channel: int, data: bytes, *, log_time: int, publish_time: int) -> None:
-        """Append one CDR-serialised message (with its 4-byte encapsulation header)."""
+    def write(
+        self, channel: int, data: bytes, *, log_time: int, publish_time: int, key: str = ""
+    ) -> None:
+        """Append one CDR-serialised message (with its 4-byte encapsulation header).
+
+        The latest message of each ``key`` of a channel is repeated when another file is begun.
+        """
+
+    def append_chunk(self, chunk: TopicChunk) -> None:
+        """Append messages of registered channels that are in a chunk already.
+
+        When it fails, nothing of the chunk is in the bag: it is to be appended again.
+        """
 
     def attach(self, name: str, media_type: str, data: bytes, *, time: int) -> None:
         """Put a file of its own into the bag."""
@@ -62,6 +88,9 @@ class BagWriter(Protocol):
     def flush(self) -> None:
         """Hand everything over to the kernel: it then survives the death of this process."""
 
+    def has_room(self) -> bool:
+        """Whether it is worth while to :meth:`flush` again after that failed."""
+
     def close(self) -> None:
         """Complete the file, make it durable and give it its final name."""
 
@@ -69,11 +98,19 @@ class BagWriter(Protocol):
         """Let go of the file as it is; what was flushed stays readable. Never raises."""
 
 
-class McapBagWriter:
-    """Writes ``<path>.active`` and renames it to ``path`` when it is complete.
+class Rotation(Struct, frozen=True):
+    """When another file is begun: at so many bytes, after so many seconds."""
 
-    Profile ``ros2``, zstd chunks, every channel ``cdr`` with a ``ros2msg`` schema. Implements
-    :class:`BagWriter`.
+    size: float = math.inf
+    duration: float = math.inf
+
+
+class McapBagWriter:
+    """Writes ``<path>.active``, renamed to ``path`` when it is complete; then ``<path>_1``, ``_2``.
+
+    Profile ``ros2``, zstd chunks, every channel ``cdr`` with a ``ros2msg`` schema. Each file can be
+    read without the others: it begins with what was attached before the first message, with the
+    topics, and with what is latched. Implements :class:`BagWriter`.
     """
 
     def __init__(
@@ -82,200 +119,224 @@ class McapBagWriter:
         *,
         library: str = "play_launch",
         definition: Callable[[str], str] = message_definition,
+        rotation: Rotation | None = None,
+        sync: float = math.inf,
+        has_index: bool = False,
     ) -> None:
         """Create the file; it must not exist.
 
-        ``definition`` gives the text of a message type. Raises :class:`WriteFailedError`.
+        ``definition`` gives the text of a message type. Every ``sync`` seconds what was written is
+        forced to the disk. With an index, the folder of the file is a bag to rosbag2. Raises
+        :class:`WriteFailedError`.
         """
-        self._final_path = path
-        self._path = path.with_name(path.name + ACTIVE_SUFFIX)
+        self._first_path = path
+        self._library = library
         self._definition = definition
-        self._schemas: dict[str, int] = {}
-        self._sequences: dict[int, int] = {}
+        self._rotation = rotation or Rotation()
+        self._has_index = has_index
+        self._topics: dict[int, Topic] = {}
+        self._head: list[Callable[[Part], None]] = []
+        self._has_begun = False
+        self._latched = Latched()
+        self._finished: list[IndexedFile] = []
+        self._finished_bytes = 0
+        self._finished_messages = 0
+        self._number = 0
+        self._repeated = 0
+        self._not_before = 0.0
+        self._disk = Disk(sync, self._not_synced)
         with self._failing():
-            self._file = _AppendingFile(self._path)
-        self._writer = Writer(
-            # The package asks for a stream and calls write, tell and flush only.
-            cast("IO[bytes]", self._file),
-            chunk_size=_CHUNK_SIZE,
-            compression=CompressionType.ZSTD,
-        )
-        self._messages = 0
-        self._readable_messages = 0
-        self._readable_until = 0
-        with self._failing():
-            self._writer.start(profile="ros2", library=library)
-            self._mark()
+            self._part = self._begin(0)
 
     @property
     def path(self) -> Path:
         """Where the data is now."""
-        return self._path
+        return self._part.path if self._number == 0 else self._first_path.parent
+
+    @property
+    def parts(self) -> int:
+        """How many files there are."""
+        return self._number + 1
 
     @property
     def bytes_written(self) -> int:
-        """Size of the file in bytes."""
-        return self._file.position
+        """Size of the files in bytes."""
+        return self._finished_bytes + self._part.file.committed
 
     @property
     def messages(self) -> int:
-        """Messages that are in the file."""
-        return self._readable_messages
+        """Messages that are in the files; those that are repeated count once."""
+        return self._finished_messages + self._part.committed_messages - self._repeated
 
     def register(self, topic: Topic) -> int:
-        """Announce a topic; may raise ``SchemaNotFoundError``."""
-        schema = self._schemas.get(topic.type_name)
-        with self._failing():
-            if schema is None:
-                text = self._definition(topic.type_name).encode()
-                schema = self._writer.register_schema(topic.type_name, "ros2msg", text)
-                self._schemas[topic.type_name] = schema
-            return self._writer.register_channel(
-                topic.name,
-                "cdr",
-                schema,
-                {"offered_qos_profiles": topic.offered_qos_profiles},
-            )
+        """Announce a topic; may raise ``SchemaNotFoundError``, and nothing else."""
+        definition = self._definition(topic.type_name)
+        channel = len(self._topics) + 1
+        self._topics[channel] = topic
+        self._part.register(channel, topic, definition)
+        return channel
 
-    def write(self, channel: int, data: bytes, *, log_time: int, publish_time: int) -> None:
+    def write(
+        self, channel: int, data: bytes, *, log_time: int, publish_time: int, key: str = ""
+    ) -> None:
         """Append one message; a full chunk goes to the file at once."""
-        sequence = self._sequences.get(channel, 0) + 1
-        self._sequences[channel] = sequence
+        self._has_begun = True
+        if key:
+            self._latched.note(channel, key, data, publish_time)
         try:
-            self._writer.add_message(channel, log_time, data, publish_time, sequence & 0xFFFFFFFF)
+            self._part.write(channel, data, log_time=log_time, publish_time=publish_time)
         except OSError as error:
-            raise self._failed(error) from error
-        self._messages += 1
-        if self._file.position != self._readable_until:
-            self._mark()
+            raise WriteFailedError(self._active_path, error) from error
+
+    def append_chunk(self, chunk: TopicChunk) -> None:
+        """Append a chunk; it is with the kernel then, as is everything before."""
+        self._has_begun = True
+        with self._failing():
+            self._part.append_chunk(chunk)
+        # It is in the file now: whatever is wrong with it, it is not to be appended again.
+        with contextlib.suppress(OSError, struct.error, CdrError):
+            self._latched.note_chunk(chunk, self._topics)
+        self._committed()
 
     def attach(self, name: str, media_type: str, data: bytes, *, time: int) -> None:
         """Put a file of its own into the bag."""
-        with self._failing():
-            self._writer.add_attachment(time, time, _text(name), media_type, data)
-            self._mark()
+        self._put(lambda part: part.attach(name, media_type, data, time=time))
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Put a record of names and values into the bag."""
-        with self._failing():
-            self._writer.add_metadata(name, {key: _text(value) for key, value in values.items()})
-            self._mark()
+        self._put(lambda part: part.metadata(name, values))
 
     def flush(self) -> None:
         """End the chunk, so that everything written so far is with the kernel."""
         with self._failing():
-            self._writer.flush()  # type: ignore[no-untyped-call]
-            self._mark()
+            self._part.commit()
+        self._committed()
+
+    def has_room(self) -> bool:
+        """Whether it is worth while to flush again after that failed."""
+        try:
+            return self._part.file.has_room()
+        except OSError:
+            return False
 
     def close(self) -> None:
         """Write the summary, make the file durable and give it its final name."""
         with self._failing():
-            self.flush()
-            self._writer.finish()  # type: ignore[no-untyped-call]
-            self._mark()
-            self._file.sync()
-            self._file.close()
-            self._path.rename(self._final_path)
-            self._path = self._final_path
-            _sync_folder(self._final_path.parent)
+            self._finish()
+            self._disk.close()
 
     def abandon(self) -> None:
         """Cut the file after the last complete record and let go of it."""
+        self._disk.do(self._part.abandon)
         with contextlib.suppress(OSError):
-            self._file.truncate(self._readable_until)
-        with contextlib.suppress(OSError):
-            self._file.close()
+            self._disk.close()
 
-    def _mark(self) -> None:
-        """Everything up to here can be read, whatever happens next."""
-        self._readable_until = self._file.position
-        self._readable_messages = self._messages
+    @property
+    def _active_path(self) -> Path:
+        path = part_path(self._first_path, self._number)
+        return path.with_name(path.name + ACTIVE_SUFFIX)
 
-    def _failing(self) -> _Translate:
-        return _Translate(self)
+    def _committed(self) -> None:
+        self._disk.written(self._part)
+        if self._is_full():
+            self._go_on_in_another_file()
 
-    def _failed(self, error: OSError) -> WriteFailedError:
-        return WriteFailedError(self._path, error)
+    def _put(self, record: Callable[[Part], None]) -> None:
+        if not self._has_begun:
+            self._head.append(record)
+        with self._failing():
+            record(self._part)
+            self._part.file.commit()
+
+    def _begin(self, number: int) -> Part:
+        """Make a file with all that it needs to be read alone."""
+        part = Part(part_path(self._first_path, number), library=self._library)
+        try:
+            for record in self._head:
+                record(part)
+            if number > 0:
+                part.metadata(PART_METADATA, {"number": str(number)})
+            for channel, topic in self._topics.items():
+                part.register(channel, topic, self._definition(topic.type_name))
+            # They arrived before; but who plays the file back begins with its earliest log time.
+            now = time.time_ns()
+            for channel, data, publish_time in self._latched:
+                part.write(
+                    channel, data, log_time=now, publish_time=publish_time, sequence=REPEATED
+                )
+            part.commit()
+        except BaseException:
+            part.abandon()
+            part.path.unlink(missing_ok=True)
+            raise
+        return part
+
+    def _is_full(self) -> bool:
+        part = self._part
+        return (
+            part.committed_messages > self._repeated
+            and (
+                part.file.committed >= self._rotation.size
+                or time.monotonic() - part.begun >= self._rotation.duration
+            )
+            and time.monotonic() >= self._not_before
+        )
+
+    def _go_on_in_another_file(self) -> None:
+        try:
+            following = self._begin(self._number + 1)
+            try:
+                self._finish()
+            except OSError:
+                following.abandon()
+                following.path.unlink(missing_ok=True)
+                raise
+        except OSError as error:
+            self._not_before = time.monotonic() + _PATIENCE
+            _log.warning(
+                "cannot begin another file, the recording stays in %s: %s",
+                self._part.path,
+                reason(error),
+            )
+            return
+        self._finished_bytes += self._part.file.committed
+        self._finished_messages += self._part.committed_messages - self._repeated
+        self._part, self._number = following, self._number + 1
+        self._repeated = following.committed_messages
+        self._disk.written(following)
+
+    def _finish(self) -> None:
+        part = self._part
+        summary = part.finish()
+        counts = {_listed(self._topics[each]): count for each, count in summary.counts.items()}
+        name = part_path(self._first_path, self._number).name
+        self._finished.append(IndexedFile(name, summary.begin, summary.end, counts))
+        self._disk.do(part.complete)
+        if self._has_index:
+            finished = tuple(self._finished)
+            self._disk.do(lambda: self._write_index(finished))
+
+    def _write_index(self, finished: tuple[IndexedFile, ...]) -> None:
+        try:
+            write_index(self._first_path.parent, finished)
+        except OSError as error:
+            # Each file is whole without it.
+            _log.warning("cannot write the index of %s: %s", self._first_path, reason(error))
+
+    def _not_synced(self, error: OSError) -> None:
+        _log.error(
+            "%s cannot be forced to the disk: %s; a power failure may take it",
+            self._part.path,
+            reason(error),
+        )
+
+    @contextlib.contextmanager
+    def _failing(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise WriteFailedError(self._active_path, error) from error
 
 
-class _Translate:
-    """Turns an ``OSError`` of the file into :class:`WriteFailedError`."""
-
-    def __init__(self, writer: McapBagWriter) -> None:
-        self._writer = writer
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        if isinstance(error, OSError):
-            raise self._writer._failed(error) from error  # noqa: SLF001 - one class in two parts
-
-
-class _AppendingFile:
-    """A file without a buffer of its own.
-
-    Python's buffered writer keeps what it could not write, and tries again (and raises again)
-    when it is closed or collected; a recording that has met a full disk must be able to let go.
-    Chunks arrive in one piece, so a buffer would save nothing.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self.position = 0
-        self._descriptor = -1
-        self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
-        with contextlib.suppress(OSError):  # a file system without locks
-            # As long as it is held, the file is being written: see `history.recover`.
-            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-
-    def write(self, data: bytes) -> int:
-        rest = memoryview(data)
-        while rest:
-            count = os.write(self._descriptor, rest)
-            self.position += count
-            rest = rest[count:]
-        return len(data)
-
-    def tell(self) -> int:
-        return self.position
-
-    def flush(self) -> None:
-        """Nothing is held back."""
-
-    def sync(self) -> None:
-        os.fsync(self._descriptor)
-
-    def truncate(self, size: int) -> None:
-        if self._descriptor >= 0:
-            os.ftruncate(self._descriptor, size)
-            self.position = size
-
-    def close(self) -> None:
-        descriptor, self._descriptor = self._descriptor, -1
-        if descriptor >= 0:
-            os.close(descriptor)
-
-    def __del__(self) -> None:
-        self.close()
-
-
-def _text(text: str) -> str:
-    """Text as MCAP can hold it: a file name that is not Unicode is written with escapes."""
-    return text.encode("utf-8", "backslashreplace").decode()
-
-
-def _sync_folder(folder: Path) -> None:
-    """Make a rename durable, where the file system can."""
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    try:
-        os.fsync(descriptor)
-    except OSError:
-        # Some file systems (FUSE, network) refuse this for a folder; the file itself is synced.
-        pass
-    finally:
-        os.close(descriptor)
+def _listed(topic: Topic) -> IndexedTopic:
+    return IndexedTopic(topic.name, topic.type_name, topic.offered_qos_profiles)

@@ -2,25 +2,31 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, assert_never
+from typing import TYPE_CHECKING, Final, NamedTuple, assert_never
 
 from play_launch.cdr.log import log_message
-from play_launch.cdr.messages import COMPONENT_EVENT, GRAPH_EVENT, STATE_EVENT
 from play_launch.core.events import (
+    ActionEvent,
     ComponentEvent,
     ComponentEventKind,
     ContainerState,
     ContainerStateChanged,
     GraphChanged,
     LogRecord,
+    ManagedNodeChanged,
     NodeState,
     NodeStateChanged,
     OutputLine,
     ProcessEvent,
     ProcessEventKind,
+    ProcessSample,
     RunEvent,
+    SubjectKind,
+    SystemSample,
+    Withdrawn,
 )
-from play_launch.recording import topics
+from play_launch.core.managed import ManagedState
+from play_launch.recording import forms, topics
 from play_launch.recording.console_format import ERROR, WARN, line_level
 
 if TYPE_CHECKING:
@@ -33,6 +39,7 @@ _FAILED: Final = frozenset(
         NodeState.GAVE_UP,
         NodeState.LOST,
         ContainerState.GAVE_UP,
+        ManagedState.FAILED,
     }
 )
 
@@ -42,6 +49,8 @@ class Recorded(NamedTuple):
 
     topic: Topic
     data: bytes
+    key: str = ""
+    """Of a message that holds until the next one with this key."""
 
 
 def is_failure(event: RunEvent) -> bool:
@@ -59,7 +68,7 @@ def is_failure(event: RunEvent) -> bool:
             )
         case LogRecord():
             return event.level >= ERROR
-        case NodeStateChanged() | ContainerStateChanged():
+        case NodeStateChanged() | ContainerStateChanged() | ManagedNodeChanged():
             return event.state in _FAILED
         case _:
             return False
@@ -88,23 +97,39 @@ def convert(event: RunEvent) -> tuple[Recorded, ...]:
             if event.level < WARN:
                 return (everything,)
             return (everything, Recorded(topics.LOG, data))
-        case NodeStateChanged() | ContainerStateChanged() | ProcessEvent():
-            return (Recorded(topics.STATES, STATE_EVENT.write(_state(event))),)
+        case NodeStateChanged():
+            return (_state(SubjectKind.NODE, str(event.key), event),)
+        case ContainerStateChanged():
+            return (_state(SubjectKind.CONTAINER, event.container, event),)
+        case ProcessEvent():
+            return (_state(SubjectKind.PROCESS, event.name, event),)
+        case ManagedNodeChanged():
+            return (_state(SubjectKind.MANAGED, event.unit, event),)
+        case Withdrawn():
+            data = forms.WITHDRAWN.write(event)
+            return (Recorded(topics.STATES, data, f"{event.kind} {event.key}"),)
         case ComponentEvent():
             # As its container sent it, if one did.
-            data = event.received or _component_event(event)
+            data = event.received or forms.COMPONENT.write(event)
             return (Recorded(topics.COMPONENT_EVENTS, data),)
         case GraphChanged():
-            data = GRAPH_EVENT.write(
-                {
-                    "stamp": event.stamp_ns,
-                    "appeared": event.appeared,
-                    "vanished": event.vanished,
-                    "nodes": event.nodes,
-                }
-            )
-            return (Recorded(topics.GRAPH, data),)
+            return (Recorded(topics.GRAPH, forms.GRAPH.write(event)),)
+        case ActionEvent():
+            return (Recorded(topics.ACTIONS, forms.ACTION.write(event)),)
+        case ProcessSample():
+            topic = topics.stats_topic(event.kind, event.key)
+            return (Recorded(topic, forms.PROCESS_SAMPLE.write(event)),)
+        case SystemSample():
+            return (Recorded(topics.SYSTEM, forms.SYSTEM_SAMPLE.write(event)),)
     assert_never(event)
+
+
+def _state(
+    kind: SubjectKind,
+    key: str,
+    event: NodeStateChanged | ContainerStateChanged | ProcessEvent | ManagedNodeChanged,
+) -> Recorded:
+    return Recorded(topics.STATES, forms.STATES[kind].write(event), f"{kind} {key}")
 
 
 def convert_output(line: OutputLine) -> tuple[Recorded, int]:
@@ -119,67 +144,3 @@ def convert_output(line: OutputLine) -> tuple[Recorded, int]:
         function=f"pid {line.pid}",
     )
     return Recorded(topics.OUTPUT, data), level
-
-
-_NODE, _CONTAINER, _PROCESS = range(3)
-
-
-def _state(event: NodeStateChanged | ContainerStateChanged | ProcessEvent) -> dict[str, Any]:
-    """Everything that a change of state says; a state's word is its name in small letters."""
-    match event:
-        case NodeStateChanged():
-            return {
-                "stamp": event.stamp_ns,
-                "kind": _NODE,
-                "key": str(event.key),
-                "name": event.node,
-                "container": event.container,
-                "state": event.state.name.lower(),
-                "reason": event.reason,
-                "unique_id": event.unique_id,
-                "attempt": event.attempt,
-                "elapsed_ns": event.elapsed_ns,
-                "cpu_time_ns": event.cpu_time_ns,
-                "pid": event.pid,
-                "crashes": event.crashes,
-                "restarts": event.reloads,
-            }
-        case ContainerStateChanged():
-            return {
-                "stamp": event.stamp_ns,
-                "kind": _CONTAINER,
-                "key": event.container,
-                "name": event.container,
-                "container": event.container,
-                "state": event.state.name.lower(),
-                "reason": event.reason,
-                "mechanism": event.mechanism,
-            }
-        case ProcessEvent():
-            return {
-                "stamp": event.stamp_ns,
-                "kind": _PROCESS,
-                "key": event.name,
-                "name": event.name,
-                "state": event.kind.name.lower(),
-                "reason": event.message,
-                "start_time": event.start_time,
-                "pid": event.pid,
-                "exit_code": event.exit_code,
-                "signal": event.signal,
-                "restarts": event.restarts,
-                "command": event.command,
-            }
-
-
-def _component_event(event: ComponentEvent) -> bytes:
-    return COMPONENT_EVENT.write(
-        {
-            **{name: getattr(event, name) for name in _COMPONENT_FIELDS},
-            "stamp": event.stamp_ns,
-            "event_type": event.kind,
-        }
-    )
-
-
-_COMPONENT_FIELDS: Final = COMPONENT_EVENT.types.keys() - {"stamp", "event_type"}

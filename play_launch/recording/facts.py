@@ -6,16 +6,17 @@ import os
 import platform
 import re
 import sys
-from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
+
+from play_launch.recording.versions import OURSELVES, installed_versions
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
 REDACTED: Final = "(redacted)"
 
-_PACKAGES: Final = ("play-launch-py", "ros-rclpy", "rclpy", "mcap", "zstandard", "pydantic-core")
+_PACKAGES: Final = (OURSELVES, "ros-rclpy", "rclpy", "mcap", "zstandard", "pydantic-core")
 
 _KEPT_NAMES: Final = frozenset(
     {
@@ -91,6 +92,11 @@ def redacted_environment(environ: Mapping[str, str]) -> dict[str, str]:
     }
 
 
+def is_secret(name: str, value: str) -> bool:
+    """Whether a value that a configuration asks for by its name stays out of the recording."""
+    return _SECRET.search(name) is not None or _without_secrets(value) != value
+
+
 def _kept(name: str) -> bool:
     if name in _KEPT_NAMES:
         return True
@@ -129,13 +135,7 @@ def host_facts() -> dict[str, str | int]:
 
 def versions() -> dict[str, str]:
     """Versions of Python and of the packages that take part; those not installed are left out."""
-    found = {"python": platform.python_version()}
-    for package in _PACKAGES:
-        try:
-            found[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:
-            continue
-    return found
+    return {"python": platform.python_version(), **installed_versions(_PACKAGES)}
 
 
 def boot_id() -> str:

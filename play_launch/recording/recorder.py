@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 import time
-from collections import Counter
+from datetime import datetime
 from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
@@ -13,20 +14,22 @@ from play_launch.core.events import LogRecord, OutputLine, RunEvent
 from play_launch.recording import topics
 from play_launch.recording.console_format import ERROR, WARN
 from play_launch.recording.convert import convert, convert_output, is_failure
-from play_launch.recording.errors import RecordingError
+from play_launch.recording.errors import RecordingError, SchemaNotFoundError, WriteFailedError
+from play_launch.recording.event_queue import EventQueue
+from play_launch.recording.topic_requests import TopicRequests
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
     from play_launch.recording.bag import BagWriter
+    from play_launch.recording.convert import Recorded
+    from play_launch.recording.event_queue import Drops
     from play_launch.recording.topics import Topic
 
 _LOGGER: Final = "play_launch.recording"
 _FLOOD: Final = 1000
 """Events in one batch that make it a flood: 20,000 a second."""
-_NAMED_PROCESSES: Final = 5
-"""How many processes a report of drops names; the rest is summed up."""
+_log = logging.getLogger(__name__)
 
 
 class RecorderLimits(Struct, frozen=True):
@@ -41,11 +44,15 @@ class RecorderLimits(Struct, frozen=True):
     events that say what happened."""
     batch: float = 0.05
     """Seconds to gather events before they are written together."""
-    flush: float = 0.15
+    flush: float = 0.1
     """Seconds that a written message may wait for the end of its chunk. Together with ``batch``
-    this is what a SIGKILL can cost; it leaves 0.05 s of the promised 0.25 s to a busy machine."""
+    this is what a SIGKILL can cost; it leaves 0.1 s of the promised 0.25 s to a busy machine."""
     failure_gap: float = 0.01
     """Least seconds between two chunks that end early because of a failure."""
+    retry: float = 0.5
+    """Seconds until a file that took no data is tried again; twice as long each time, up to"""
+    longest_retry: float = 10.0
+    """so many seconds."""
     close: float = 10.0
     """Seconds to wait at the end for what is still to be written."""
 
@@ -54,12 +61,19 @@ class RecordingSummary(Struct, frozen=True):
     """What became of a recording."""
 
     path: Path
-    """The file; it still ends in ``.active`` when it could not be completed."""
+    """The file; it still ends in ``.active`` when it could not be completed. With several files
+    the folder that holds them."""
     messages: int
-    """Messages that are in the file."""
+    """Messages that are in it."""
     dropped: int
-    """Events that are not in the file."""
+    """Events that are not in it."""
     bytes: int
+    parts: int = 1
+    """Number of files."""
+    topic_drops: int = 0
+    """Messages of ROS's topics that are not in it."""
+    interruptions: int = 0
+    """How often it took no data for some time, for example on a full disk."""
     error: str = ""
     """Why the recording stopped early, and the fix; empty when it is complete."""
 
@@ -68,43 +82,36 @@ class Recorder:
     """An :class:`~play_launch.core.events.EventSink` that records.
 
     :meth:`publish` may be called from any thread; it never blocks and never fails. The file
-    belongs to the recorder's thread. When that cannot write any more, the recording stops,
-    ``on_failure`` is called once from that thread with one sentence, and the run goes on.
+    belongs to the recorder's thread. While that cannot write, because the disk is full or for
+    another reason, events wait as long as there is room for them, and the file is tried again and
+    again. The run goes on in any case; what happens to the recording is logged.
     """
 
-    def __init__(
-        self,
-        writer: BagWriter,
-        *,
-        on_failure: Callable[[str], None],
-        limits: RecorderLimits | None = None,
-    ) -> None:
+    def __init__(self, writer: BagWriter, *, limits: RecorderLimits | None = None) -> None:
         """Register the topics and start the thread; may raise ``RecordingError``."""
         self._writer = writer
-        self._on_failure = on_failure
         self._limits = limits or RecorderLimits()
         self._channels: dict[Topic, int] = {
             topic: writer.register(topic) for topic in topics.ALL_TOPICS
         }
-        self._lock = threading.Lock()
-        self._queue: list[tuple[int, RunEvent]] = []
-        self._text = 0
-        self._not_taken: Counter[str] = Counter()
-        """Drops that the recording does not report yet: lines by process, the rest under ""."""
-        self._dropped = 0
+        self._undefined: set[str] = set()
+        """Types whose definition is not installed."""
+        self._queue = EventQueue(self._limits)
+        self._wake = threading.Event()
+        self.topic_requests = TopicRequests(self._wake.set)
+        """Where topics of ROS come in, as finished chunks."""
         self._lost = 0
-        """As ``_dropped``, but counted by the recorder's thread."""
+        """Events that were taken from the queue and are not recorded."""
         self._unwritten = 0
         """Events of the batch under way that the writer has not got yet."""
         self._handed = 0
         """Messages that the writer has got."""
         self._unflushed = 0
+        self._interruptions = 0
         self._error = ""
-        self._stopped = False
-        self._closing = False
         self._summary: RecordingSummary | None = None
-        self._wake = threading.Event()
         self._hurry = threading.Event()
+        self._end = threading.Event()
         # A daemon: the end of the program must not wait for a disk that never answers.
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
@@ -112,30 +119,25 @@ class Recorder:
     @property
     def dropped(self) -> int:
         """Events that were not recorded so far."""
-        return self._dropped + self._lost
+        return self._queue.dropped + self._lost
+
+    @property
+    def waiting(self) -> int:
+        """Events that are to be written."""
+        return len(self._queue)
 
     @property
     def error(self) -> str:
-        """Why the recording stopped early; empty while it goes on."""
+        """Why the recording takes no data at the moment, or never again; else empty."""
         return self._error
 
     def publish(self, event: RunEvent) -> None:
         """Take one event; its time of arrival becomes the ``log_time``."""
-        received = time.time_ns()
-        is_line = isinstance(event, OutputLine)
-        with self._lock:
-            if not self._has_room(event):
-                self._dropped += 1
-                self._not_taken[event.process if isinstance(event, OutputLine) else ""] += 1
-                return
-            was_empty = not self._queue
-            self._queue.append((received, event))
-            if isinstance(event, OutputLine):
-                self._text += len(event.text)
-        if not is_line and is_failure(event):
+        is_first = self._queue.put(event)
+        if not isinstance(event, OutputLine) and is_failure(event):
             self._hurry.set()
             self._wake.set()
-        elif was_empty:
+        elif is_first:
             self._wake.set()
 
     def close(self) -> RecordingSummary:
@@ -144,8 +146,8 @@ class Recorder:
         Blocks for at most ``limits.close`` seconds. Further calls return the same summary.
         """
         if self._summary is None:
-            with self._lock:
-                self._closing = True
+            self._queue.close()
+            self._end.set()
             self._hurry.set()
             self._wake.set()
             self._thread.join(self._limits.close)
@@ -159,26 +161,24 @@ class Recorder:
                 messages=self._writer.messages,
                 dropped=self.dropped,
                 bytes=self._writer.bytes_written,
+                parts=self._writer.parts,
+                topic_drops=self.topic_requests.dropped,
+                interruptions=self._interruptions,
                 error=self._error,
             )
         return self._summary
 
-    def _has_room(self, event: RunEvent) -> bool:
-        if self._stopped or self._closing:
-            return False
-        waiting = len(self._queue)
-        if isinstance(event, OutputLine):
-            return waiting < self._limits.lines and self._text < self._limits.text
-        return waiting < self._limits.lines + self._limits.other_events
-
     def _run(self) -> None:
         try:
             self._record()
+            self.topic_requests.finish(self._writer)
             self._writer.close()
         except RecordingError as error:
             self._stop(str(error))
         except Exception as error:  # noqa: BLE001 - the run must go on whatever fails here
             self._stop(f"the recorder failed: {type(error).__name__}: {error}")
+        finally:
+            self.topic_requests.close()
 
     def _record(self) -> None:
         flush_at = 0.0
@@ -188,32 +188,26 @@ class Recorder:
             if self._wake.wait(waiting):
                 if self._hurry.is_set():
                     gap = flushed_at + self._limits.failure_gap - time.monotonic()
-                    if gap > 0 and not self._closing:
+                    if gap > 0 and not self._end.is_set():
                         time.sleep(gap)
                 else:
                     self._hurry.wait(self._limits.batch)
             hurried = self._hurry.is_set()
             self._hurry.clear()
             self._wake.clear()
-            batch, drops, closing = self._take()
+            batch, drops, closing = self._queue.take()
             if not self._unflushed:
                 flush_at = time.monotonic() + self._limits.flush
             failed = self._write_batch(batch)
             if drops:
                 self._write(time.time_ns(), _drop_report(drops))
             if self._unflushed and (hurried or failed or closing or time.monotonic() >= flush_at):
-                self._writer.flush()
-                self._unflushed = 0
+                self._flush()
                 flushed_at = time.monotonic()
+            if self.topic_requests.carry_out(self._writer, self._outlast):
+                self._unflushed = 0  # what is before a chunk goes to the file with it
             if closing:
                 return
-
-    def _take(self) -> tuple[list[tuple[int, RunEvent]], Counter[str], bool]:
-        with self._lock:
-            batch, self._queue = self._queue, []
-            self._text = 0
-            drops, self._not_taken = self._not_taken, Counter()
-            return batch, drops, self._closing
 
     def _write_batch(self, batch: list[tuple[int, RunEvent]]) -> bool:
         """Write events; return whether a line among them was an error."""
@@ -222,14 +216,10 @@ class Recorder:
         # time: then only an equal share keeps up.
         polite = len(batch) < _FLOOD
         self._unwritten = len(batch)
-        output_channel = self._channels[topics.OUTPUT]
-        write = self._writer.write
         for number, (received, event) in enumerate(batch):
             if isinstance(event, OutputLine):
-                (_, data), level = convert_output(event)
-                write(output_channel, data, log_time=received, publish_time=max(event.stamp_ns, 0))
-                self._handed += 1
-                self._unflushed += 1
+                recorded, level = convert_output(event)
+                self._hand(received, event, recorded)
                 failed = failed or level >= ERROR
             else:
                 self._write(received, event)
@@ -242,48 +232,105 @@ class Recorder:
 
     def _write(self, received: int, event: RunEvent) -> None:
         try:
-            recorded = convert(event)
+            converted = convert(event)
         except Exception as error:  # noqa: BLE001 - one odd event must not end the recording
             self._lost += 1
-            recorded = convert(_unconvertible(received, event, error))
-        for topic, data in recorded:
+            converted = convert(_unconvertible(received, event, error))
+        for recorded in converted:
+            self._hand(received, event, recorded)
+
+    def _hand(self, received: int, event: RunEvent, recorded: Recorded) -> None:
+        topic, data, key = recorded
+        channel = self._channel(topic)
+        if channel is None:
+            self._lost += 1
+            return
+        self._unflushed += 1
+        try:
             self._writer.write(
-                self._channels[topic],
+                channel,
                 data,
                 log_time=received,
                 publish_time=max(event.stamp_ns, 0),
+                key=key,
             )
-            self._handed += 1
-            self._unflushed += 1
+        except WriteFailedError as error:
+            self._outlast(error)
+        self._handed += 1
+
+    def _flush(self) -> None:
+        try:
+            self._writer.flush()
+        except WriteFailedError as error:
+            self._outlast(error)
+        self._unflushed = 0
+
+    def _outlast(self, error: WriteFailedError) -> None:
+        """Return when the file takes data again; raise when the end of the run comes before."""
+        self._interruptions += 1
+        self._error = str(error)
+        _log.error("the recording is interrupted: %s", error)
+        since, pause = time.monotonic(), self._limits.retry
+        while not self._end.wait(pause):
+            pause = min(2 * pause, self._limits.longest_retry)
+            if self._writer.has_room() and self._is_flushed():
+                break
+        else:
+            self._writer.flush()
+        self._error = ""
+        # By way of the log it is recorded, too.
+        _log.warning(
+            "the recording goes on after %.1f s; %s",
+            time.monotonic() - since,
+            _lost_meanwhile(self._queue.take_drops()),
+        )
+
+    def _is_flushed(self) -> bool:
+        try:
+            self._writer.flush()
+        except WriteFailedError:
+            return False
+        return True
+
+    def _channel(self, topic: Topic) -> int | None:
+        """Announce a topic with its first message; None when its type cannot be recorded."""
+        channel = self._channels.get(topic)
+        if channel is None and topic.type_name not in self._undefined:
+            try:
+                channel = self._channels[topic] = self._writer.register(topic)
+            except SchemaNotFoundError as error:
+                self._undefined.add(topic.type_name)
+                _log.error("messages of this type are not recorded: %s", error)
+        return channel
 
     def _stop(self, error: str) -> None:
         self._error = error
-        with self._lock:
-            self._stopped = True
-            self._dropped += len(self._queue)
-            self._queue = []
+        self._queue.close()
+        waiting = self._queue.take().events
         self._writer.abandon()
-        self._lost += self._unwritten + self._handed - self._writer.messages
-        self._on_failure(error)
+        handed = self._handed + self.topic_requests.messages
+        self._lost += len(waiting) + self._unwritten + handed - self._writer.messages
+        _log.error("the recording stopped: %s", error)
 
 
-def _drop_report(drops: Counter[str]) -> LogRecord:
-    others = drops.pop("", 0)
-    parts: list[str] = []
-    if lines := drops.total():
-        named = [f"{name} {count}" for name, count in drops.most_common(_NAMED_PROCESSES)]
-        if len(drops) > _NAMED_PROCESSES:
-            named.append("…")
-        parts.append(f"{lines} lines of output ({', '.join(named)})")
-    if others:
-        parts.append(f"{others} other events")
+def _drop_report(drops: Drops) -> LogRecord:
     return LogRecord(
         stamp_ns=time.time_ns(),
         level=WARN,
         name=_LOGGER,
-        message=f"not recorded, as they came faster than they could be written: "
-        f"{' and '.join(parts)}",
+        message=f"not recorded, as they came faster than they could be written: {drops}",
     )
+
+
+def _lost_meanwhile(drops: Drops) -> str:
+    if not drops:
+        return "nothing is lost"
+    since, until = (_time_of_day(stamp) for stamp in (drops.since_ns, drops.until_ns))
+    return f"from {since} to {until} it lost {drops}"
+
+
+def _time_of_day(stamp_ns: int) -> str:
+    return f"{datetime.fromtimestamp(stamp_ns / 1e9).astimezone():%H:%M:%S}"
 
 
 def _unconvertible(received: int, event: RunEvent, error: Exception) -> LogRecord:

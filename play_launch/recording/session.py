@@ -19,17 +19,19 @@ from typing import TYPE_CHECKING, Final
 from msgspec import Struct
 
 from play_launch.cdr.text import text_bytes
+from play_launch.config.model import RecordConfig
 from play_launch.recording import facts
-from play_launch.recording.bag import McapBagWriter
+from play_launch.recording.bag import McapBagWriter, Rotation
 from play_launch.recording.errors import RecordingError, SessionFolderError, reason
+from play_launch.recording.folder import BAG_NAME
 from play_launch.recording.recorder import Recorder, RecorderLimits
+from play_launch.recording.resolved_form import redacted_arguments
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from play_launch.recording.bag import BagWriter
 
-BAG_NAME: Final = "session.mcap"
 LATEST: Final = "latest"
 
 _log = logging.getLogger(__name__)
@@ -38,6 +40,9 @@ _LONGEST_NAME: Final = 100
 SCHEMA_VERSION: Final = 1
 """Version of the layout of a recording: topics, attachments and metadata."""
 METADATA_NAME: Final = "play_launch.session"
+INCLUDED: Final = "includes/"
+PARAMETERS: Final = "parameters/"
+"""What the names of attached files begin with."""
 
 
 class SessionDescription(Struct, frozen=True, kw_only=True):
@@ -53,6 +58,8 @@ class SessionDescription(Struct, frozen=True, kw_only=True):
     argv: Sequence[str]
     environ: Mapping[str, str]
     """The supervisor's environment; it is redacted before it is written."""
+    included_files: Sequence[tuple[str, bytes]] = ()
+    """File names and contents, in the order in which they were read."""
     parameter_files: Sequence[tuple[str, bytes]] = ()
     """File names and contents, in the order in which the configuration names them."""
 
@@ -68,25 +75,30 @@ class Session(Struct, frozen=True):
 def open_session(
     description: SessionDescription,
     *,
-    on_failure: Callable[[str], None],
     log_folder: Path | None = None,
+    record: RecordConfig | None = None,
     limits: RecorderLimits | None = None,
 ) -> Session:
     """Start recording a session and return it.
 
     ``log_folder`` is where the session's folder is made, by default
-    :func:`default_log_folder`. ``on_failure`` is called once, from
-    the recorder's thread, when the recording has to stop early. Raises :class:`RecordingError`
-    when it cannot even begin.
+    :func:`default_log_folder`; ``record`` says how it is recorded. Raises
+    :class:`RecordingError` when it cannot even begin.
     """
+    record = record or RecordConfig()
     root = log_folder or default_log_folder(description.environ)
     now = datetime.now().astimezone()
     folder = create_session_folder(root.expanduser(), description.name, now)
     session_id = str(uuid.uuid4())
-    writer = McapBagWriter(folder.bag)
+    writer = McapBagWriter(
+        folder.bag,
+        rotation=Rotation(record.rotate.size, record.rotate.duration),
+        sync=record.sync,
+        has_index=True,
+    )
     try:
         write_head(writer, description, session_id)
-        recorder = Recorder(writer, on_failure=on_failure, limits=limits)
+        recorder = Recorder(writer, limits=limits)
     except RecordingError:
         writer.abandon()
         raise
@@ -98,9 +110,14 @@ def write_head(writer: BagWriter, description: SessionDescription, session_id: s
     now = time.time_ns()
     suffix = Path(description.config_name).suffix or ".yaml"
     writer.attach(f"config{suffix}", "application/yaml", description.config_text, time=now)
-    for number, (name, text) in enumerate(description.parameter_files):
-        # Numbered: files of the same name may come from different folders.
-        writer.attach(f"parameters/{number}-{name}", "application/yaml", text, time=now)
+    kinds = {
+        INCLUDED: description.included_files,
+        PARAMETERS: description.parameter_files,
+    }
+    for kind, files in kinds.items():
+        for number, (name, text) in enumerate(files):
+            # Numbered: files of the same name may come from different folders.
+            writer.attach(f"{kind}{number}-{name}", "application/yaml", text, time=now)
     writer.attach(
         "resolved_config.json",
         "application/json",
@@ -119,7 +136,7 @@ def write_head(writer: BagWriter, description: SessionDescription, session_id: s
             "id": session_id,
             "name": description.name,
             "started_ns": str(now),
-            "argv": json.dumps(list(description.argv), ensure_ascii=False),
+            "argv": json.dumps(redacted_arguments(description.argv), ensure_ascii=False),
             "versions": json.dumps(versions, ensure_ascii=False),
             "play_launch_version": versions.get("play-launch-py", ""),
             "rmw_implementation": description.environ.get("RMW_IMPLEMENTATION", ""),

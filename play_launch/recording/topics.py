@@ -6,10 +6,19 @@ system: nothing subscribes to ``/play_launch`` but people who look at recordings
 
 from __future__ import annotations
 
+import re
+from functools import cache
 from typing import Final
 
 from msgspec import Struct
 
+from play_launch.core.events import SubjectKind
+
+KIND: Final = "play_launch.kind"
+KEY: Final = "play_launch.key"
+"""Metadata of a channel: see `Topic.about`."""
+PROCESS_STATS: Final = "play_launch_msgs/msg/ProcessStats"
+_NOT_IN_A_NAME: Final = re.compile(r"[^A-Za-z0-9_]+")
 _INFINITE: Final = "{sec: 9223372036, nsec: 854775807}"
 _KEEP_LAST: Final = 1
 _RELIABLE: Final = 1
@@ -27,6 +36,20 @@ class Topic(Struct, frozen=True):
     depth: int = 1000
     latched: bool = False
     """True for durability ``transient_local``."""
+    about: tuple[SubjectKind, str] | None = None
+    """Kind and key, as in StateEvent, of the one thing that all of its messages are about."""
+
+    offered: str = ""
+    """The quality of service that its publishers really offer, as ``offered_qos_profiles``."""
+
+    @property
+    def metadata(self) -> dict[str, str]:
+        """What the bag says about it."""
+        values = {"offered_qos_profiles": self.offered_qos_profiles}
+        if self.about is not None:
+            kind, key = self.about
+            values |= {KIND: kind.name.lower(), KEY: key}
+        return values
 
     @property
     def offered_qos_profiles(self) -> str:
@@ -35,7 +58,7 @@ class Topic(Struct, frozen=True):
         The policies are written as numbers: every rosbag2 from Foxy on reads those, while the
         words are understood from Jazzy on only.
         """
-        return (
+        return self.offered or (
             f"- history: {_KEEP_LAST}\n"
             f"  depth: {self.depth}\n"
             f"  reliability: {_RELIABLE}\n"
@@ -53,8 +76,33 @@ COMPONENT_EVENTS: Final = Topic(
 )
 STATES: Final = Topic("/play_launch/states", "play_launch_msgs/msg/StateEvent", latched=True)
 GRAPH: Final = Topic("/play_launch/graph", "play_launch_msgs/msg/GraphEvent")
+ACTIONS: Final = Topic("/play_launch/actions", "play_launch_msgs/msg/ActionEvent")
 OUTPUT: Final = Topic("/play_launch/output", "rcl_interfaces/msg/Log")
 LOG: Final = Topic("/play_launch/log", "rcl_interfaces/msg/Log")
 LOG_ALL: Final = Topic("/play_launch/log/all", "rcl_interfaces/msg/Log")
+PARAMETERS: Final = Topic(
+    "/play_launch/parameters", "play_launch_msgs/msg/NodeParameters", latched=True
+)
+"""`topic_recorder` writes it."""
+PARAMETER_EVENTS: Final = Topic("/parameter_events", "rcl_interfaces/msg/ParameterEvent")
+"""Of ROS itself."""
+SYSTEM: Final = Topic("/play_launch/system", "play_launch_msgs/msg/SystemStats")
 
-ALL_TOPICS: Final = (COMPONENT_EVENTS, STATES, GRAPH, OUTPUT, LOG, LOG_ALL)
+ALL_TOPICS: Final = (COMPONENT_EVENTS, STATES, GRAPH, ACTIONS, OUTPUT, LOG, LOG_ALL)
+"""Those that every recording has; others come with their first message."""
+
+
+@cache
+def stats_topic(kind: SubjectKind, key: str) -> Topic:
+    """Give the topic for what a process uses, named after the thing it is the process of.
+
+    A label is no name of a node, and repeats from container to container: it is put below that of
+    its container, without what a topic cannot have. The metadata says exactly what it is about.
+    """
+    room, path = ("container" if kind is SubjectKind.CONTAINER else "node"), key
+    if kind is SubjectKind.NODE:
+        container, _, name = key.partition(":/")
+        path = f"{container}/{name}" if "[" in name else name
+    words = [_NOT_IN_A_NAME.sub("_", word.strip("[]")) for word in path.split("/") if word]
+    words = [f"_{word}" if word[:1].isdigit() else word for word in words]
+    return Topic(f"/play_launch/{room}/{'/'.join(words)}/stats", PROCESS_STATS, about=(kind, key))

@@ -133,6 +133,25 @@ class RosThread:
         self.post(run, lambda error: _hand_over(loop, _fail, future, error))
         return await future
 
+    async def request(self, send: Callable[[Node], Any]) -> Any:
+        """Have a service's client send a request in the thread and wait for the response.
+
+        ``send`` returns rclpy's future of it. Raises what ``call`` does, and what comes in place of
+        a response.
+        """
+        loop = asyncio.get_running_loop()
+        response: asyncio.Future[Any] = loop.create_future()
+
+        def came(expected: Any) -> None:
+            error = expected.exception()
+            if error is None:
+                _hand_over(loop, _finish, response, expected.result())
+            else:
+                _hand_over(loop, _fail, response, error)
+
+        await self.call(lambda node: send(node).add_done_callback(came))
+        return await response
+
     def listen(self, on_change: Callable[[], None]) -> Callable[[], None]:
         """Have ``on_change`` called in this event loop after changes of the graph.
 

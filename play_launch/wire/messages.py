@@ -48,6 +48,9 @@ class Load(Struct, frozen=True, kw_only=True):
     remap_rules: tuple[str, ...] = ()
     parameters: tuple[ParameterConfig, ...] = ()
     extra_arguments: tuple[ParameterConfig, ...] = ()
+    resources: tuple[str, ...] = ()
+    """What its process asks of the kernel, see `play_launch.core.resources`."""
+    lock_memory: bool = False
 
 
 class Accepted(Struct, frozen=True, kw_only=True):

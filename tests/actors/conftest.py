@@ -19,7 +19,7 @@ def _loop_is_never_blocked() -> Iterator[None]:
         blockbuster.functions["socket.socket.recv"].can_block_in("process/guard.py", "_ask")
         blockbuster.functions["io.BufferedWriter.write"].can_block_in("process/guard.py", "_file")
         for name in ("os.stat", "os.access"):
-            blockbuster.functions[name].can_block_in("process/child.py", "_check_program")
+            blockbuster.functions[name].can_block_in("process/program.py", "check_program")
             blockbuster.functions[name].can_block_in("install/command.py", "find_executable")
-            blockbuster.functions[name].can_block_in("actors/launcher.py", "start_process")
+            blockbuster.functions[name].can_block_in("launching/command.py", "process_command")
         yield

@@ -20,7 +20,7 @@ from play_launch.core.crash import OnCrash
 from play_launch.core.events import ComponentEvent, ComponentEventKind, Stream
 from play_launch.core.node_key import NodeKey
 from play_launch.core.questions import NodeStatusState
-from play_launch.core.restart import RestartLimits
+from play_launch.core.restart import OnExit, RestartLimits
 from play_launch.process.exit import Exit
 from play_launch.process.lines import Line
 from play_launch.wire.channel import (
@@ -314,6 +314,7 @@ class FakeLauncher:
     probes: list[tuple[str, FakeProcess]] = field(default_factory=list)
     on_probe: Callable[[str, FakeProcess, OutputCallback], None] = found_good
     failures: dict[str, StartError] = field(default_factory=dict)
+    prepared: list[ReplayConfig] = field(default_factory=list)
     cleaned: int = 0
     cleaned_before_a_start: list[int] = field(default_factory=list)
     closed: bool = False
@@ -356,6 +357,9 @@ class FakeLauncher:
         # Nothing is heard of a process before it has been started.
         asyncio.get_running_loop().call_soon(self.on_probe, node.name, process, on_output)
         return process
+
+    async def prepare(self, config: ReplayConfig) -> None:
+        self.prepared.append(config)
 
     async def clean_up(self) -> None:
         self.cleaned += 1
@@ -400,13 +404,13 @@ def container(
     )
 
 
-def process(name: str, *, respawn: bool = False, max_restarts: int = 3) -> ProcessConfig:
+def process(name: str, *, on_exit: OnExit = OnExit.IGNORE, max_restarts: int = 3) -> ProcessConfig:
     return ProcessConfig(
         name=name,
         namespace="/",
         full_name=f"/{name}",
         command=(name,),
-        respawn=respawn,
+        on_exit=on_exit,
         restart=RestartLimits(max_restarts=max_restarts),
     )
 

@@ -17,12 +17,17 @@ from play_launch.core.events import (
     ProcessEvent,
     ProcessEventKind,
     RunEvent,
+    Stream,
 )
 from play_launch.core.view import SystemView
+from play_launch.process.lines import Line
+
+from .fake_parameters import FakeParameters
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable
 
+    from play_launch.actors.ports import RosAccess
     from play_launch.config.model import ReplayConfig
 
     from .fakes import FakeLauncher
@@ -31,6 +36,7 @@ if TYPE_CHECKING:
 class Running:
     def __init__(self, launcher: FakeLauncher | None = None) -> None:
         self._launcher = launcher
+        self.publisher = Publisher(self)
         self.stop = StopRequests()
         self.events: list[RunEvent] = []
         self.view = SystemView()
@@ -56,6 +62,10 @@ class Running:
         self.events.append(event)
         self.view = after
         self._published.set()
+
+    def say(self, process: str, text: str) -> None:
+        """Have a process write a line."""
+        self.publisher.publish_output(process, 1, Stream.STDOUT, [Line(text)])
 
     async def until(self, condition: Callable[[], bool]) -> None:
         async with asyncio.timeout(600):
@@ -124,17 +134,24 @@ class Running:
 
 @asynccontextmanager
 async def running(
-    config: ReplayConfig, launcher: FakeLauncher, *, starts: int | None = None
+    config: ReplayConfig,
+    launcher: FakeLauncher,
+    *,
+    parameters: FakeParameters | None = None,
+    starts: int | None = None,
+    ros: RosAccess | None = None,
 ) -> AsyncIterator[Running]:
     """Run a system inside the block; at its end it is stopped, and nothing may be left."""
     system = Running(launcher)
     system.task = task = asyncio.create_task(
         run_system(
             config,
-            Publisher(system),
+            system.publisher,
             system.stop,
             launcher=launcher,
+            parameters=parameters or FakeParameters(),
             starts=starts,
+            ros=ros,
             on_begin=system.begins,
         )
     )

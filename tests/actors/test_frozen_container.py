@@ -81,6 +81,24 @@ def test_it_is_found_killed_and_started_again_with_its_nodes(
     assert sys.outcome.exit_code == 0
 
 
+def test_a_debugger_may_take_any_time() -> None:
+    class Stopped(Freezes):
+        answers = 0
+
+        def start(self) -> None:
+            asyncio.get_running_loop().call_later(300, super().start)
+
+    async def main() -> None:
+        config = replace(container("c", "a"), prefix=("gdb", "--args"))
+        async with running(system(config), launcher(Stopped)) as sys:
+            await sys.until_loaded(1)
+            await asyncio.sleep(3600)
+            assert len(sys.launcher.containers["/c"]) == 1
+            assert sys.view.loaded == 1
+
+    run(main())
+
+
 def test_who_answers_is_left_alone_for_ever() -> None:
     class Slow(FakeContainer):
         def on_watch(self, query: Query) -> None:

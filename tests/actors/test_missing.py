@@ -12,6 +12,7 @@ from play_launch.core.events import (
     ProcessEventKind,
     RunEvent,
 )
+from play_launch.core.restart import OnExit
 from play_launch.core.view import SystemView
 from play_launch.process.exit import Exit
 
@@ -98,7 +99,7 @@ def test_a_container_that_ended_in_order_and_unasked_is_missing_until_it_is_back
 
 def test_a_process_between_two_starts_is_missing() -> None:
     async def main() -> Running:
-        async with running(system(process("p", respawn=True)), FakeLauncher()) as sys:
+        async with running(system(process("p", on_exit=OnExit.RESTART)), FakeLauncher()) as sys:
             await sys.until(lambda: ProcessEventKind.STARTED in sys.process_events("/p"))
             sys.launcher.processes["/p"][0].end(Exit(signal=11))
             await sys.until(lambda: ProcessEventKind.RESTARTING in sys.process_events("/p"))

@@ -36,7 +36,7 @@ from play_launch.core.events import (
     RunEvent,
 )
 from play_launch.core.node_key import NodeKey
-from play_launch.core.restart import RestartLimits
+from play_launch.core.restart import OnExit, RestartLimits
 from play_launch.core.view import SystemView
 
 from .fakes import system
@@ -84,13 +84,13 @@ def container(name: str, *nodes: ComposableNodeConfig, timeout: float = 10.0) ->
     )
 
 
-def python(name: str, code: str, *, respawn: bool = False) -> ProcessConfig:
+def python(name: str, code: str, *, on_exit: OnExit = OnExit.IGNORE) -> ProcessConfig:
     return ProcessConfig(
         name="",
         namespace="",
         full_name=f"/{name}",
         command=(sys.executable, "-c", code),
-        respawn=respawn,
+        on_exit=on_exit,
         restart=QUICK,
     )
 
@@ -270,7 +270,7 @@ def test_fifteen_containers_come_up_together() -> None:
 
 def test_ordinary_processes_are_respawned_and_heard() -> None:
     async def main() -> None:
-        quick = python("quick", "print('hello', flush=True)", respawn=True)
+        quick = python("quick", "print('hello', flush=True)", on_exit=OnExit.RESTART)
         steady = python("steady", "import time; time.sleep(600)")
         async with running_natively(system(quick, steady)) as sys:
             await sys.until(lambda: bool(sys.view.failed_processes))

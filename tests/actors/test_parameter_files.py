@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from play_launch.actors.launcher import ParameterFiles
+from play_launch.actors.parameter_files import ParameterFiles
 from play_launch.actors.ports import StartError
 from play_launch.config import load_config
 from tests.support.replay import COMMAND

@@ -4,9 +4,10 @@ import pytest
 
 from play_launch.actors.ports import StartError
 from play_launch.core.events import ProcessEventKind
+from play_launch.core.restart import OnExit
 from play_launch.process.exit import Exit
 
-from .fakes import FakeLauncher, FakeProcess, process, system
+from .fakes import FakeLauncher, FakeProcess, container, process, system
 from .jumping_loop import run
 from .running import Running, running
 
@@ -19,8 +20,8 @@ def ending(exit_: Exit) -> FakeLauncher:
     return FakeLauncher(on_process=lambda started: started.end(exit_))
 
 
-async def to_the_end(fakes: FakeLauncher, *, respawn: bool, max_restarts: int = 3) -> Running:
-    config = system(process("p", respawn=respawn, max_restarts=max_restarts))
+async def to_the_end(fakes: FakeLauncher, on_exit: OnExit, *, max_restarts: int = 3) -> Running:
+    config = system(process("p", on_exit=on_exit, max_restarts=max_restarts))
     async with running(config, fakes) as sys:
         await sys.stop.requested.wait()
     return sys
@@ -28,14 +29,61 @@ async def to_the_end(fakes: FakeLauncher, *, respawn: bool, max_restarts: int = 
 
 @pytest.mark.parametrize(("exit_", "code"), [(Exit(), 0), (Exit(code=3), 1), (Exit(signal=11), 1)])
 def test_it_runs_once(exit_: Exit, code: int) -> None:
-    sys = run(to_the_end(ending(exit_), respawn=False))
+    sys = run(to_the_end(ending(exit_), OnExit.IGNORE))
     assert sys.process_events("/p") == [STARTED, EXITED]
     assert sys.outcome is not None
     assert sys.outcome.exit_code == code
 
 
+@pytest.mark.parametrize(("exit_", "code"), [(Exit(), 0), (Exit(code=3), 1), (Exit(signal=11), 1)])
+def test_its_end_is_that_of_the_system(exit_: Exit, code: int) -> None:
+    async def main() -> Running:
+        fakes = FakeLauncher()
+        config = system(process("p", on_exit=OnExit.SHUTDOWN), process("q"), container("c", "n"))
+        async with running(config, fakes) as sys:
+            await sys.until_loaded(1)
+            await sys.until(lambda: STARTED in sys.process_events("/q"))
+            fakes.processes["/p"][0].end(exit_)
+            await sys.until_stopped()
+        return sys
+
+    sys = run(main())
+    assert sys.process_events("/q") == [STARTED, STOPPING, EXITED]
+    assert sys.outcome is not None
+    assert sys.outcome.reason == "/p has ended"
+    assert sys.outcome.exit_code == code
+
+
+def test_what_cannot_be_started_ends_the_system_as_well() -> None:
+    fakes = FakeLauncher(failures={"/p": StartError("no file", permanent=True)})
+
+    async def main() -> Running:
+        config = system(process("p", on_exit=OnExit.SHUTDOWN), process("q"))
+        async with running(config, fakes) as sys:
+            await sys.until_stopped()
+        return sys
+
+    sys = run(main())
+    assert sys.outcome is not None
+    assert (sys.outcome.reason, sys.outcome.exit_code) == ("/p has ended", 1)
+
+
+def test_who_stops_it_does_not_mean_the_system() -> None:
+    async def main() -> None:
+        config = system(process("p", on_exit=OnExit.SHUTDOWN), process("q"))
+        async with running(config, FakeLauncher()) as sys:
+            await sys.until(lambda: STARTED in sys.process_events("/p"))
+            sys.operated.restart("/p", "try again")
+            await sys.until(lambda: sys.process_events("/p").count(STARTED) == 2)
+            sys.operated.stop("/p", "not needed")
+            await sys.until(lambda: sys.process_events("/p").count(EXITED) == 2)
+            assert not sys.stop.requested.is_set()
+
+    run(main())
+
+
 def test_it_is_respawned_within_the_bounds() -> None:
-    sys = run(to_the_end(ending(Exit()), respawn=True, max_restarts=2))
+    sys = run(to_the_end(ending(Exit()), OnExit.RESTART, max_restarts=2))
     again = [STARTED, EXITED, RESTARTING]
     assert sys.process_events("/p") == [*again, *again, STARTED, EXITED, GAVE_UP]
     assert sys.view.processes["/p"].restarts == 2
@@ -44,23 +92,24 @@ def test_it_is_respawned_within_the_bounds() -> None:
 
 
 def test_a_program_that_is_not_there_is_not_respawned() -> None:
-    sys = run(to_the_end(ending(Exit(code=127)), respawn=True))
+    sys = run(to_the_end(ending(Exit(code=127)), OnExit.RESTART))
     assert sys.process_events("/p") == [STARTED, EXITED, GAVE_UP]
 
 
 @pytest.mark.parametrize(
-    ("permanent", "respawn", "tries"), [(True, True, 1), (False, False, 1), (False, True, 4)]
+    ("permanent", "on_exit", "tries"),
+    [(True, OnExit.RESTART, 1), (False, OnExit.IGNORE, 1), (False, OnExit.RESTART, 4)],
 )
-def test_it_cannot_be_started(permanent: bool, respawn: bool, tries: int) -> None:
+def test_it_cannot_be_started(permanent: bool, on_exit: OnExit, tries: int) -> None:
     fakes = FakeLauncher(failures={"/p": StartError("no file", permanent=permanent)})
-    sys = run(to_the_end(fakes, respawn=respawn))
+    sys = run(to_the_end(fakes, on_exit))
     assert sys.process_events("/p") == [RESTARTING] * (tries - 1) + [GAVE_UP]
     assert "no file" in sys.view.processes["/p"].message
 
 
 def test_it_is_stopped_with_a_signal() -> None:
     async def main() -> Running:
-        async with running(system(process("p", respawn=True)), FakeLauncher()) as sys:
+        async with running(system(process("p", on_exit=OnExit.RESTART)), FakeLauncher()) as sys:
             await sys.until(lambda: STARTED in sys.process_events("/p"))
         return sys
 
@@ -73,7 +122,9 @@ def test_it_is_stopped_with_a_signal() -> None:
 
 def test_a_stop_while_it_waits_for_its_respawn() -> None:
     async def main() -> Running:
-        async with running(system(process("p", respawn=True)), ending(Exit(code=1))) as sys:
+        async with running(
+            system(process("p", on_exit=OnExit.RESTART)), ending(Exit(code=1))
+        ) as sys:
             await sys.until(lambda: RESTARTING in sys.process_events("/p"))
         return sys
 

@@ -11,8 +11,8 @@ from msgspec.structs import replace
 from play_launch.actors.container.library_probes import LibraryProbes
 from play_launch.actors.ports import StartError
 from play_launch.actors.publisher import Publisher
-from play_launch.cli.show.json_style import event_object
 from play_launch.config.model import ContainerType
+from play_launch.core.event_object import event_object
 from play_launch.core.events import (
     ComponentEvent,
     ComponentEventKind,

@@ -16,6 +16,7 @@ from play_launch.core.events import (
     ProcessEventKind,
     RunEvent,
 )
+from play_launch.core.restart import OnExit
 from play_launch.core.view import SystemView
 from play_launch.process.exit import Exit
 from play_launch.process.lines import OutputCallback
@@ -40,7 +41,7 @@ CONFIG = system(
     container("slow", "s"),
     container("dies", "d"),
     process("p"),
-    process("q", respawn=True),
+    process("q", on_exit=OnExit.RESTART),
 )
 
 

@@ -13,6 +13,7 @@ import pytest
 
 from benchmarks.intra_process import DDS, ISOLATED, STANDARD
 from tests.support.isolated import allocator_environment
+from tests.support.mounts import mounted
 
 ROOT = Path(__file__).parents[2]
 
@@ -97,3 +98,29 @@ def test_a_kind_that_does_not_exist_is_refused() -> None:
     )
     assert result.returncode == 1
     assert "segv/callback" in result.stderr
+
+
+def test_recording_at_rest_is_measured_with_and_without_samples() -> None:
+    small = ("--containers", "1", "--nodes", "2", "--runs", "1")
+    printed = run("sampling", *small, "--settle", "2", "--seconds", "2", "--json")
+    figures: dict[str, list[dict[str, float]]] = json.loads(printed)
+    (sampled,), (not_sampled,) = figures["sampled"], figures["not sampled"]
+    assert sampled["cpu"] > 0
+    assert sampled["size"] > 0, "there was a sample meanwhile"
+    assert not_sampled["cpu"] >= 0
+
+
+def test_what_others_notice_of_a_change_is_measured() -> None:
+    (parts,) = json.loads(run("apply", "--runs", "1", "--seconds", "0.5", "--json"))
+    assert set(parts) == {"nothing", "four changes", "a parameter"}
+    for part in parts.values():
+        assert (part["missing"], part["began_anew"]) == (0, 0)
+        assert part["late_heard"] > -50, "something was heard"
+    assert parts["four changes"]["seconds"] > 0
+
+
+def test_what_outlives_a_supervisor_is_counted() -> None:
+    mounted("true", "true")  # skips where the benchmark could not have its own /dev/shm
+    (trial,) = json.loads(run("orphans", "--trials", "1", "--json"))
+    assert trial["phase"] == "start"
+    assert trial["orphans"] == []

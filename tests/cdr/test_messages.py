@@ -15,6 +15,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from play_launch.cdr import messages
 from play_launch.cdr.layout import CdrError, Layout
+from play_launch.cdr.messages import LOG, PROCESS_STATS
 
 if TYPE_CHECKING:
     from hypothesis.strategies import SearchStrategy
@@ -27,11 +28,12 @@ LAYOUTS = {
     for name, layout in vars(messages).items()
     if isinstance(layout, Layout)
 }
-OF_ROS = {"Parameter", "ParameterValue", "Log"}
+OF_ROS = {"Parameter", "ParameterEvent", "ParameterValue", "Log"}
 OURS = {name: layout for name, layout in LAYOUTS.items() if name not in OF_ROS}
 CODES = {
     "uint8": "B", "uint16": "H", "uint32": "I", "uint64": "Q", "int32": "i", "int64": "q",
-    "string": "s", "builtin_interfaces/Time": "t", "rcl_interfaces/Parameter": "Parameter",
+    "float64": "d", "string": "s", "bool": "?", "builtin_interfaces/Time": "t",
+    "rcl_interfaces/Parameter": "Parameter",
 }  # fmt: skip
 STORE = get_typestore(Stores.ROS2_JAZZY)
 for path in sorted((DEFINITIONS / "msg").glob("*.msg")):
@@ -166,6 +168,8 @@ def test_text_that_is_not_utf8_is_read_all_the_same() -> None:
 def test_a_field_that_does_not_exist_is_an_error() -> None:
     with pytest.raises(KeyError, match="raeson"):
         messages.CONTROL_SHUTDOWN.write({"raeson": ""})
+    with pytest.raises(KeyError, match="unique"):
+        messages.CONTROL_CANCEL.write({"unique": 1})  # of numbers alone
 
 
 def test_a_double_that_is_no_number_stays_one() -> None:
@@ -173,3 +177,23 @@ def test_a_double_that_is_no_number_stays_one() -> None:
     read = layout.read(layout.write({"double_array_value": (math.nan, -0.0)}))
     assert math.isnan(read["double_array_value"][0])
     assert math.copysign(1, read["double_array_value"][1]) == -1
+
+
+@given(st.data())
+def test_picked_numbers_are_those_that_are_read(data: st.DataObject) -> None:
+    written = PROCESS_STATS.write(data.draw(values(PROCESS_STATS)))
+    names = [name for name in PROCESS_STATS.types if name != "stamp"]
+    chosen = data.draw(st.lists(st.sampled_from(names), unique=True))
+    in_order = [name for name in names if name in chosen]
+    read = PROCESS_STATS.read(written)
+    found = PROCESS_STATS.picker(*chosen)(written)
+    assert repr(found) == repr(tuple(read[name] for name in in_order))
+    for damaged in (written[:-1], b"\0\0" + written[2:], b""):
+        with pytest.raises(CdrError):
+            PROCESS_STATS.picker(*chosen)(damaged)
+
+
+def test_only_numbers_of_messages_of_numbers_are_picked() -> None:
+    for layout, name in ((PROCESS_STATS, "stamp"), (PROCESS_STATS, "nothing"), (LOG, "level")):
+        with pytest.raises(ValueError, match=name):
+            layout.picker(name)

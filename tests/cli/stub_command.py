@@ -66,7 +66,9 @@ async def trouble() -> None:
     await asyncio.wait({task})
 
 
-async def run_system(config: ReplayConfig, publisher: Publisher, stop: StopRequests) -> Outcome:
+async def run_system(
+    config: ReplayConfig, publisher: Publisher, stop: StopRequests, **_ignored: object
+) -> Outcome:
     script = os.environ.get("STUB", "").split()
 
     def say(text: str) -> None:

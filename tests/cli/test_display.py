@@ -3,7 +3,7 @@ from __future__ import annotations
 import io
 import json
 import threading
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
@@ -19,6 +19,7 @@ from play_launch.core.events import (
     LogRecord,
     NodeState,
     ProcessEventKind,
+    ProcessSample,
     RunEvent,
 )
 from play_launch.core.view import SystemView
@@ -146,6 +147,17 @@ def test_quiet_leaves_output_away_in_every_style() -> None:
     ):
         assert not style.wants(output("x"))
         assert style.wants(node("/c", 0, NodeState.LOADED))
+
+
+def test_samples_are_shown_in_no_style() -> None:
+    values: dict[str, Any] = dict.fromkeys(ProcessSample.__annotations__, 0)
+    stream = io.StringIO()
+    for style in (
+        PlainStyle(stream, quiet=False, colour=False),
+        LiveStyle(Console(file=stream), quiet=False, colour=False),
+        JsonStyle(stream, quiet=False),
+    ):
+        assert not style.wants(ProcessSample(**values))
 
 
 def test_a_record_of_the_log_leaves_the_live_view_as_it_is() -> None:

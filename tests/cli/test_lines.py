@@ -7,11 +7,13 @@ from play_launch.cli.show.text_styles import format_lines
 from play_launch.core.events import (
     ContainerState,
     LogRecord,
+    ManagedNodeChanged,
     NodeState,
     ProcessEventKind,
     RunEvent,
     Stream,
 )
+from play_launch.core.managed import ManagedState
 from tests.cli.scenes import START, container, node, output, process, view
 
 
@@ -131,3 +133,23 @@ def test_a_container_of_somebody_else_has_no_pid() -> None:
         "20 /c attaching"
     )
     assert text(process("/c", ProcessEventKind.STARTED, pid=7)) == "20 /c started, pid 7"
+
+
+def test_managed_nodes_say_where_they_are_and_what_failed() -> None:
+    def managed(state: ManagedState, reason: str = "") -> ManagedNodeChanged:
+        return ManagedNodeChanged(
+            stamp_ns=START, unit="/c:/m", node="/m", state=state, reason=reason
+        )
+
+    assert line(managed(ManagedState.ABSENT)) is None
+    assert line(managed(ManagedState.ASKED)) is None
+    assert text(managed(ManagedState.ACTIVE)) == "20 /m is active"
+    failed = managed(ManagedState.FAILED, "its transition configure failed")
+    assert text(failed) == "40 /m autostart failed: its transition configure failed"
+
+
+def test_what_waits_says_for_what() -> None:
+    waiting = node("/c", 0, NodeState.PENDING, reason="waits for /d to be loaded")
+    assert text(waiting) == "20 /c /c/n0 waits for /d to be loaded"
+    held = container("/c", ContainerState.STARTING, reason="waits for a publisher of /scan")
+    assert text(held) == "20 /c waits for a publisher of /scan"

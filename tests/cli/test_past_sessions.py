@@ -24,6 +24,7 @@ from play_launch.core.events import (
     Stream,
 )
 from play_launch.core.node_key import NodeKey
+from tests.archive.scenes import begin_session, past_session
 from tests.history.test_session import record
 from tests.support.replay import COMMAND, replaying
 
@@ -199,3 +200,38 @@ def test_a_real_session_is_read_while_it_runs_and_afterwards(tmp_path: Path) -> 
     found = json.loads(run("info", bag, "--json").stdout)
     assert (found["complete"], found["nodes"], found["session"]["name"]) == (True, 1, "past")
     assert re.search(r"/talker loaded .*\(1/1\)", run("inspect", bag, "--node", "/talker").stdout)
+
+
+def test_a_session_of_several_files_is_one(tmp_path: Path) -> None:
+    folder = past_session(tmp_path, 1, parts=3)
+    result = run("info", folder)
+    assert (result.returncode, result.stderr) == (0, "")
+    assert "(3 files, " in result.stdout
+    assert "Messages:  30" in result.stdout
+    assert len(run("inspect", folder).stdout.splitlines()) == 30
+    alone = run("info", folder / "session_1.mcap")
+    assert (alone.returncode, alone.stderr) == (0, "")
+    assert "give their folder for the whole session" in alone.stdout
+
+
+def test_the_files_of_a_session_are_recovered_in_place(tmp_path: Path) -> None:
+    folder, writer = begin_session(tmp_path, 1, parts=2)
+    writer.flush()
+    running = run("recover", folder)
+    assert running.returncode == 1
+    assert "is being written by a running session" in running.stderr
+    writer.abandon()
+    result = run("recover", folder)
+    assert (result.returncode, result.stderr) == (0, "")
+    assert result.stdout == f"{folder / 'session_2.mcap'}: 0 messages\n"
+    assert "every file is complete" in run("recover", folder).stdout
+    assert "recovered in place" in run("recover", folder, "-o", tmp_path / "x").stderr
+    assert run("info", folder).returncode == 0
+
+
+@pytest.mark.parametrize("verb", ["info", "inspect", "recover"])
+def test_a_folder_without_a_session_is_refused(tmp_path: Path, verb: str) -> None:
+    result = run(verb, tmp_path)
+    assert result.returncode == (1 if verb == "recover" else 2)
+    assert "no session.mcap is in this folder" in result.stderr
+    assert "Traceback" not in result.stderr

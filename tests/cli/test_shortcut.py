@@ -18,6 +18,7 @@ from play_launch.cli.shortcut import plain_parameters
 VERBS = ("replay", "check")
 OPTIONS = [
     "--json",
+    "--explain",
     "--quiet",
     "-q",
     "-qq",
@@ -27,7 +28,7 @@ OPTIONS = [
     "--log",
     "-h",
 ]
-VALUES = ["a.yaml", "b.yaml", "../x", "~/y", "$HOME", "10s", "-5s", "", "-", "--"]
+VALUES = ["a.yaml", "x:=1", "y:=", "b.yaml", "../x", "~/y", "$HOME", "10s", "-5s", "", "-", "--"]
 WORDS = st.sampled_from(OPTIONS) | st.sampled_from(VALUES)
 
 
@@ -36,7 +37,8 @@ def by_typer(verb: str, arguments: list[str]) -> dict[str, Any]:
     context = group.make_context("play-launch", [verb, *arguments])
     command = group.get_command(context, verb)
     made = command.make_context(verb, list(arguments), parent=context)
-    return {name: value for name, value in made.params.items() if value not in {None, False}}
+    given = {name: value for name, value in made.params.items() if value not in (None, False, ())}
+    return {name: list(value) if name == "arguments" else value for name, value in given.items()}
 
 
 @pytest.mark.parametrize("verb", VERBS)
@@ -53,6 +55,10 @@ def test_what_is_usual_is_plain() -> None:
         "config": Path("a.yaml"),
         "as_json": True,
     }
+    assert plain_parameters("check", ["a.yaml", "side:=left", "x:="]) == {
+        "config": Path("a.yaml"),
+        "arguments": ["side:=left", "x:="],
+    }
     usual = ["a.yaml", "--log-dir", "/l", "--duration", "10s", "-q", "--json"]
     assert plain_parameters("replay", usual) == {
         "config": Path("a.yaml"),
@@ -63,7 +69,7 @@ def test_what_is_usual_is_plain() -> None:
     }
 
 
-@pytest.mark.parametrize("arguments", [[], ["--help"], ["a.yaml", "b.yaml"], ["a.yaml", "--bogus"]])
+@pytest.mark.parametrize("arguments", [[], ["--help"], ["a.yaml", ""], ["a.yaml", "--bogus"]])
 def test_the_rest_is_typers(arguments: list[str]) -> None:
     assert all(plain_parameters(verb, arguments) is None for verb in VERBS)
 

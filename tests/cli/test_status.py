@@ -2,9 +2,9 @@ from __future__ import annotations
 
 import pytest
 
+from play_launch.cli.show.durations import duration
 from play_launch.cli.show.status import (
     container_status,
-    duration,
     ending,
     is_complete,
     process_status,
@@ -45,7 +45,7 @@ def test_a_container_says_what_failed() -> None:
 @pytest.mark.parametrize(
     ("state", "expected"),
     [
-        (ContainerState.STARTING, "starting … 5.0 s"),
+        (ContainerState.STARTING, "starting: again in 1 s … 5.0 s"),
         (ContainerState.BACKOFF, "backoff: again in 1 s"),
         (ContainerState.GAVE_UP, "gave up: again in 1 s"),
         (ContainerState.STOPPING, "stopping: again in 1 s"),

@@ -6,7 +6,8 @@ from pathlib import Path
 
 from msgspec.structs import replace
 
-from play_launch.cli.show.summary import print_summary, size, summary_object
+from play_launch.cli.show.sizes import size
+from play_launch.cli.show.summary import print_summary, summary_object
 from play_launch.core.events import ContainerState, NodeState, ProcessEventKind
 from play_launch.core.node_key import NodeKey
 from play_launch.recording.recorder import RecordingSummary
@@ -54,6 +55,15 @@ def test_a_recording_that_stopped_early_says_so() -> None:
     )
     assert "4,321 events dropped" in text
     assert "stopped early: No space left" in text
+
+
+def test_several_files_and_interruptions_are_counted() -> None:
+    summary = RecordingSummary(path=LONG, messages=1, dropped=0, bytes=5, parts=3, interruptions=1)
+    text = printed(summary)
+    assert "(3 files, 1 messages, 5 bytes, interrupted 1 time)" in text
+    recording = summary_object(SYSTEM, summary, exit_code=0)["recording"]
+    assert isinstance(recording, dict)
+    assert (recording["parts"], recording["interruptions"]) == (3, 1)
 
 
 def test_the_summary_for_machines_has_the_same() -> None:

@@ -10,6 +10,8 @@ import pytest
 
 from play_launch.config import (
     ContainerType,
+    OnExit,
+    Output,
     ParameterConfig,
     ReplayConfig,
     RestartLimits,
@@ -112,11 +114,17 @@ def test_processes(full: ReplayConfig) -> None:
     assert listener.arguments == ("--fast",)
     assert values(listener.parameters)["rate"] == 1.0  # `/sensing/*` is one level only
     assert listener.environment["EXTRA"] == "yes"
-    assert listener.respawn
+    assert listener.on_exit is OnExit.RESTART
+    assert listener.prefix == ("gdb", "-ex", "set print on", "--args")
+    assert listener.cwd == GOOD / "params"
+    assert listener.emulate_tty
+    assert listener.output is Output.LOG
     assert listener.restart == RestartLimits(max_restarts=0)
     assert sleeper.command == ("/usr/bin/env", "sleep", "1")
     assert (sleeper.name, sleeper.full_name) == ("", "/[env]")
-    assert not sleeper.respawn
+    assert sleeper.on_exit is OnExit.IGNORE
+    assert (sleeper.prefix, sleeper.cwd, sleeper.emulate_tty) == ((), None, False)
+    assert sleeper.output is Output.BOTH
 
 
 def test_defaults() -> None:

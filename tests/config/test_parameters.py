@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from play_launch.config import ConfigError, ParameterType, ParameterValue, load_config, parse_config
-from play_launch.config.resolve.parameter_files import _matches
+from play_launch.config.resolve.parameter_files import matches
 
 NAMES = st.from_regex(r"[a-z][a-z_]{0,8}", fullmatch=True)
 TEXT = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=20)
@@ -207,7 +207,7 @@ def test_nested_names_are_joined_with_dots(nested: dict[str, dict[str, int]]) ->
     ],
 )
 def test_sections_of_parameter_files(pattern: str, name: str, matching: bool) -> None:
-    assert _matches(pattern, name) is matching
+    assert matches(pattern, name) is matching
 
 
 def load_with_file(directory: Path, content: str, node: str) -> dict[str, object]:

@@ -11,7 +11,16 @@ from pathlib import Path
 import pytest
 
 from play_launch.config import ConfigError, ParameterType, load_config, schema
-from play_launch.config.model import ContainerConfig, ContainerType, Isolation, StopLimits
+from play_launch.config.model import (
+    DEFAULT_TOPICS,
+    BeforeCrashConfig,
+    ContainerConfig,
+    ContainerType,
+    Isolation,
+    RecordConfig,
+    StopLimits,
+)
+from play_launch.config.schema import DependencySection
 from play_launch.config.section import Section
 from play_launch.config.source import LARGEST_FILE
 from play_launch.config.values import (
@@ -21,10 +30,11 @@ from play_launch.config.values import (
     LONGEST_NODE_NAME,
     LONGEST_TOPIC,
     parse_duration,
+    parse_size,
 )
 from play_launch.config.yaml.compose import ARRAY_TAGS, DEEPEST, MOST_VALUES
 from play_launch.core.crash import OnCrash
-from play_launch.core.restart import RestartLimits
+from play_launch.core.restart import OnExit, RestartLimits
 from play_launch.core.watchdog import WatchLimits
 
 REFERENCE = Path(__file__).parents[2] / "docs" / "config.md"
@@ -44,6 +54,7 @@ SURROUNDINGS = {
         "  ",
     ),
     "process": ("version: 1\nnodes:\n- command: [x]\n", "  "),
+    "nodes": ("version: 1\nnodes:\n", ""),
 }
 SECTIONS: dict[str, type[Section]] = {
     "Top level": schema.DocumentSection,
@@ -52,6 +63,7 @@ SECTIONS: dict[str, type[Section]] = {
     "containers": schema.ContainerSection,
     "composable_nodes": schema.ComposableNodeSection,
     "nodes": schema.ProcessSection,
+    "depends_on": DependencySection,
 }
 
 
@@ -115,7 +127,11 @@ def test_every_key_is_listed_in_its_place(title: str) -> None:
 
 @pytest.mark.parametrize(
     ("title", "key", "choices"),
-    [("Crashes", "on_crash", OnCrash), ("Container types", "container_type", ContainerType)],
+    [
+        ("Crashes", "on_crash", OnCrash),
+        ("Container types", "container_type", ContainerType),
+        ("on_exit", "on_exit", OnExit),
+    ],
 )
 def test_every_choice_is_explained(title: str, key: str, choices: type[StrEnum]) -> None:
     table = section(title).partition(f"| `{key}` |")[2].partition("\n\n")[0]
@@ -136,6 +152,55 @@ def test_keys_of_restart() -> None:
     listed = re.findall(r"^\| `(\w+)` \|", section("restart"), re.MULTILINE)
     keys = [*schema.RestartSection.keys, *schema.BackoffSection.keys]
     assert sorted(listed) == sorted(keys)
+
+
+@pytest.mark.parametrize(
+    ("key", "owner"),
+    [
+        ("key", schema.ResourcesSection),
+        ("key of `scheduler`", schema.SchedulerSection),
+        ("key of `rlimits`", schema.RlimitsSection),
+    ],
+)
+def test_keys_of_resources(key: str, owner: type[Section]) -> None:
+    table = section("resources").partition(f"| {key} |")[2].partition("\n\n")[0]
+    assert sorted(re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE)) == sorted(owner.keys)
+
+
+@pytest.mark.parametrize(
+    ("key", "listed_as", "owner"),
+    [
+        ("key", "record", schema.RecordSection),
+        ("key of `rotate`", "rotate", schema.RotateSection),
+        ("key of `keep`", "keep", schema.KeepSection),
+        ("key of `sampling`", "sampling", schema.SamplingSection),
+        ("key of `before_crash`", "before_crash", schema.BeforeCrashSection),
+    ],
+)
+def test_keys_of_record(key: str, listed_as: str, owner: type[Section]) -> None:
+    table = section("record").partition(f"| {key} |")[2].partition("\n\n")[0]
+    listed = re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE)
+    assert sorted(listed) == sorted(owner.keys), listed_as
+
+
+def test_defaults_of_record() -> None:
+    rows = re.findall(r"^\| `(\w+)` \|.*\| ([^|]+) \|$", section("record"), re.MULTILINE)
+    sync, *_ = [written for key, written in rows if key == "sync"]
+    size, *_ = [written for key, written in rows if key == "size"]
+    duration, *_ = [written for key, written in rows if key == "duration"]
+    period, *_ = [written for key, written in rows if key == "period"]
+    record = RecordConfig()
+    assert parse_duration(sync) == record.sync
+    assert parse_size(size) == record.rotate.size
+    assert parse_duration(duration) == record.rotate.duration
+    assert parse_duration(period) == record.sampling.period
+    written = dict(rows)
+    before_crash = BeforeCrashConfig(())
+    assert parse_duration(written["seconds"]) == before_crash.seconds
+    assert int(written["megabytes"]) == before_crash.megabytes
+    assert written["ros"] == "`true`"
+    assert record.ros
+    assert all(f"`{topic}`" in section("record") for topic in DEFAULT_TOPICS)
 
 
 NOT_WRITTEN = {"first_at_once"}

@@ -20,29 +20,18 @@ from tests.support.isolated import (
     start_isolated,
     survives,
 )
+from tests.support.shared_memory import segments_of
 
 if TYPE_CHECKING:
-    from tests.support.control_peer import Container, StartContainer
+    from tests.support.control_peer import StartContainer
 
 UNLOADED, LOADING = ComponentEvent.UNLOADED, ComponentEvent.LOADING
-SHARED_MEMORY = Path("/dev/shm")
 FOREVER = {"seconds": 3600.0}
 
 both_modes = pytest.mark.parametrize("mode", MODES)
 
 # A finished thread or two may wait to be joined at any moment; growth would be dozens.
 MOMENTARY = 2
-
-
-def segments(container: Container) -> set[Path]:
-    """The container's segments in /dev/shm, by the lock files it holds, without those of ports."""
-    links = Path(f"/proc/{container.process.pid}/fd").iterdir()
-    locks = {link.readlink().name for link in links if link.is_symlink()}
-    return {
-        SHARED_MEMORY / lock.removesuffix("_el")
-        for lock in locks
-        if lock.startswith("fastrtps_") and lock.endswith("_el") and "_port" not in lock
-    }
 
 
 def assert_nothing_left(pids: set[int], shared: set[Path]) -> None:
@@ -61,7 +50,7 @@ def test_a_stop_unloads_everything(
 ) -> None:
     container = start_isolated(spawn, mode)
     ids = {container.loaded(plugin).unique_id for plugin in ("Talker", "Listener", "Echo")}
-    pids, shared = children(container), segments(container)
+    pids, shared = children(container), segments_of([container.process.pid])
     assert len(pids) == 3
     if how is None:
         container.send(ControlShutdown(reason="enough"))
@@ -86,7 +75,7 @@ def test_the_end_of_the_channel_ends_everything(
         container.load("SlowConstructor", parameters=FOREVER)
         container.event(LOADING, plugin_name="play_launch_demo::SlowConstructor")
         container.status()
-    pids, shared = children(container), segments(container)
+    pids, shared = children(container), segments_of([container.process.pid])
     assert shared
     assert container.peer is not None
     container.peer.close()
@@ -100,7 +89,7 @@ def test_a_constructor_that_does_not_return_is_cut_off(spawn: StartContainer) ->
     container.load("SlowConstructor", parameters=FOREVER, node_name="sleeper")
     container.event(LOADING, full_node_name="/sleeper")
     container.status()
-    pids, shared = children(container), segments(container)
+    pids, shared = children(container), segments_of([container.process.pid])
     container.process.send_signal(signal.SIGTERM)
     gone = container.event(UNLOADED, full_node_name="/sleeper")
     assert gone.signal in {signal.SIGTERM, signal.SIGKILL}

@@ -33,7 +33,7 @@ def finding(name: str, **environment: str) -> tuple[int, dict[str, Any]]:
     plugin = f"play_launch_demo::{name.capitalize()}Library"
     status, line = probe(f"play_launch_demo_{name}", plugin, **environment)
     found = json.loads(line)
-    assert found.keys() == {"library", "error", "signal", "backtrace"}
+    assert found.keys() == {"library", "error", "signal", "modules", "backtrace"}
     assert found["library"].endswith(f"/lib/libplay_launch_demo_{name}.so")
     return status, found
 
@@ -57,6 +57,7 @@ def test_an_initialiser_that_dies(crash: str, number: int, reason: str) -> None:
     assert found["library"] in found["error"]
     assert reason in found["error"]
     assert any("play_launch_demo::crash_while_opening()" in line for line in found["backtrace"])
+    assert any(line.endswith(f" {found['library']}") for line in found["modules"])
 
 
 def test_an_initialiser_that_exits() -> None:

@@ -72,8 +72,8 @@ def test_a_node_cannot_spoil_the_container_s_descriptors(
 
 def test_a_channel_that_is_closed_from_within_is_called_that(spawn: StartContainer) -> None:
     container = start_isolated(spawn)
-    vandal = container.loaded("Vandal", parameters={"how": "close_by_system_calls"})
-    while Path(f"/proc/{vandal.pid}/fd/7").exists():
+    container.loaded("Vandal", parameters={"how": "close_by_system_calls"})
+    while container.control_socket in open_files(container).values():
         time.sleep(0.01)
     container.send(ControlQuery(query_id=1))  # wakes who waits for the closed socket
     assert container.wait() == 0

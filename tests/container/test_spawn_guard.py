@@ -46,7 +46,17 @@ def test_nothing_runs_without_the_parent(guard: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "arguments", [(), ("1",), ("x", "--", "true"), ("0", "--", "true"), ("1", "true", "true")]
+    "arguments",
+    [
+        (),
+        ("1",),
+        ("x", "--", "true"),
+        ("0", "--", "true"),
+        ("1", "true", "true"),
+        ("--session", "x"),
+        ("--session", "3", "--"),
+        ("--session", "3", "true", "true"),
+    ],
 )
 def test_wrong_usage_is_told(guard: str, arguments: tuple[str, ...]) -> None:
     done = run(guard, *arguments)

@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING
 import pytest
 from play_launch_msgs.msg import ComponentEvent, ControlShutdown
 
+from tests.support.shared_memory import segments_of
+
 if TYPE_CHECKING:
     from tests.support.control_peer import Container, StartContainer
 
 UNLOADED, LOADING = ComponentEvent.UNLOADED, ComponentEvent.LOADING
-SHARED_MEMORY = Path("/dev/shm")
 FOREVER = {"seconds": 3600.0}
 
 
@@ -32,20 +33,6 @@ def pending(container: Container, number: signal.Signals) -> bool:
     return any(mask & 1 << (number - 1) for mask in masks)
 
 
-def segments(container: Container) -> set[Path]:
-    """The container's segments in /dev/shm, by the lock files it holds.
-
-    Without those of ports, which the next process takes over.
-    """
-    links = Path(f"/proc/{container.process.pid}/fd").iterdir()
-    locks = {link.readlink().name for link in links if link.is_symlink()}
-    return {
-        SHARED_MEMORY / lock.removesuffix("_el")
-        for lock in locks
-        if lock.startswith("fastrtps_") and lock.endswith("_el") and "_port" not in lock
-    }
-
-
 @pytest.mark.parametrize("mode", [(), ("--use_multi_threaded_executor",)], ids=["standard", "mt"])
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_unloads_everything(
@@ -53,7 +40,7 @@ def test_a_signal_unloads_everything(
 ) -> None:
     container = spawn(*mode)
     ids = {container.loaded(plugin).unique_id for plugin in ("Talker", "Listener", "Echo")}
-    own = segments(container)
+    own = segments_of([container.process.pid])
     assert own
     container.process.send_signal(number)
     assert {container.event(UNLOADED).unique_id for _ in ids} == ids
@@ -87,7 +74,7 @@ def test_the_end_of_the_channel_ends_the_container(spawn: StartContainer, busy: 
     if busy:
         container.load("SlowConstructor", parameters=FOREVER)
         container.event(LOADING, plugin_name="play_launch_demo::SlowConstructor")
-    own = segments(container)
+    own = segments_of([container.process.pid])
     assert container.peer is not None
     begin = time.monotonic()
     container.peer.close()
@@ -112,7 +99,7 @@ def test_a_constructor_that_does_not_return_is_named_and_left(spawn: StartContai
     talker = container.loaded("Talker")
     container.load("SlowConstructor", parameters=FOREVER, node_name="sleeper")
     container.event(LOADING, full_node_name="/sleeper")
-    own = segments(container)
+    own = segments_of([container.process.pid])
     container.process.send_signal(signal.SIGTERM)
     container.event(UNLOADED, unique_id=talker.unique_id)
     assert container.wait() == 0
@@ -139,7 +126,7 @@ def test_a_third_signal_ends_it_at_once_and_leaves_no_shared_memory(
 ) -> None:
     container = spawn("--stop_timeout", "3600", failpoints="container.during_stop=hang")
     container.loaded("Talker")
-    own = segments(container)
+    own = segments_of([container.process.pid])
     assert own
     for _ in range(2):
         container.process.send_signal(number)

@@ -15,6 +15,8 @@ from play_launch.core.events import (
     ProcessEventKind,
     RunEvent,
     Stream,
+    SubjectKind,
+    Withdrawn,
 )
 from play_launch.core.exit_code import ExitCode, exit_code
 from play_launch.core.node_key import NodeKey
@@ -126,3 +128,19 @@ def test_who_is_given_up_while_it_still_runs_stays_given_up_when_it_ends() -> No
     assert view.processes["/p"].failed
     assert view.processes["/p"].message == "internal error"
     assert not view.after(event(ProcessEventKind.STARTED)).processes["/p"].failed
+
+
+def test_what_was_taken_out_counts_no_more() -> None:
+    view = fold(process(ProcessEventKind.EXITED, signal=9))
+    (name,) = view.processes
+    assert exit_code(view, None) == ExitCode.NODE_FAILED
+    view = view.after(Withdrawn(stamp_ns=2, kind=SubjectKind.PROCESS, key=name))
+    assert not view.processes
+    assert exit_code(view, None) == ExitCode.OK
+    for key in (NodeKey("/c", "/a"), NodeKey("/c", "/b")):
+        view = view.after(NodeStateChanged(stamp_ns=3, key=key, state=NodeState.CRASHED))
+    view = view.after(Withdrawn(stamp_ns=4, kind=SubjectKind.NODE, key="/c:/a"))
+    assert [key.name for key in view.containers["/c"].nodes] == ["/b"]
+    view = view.after(Withdrawn(stamp_ns=5, kind=SubjectKind.NODE, key="/elsewhere:/a"))
+    view = view.after(Withdrawn(stamp_ns=6, kind=SubjectKind.CONTAINER, key="/c"))
+    assert not view.containers

@@ -40,6 +40,10 @@ LIMITS = LimitFacts(
     core=UNLIMITED,
     memlock=UNLIMITED,
     address_space=UNLIMITED,
+    rtprio=Limit(soft=99, hard=99),
+    nice=Limit(soft=40, hard=40),
+    may_schedule=False,
+    may_lock_memory=False,
 )
 SHARED_MEMORY = SharedMemoryFacts(total=8 * GIBIBYTE, free=8 * GIBIBYTE, is_writable=True)
 NETWORK = NetworkFacts(

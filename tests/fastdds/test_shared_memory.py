@@ -11,8 +11,10 @@ import re
 import signal
 import sys
 import threading
+from contextlib import suppress
 from pathlib import Path
 
+import psutil
 import pytest
 
 from play_launch.core.events import Stream
@@ -62,6 +64,14 @@ def held_by(pid: int) -> set[str]:
     return owned
 
 
+def held_by_others() -> set[str]:
+    held: set[str] = set()
+    for process in psutil.process_iter():
+        with suppress(OSError):  # it ends meanwhile
+            held |= held_by(process.pid)
+    return held
+
+
 def node(name: str) -> tuple[Child, Output]:
     output = Output()
     # It must outlive no test, and no guard is needed for that: each test ends its own.
@@ -109,7 +119,8 @@ async def test_the_dead_are_swept_and_the_living_go_on_talking() -> None:
     await end(new, signal.SIGINT)
     await end(alive)
     await sweep_shared_memory()
-    assert not (of_alive | of_dead) & files()
+    # Ports from 7000 on are those of all domains: another test's process may have one by now.
+    assert not ((of_alive | of_dead) - held_by_others()) & files()
 
 
 async def test_nobody_who_comes_or_goes_is_disturbed() -> None:
@@ -223,9 +234,9 @@ async def test_a_port_that_is_being_opened_is_left_alone(loose_names: tuple[str,
         (SHARED_MEMORY / part).write_bytes(b"")
     await sweep_shared_memory()
     assert owned <= files()
-    # Killed in the middle of it: everybody who opens the port would wait for 20 s now.
+    # Killed in the middle of it: everybody who opens the port would wait for 20 s now. (Any other
+    # session of the machine may remove it first.)
     await end(opener)
-    assert owned <= files()
     await sweep_shared_memory()
     assert not owned & files()
 

@@ -12,8 +12,8 @@ import pytest
 from play_launch.graph_daemon.contract import DaemonAddress
 from play_launch.graph_daemon.control.start_stop import start_daemon, stop_daemon
 from tests.graph_daemon.scene import NODES
-from tests.graph_daemon.waiting import until
 from tests.graph_daemon.wire import ask
+from tests.support.waiting import until
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -7,15 +7,16 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from play_launch.archive.folders import is_being_written
 from play_launch.core.events import OutputLine, RunEvent, Stream
 from play_launch.history.bag_reader import BagReader
 from play_launch.history.recover import RecoverError, default_output, recover
 from play_launch.recording import topics
 from play_launch.recording.bag import McapBagWriter
-from tests.graph_daemon.waiting import until
 from tests.history.test_session import record
 from tests.recording.reading import messages, raw_messages
 from tests.support.replay import alive, replaying
+from tests.support.waiting import until
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -100,6 +101,8 @@ def test_the_recording_of_a_killed_supervisor_is_recovered(tmp_path: Path) -> No
         others = session.descendants()
         session.process.send_signal(signal.SIGKILL)
         session.process.wait()
+        # A child that was being forked has its files, and their locks, until it executes a program.
+        until(lambda: not is_being_written(active), "a file without a writer")
         recovered = recover(active, session.bag)
     assert recovered.reader.damages == []
     assert recovered.messages == len(messages(session.bag)) > 0

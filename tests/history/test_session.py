@@ -5,11 +5,14 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
+from play_launch.cdr.layout import Layout
 from play_launch.cdr.log import log_message
+from play_launch.cdr.messages import PROCESS_STATS
 from play_launch.core.events import (
     ComponentEvent,
     ComponentEventKind,
@@ -17,17 +20,32 @@ from play_launch.core.events import (
     OutputLine,
     RunEvent,
     Stream,
+    SubjectKind,
 )
 from play_launch.core.view import SystemView
+from play_launch.history.bag_reader import Message, Topic
+from play_launch.history.events import event_of
 from play_launch.history.session import PastSession
 from play_launch.recording import topics
 from play_launch.recording.bag import McapBagWriter
 from play_launch.recording.convert import convert
 from play_launch.recording.session import METADATA_NAME
-from tests.recording.test_states import EVENTS, GRAPH_CHANGES, INT32, NAMES, STAMPS, TEXTS, UINT64
+from tests.recording.test_states import (
+    EVENTS,
+    GRAPH_CHANGES,
+    INT32,
+    NAMES,
+    PROCESS_SAMPLES,
+    STAMPS,
+    SYSTEM_SAMPLES,
+    TEXTS,
+    UINT64,
+)
 
 OTHERS = st.one_of(
     GRAPH_CHANGES,
+    SYSTEM_SAMPLES,
+    PROCESS_SAMPLES,
     st.builds(
         OutputLine,
         stamp_ns=STAMPS,
@@ -63,8 +81,17 @@ OTHERS = st.one_of(
         exit_code=INT32,
         signal=INT32,
         backtrace=st.lists(TEXTS, max_size=3).map(tuple),
+        modules=st.lists(TEXTS, max_size=3).map(tuple),
         confirmed_by=TEXTS,
     ),
+)
+
+EVERYTHING = st.one_of(EVENTS, OTHERS)
+
+
+EVENT_BEFORE_MODULES = Layout(
+    "stamp:t event_type:B unique_id:Q attempt:Q full_node_name:s package_name:s plugin_name:s "
+    "error_message:s pid:i start_time:Q exit_code:i signal:i backtrace:s[] confirmed_by:s"
 )
 
 
@@ -73,7 +100,9 @@ def record(path: Path, events: list[RunEvent], damage: bytes = b"") -> Path:
     writer.metadata(METADATA_NAME, {"name": "x", "started_ns": "500"})
     channels = {topic: writer.register(topic) for topic in topics.ALL_TOPICS}
     for number, event in enumerate(events):
-        for topic, data in convert(event):
+        for topic, data, _ in convert(event):
+            if topic not in channels:
+                channels[topic] = writer.register(topic)
             writer.write(channels[topic], data, log_time=1000 + number, publish_time=event.stamp_ns)
     if damage:
         writer.write(channels[topics.STATES], damage, log_time=0, publish_time=0)
@@ -116,3 +145,24 @@ def test_the_graph_as_earlier_versions_recorded_it_is_passed_over(tmp_path: Path
     session = PastSession(writer.path)
     assert list(session.events()) == []
     assert session.reader.damages == []
+
+
+@given(st.text(st.characters(codec="ascii", exclude_characters="\0"), max_size=9))
+def test_an_event_of_an_earlier_version_has_no_modules(confirmed_by: str) -> None:
+    data = EVENT_BEFORE_MODULES.write({"stamp": 5, "confirmed_by": confirmed_by})
+    topic = Topic(topics.COMPONENT_EVENTS.name, topics.COMPONENT_EVENTS.type_name, "cdr")
+    event = event_of(Message(topic, 0, 0, data, 0, 0))
+    assert isinstance(event, ComponentEvent)
+    assert (event.stamp_ns, event.confirmed_by, event.modules) == (5, confirmed_by, ())
+
+
+@pytest.mark.parametrize("about", [(SubjectKind.NODE, "/not_a_node"), (SubjectKind.NODE, "")])
+def test_a_sample_of_nobody_is_damage(tmp_path: Path, about: tuple[SubjectKind, str]) -> None:
+    writer = McapBagWriter(tmp_path / "x.mcap")
+    channel = writer.register(replace(topics.stats_topic(SubjectKind.PROCESS, "/a"), about=about))
+    writer.write(channel, PROCESS_STATS.write({}), log_time=1, publish_time=1)
+    writer.close()
+    session = PastSession(writer.path)
+    assert list(session.events()) == []
+    assert len(session.reader.damages) == 1
+    assert "is not the key of a node" in session.reader.damages[0].reason

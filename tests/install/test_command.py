@@ -53,6 +53,17 @@ def test_a_container_with_everything() -> None:
     )
 
 
+def test_a_prefix_comes_first() -> None:
+    prefix = ("gdb", "-ex", "set print on", "--args")
+    own = container_argv(container(prefix=prefix), BINARY)
+    assert own == (*prefix, *container_argv(container(), BINARY))
+    stock = stock_container_argv(container(prefix=prefix), BINARY)
+    assert stock == (*prefix, *stock_container_argv(container(), BINARY))
+    assert process_argv(process(prefix=prefix, command=("x", "-y"))) == (*prefix, "x", "-y")
+    installed = process_argv(process(prefix=prefix, arguments=("-y",)), executable=Path("/x"))
+    assert installed == (*prefix, "/x", "-y")
+
+
 @pytest.mark.parametrize(
     ("kind", "isolation", "flags"),
     [

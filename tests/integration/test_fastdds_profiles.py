@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import pytest
 
 from tests.support.loopback_network import permitted
-from tests.support.replay import Replay, replaying
+from tests.support.replay import replaying
+from tests.support.shared_memory import segments_of
 
 ROOT = Path(__file__).resolve().parents[2]
 PROFILES = ROOT / "fixtures" / "fastdds"
@@ -19,6 +19,7 @@ MEBIBYTE = 1 << 20
 # its own.
 SYSTEM = """
 version: 1
+record: {{ros: false}}
 environment:
   ROS_AUTOMATIC_DISCOVERY_RANGE: SUBNET
   FASTRTPS_DEFAULT_PROFILES_FILE: {profile}
@@ -34,20 +35,6 @@ containers:
         plugin: play_launch_demo::Listener
         name: listener
 """
-
-
-def segments(replay: Replay) -> list[Path]:
-    """The shared memory of the participants of a run, by the locks that they hold."""
-    found = set()
-    for process in replay.descendants():
-        for entry in Path(f"/proc/{process.pid}/fd").iterdir():
-            try:
-                target = str(entry.readlink())
-            except FileNotFoundError:  # closed since
-                continue
-            if match := re.fullmatch(r"(/dev/shm/fastrtps_[0-9a-f]{16})_el", target):
-                found.add(Path(match[1]))
-    return sorted(found)
 
 
 @pytest.fixture
@@ -66,7 +53,7 @@ def test_profile(profile: str, expected: list[int], tmp_path: Path) -> None:
         replay.read_until(
             lambda event: "I heard" in event.get("text", ""), "a message from process to process"
         )
-        found = segments(replay)
+        found = segments_of(each.pid for each in replay.descendants())
         sizes = [path.stat().st_size // MEBIBYTE for path in found]
 
     assert sizes == expected

@@ -8,7 +8,6 @@ import subprocess
 import tempfile
 import time
 import uuid
-from contextlib import suppress
 from pathlib import Path
 
 import psutil
@@ -17,6 +16,7 @@ from rosbags.highlevel import AnyReader
 
 from tests.support.replay import COMMAND
 from tests.support.shared_memory import ports_left_in
+from tests.support.waiting import until
 
 # What the shell starts in the background ignores SIGINT: every run waits for the whole of sigint.
 CONFIG = """
@@ -66,15 +66,6 @@ def marked(mark: str) -> list[int]:
     return found
 
 
-def wait_until_gone(pids: list[int]) -> None:
-    """Wait for the ends of processes, not longer than for a guard on a busy machine."""
-    processes = []
-    for pid in pids:
-        with suppress(psutil.NoSuchProcess):
-            processes.append(psutil.Process(pid))
-    psutil.wait_procs(processes, timeout=10)
-
-
 def run_and_interrupt(
     domain: int, after: float, signum: signal.Signals, *, from_first_line: bool
 ) -> None:
@@ -107,8 +98,9 @@ def run_and_interrupt(
         story = f"{signum.name} after {after:.3f} s: {process.returncode}\n{first}{output}{errors}"
         if process.returncode < 0:
             # Python died of the signal, with the default disposition: then the session guard, if it
-            # runs already, ends what was started for the containers, itself, a moment later.
-            wait_until_gone(marked(mark))
+            # runs already, ends what was started for the containers, and itself, a moment later,
+            # and leaves one behind that sweeps.
+            until(lambda: not marked(mark), f"the end of everything after {story}")
         assert marked(mark) == [], story
         assert not ports_left_in(domain), story
         sessions = list(logs.glob("*/session.mcap")) if logs.is_dir() else []

@@ -17,7 +17,6 @@ from tests.support.ros import Probe
 
 CONFIG = """\
 version: 1
-duration: 16 s
 composable_node_loading:
   restart: {{backoff: {{initial: 100 s, maximum: 100 s}}}}
 containers:
@@ -32,17 +31,28 @@ containers:
         plugin: play_launch_demo::{other}
         name: listener
         namespace: /{name}
+nodes:
+  - name: end
+    command: [sh, -c, 'until [ -e {end} ]; do sleep 0.1; done']
+    on_exit: shutdown
 """
 
 
 @dataclass(frozen=True)
 class Case:
-    """What happens to a container named like the case."""
+    """What happens to a container named like the case.
+
+    Attributes:
+        kind: The container's.
+        outcome: The event of a node or container that says that something is missing.
+        other: The plugin of the other node.
+        do: Takes the name and the events of the nodes when both are loaded.
+    """
 
     kind: str
+    outcome: tuple[str, str]
     other: str = "Listener"
     do: Callable[[str, dict[str, dict[str, Any]]], None] | None = None
-    """Takes the name and the events of the nodes when both are loaded."""
 
 
 def loaded(replay: Replay) -> dict[str, dict[str, Any]]:
@@ -69,29 +79,35 @@ def terminate_the_container(name: str, nodes: dict[str, dict[str, Any]]) -> None
 
 
 CASES = {
-    "unloaded_standard": Case("standard", do=unload_the_talker),
-    "unloaded_isolated": Case("isolated", do=unload_the_talker),
-    "terminated": Case("standard", do=terminate_the_container),
-    "quit_isolated": Case("isolated", "Quitter"),
-    "quit_standard": Case("standard", "Quitter"),
-    "quit_mt": Case("mt", "Quitter"),
+    "unloaded_standard": Case("standard", ("node", "unloaded"), do=unload_the_talker),
+    "unloaded_isolated": Case("isolated", ("node", "unloaded"), do=unload_the_talker),
+    "terminated": Case("standard", ("container", "backoff"), do=terminate_the_container),
+    "quit_isolated": Case("isolated", ("node", "unloaded"), "Quitter"),
+    "quit_standard": Case("standard", ("container", "stopped"), "Quitter"),
+    "quit_mt": Case("mt", ("container", "stopped"), "Quitter"),
 }
 
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Replay]:
-    """A run of the command for each case, side by side: most last for their whole duration."""
+    """A run of the command for each case, side by side, until all have come to their outcome."""
     folder = tmp_path_factory.mktemp("missing")
+    end = folder / "end"
     replays: dict[str, Replay] = {}
     with ExitStack() as stack:
         for name, case in CASES.items():
             config = folder / f"{name}.yaml"
-            text = CONFIG.format(name=name, kind=case.kind, other=case.other)
+            text = CONFIG.format(name=name, kind=case.kind, other=case.other, end=end)
             config.write_text(text, encoding="utf-8")
             replays[name] = stack.enter_context(replaying(config, folder / name))
         for name, case in CASES.items():
             if case.do is not None:
                 case.do(name, loaded(replays[name]))
+            replays[name].read_until(
+                lambda event, to=case.outcome: (event["event"], event.get("state")) == to,
+                f"{case.outcome}",
+            )
+        end.touch()
         for replay in replays.values():
             replay.read_all()
     return replays
@@ -141,7 +157,11 @@ def test_an_isolated_node_that_shuts_the_ros_context_down(runs: dict[str, Replay
 @pytest.mark.parametrize("name", ["quit_standard", "quit_mt"])
 def test_a_node_that_shuts_the_ros_context_of_all_down(runs: dict[str, Replay], name: str) -> None:
     replay = runs[name]
-    starts = [each for each in replay.seen if each.get("kind") == "started"]
+    starts = [
+        each
+        for each in replay.seen
+        if (each.get("kind"), each.get("name")) == ("started", f"/{name}")
+    ]
     assert len(starts) == 1, "it was started again"
     reasons = [each["error_message"] for each in replay.seen if each.get("kind") == "unloaded"]
     assert reasons

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import re
+import shlex
 import subprocess
 from pathlib import Path
 
-from tests.support.replay import COMMAND
+from tests.support.replay import COMMAND, replaying
+from tests.support.waiting import until
 
 ROOT = Path(__file__).resolve().parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -45,3 +47,29 @@ def test_the_demo_command_is_what_the_demo_is_called_with() -> None:
     (demo,) = re.findall(r"<!-- demo command -->\n```sh\n(.*?)```", README, flags=re.DOTALL)
     assert demo.splitlines()[-1] == ".venv/bin/play-launch replay configs/demo.yaml"
     assert (ROOT / "configs" / "demo.yaml").is_file()
+
+
+def without_numbers(text: str) -> str:
+    """What is the same each time: words, and how wide the columns of words are."""
+    lines = text.splitlines()
+    kept = [re.sub(r"\s*[\d.,]+( (s|min|h|%|k?MB|GB))?|\s+", " ", line[25:]) for line in lines]
+    return "\n".join(line[:25] + rest for line, rest in zip(lines, kept, strict=True))
+
+
+def test_commands_for_a_running_session_print_what_is_shown(tmp_path: Path) -> None:
+    (shown,) = re.findall(r"```\n(\$ play-launch ps .*?)\n```", README, flags=re.DOTALL)
+    examples = re.findall(r"^\$ play-launch (.*)\n((?:[^$\n].*\n?)+)", shown, flags=re.MULTILINE)
+    assert len(examples) == 2
+    demo = ROOT / "configs" / "demo.yaml"
+    with replaying(demo, tmp_path / "logs", "-q", "--duration", "600s"):
+        session = ["--session", str(tmp_path / "logs" / "latest")]
+
+        def run(line: str) -> str:
+            command = [str(COMMAND), *shlex.split(line), *session]
+            return subprocess.run(command, check=False, capture_output=True, text=True).stdout
+
+        until(lambda: run("wait") != "", "the demo")
+        # What its processes take is measured a moment later.
+        until(lambda: "%" in run("ps /chat"), "a sample")
+        for line, printed in examples:
+            assert without_numbers(run(line)) == without_numbers(printed)

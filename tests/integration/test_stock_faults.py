@@ -44,7 +44,7 @@ CONTAINERS = [
     box("hanging", node("hanging", "hang"), node("behind_it")),
     box("mortal", node("survivor"), node("killer", "die")),
     box("doomed", node("destroyer", "die", "die", "die"), restart={"max_restarts": 2}),
-    box("background", node("late", "late:10"), arguments=["--background"]),
+    box("background", node("late", "late:20"), arguments=["--background"]),
     box("deaf", node("heard"), arguments=["--mute-lists", "2"]),
 ]
 SETTLED = {

@@ -32,7 +32,7 @@ def _loop_is_never_blocked() -> Iterator[None]:
         blockbuster.functions["socket.socket.recv"].can_block_in("process/guard.py", "_ask")
         blockbuster.functions["io.BufferedWriter.write"].can_block_in("process/guard.py", "_file")
         for name in ("os.stat", "os.access"):
-            blockbuster.functions[name].can_block_in("process/child.py", "_check_program")
+            blockbuster.functions[name].can_block_in("process/program.py", "check_program")
         yield
 
 

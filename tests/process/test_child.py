@@ -15,10 +15,11 @@ from pathlib import Path
 import pytest
 
 from play_launch.core.events import Stream
-from play_launch.process.child import OUTPUT_GRACE, Child, SpawnError, spawn
+from play_launch.process.child import OUTPUT_GRACE, Child, spawn
 from play_launch.process.exit import Exit
 from play_launch.process.guard import SessionGuard
 from play_launch.process.identity import read_stat
+from play_launch.process.program import SpawnError
 from tests.process.programs import (
     READY_THEN_SLEEP,
     Output,
@@ -104,14 +105,14 @@ async def test_a_child_gets_its_environment_and_directory_and_nothing_else(
         python(code),
         env={"COLOUR": "red", "LC_CTYPE": "C.UTF-8"},
         guard=either,
-        cwd=None if isinstance(either, SessionGuard) else tmp_path,
+        cwd=tmp_path,
         pass_fds=[write_end],
         on_output=output,
     )
     assert (await finished(child)).ok, output.texts(Stream.STDERR)
     assert os.read(read_end, 10) == b"hello"
     lines = dict(text.split(" ", 1) for text in output.texts())
-    assert lines["cwd"] == str(Path.cwd() if isinstance(either, SessionGuard) else tmp_path)
+    assert lines["cwd"] == str(tmp_path)
     assert lines["env"] == "red 2"
     assert lines["stdin"] == "/dev/null"
     # 3 is the directory it lists.
@@ -236,12 +237,51 @@ async def test_what_cannot_start_is_said(
     assert caught.value.argv == tuple(argv)
 
 
+async def test_a_directory_that_went_away_is_said(
+    session: SessionGuard, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("play_launch.process.child.check_program", lambda *_: None)
+    output = Output()
+    missing = tmp_path / "missing"
+    child = spawn(shell("true"), env=environment(), guard=session, cwd=missing, on_output=output)
+    assert await finished(child) == Exit(code=126)
+    assert output.texts(Stream.STDERR) == [
+        f"spawn_guard: cannot enter {missing}: No such file or directory"
+    ]
+
+
+async def test_terminals_are_emulated(either: SessionGuard | Path | None) -> None:
+    output = Output()
+    code = (
+        "import os, sys; print(os.isatty(0), os.isatty(1), os.isatty(2), os.getsid(0));"
+        "print('err', file=sys.stderr); os.open('/dev/tty', os.O_RDWR)"
+    )
+    child = spawn(python(code), env=environment(), guard=either, on_output=output, emulate_tty=True)
+    # It has no controlling terminal: no ^C and no hang-up from there.
+    assert await finished(child) == Exit(code=1)
+    assert output.texts() == [f"False True True {child.pid}"]
+    errors = output.texts(Stream.STDERR)
+    assert errors[0] == "err"
+    assert "/dev/tty" in errors[-1]
+
+
+async def test_all_that_is_written_to_a_terminal_arrives_as_it_is(session: SessionGuard) -> None:
+    output = Output()
+    code = "import sys; [print(f'{n}\\t\\x1b[31m' + 'x' * 90) for n in range(5000)]"
+    child = spawn(
+        python(code), env=environment(), guard=session, on_output=output, emulate_tty=True
+    )
+    assert (await finished(child)).ok
+    assert output.texts() == [f"{n}\t\x1b[31m" + "x" * 90 for n in range(5000)]
+
+
 async def test_a_missing_directory_and_a_missing_guard_are_said(
-    guard: Path, tmp_path: Path
+    guard: Path, session: SessionGuard, tmp_path: Path
 ) -> None:
     missing = tmp_path / "missing"
-    with pytest.raises(SpawnError, match=f"No such file or directory: {missing}"):
-        spawn(shell("true"), env=environment(), guard=guard, cwd=missing)
+    for each in (guard, session):
+        with pytest.raises(SpawnError, match=f"working directory is no directory: {missing}"):
+            spawn(shell("true"), env=environment(), guard=each, cwd=missing)
     with pytest.raises(SpawnError, match=f"No such file or directory: {missing}"):
         spawn(shell("true"), env=environment(), guard=missing)
 

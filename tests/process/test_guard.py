@@ -15,11 +15,13 @@ from pathlib import Path
 import psutil
 import pytest
 
-from play_launch.process.child import SpawnError, spawn
+from play_launch.process.child import spawn
 from play_launch.process.exit import Exit
 from play_launch.process.guard import SessionGuard
+from play_launch.process.program import SpawnError
 from tests.process.programs import Output, environment, python, shell
 from tests.support.replay import alive
+from tests.support.waiting import until
 
 # Each prints the pids of what it leaves, then "ready".
 ESCAPES = {
@@ -121,6 +123,28 @@ def test_nothing_outlives_a_supervisor_that_is_killed_by_a_second(guard: Path) -
         each.kill()
     supervisor.stdout.close()
     assert not left
+
+
+def supervisor_with_a_last_command(guard: Path, mark: Path, end: str) -> int:
+    """Run one that starts a process and ends in this way; return its exit status."""
+    code = f"""
+import os, sys
+from pathlib import Path
+from play_launch.process.guard import SessionGuard
+guard = SessionGuard.start(Path({str(guard)!r}), afterwards=["touch", {str(mark)!r}])
+{end}
+"""
+    return subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode
+
+
+def test_a_last_command_is_for_a_supervisor_that_died(guard: Path, tmp_path: Path) -> None:
+    mark = tmp_path / "mark"
+    assert supervisor_with_a_last_command(guard, mark, "guard.close()") == 0
+    # A guard that is closed has ended before the supervisor has.
+    assert not mark.exists()
+    killed = supervisor_with_a_last_command(guard, mark, "os.kill(os.getpid(), 9)")
+    assert killed == -signal.SIGKILL
+    until(mark.exists, "what the last command does")
 
 
 @pytest.mark.anyio

@@ -11,7 +11,7 @@ import socket
 import subprocess
 import sys
 import time
-from contextlib import asynccontextmanager, contextmanager
+from contextlib import asynccontextmanager, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -88,6 +88,13 @@ class Running:
 
     def file(self, name: str) -> str:
         return Path(f"/proc/{self.child.pid}/{name}").read_text(encoding="utf-8")
+
+    async def offers_its_services(self) -> None:
+        """Wait until it has all its threads."""
+        async with asyncio.timeout(20):
+            tasks = Path(f"/proc/{self.child.pid}/task")
+            while "manager\n" not in {(each / "comm").read_text() for each in tasks.iterdir()}:
+                await asyncio.sleep(0.01)
 
     def first_address(self) -> str:
         lines = self.file("maps").splitlines()
@@ -178,6 +185,8 @@ async def test_a_fork_is_like_what_was_executed(
             running(session, None, *arguments, environment=environment) as executed,
         ):
             assert forked.first_address() == other.first_address() != executed.first_address()
+            for each in (forked, other, executed):
+                await each.offers_its_services()
             assert state(forked) == state(executed)
             assert state(other) == state(executed)
 
@@ -215,6 +224,26 @@ async def test_output_and_exit_status_are_its_own(session: SessionGuard, zygote:
         assert results[0] == results[1]
         assert results[0][0].ok == is_good
         assert any(results[0][1:])
+
+
+async def test_forks_begin_although_the_guard_is_asked_without_a_pause(
+    session: SessionGuard, zygote: Zygote
+) -> None:
+    is_over = False
+
+    async def ask() -> None:
+        while not is_over:
+            with suppress(ChildProcessError):
+                session.ended(os.getpid())
+            await asyncio.sleep(0)
+
+    asking = asyncio.create_task(ask())
+    try:
+        async with running(session, zygote) as one, running(session, zygote) as other:
+            assert {one.first_address()} == {other.first_address()}
+    finally:
+        is_over = True
+        await asking
 
 
 async def test_the_end_by_a_signal_is_seen(session: SessionGuard, zygote: Zygote) -> None:

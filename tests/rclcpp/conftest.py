@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from play_launch.core.ament_index import ament_prefixes
 from play_launch.install.environment import child_environment
-from play_launch.install.ros import ament_prefixes, component_container, ros_installation
+from play_launch.install.ros import component_container, ros_installation
 from tests.container.conftest import spawn
 from tests.support.ros import Probe
 

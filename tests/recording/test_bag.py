@@ -194,16 +194,16 @@ def test_a_chunk_that_was_damaged_is_noticed(tmp_path: Path) -> None:
 
 
 class FullDisk:
-    """Stands for ``os.write`` on a file system with a given number of bytes left."""
+    """Stands for ``os.pwrite`` on a file system with a given number of bytes left."""
 
     def __init__(self, left: int) -> None:
         self.left = left
-        self.write = os.write
+        self.write = os.pwrite
 
-    def __call__(self, descriptor: int, data: memoryview) -> int:
+    def __call__(self, descriptor: int, data: memoryview, at: int) -> int:
         if self.left == 0:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        count = self.write(descriptor, data[: self.left])
+        count = self.write(descriptor, data[: self.left], at)
         self.left -= count
         return count
 
@@ -216,16 +216,43 @@ def test_a_full_disk_keeps_every_complete_chunk(
     write_lines(writer, channel, 0, 10)
     writer.flush()
     before = writer.bytes_written
-    monkeypatch.setattr(os, "write", FullDisk(100))
+    monkeypatch.setattr(os, "pwrite", FullDisk(100))
     write_lines(writer, channel, 10, 10)
     with pytest.raises(WriteFailedError, match=r"No space left .*; free some space") as caught:
         writer.flush()
     assert str(writer.path) in str(caught.value)
-    assert writer.path.stat().st_size == before + 100
-    writer.abandon()
-    assert writer.path.name == "x.mcap.active"
     assert writer.path.stat().st_size == before
     assert len(raw_messages(writer.path, OUTPUT.name)) == 10
+
+    monkeypatch.undo()
+    writer.flush()
+    write_lines(writer, channel, 20, 10)
+    writer.close()
+    found = raw_messages(writer.path, OUTPUT.name)
+    assert [message.log_time for message in found] == [*range(30)]
+    assert [message.sequence for message in found] == [*range(1, 31)]
+    assert len(messages(writer.path)) == 30
+
+
+def test_a_full_chunk_that_finds_no_room_is_not_lost(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    writer = McapBagWriter(tmp_path / "x.mcap")
+    channel = writer.register(OUTPUT)
+    monkeypatch.setattr(os, "pwrite", FullDisk(100))
+    noise = os.urandom(200_000).hex()
+    for number in (1, 2):
+        data = log_message(number, 20, "/a", noise)
+        writer.write(channel, data, log_time=number, publish_time=number)
+    data = log_message(3, 20, "/a", noise)
+    with pytest.raises(WriteFailedError):
+        writer.write(channel, data, log_time=3, publish_time=3)
+    assert writer.messages == 0
+    monkeypatch.undo()
+    writer.flush()
+    assert writer.messages == 3
+    writer.abandon()
+    assert [each.log_time for each in raw_messages(writer.path, OUTPUT.name)] == [1, 2, 3]
 
 
 def test_a_disk_that_is_full_at_the_end_leaves_the_active_file(
@@ -234,7 +261,7 @@ def test_a_disk_that_is_full_at_the_end_leaves_the_active_file(
     writer = McapBagWriter(tmp_path / "x.mcap")
     write_lines(writer, writer.register(OUTPUT), 0, 10)
     writer.flush()
-    monkeypatch.setattr(os, "write", FullDisk(20))
+    monkeypatch.setattr(os, "pwrite", FullDisk(20))
     with pytest.raises(WriteFailedError):
         writer.close()
     writer.abandon()

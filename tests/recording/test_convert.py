@@ -27,7 +27,9 @@ STAMP = 1_700_000_000_123_456_789
 
 
 def converted(event: RunEvent, message_type: type = Log) -> dict[str, Any]:
-    return {topic.name: deserialize_message(data, message_type) for topic, data in convert(event)}
+    return {
+        topic.name: deserialize_message(data, message_type) for topic, data, _ in convert(event)
+    }
 
 
 def line(text: str, stream: Stream = Stream.STDOUT) -> OutputLine:
@@ -132,7 +134,7 @@ def test_component_events_keep_every_field() -> None:
 
 def test_what_a_container_sent_is_recorded_as_it_came() -> None:
     event = replace(component(ComponentEventKind.LOADED), received=b"as it came")
-    ((topic, data),) = convert(event)
+    ((topic, data, _),) = convert(event)
     assert (topic.name, data) == ("/play_launch/events", b"as it came")
     assert event == component(ComponentEventKind.LOADED)
 

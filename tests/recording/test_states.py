@@ -1,4 +1,4 @@
-"""What happened to nodes, containers and processes can be read back from the bag."""
+"""What happened, and what was measured, can be read back from the bag."""
 
 from __future__ import annotations
 
@@ -6,23 +6,33 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from play_launch_msgs.msg import GraphEvent as GraphMessage
 from play_launch_msgs.msg import StateEvent as StateMessage
 from rclpy.serialization import deserialize_message
+from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from play_launch.core.events import (
     ContainerState,
     ContainerStateChanged,
     GraphChanged,
+    MemoryKind,
     NodeState,
     NodeStateChanged,
     ProcessEvent,
     ProcessEventKind,
+    ProcessSample,
+    RunEvent,
+    SubjectKind,
+    SystemSample,
+    Withdrawn,
 )
 from play_launch.core.node_key import NodeKey
 from play_launch.core.view import SystemView
+from play_launch.history.bag_reader import Message, Topic
+from play_launch.history.events import event_of
 from play_launch.recording import topics
 from play_launch.recording.bag import McapBagWriter
 from play_launch.recording.convert import convert
@@ -85,6 +95,52 @@ GRAPH_CHANGES = st.builds(
 )
 
 
+def _process_sample(subject: tuple[SubjectKind, str], **fields: Any) -> ProcessSample:
+    kind, key = subject
+    return ProcessSample(kind=kind, key=key, **fields)
+
+
+FLOATS = st.floats(allow_nan=False)
+SUBJECTS = st.sampled_from(
+    [
+        (SubjectKind.CONTAINER, "/a"),
+        (SubjectKind.PROCESS, "/[demo::Talker]"),
+        (SubjectKind.NODE, "/b:/a"),
+        (SubjectKind.NODE, "/b:/[demo::Talker:2]"),
+    ]
+)
+PROCESS_SAMPLES = structs(
+    _process_sample,
+    stamp_ns=STAMPS,
+    subject=SUBJECTS,
+    pid=INT32,
+    start_time=UINT64,
+    cpu_percent=FLOATS,
+    cpu_seconds=FLOATS,
+    memory_bytes=UINT64,
+    memory_kind=st.sampled_from(MemoryKind),
+    threads=UINT32,
+    descriptors=UINT32,
+    read_bytes=UINT64,
+    write_bytes=UINT64,
+    voluntary_switches=UINT64,
+    involuntary_switches=UINT64,
+)
+SYSTEM_SAMPLES = structs(
+    SystemSample,
+    **{
+        name: STAMPS
+        if name == "stamp_ns"
+        else {
+            "int": UINT64,
+            "float": FLOATS,
+            "tuple[float, ...]": st.lists(FLOATS, max_size=4).map(tuple),
+        }[kind]
+        for name, kind in SystemSample.__annotations__.items()
+    },
+)
+
+
 @settings(deadline=None, max_examples=50)
 @given(st.lists(EVENTS, max_size=20))
 def test_any_event_is_read_back_as_it_was(
@@ -94,7 +150,7 @@ def test_any_event_is_read_back_as_it_was(
         writer = McapBagWriter(Path(folder) / "x.mcap")
         channel = writer.register(topics.STATES)
         for number, event in enumerate(events):
-            ((topic, data),) = convert(event)
+            ((topic, data, _),) = convert(event)
             assert topic is topics.STATES
             writer.write(channel, data, log_time=number, publish_time=event.stamp_ns)
         writer.close()
@@ -112,7 +168,7 @@ def test_any_event_is_read_back_as_it_was(
 def test_any_change_of_the_graph_is_read_back_as_it_was(event: GraphChanged) -> None:
     with tempfile.TemporaryDirectory() as folder:
         writer = McapBagWriter(Path(folder) / "x.mcap")
-        ((topic, data),) = convert(event)
+        ((topic, data, _),) = convert(event)
         writer.write(writer.register(topic), data, log_time=1, publish_time=event.stamp_ns)
         writer.close()
         (read,) = messages(writer.path)
@@ -124,12 +180,69 @@ def test_any_change_of_the_graph_is_read_back_as_it_was(event: GraphChanged) -> 
     assert graph_changed(deserialize_message(data, GraphMessage)) == event
 
 
+@settings(deadline=None, max_examples=100)
+@given(st.one_of(EVENTS, GRAPH_CHANGES, PROCESS_SAMPLES, SYSTEM_SAMPLES))
+def test_our_own_reader_gives_the_event_back(event: RunEvent) -> None:
+    ((topic, data, _),) = convert(event)
+    read = Topic(
+        topic.name,
+        topic.type_name,
+        "cdr",
+        topic.metadata.get(topics.KIND, ""),
+        topic.metadata.get(topics.KEY, ""),
+    )
+    assert event_of(Message(read, 0, 0, data, channel=1, offset=0)) == event
+
+
+@settings(deadline=None, max_examples=50)
+@given(st.lists(st.one_of(PROCESS_SAMPLES, SYSTEM_SAMPLES), max_size=5))
+def test_samples_are_plain_numbers_for_any_reader(
+    samples: list[ProcessSample | SystemSample],
+) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        writer = McapBagWriter(Path(folder) / "x.mcap")
+        channels: dict[topics.Topic, int] = {}
+        for number, sample in enumerate(samples):
+            ((topic, data, _),) = convert(sample)
+            if topic not in channels:
+                channels[topic] = writer.register(topic)
+            writer.write(channels[topic], data, log_time=number, publish_time=sample.stamp_ns)
+        writer.close()
+        for read, sample in zip(messages(writer.path), samples, strict=True):
+            assert read.topic == convert(sample)[0].topic.name
+            for name in type(sample).__annotations__.keys() - {"stamp_ns", "kind", "key"}:
+                value = getattr(read.message, name)
+                expected = getattr(sample, name)
+                assert (tuple(value) if isinstance(expected, tuple) else value) == expected
+
+
+@pytest.mark.parametrize(
+    ("kind", "key", "name"),
+    [
+        (SubjectKind.CONTAINER, "/perception", "/play_launch/container/perception/stats"),
+        (SubjectKind.PROCESS, "/tools/rviz", "/play_launch/node/tools/rviz/stats"),
+        (SubjectKind.NODE, "/perception:/lidar/front", "/play_launch/node/lidar/front/stats"),
+        (
+            SubjectKind.NODE,
+            "/perception:/ns/[demo::Talker:2]",
+            "/play_launch/node/perception/ns/demo_Talker_2/stats",
+        ),
+        (SubjectKind.PROCESS, "/[3d_viewer]", "/play_launch/node/_3d_viewer/stats"),
+    ],
+)
+def test_the_topic_of_a_sample_is_one_that_ros_allows(
+    kind: SubjectKind, key: str, name: str
+) -> None:
+    assert topics.stats_topic(kind, key).name == name
+    validate_full_topic_name(name)
+
+
 @settings(deadline=None)
 @given(EVENTS)
 def test_the_installed_type_reads_the_same(
     event: NodeStateChanged | ContainerStateChanged | ProcessEvent,
 ) -> None:
-    ((_, data),) = convert(event)
+    ((_, data, _),) = convert(event)
     message: Any = deserialize_message(data, StateMessage)
     assert state_event(message) == event
 
@@ -138,3 +251,18 @@ def test_the_definition_lists_every_state() -> None:
     words = {*NodeState.__members__, *ContainerState.__members__, *ProcessEventKind.__members__}
     for word in words:
         assert getattr(StateMessage, word) == word.lower()
+
+
+@given(SUBJECTS, TEXTS)
+def test_what_was_taken_out_comes_back_as_the_last_state(
+    subject: tuple[SubjectKind, str], reason: str
+) -> None:
+    kind, key = subject
+    event = Withdrawn(stamp_ns=1, kind=kind, key=key, reason=reason)
+    ((topic, data, latest),) = convert(event)
+    assert latest == f"{kind} {key}", "it takes the place of the state before"
+    message: Any = deserialize_message(data, StateMessage)
+    assert (message.state, message.key) == (StateMessage.WITHDRAWN, key)
+    assert f"{message.container}:{message.name}" == key or message.name == key
+    read = event_of(Message(Topic(topic.name, topic.type_name, "cdr"), 1, 1, data, 1, 0))
+    assert read == event

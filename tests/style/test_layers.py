@@ -13,9 +13,11 @@ PACKAGE = Path(__file__).resolve().parents[2] / "play_launch"
 LAYERS = (
     {"cdr", "core"},
     {"config", "fastdds"},
-    {"wire", "install", "process", "recording", "ros"},
-    {"actors", "graph_daemon", "history", "ros2cli_patch"},
-    {"reporting", "doctor"},
+    {"wire", "install", "process", "recording", "ros", "sampling", "plan"},
+    {"launching"},
+    {"actors", "graph_daemon", "history", "ros2cli_patch", "topic_recording"},
+    {"control", "launch_files"},
+    {"reporting", "doctor", "archive", "exporting", "importing"},
     {"cli"},
 )
 LEVEL = {name: level for level, names in enumerate(LAYERS) for name in names}

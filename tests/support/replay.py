@@ -7,7 +7,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +16,7 @@ from typing import Any
 import psutil
 
 from tests.support.loopback_network import wrapped
+from tests.support.shared_memory import segments_of
 
 COMMAND = Path(sys.executable).parent / "play-launch"
 
@@ -75,13 +76,18 @@ class Replay:
 
 @contextmanager
 def replaying(
-    config: Path, log_dir: Path, *arguments: str, in_a_network: bool = False
+    config: Path,
+    log_dir: Path,
+    *arguments: str,
+    in_a_network: bool = False,
+    program: Sequence[str] = (str(COMMAND),),
 ) -> Iterator[Replay]:
     """Run ``play-launch replay``; afterwards it is gone, and so is everything it started.
 
-    With ``in_a_network`` it has a network of its own, with nothing but a loopback.
+    With ``in_a_network`` it has a network of its own, with nothing but a loopback. ``program`` may
+    be another way to run the command. Who ends in order leaves no segment of Fast DDS.
     """
-    command = [str(COMMAND), "replay", str(config), "--log-dir", str(log_dir), "--json", *arguments]
+    command = [*program, "replay", str(config), "--log-dir", str(log_dir), "--json", *arguments]
     process = subprocess.Popen(
         wrapped(*command) if in_a_network else command,
         stdout=subprocess.PIPE,
@@ -90,19 +96,23 @@ def replaying(
         env={**os.environ, "PYTHONUNBUFFERED": "1"},
     )
     replay = Replay(process, log_dir, [])
+    held: set[Path] = set()
     try:
         yield replay
     finally:
         if process.poll() is None:
+            held = segments_of([replay.pid, *(each.pid for each in replay.descendants())])
             process.send_signal(signal.SIGINT)
         try:
-            process.communicate(timeout=30)
+            process.communicate(timeout=60)
         except subprocess.TimeoutExpired:
             for child in replay.descendants():
                 child.kill()
             process.kill()
             process.communicate()
             raise
+    left = {path.name for path in held if path.exists()}
+    assert not left, f"segments of Fast DDS are left: {left}"
 
 
 def alive(processes: list[psutil.Process]) -> list[psutil.Process]:

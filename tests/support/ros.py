@@ -22,7 +22,8 @@ class Probe:
     def __init__(self, name: str = "probe") -> None:
         self._context = Context()
         rclpy.init(context=self._context)
-        self.node = Node(name, context=self._context)
+        # Sessions of the same domain would ask for its parameters.
+        self.node = Node(name, context=self._context, start_parameter_services=False)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
 

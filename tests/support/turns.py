@@ -15,6 +15,8 @@ from typing import Any
 
 import pytest
 
+from tests.support.waiting import until
+
 WORKERS_PER_PROCESSOR = 2
 """Most tests wait more than they compute: for discovery, for time limits, for processes to end."""
 MOST_WORKERS = 8
@@ -66,14 +68,21 @@ _TURNS = pytest.StashKey[Turns]()
 _FOLDER = pytest.StashKey["TemporaryDirectory[str]"]()
 
 
+def _wait_for_sweeps() -> None:
+    """Wait for the last command of sessions whose supervisors tests have killed."""
+    until(lambda: not any(map(_is_sweep, Path("/proc").iterdir())), "the last sweep")
+
+
+def _is_sweep(process: Path) -> bool:
+    try:
+        command = (process / "cmdline").read_bytes()
+    except OSError:  # no process, or gone
+        return False
+    return command.endswith(b"\0-m\0play_launch.fastdds\0")
+
+
 def _is_alone(item: pytest.Item) -> bool:
     return item.get_closest_marker("alone") is not None
-
-
-def be_alone(config: pytest.Config) -> None:
-    """Wait until no other test runs, for the rest of the present test's teardown."""
-    if _TURNS in config.stash:
-        config.stash[_TURNS].enter(alone=True)
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -113,8 +122,12 @@ def pytest_runtest_protocol(
     """Wait for this test's turn, outside of what is measured as its duration."""
     turns = item.config.stash.get(_TURNS, None)
     if turns is None:
+        if _is_alone(item):
+            _wait_for_sweeps()
         return (yield)
     turns.enter(alone=_is_alone(item))
+    if _is_alone(item):
+        _wait_for_sweeps()
     try:
         return (yield)
     finally:

@@ -69,7 +69,8 @@ def outgoing(frame: Frame) -> Outgoing:
             load = read(frame, msgs.ControlLoad)
             for name in ("parameters", "extra_arguments"):
                 load[name] = tuple(from_parameter_message(each) for each in load[name])
-            return Load(**load | {"remap_rules": tuple(load["remap_rules"])})
+            texts = {name: tuple(load[name]) for name in ("remap_rules", "resources")}
+            return Load(**load | texts)
         case FrameKind.QUERY:
             query = read(frame, msgs.ControlQuery)
             return Query(query_id=query["query_id"], unique_ids=tuple(query["unique_ids"]))

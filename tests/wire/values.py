@@ -147,6 +147,8 @@ OUTGOING: st.SearchStrategy[Outgoing] = st.one_of(
         remap_rules=TEXTS,
         parameters=PARAMETERS,
         extra_arguments=PARAMETERS,
+        resources=TEXTS,
+        lock_memory=st.booleans(),
     ),
     st.builds(Query, query_id=U64, unique_ids=st.lists(U64, max_size=4).map(tuple)),
     st.builds(Cancel, unique_id=U64),

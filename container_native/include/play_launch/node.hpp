@@ -142,6 +142,11 @@ class Node {
   /// type, the node's own callback). On success it is published on /parameter_events.
   SetParametersVerdict set_parameters(const std::vector<Parameter>& parameters);
 
+  /// Offers the parameter services and publishes changes on /parameter_events from now on; for
+  /// nodes whose options do not start them. What was declared before is not published. Not for two
+  /// threads at once. Throws RclError.
+  void start_parameter_services();
+
   /// Has `callback` asked before values are declared or set, in the thread that sets; replaces an
   /// earlier one. It may not set parameters itself.
   void on_set_parameters(

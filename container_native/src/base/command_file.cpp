@@ -8,6 +8,8 @@
 #include <array>
 #include <cstring>
 
+#include "base/resource_setting.hpp"
+
 namespace play_launch {
 
 namespace {
@@ -28,14 +30,18 @@ bool Command::read(int file) {
   text = read_all(file);
   argv.clear();
   environment.clear();
-  std::array<std::uint32_t, 2> counts{};
+  folder.clear();
+  settings.clear();
+  std::array<std::uint32_t, 4> counts{};
   if (text.size() < sizeof counts || text.back() != '\0') {
     return false;
   }
   std::memcpy(counts.data(), text.data(), sizeof counts);
   std::size_t at = sizeof counts;
-  for (auto* list : {&argv, &environment}) {
-    for (std::uint32_t left = counts[list == &environment]; left > 0; --left) {
+  const std::array lists{&argv, &environment, &folder, &settings};
+  for (std::size_t index = 0; index < lists.size(); ++index) {
+    std::vector<char*>* list = lists[index];
+    for (std::uint32_t left = counts[index]; left > 0; --left) {
       if (at >= text.size()) {
         return false;
       }
@@ -45,6 +51,19 @@ bool Command::read(int file) {
     list->push_back(nullptr);
   }
   return at == text.size() && argv.front() != nullptr;
+}
+
+bool Command::apply_settings() const {
+  for (const char* const text : settings) {
+    const auto setting = text == nullptr ? std::nullopt : parse_resource_setting(text);
+    if (text != nullptr && !setting) {
+      return false;
+    }
+    if (setting) {
+      apply(*setting);
+    }
+  }
+  return true;
 }
 
 bool place_descriptors(std::span<const UniqueFd> received, std::span<const std::int32_t> wanted) {

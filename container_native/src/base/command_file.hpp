@@ -9,15 +9,22 @@
 
 namespace play_launch {
 
-/// A command with its environment: two 32-bit counts, then the arguments, then NAME=VALUE, each
-/// with a NUL at its end. Pointers into the text, each list with a null at its end.
+/// A command with its environment: four 32-bit counts, then the arguments, then NAME=VALUE, then
+/// the working directory if there is one to enter, then settings of the process (see
+/// ResourceSetting), each with a NUL at its end. Pointers into the text, each list with a null at
+/// its end.
 struct Command {
   std::string text;
   std::vector<char*> argv;
   std::vector<char*> environment;
+  std::vector<char*> folder;
+  std::vector<char*> settings;
 
   /// False when the file does not hold a command.
   bool read(int file);
+  /// Applies the settings to the calling process, as far as the kernel agrees: whoever asked for
+  /// them looks what holds. False when one of them is none.
+  bool apply_settings() const;
 };
 
 /// Gives the received descriptors the numbers that the command knows; false with errno set. Every

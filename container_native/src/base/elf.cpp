@@ -7,6 +7,7 @@
 #include <sys/stat.h>
 
 #include <algorithm>
+#include <cstddef>
 #include <cstring>
 #include <filesystem>
 #include <system_error>
@@ -34,6 +35,16 @@ std::size_t symbol_count(const std::uint32_t* hash) noexcept {
   return index + 1;
 }
 
+std::string hex_of(const std::byte* data, std::size_t size) {
+  constexpr std::string_view kDigits = "0123456789abcdef";
+  std::string text;
+  for (std::size_t i = 0; i < size; ++i) {
+    text += kDigits[std::to_integer<unsigned>(data[i]) >> 4U];
+    text += kDigits[std::to_integer<unsigned>(data[i]) & 15U];
+  }
+  return text;
+}
+
 }  // namespace
 
 const link_map* library_at(std::uintptr_t address) noexcept {
@@ -48,6 +59,42 @@ std::string path_of(const link_map& library) {
   }
   std::error_code error;
   return std::filesystem::read_symlink("/proc/self/exe", error);
+}
+
+std::string build_id_of(const link_map& library) {
+  dl_find_object object{};
+  // Its dynamic section is in one of its mappings; the file's header begins the first of them.
+  if (::_dl_find_object(library.l_ld, &object) != 0) {
+    return {};
+  }
+  const auto* const file = static_cast<const std::byte*>(object.dlfo_map_start);
+  const auto* const header = reinterpret_cast<const ElfW(Ehdr)*>(file);
+  if (std::memcmp(header->e_ident, ELFMAG, SELFMAG) != 0) {
+    return {};
+  }
+  const auto* const parts = reinterpret_cast<const ElfW(Phdr)*>(file + header->e_phoff);
+  for (std::size_t i = 0; i < header->e_phnum; ++i) {
+    if (parts[i].p_type != PT_NOTE) {
+      continue;
+    }
+    const auto* note = reinterpret_cast<const std::byte*>(library.l_addr + parts[i].p_vaddr);
+    const std::byte* const end = note + parts[i].p_memsz;
+    const std::size_t alignment = std::max<std::size_t>(parts[i].p_align, 4);
+    const auto aligned = [alignment](std::size_t size) {
+      return (size + alignment - 1) / alignment * alignment;
+    };
+    while (note + sizeof(ElfW(Nhdr)) <= end) {
+      const auto& head = *reinterpret_cast<const ElfW(Nhdr)*>(note);
+      const std::byte* const name = note + sizeof(ElfW(Nhdr));
+      const std::byte* const id = note + aligned(sizeof(ElfW(Nhdr)) + head.n_namesz);
+      if (head.n_type == NT_GNU_BUILD_ID && head.n_namesz == sizeof(ELF_NOTE_GNU) &&
+          std::memcmp(name, ELF_NOTE_GNU, sizeof(ELF_NOTE_GNU)) == 0) {
+        return hex_of(id, head.n_descsz);
+      }
+      note = id + aligned(head.n_descsz);
+    }
+  }
+  return {};
 }
 
 DynamicSymbols::DynamicSymbols(const link_map& library) noexcept : base_(library.l_addr) {

@@ -18,6 +18,10 @@ const link_map* library_at(std::uintptr_t address) noexcept;
 /// Path of a library of this process; of the program itself for the program.
 std::string path_of(const link_map& library);
 
+/// Identifies the build of a loaded library or program, in hexadecimal; empty when it was linked
+/// without one. Takes no lock of the dynamic loader.
+std::string build_id_of(const link_map& library);
+
 /// What the dynamic section of a loaded library says about its symbols, read in the memory of this
 /// process. Async-signal-safe. The library must stay loaded.
 class DynamicSymbols {

@@ -82,6 +82,8 @@ class ComponentLibrary {
 struct ExecutorChoice {
   bool multi_threaded = false;
   std::size_t threads = 1;
+  /// Nobody asked for a number: a node that may use other CPUs than the container has another one.
+  bool by_cpus = false;
 };
 
 /// One kind of component: how its classes are found, made and run. All members may be called from

@@ -18,6 +18,8 @@ struct NodeDeath {
   int signal = 0;
   std::string reason;
   std::vector<std::string> backtrace;
+  /// The libraries of the backtrace, see isolation::modules_of().
+  std::vector<std::string> modules;
   /// When it happened; nothing: the moment at which it is reported.
   std::optional<std::chrono::steady_clock::time_point> when;
   /// Some of its threads may have died inside the middleware or the allocator.

@@ -12,8 +12,11 @@
 #include <utility>
 #include <vector>
 
+#include "base/cpus.hpp"
 #include "base/failpoints.hpp"
+#include "base/orphan_grace.hpp"
 #include "base/report.hpp"
+#include "isolation/crash/symbolise.hpp"
 #include "main/backends.hpp"
 #include "main/exit_status.hpp"
 #include "main/host_choice.hpp"
@@ -27,9 +30,9 @@ using Clock = std::chrono::steady_clock;
 
 constexpr const char* kDefaultName = "ComponentManager";
 
-// A supervisor that is gone cannot clean up after us: everything has to be gone within 1 s.
-constexpr auto kOrphanStopLimit = 600ms;
-constexpr auto kOrphanLifeLimit = 900ms;
+// A supervisor that is gone cannot clean up after us: see kOrphanGrace.
+constexpr auto kOrphanStopLimit = kOrphanGrace - 250ms;
+constexpr auto kOrphanLifeLimit = kOrphanGrace - 100ms;
 /// For a second request to stop.
 constexpr auto kHurriedStopLimit = 200ms;
 /// For taking the container itself apart, after its nodes.
@@ -82,14 +85,19 @@ void ContainerProcess::start(int argc, const char* const* argv) {
   if (!options_.hosted) {
     NodeOptions node_options;
     node_options.context = context_;
+    node_options.start_parameter_services = false;  // RosInterface does
     node_ = std::make_shared<Node>(kDefaultName, node_options);
   }
-  const std::size_t threads = choose_threads();
-  auto greeting = hello(threads, backend_names());
-  HostChoice choice = choose_host(options_, threads, std::move(backends));
+  const ExecutorChoice executor = choose_executor();
+  auto greeting = hello(executor.threads, backend_names());
+  HostChoice choice = choose_host(options_, executor, std::move(backends));
   greeting.mechanism = std::move(choice.mechanism);
   greeting.notes = std::move(choice.notes);
   host_ = std::move(choice.host);
+  if (control_ && node_ && !options_.isolated) {
+    crash_watch_.emplace(
+        [this](const isolation::CrashSlot& slot) { control_->on_event(own_crash(slot)); });
+  }
   name_nodes_that_throw();  // before the handler that the host has set
   manager_ = std::make_unique<ObservableComponentManager>(*host_, process_);
   if (node_) {
@@ -102,7 +110,7 @@ void ContainerProcess::start(int argc, const char* const* argv) {
   }
 }
 
-std::size_t ContainerProcess::choose_threads() {
+ExecutorChoice ContainerProcess::choose_executor() {
   const auto parameter = node_ ? node_->declare_parameter<std::int64_t>("thread_num", 0) : 0;
   if (parameter < 0 || parameter > static_cast<std::int64_t>(kMaxThreads)) {
     throw UsageError("parameter thread_num is " + std::to_string(parameter) +
@@ -110,10 +118,12 @@ std::size_t ContainerProcess::choose_threads() {
                      " (0: one per CPU)");
   }
   if (!options_.multi_threaded) {
-    return 1;
+    return {};
   }
   const std::size_t asked = options_.thread_num.value_or(static_cast<std::size_t>(parameter));
-  return options_.isolated ? node_executor_threads(asked) : executor_threads(asked);
+  const bool for_one_node = options_.isolated || options_.hosted;
+  const std::size_t threads = for_one_node ? node_executor_threads(asked) : executor_threads(asked);
+  return {true, threads, asked == 0};
 }
 
 play_launch_msgs::msg::ControlHello ContainerProcess::hello(
@@ -135,6 +145,23 @@ play_launch_msgs::msg::ControlHello ContainerProcess::hello(
   return hello;
 }
 
+ComponentEvent ContainerProcess::own_crash(const isolation::CrashSlot& slot) const {
+  ComponentEvent event;
+  isolation::ChildEnd end;
+  end.signal = slot.report.signal;
+  event.stamp.sec = static_cast<std::int32_t>(slot.report.crash_wall_time_ns / 1'000'000'000);
+  event.stamp.nanosec = static_cast<std::uint32_t>(slot.report.crash_wall_time_ns % 1'000'000'000);
+  event.event_type = ComponentEvent::CRASHED;
+  event.full_node_name = node_->full_name();
+  event.error_message = isolation::describe_end(end, slot);
+  event.pid = process_.pid;
+  event.start_time = process_.start_time;
+  event.signal = slot.report.signal;
+  event.backtrace = isolation::symbolise(slot);
+  event.modules = isolation::modules_of(slot);
+  return event;
+}
+
 int ContainerProcess::run() {
   while (stop_.cause() == StopCause::none) {
     stop_.wait();
@@ -146,6 +173,7 @@ int ContainerProcess::run() {
     report_remaining();
   }
   ros_.reset();
+  crash_watch_.reset();
   if (control_) {
     manager_->remove_sink(*control_);
     control_->close(Clock::now() + kFlushLimit);

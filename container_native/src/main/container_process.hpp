@@ -8,6 +8,8 @@
 #include <string>
 #include <vector>
 
+#include "components/component_backend.hpp"
+#include "isolation/crash/own_crash.hpp"
 #include "main/control_interface.hpp"
 #include "main/options.hpp"
 #include "main/ros_interface.hpp"
@@ -32,10 +34,11 @@ class ContainerProcess {
 
  private:
   void start(int argc, const char* const* argv);
-  std::size_t choose_threads();
+  ExecutorChoice choose_executor();
   play_launch_msgs::msg::ControlHello hello(std::size_t threads,
                                             std::vector<std::string> backends) const;
   void on_context_shutdown(const std::string& who);
+  ComponentEvent own_crash(const isolation::CrashSlot& slot) const;
   void stop_nodes();
   void report_remaining() const;
 
@@ -52,6 +55,7 @@ class ContainerProcess {
   std::unique_ptr<NodeHost> host_;
   std::unique_ptr<ObservableComponentManager> manager_;
   std::unique_ptr<RosInterface> ros_;
+  std::optional<isolation::OwnCrashWatch> crash_watch_;
 };
 
 }  // namespace play_launch::container

@@ -10,8 +10,8 @@
 
 namespace play_launch::container {
 
-HostChoice choose_host(const Options& options, std::size_t threads, BackendList backends) {
-  const ExecutorChoice executor{options.multi_threaded, threads};
+HostChoice choose_host(const Options& options, const ExecutorChoice& executor,
+                       BackendList backends) {
   HostChoice choice;
   if (!options.isolated) {
     choice.host = std::make_unique<SharedExecutorHost>(std::move(backends), executor);

@@ -17,9 +17,10 @@ struct HostChoice {
   std::vector<std::string> notes;  // "
 };
 
-/// The host for the mode that `options` ask for; `threads` is for each executor. Notes are reported
-/// too. Throws isolation::MechanismUnavailable when a mechanism was demanded that does not work
-/// here.
-HostChoice choose_host(const Options& options, std::size_t threads, BackendList backends);
+/// The host for the mode that `options` ask for, with executors as `executor` says. Notes are
+/// reported too. Throws isolation::MechanismUnavailable when a mechanism was demanded that does not
+/// work here.
+HostChoice choose_host(const Options& options, const ExecutorChoice& executor,
+                       BackendList backends);
 
 }  // namespace play_launch::container

@@ -7,6 +7,7 @@
 #include "base/core_limit.hpp"
 #include "base/failpoints.hpp"
 #include "base/report.hpp"
+#include "base/resource_setting.hpp"
 #include "main/backends.hpp"
 #include "main/container_process.hpp"
 #include "main/control_interface.hpp"
@@ -34,6 +35,16 @@ int usage_error(const std::exception& error) {
   return kExitUsage;
 }
 
+/// As far as the kernel agrees: who asked for it looks what holds.
+void apply_resources(const Options& options) {
+  for (const ResourceSetting& setting : options.resources) {
+    apply(setting);
+  }
+  if (options.lock_memory && lock_memory() != 0) {
+    report("the memory is not locked: it takes RLIMIT_MEMLOCK unlimited, or CAP_IPC_LOCK");
+  }
+}
+
 int run(int argc, char** argv) {
   try {
     const Options options = parse_options(argc, argv);
@@ -45,6 +56,7 @@ int run(int argc, char** argv) {
       print_version();
       return kExitOk;
     }
+    apply_resources(options);
     arm_failpoints(options.failpoints);
     search_own_prefix();
     if (options.hosted || options.probe) {

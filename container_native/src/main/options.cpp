@@ -1,10 +1,8 @@
 #include "main/options.hpp"
 
-#include <algorithm>
 #include <charconv>
 #include <cmath>
 #include <string_view>
-#include <thread>
 
 namespace play_launch::container {
 namespace {
@@ -57,6 +55,14 @@ std::chrono::duration<double> seconds(std::string_view text) {
   return std::chrono::duration<double>(value);
 }
 
+ResourceSetting resource(std::string_view text) {
+  const auto setting = parse_resource_setting(text);
+  if (!setting) {
+    throw UsageError("--resource '" + std::string(text) + "': expected a setting such as 'nice 5'");
+  }
+  return *setting;
+}
+
 isolation::MechanismChoice mechanism(std::string_view text) {
   const auto choice = isolation::parse_mechanism_choice(text);
   if (!choice) {
@@ -92,6 +98,10 @@ Options parse_options(int argc, const char* const* argv) {
       options.hosted = true;
     } else if (argument == "--core_dumps") {
       options.core_dumps = true;
+    } else if (argument == "--lock_memory") {
+      options.lock_memory = true;
+    } else if (is_option(argument, "--resource")) {
+      options.resources.push_back(resource(value_of("--resource", i, argc, argv)));
     } else if (is_option(argument, "--thread_num")) {
       options.thread_num = thread_count(value_of("--thread_num", i, argc, argv));
     } else if (is_option(argument, "--stop_timeout")) {
@@ -117,23 +127,10 @@ Options parse_options(int argc, const char* const* argv) {
 const char* usage() {
   return "usage: component_container [--use_multi_threaded_executor] [--thread_num N]\n"
          "                           [--isolated] [--isolation auto|shared_memory|process]\n"
-         "                           [--core_dumps]\n"
+         "                           [--core_dumps] [--lock_memory]\n"
          "                           [--stop_timeout SECONDS] [--ros-args ...]\n"
          "       component_container --probe PACKAGE PLUGIN\n"
          "       component_container --version\n";
-}
-
-std::size_t executor_threads(std::size_t asked) {
-  if (asked != 0) {
-    return asked;
-  }
-  const std::size_t cpus = std::thread::hardware_concurrency();
-  return cpus < 2 ? 2 : cpus;
-}
-
-std::size_t node_executor_threads(std::size_t asked) {
-  constexpr std::size_t kMostByDefault = 4;
-  return asked != 0 ? asked : std::min(executor_threads(0), kMostByDefault);
 }
 
 }  // namespace play_launch::container

@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "base/resource_setting.hpp"
 #include "isolation/clone/gate.hpp"
 
 namespace play_launch::container {
@@ -29,6 +30,9 @@ struct Options {
   bool hosted = false;
   /// Isolated nodes that crash dump core.
   bool core_dumps = false;
+  /// What the process asks of the kernel for itself before it does anything else.
+  std::vector<ResourceSetting> resources;
+  bool lock_memory = false;
   std::optional<std::size_t> thread_num;  // nothing: parameter thread_num, or one per CPU
   std::chrono::duration<double> stop_timeout{2.0};
   std::optional<ProbeRequest> probe;
@@ -53,12 +57,5 @@ Options parse_options(int argc, const char* const* argv);
 
 /// Text for --help.
 const char* usage();
-
-/// Threads for the executor of all nodes: what was asked for, else one per CPU, but at least 2.
-std::size_t executor_threads(std::size_t asked);
-
-/// Threads for the executor of a single node: what was asked for, else one per CPU, but at least 2
-/// and at most 4.
-std::size_t node_executor_threads(std::size_t asked);
 
 }  // namespace play_launch::container

@@ -29,6 +29,7 @@ struct Finding {
   std::string library;
   std::string error;
   int signal = 0;
+  std::vector<std::string> modules;
   std::vector<std::string> backtrace;
 };
 
@@ -49,14 +50,20 @@ std::string json_text(std::string_view text) {
   return result + '"';
 }
 
-std::string json(const Finding& finding) {
-  std::string frames;
-  for (const std::string& frame : finding.backtrace) {
-    frames += (frames.empty() ? "" : ", ") + json_text(frame);
+std::string json_list(const std::vector<std::string>& texts) {
+  std::string result;
+  for (const std::string& text : texts) {
+    result += (result.empty() ? "" : ", ") + json_text(text);
   }
+  return "[" + result + "]";
+}
+
+std::string json(const Finding& finding) {
   return "{\"library\": " + json_text(finding.library) +
          ", \"error\": " + json_text(finding.error) +
-         ", \"signal\": " + std::to_string(finding.signal) + ", \"backtrace\": [" + frames + "]}\n";
+         ", \"signal\": " + std::to_string(finding.signal) +
+         ", \"modules\": " + json_list(finding.modules) +
+         ", \"backtrace\": " + json_list(finding.backtrace) + "}\n";
 }
 
 int conclude(int out, const Finding& finding) {
@@ -119,6 +126,7 @@ Finding open_library(const BackendList& backends, const BackendList::Place& plac
     finding.error = "cannot load library " + place.library + ": an initialiser of it ended with " +
                     isolation::describe_end(end, slot);
     finding.signal = end.signal;
+    finding.modules = isolation::modules_of(slot);
     finding.backtrace = isolation::symbolise(slot);
   }
   opening.forget();
@@ -141,7 +149,7 @@ int probe(const std::string& package, const std::string& plugin) {
   try {
     place = backends.place_of(package, plugin);
   } catch (const LoadError& error) {
-    return conclude(out.get(), {"", error.what(), 0, {}});
+    return conclude(out.get(), {"", error.what(), 0, {}, {}});
   }
   // Whatever becomes of the process that opens it, this one is left to say so.
   const pid_t parent = ::getpid();
@@ -155,7 +163,7 @@ int probe(const std::string& package, const std::string& plugin) {
   }
   int status = 0;
   if (pid < 0 || ::waitpid(pid, &status, 0) != pid) {
-    return conclude(out.get(), {place.library, "cannot start a process", 0, {}});
+    return conclude(out.get(), {place.library, "cannot start a process", 0, {}, {}});
   }
   if (WIFEXITED(status)) {
     return WEXITSTATUS(status);  // it has written the line
@@ -166,6 +174,7 @@ int probe(const std::string& package, const std::string& plugin) {
                   "cannot load library " + place.library + ": the process that opened it died of " +
                       isolation::signal_name(signal),
                   signal,
+                  {},
                   {}});
 }
 

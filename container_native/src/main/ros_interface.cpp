@@ -2,6 +2,7 @@
 
 #include <pthread.h>
 
+#include <chrono>
 #include <exception>
 #include <string>
 #include <utility>
@@ -10,6 +11,8 @@ namespace play_launch::container {
 namespace {
 
 constexpr std::size_t kEventDepth = 100;
+/// A supervised container offers its services when its first loads are over, or after this time.
+constexpr std::chrono::seconds kFirstLoads{1};
 
 bool ends_the_load(const ComponentEvent& event) {
   return event.event_type != ComponentEvent::LOADING;
@@ -47,6 +50,20 @@ void try_to(const Logger& logger, const char* what, Action action) {
 RosInterface::RosInterface(std::shared_ptr<Node> node, ObservableComponentManager& manager,
                            bool supervised)
     : node_(std::move(node)), manager_(manager), supervised_(supervised) {
+  if (!supervised_) {
+    offer();
+  }
+  manager_.add_sink(*this);
+  deliverer_ = std::thread([this] {
+    ::pthread_setname_np(::pthread_self(), "events");
+    if (supervised_ && !offer_after_first_loads()) {
+      return;
+    }
+    deliver_loop();
+  });
+}
+
+void RosInterface::offer() {
   events_ = node_->create_publisher<ComponentEvent>("~/_container/component_events",
                                                     QoS(kEventDepth).reliable().transient_local());
   load_service_ = node_->create_service<LoadNode>(
@@ -56,22 +73,48 @@ RosInterface::RosInterface(std::shared_ptr<Node> node, ObservableComponentManage
   list_service_ = node_->create_service<ListNodes>(
       "~/_container/list_nodes",
       [this](const ListNodes::Request&, ListNodes::Response& response) { list(response); });
-  manager_.add_sink(*this);
+  node_->start_parameter_services();
   executor_.add_node(node_);
   spinner_ = std::thread([this] {
     ::pthread_setname_np(::pthread_self(), "manager");
     executor_.spin();
   });
-  deliverer_ = std::thread([this] {
-    ::pthread_setname_np(::pthread_self(), "events");
-    deliver_loop();
-  });
+}
+
+bool RosInterface::offer_after_first_loads() {
+  std::unique_lock lock(mutex_);
+  changed_.wait_for(lock, kFirstLoads,
+                    [this] { return leaving_ || (has_loaded_ && loading_.empty()); });
+  if (leaving_) {
+    return false;
+  }
+  offering_ = true;
+  lock.unlock();
+  bool offered = true;
+  try {
+    offer();
+  } catch (const std::exception& error) {
+    offered = false;
+    PLAY_LAUNCH_ERROR(node_->logger(), "this container offers no services: %s", error.what());
+  }
+  lock.lock();
+  offering_ = false;
+  changed_.notify_all();
+  return offered;
 }
 
 RosInterface::~RosInterface() {
-  executor_.cancel();
-  spinner_.join();
-  executor_.remove_node(node_);
+  {
+    std::unique_lock lock(mutex_);
+    leaving_ = true;
+    changed_.notify_all();
+    changed_.wait(lock, [this] { return !offering_; });
+  }
+  if (spinner_.joinable()) {
+    executor_.cancel();
+    spinner_.join();
+    executor_.remove_node(node_);
+  }
   manager_.remove_sink(*this);
   {
     const std::lock_guard lock(mutex_);
@@ -121,6 +164,12 @@ void RosInterface::list(ListNodes::Response& response) {
 void RosInterface::on_event(const ComponentEvent& event) {
   {
     const std::lock_guard lock(mutex_);
+    if (ends_the_load(event)) {
+      loading_.erase(event.unique_id);
+    } else {
+      has_loaded_ = true;
+      loading_.insert(event.unique_id);
+    }
     // An event that somebody's answer depends on is never dropped; there are at most as many as
     // requests that wait.
     const bool awaited = loads_.contains(event.unique_id) || unloads_.contains(event.unique_id);

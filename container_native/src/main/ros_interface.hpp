@@ -11,6 +11,7 @@
 #include <mutex>
 #include <play_launch/executor.hpp>
 #include <play_launch/node.hpp>
+#include <set>
 #include <thread>
 #include <vector>
 
@@ -28,7 +29,9 @@ class RosInterface final : public EventSink {
   static constexpr std::size_t kQueueCapacity = 4096;
 
   /// `supervised`: somebody gets the events over the control channel and reports them, so that the
-  /// log need not.
+  /// log need not. Then everything is offered after the first loads only: a topic and nine services
+  /// in each container, which all others must discover, would compete with the nodes for which
+  /// everybody waits. Events since the start are published nevertheless.
   RosInterface(std::shared_ptr<Node> node, ObservableComponentManager& manager, bool supervised);
   /// Publishes what is queued.
   ~RosInterface() override;
@@ -42,6 +45,9 @@ class RosInterface final : public EventSink {
   using PendingLoad = std::shared_ptr<PendingRequest<LoadNode>>;
   using PendingUnload = std::shared_ptr<PendingRequest<UnloadNode>>;
 
+  void offer();
+  /// Returns false when there is nothing to publish on.
+  bool offer_after_first_loads();
   void load(PendingLoad pending);
   void unload(PendingUnload pending);
   void list(ListNodes::Response& response);
@@ -63,6 +69,10 @@ class RosInterface final : public EventSink {
   std::condition_variable changed_;
   std::deque<ComponentEvent> queue_;
   std::uint64_t dropped_ = 0;
+  std::set<std::uint64_t> loading_;
+  bool has_loaded_ = false;
+  bool offering_ = false;
+  bool leaving_ = false;
   bool done_ = false;
   std::map<std::uint64_t, PendingLoad> loads_;  // by unique_id
   std::multimap<std::uint64_t, PendingUnload> unloads_;

@@ -10,8 +10,8 @@
 #include <cstdint>
 
 #include "base/doorbell.hpp"
+#include "base/fastdds_segments.hpp"
 #include "base/report.hpp"
-#include "main/fastdds.hpp"
 
 namespace play_launch::container {
 namespace {

@@ -68,7 +68,8 @@ bool become(Command& command, DescriptorMessage& message, int line, pid_t parent
   kept.push_back(line);
   close_others(std::move(kept));
   environ = command.environment.data();
-  if (!show_command(command) || ::prctl(PR_SET_PDEATHSIG, SIGKILL) != 0) {
+  if (!command.apply_settings() || !show_command(command) ||
+      ::prctl(PR_SET_PDEATHSIG, SIGKILL) != 0) {
     return false;
   }
   // The parent may have died before.

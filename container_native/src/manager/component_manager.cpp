@@ -52,6 +52,7 @@ void add_death(ComponentEvent& event, const NodeDeath& death) {
   event.exit_code = death.exit_code;
   event.signal = death.signal;
   event.backtrace = death.backtrace;
+  event.modules = death.modules;
   if (death.when) {
     set_stamp(event.stamp, Clock::now() - *death.when);
   }

@@ -47,14 +47,17 @@ Node::Node(const std::string& default_name, const NodeOptions& options)
 
   parameters_ =
       std::make_shared<ParameterStore>(full_name_, arguments.parameter_overrides(full_name_));
-  if (options_.start_parameter_services) {
-    parameters_->announce_on(std::make_shared<ParameterStore::Events>(
-        handle_, "/parameter_events", QoS::parameter_events(), false));
-    parameter_server_ = std::make_unique<ParameterServer>(*this, parameters_);
-  }
+  if (options_.start_parameter_services) start_parameter_services();
 }
 
 Node::~Node() = default;
+
+void Node::start_parameter_services() {
+  if (parameter_server_) return;
+  parameters_->announce_on(std::make_shared<ParameterStore::Events>(
+      handle_, "/parameter_events", QoS::parameter_events(), false));
+  parameter_server_ = std::make_unique<ParameterServer>(*this, parameters_);
+}
 
 std::string Node::resolve_topic_name(const std::string& name) const {
   return handle_->resolve(name, false);

@@ -39,6 +39,14 @@ bool tie_to(pid_t parent, const char* command) {
   return true;
 }
 
+bool enter(const char* folder) {
+  if (folder == nullptr || ::chdir(folder) == 0) {
+    return true;
+  }
+  std::fprintf(stderr, "spawn_guard: cannot enter %s: %s\n", folder, std::strerror(errno));
+  return false;
+}
+
 int become(char* const* argv) {
   reset_signals();
   ::execvp(argv[0], argv);

@@ -20,6 +20,7 @@
 
 #include "base/command_file.hpp"
 #include "base/descriptor_message.hpp"
+#include "base/orphan_grace.hpp"
 #include "base/unique_fd.hpp"
 #include "spawn_guard/command.hpp"
 #include "spawn_guard/descendants.hpp"
@@ -32,10 +33,14 @@ namespace {
 using std::chrono::milliseconds;
 using std::chrono::steady_clock;
 
-constexpr milliseconds kGrace{700};
 constexpr milliseconds kRound{5};
+/// Forks of a zygote begin together, when the supervisor has asked for no further one for so long:
+/// those that run would take the processors from those that are being made.
+constexpr milliseconds kPause{10};
+/// But none waits longer for others than this.
+constexpr milliseconds kLongestHold{100};
 
-enum Request : std::int32_t { kSpawn = 1, kStatus = 2, kReap = 3, kHelper = 4 };
+enum Request : std::int32_t { kSpawn = 1, kStatus = 2, kReap = 3, kHelper = 4, kFarewell = 5 };
 
 using Answer = std::array<std::int32_t, 3>;
 using Message = DescriptorMessage;
@@ -46,7 +51,8 @@ constexpr std::size_t kHelperHead = 2;
 
 class Session {
  public:
-  explicit Session(UniqueFd socket) : socket_(std::move(socket)), guard_(::getpid()) {}
+  explicit Session(UniqueFd socket)
+      : socket_(std::move(socket)), guard_(::getpid()), supervisor_(::getppid()) {}
 
   int run() {
     sigset_t child;
@@ -61,8 +67,12 @@ class Session {
     while (true) {
       std::array<pollfd, 2> sources{pollfd{socket_.get(), POLLIN, 0},
                                     pollfd{ended.get(), POLLIN, 0}};
-      if (::poll(sources.data(), sources.size(), -1) < 0 && errno != EINTR) {
+      if (::poll(sources.data(), sources.size(), until_due()) < 0 && errno != EINTR) {
         break;
+      }
+      if (!held_.empty() && steady_clock::now() >= due_) {
+        std::ranges::for_each(held_, let_begin);
+        held_.clear();
       }
       if (sources[1].revents != 0) {
         signalfd_siginfo ignored;
@@ -79,6 +89,11 @@ class Session {
           message = {};
           continue;
         }
+        if (message.numbers.size() == 1 && message.numbers[0] == kFarewell) {
+          said_farewell_ = true;
+          message = {};
+          continue;
+        }
         const Answer answer = carry_out(message);
         message = {};  // what was passed on is no business of ours any more
         if (::send(socket_.get(), answer.data(), sizeof answer, MSG_NOSIGNAL) < 0) {
@@ -89,6 +104,10 @@ class Session {
     leave_nothing();
     return 0;
   }
+
+  /// Not so for one that ends in order, and waits for us. One that was killed may be our parent
+  /// for a moment after its end of the socket has closed.
+  bool supervisor_has_died() const { return !said_farewell_ || ::getppid() != supervisor_; }
 
  private:
   Answer carry_out(const Message& message) {
@@ -117,9 +136,13 @@ class Session {
     pid_t pid = 0;
     int obstacle = 0;
     if (zygotes != 0) {
-      pid = fork_of_zygote(message.descriptors[1].get(), message.descriptors.front(), descriptors,
-                           wanted);
+      Fork fork = fork_of_zygote(message.descriptors[1].get(), message.descriptors.front(),
+                                 descriptors, wanted);
+      pid = fork.pid;
       obstacle = pid < 0 ? -pid : 0;
+      if (pid > 0) {
+        hold(std::move(fork));
+      }
     }
     if (obstacle == ETIMEDOUT && helper <= helpers_.size() && helpers_[helper - 1] > 0) {
       // It would keep open what was sent to it.
@@ -132,6 +155,24 @@ class Session {
       (numbers[1] != 0 ? leaving_ : started_).insert(pid);
     }
     return {pid, obstacle, 0};
+  }
+
+  void hold(Fork fork) {
+    const auto now = steady_clock::now();
+    if (held_.empty()) {
+      held_since_ = now;
+    }
+    held_.push_back(std::move(fork));
+    due_ = std::min(now + kPause, held_since_ + kLongestHold);
+  }
+
+  /// For poll(2): milliseconds, or -1 where nothing is held.
+  int until_due() const {
+    if (held_.empty()) {
+      return -1;
+    }
+    const auto left = std::chrono::ceil<milliseconds>(due_ - steady_clock::now());
+    return static_cast<int>(std::max(left, milliseconds{0}).count());
   }
 
   void start_helper(const Message& message) {
@@ -160,8 +201,11 @@ class Session {
     if (pid == 0) {
       environ = command.environment.data();
       ::setsid();
-      if (!place_descriptors(descriptors, wanted)) {
+      if (!place_descriptors(descriptors, wanted) || !command.apply_settings()) {
         ::_exit(kRefused);
+      }
+      if (!enter(command.folder.front())) {
+        ::_exit(kCannotRun);
       }
       ::_exit(tie_to(guard_, command.argv[0]) ? become(command.argv.data()) : kRefused);
     }
@@ -203,7 +247,7 @@ class Session {
   }
 
   void leave_nothing() {
-    const auto deadline = steady_clock::now() + kGrace;
+    const auto deadline = steady_clock::now() + kOrphanGrace;
     while (true) {
       const bool spares = steady_clock::now() < deadline;
       kill_descendants(spares ? leaving_ : std::set<pid_t>());
@@ -220,13 +264,30 @@ class Session {
 
   UniqueFd socket_;
   const pid_t guard_;
+  const pid_t supervisor_;
+  bool said_farewell_ = false;
   std::set<pid_t> started_;
   std::set<pid_t> leaving_;
+  std::vector<Fork> held_;
+  steady_clock::time_point held_since_;
+  steady_clock::time_point due_;
   std::vector<pid_t> helpers_;  // 0 or less: it does not run
 };
 
 }  // namespace
 
-int guard_session(int socket) { return Session(UniqueFd(socket)).run(); }
+int guard_session(int socket, char* const* last_command) {
+  Session session{UniqueFd(socket)};
+  const int status = session.run();
+  if (last_command == nullptr || !session.supervisor_has_died() || ::fork() != 0) {
+    return status;
+  }
+  ::setsid();
+  sigset_t none;
+  sigemptyset(&none);
+  ::sigprocmask(SIG_SETMASK, &none, nullptr);
+  ::signal(SIGPIPE, SIG_DFL);
+  return become(last_command);
+}
 
 }  // namespace play_launch::guard

@@ -7,8 +7,8 @@ namespace play_launch::guard {
 /// This process is the parent of everything that the supervisor starts, and the subreaper of all
 /// that comes of it: a process that forks twice, calls setsid(2) or forbids its death with its
 /// parent becomes its child at last. So it outlives a supervisor that is killed, finds all of it,
-/// and kills it. Containers get `kGrace` first, as they leave by themselves when their channel
-/// ends.
+/// and kills it. Containers get `kOrphanGrace` first, as they leave by themselves when their
+/// channel ends.
 ///
 /// The socket is a SOCK_SEQPACKET; each request has one answer, both native-endian 32-bit integers:
 ///   spawn   {1, leaves by itself, number of a zygote or 0, number n of descriptors, their numbers
@@ -16,12 +16,17 @@ namespace play_launch::guard {
 ///           the child}, with the descriptors: a file with the command (see Command), the socket of
 ///           the zygote if there is one, then those n.
 ///           -> {pid, or -errno; why the zygote did not do it: errno, or 0}
+///           A fork of a zygote begins later, when no further one was asked for for 10 ms.
 ///   status  {2, pid} -> {1: ended, 0: runs, or -errno; code, status as in siginfo_t}
 ///   reap    {3, pid} -> the same, and the zombie is gone
 ///   helper  {4, n, their numbers in the child}, with the command and the descriptors: starts what
 ///           nobody asks about any more. The first is number 1. No answer.
+///   farewell {5}: the end of the socket that follows is not that of the supervisor. No answer.
+///
+/// When the supervisor has died, `last_command` is started after all of that, unless it is null:
+/// what it does for the dead is done by nobody else until the next start.
 ///
 /// Returns the exit status.
-int guard_session(int socket);
+int guard_session(int socket, char* const* last_command);
 
 }  // namespace play_launch::guard

@@ -36,33 +36,36 @@ bool wait_for_input(int socket) {
 
 }  // namespace
 
-pid_t fork_of_zygote(int zygote, const UniqueFd& command, std::span<const UniqueFd> descriptors,
-                     std::span<const std::int32_t> wanted) {
+Fork fork_of_zygote(int zygote, const UniqueFd& command, std::span<const UniqueFd> descriptors,
+                    std::span<const std::int32_t> wanted) {
   std::array<int, 2> ends{};
   if (::socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0, ends.data()) != 0) {
-    return -errno;
+    return {-errno, {}};
   }
-  const UniqueFd line(ends[0]);
+  UniqueFd line(ends[0]);
   UniqueFd theirs(ends[1]);
   std::vector<int> passed{theirs.get(), command.get()};
   for (const UniqueFd& each : descriptors) {
     passed.push_back(each.get());
   }
   if (!send_message(zygote, wanted, passed)) {
-    return -errno;
+    return {-errno, {}};
   }
   theirs.reset();
   if (!wait_for_input(line.get())) {
-    return -ETIMEDOUT;
+    return {-ETIMEDOUT, {}};
   }
   DescriptorMessage answer;
   if (!answer.receive(line.get()) || answer.numbers.size() != 1) {
-    return -ECONNREFUSED;
+    return {-ECONNREFUSED, {}};
   }
-  // Only now does it begin. When it has died meanwhile, its end is an ordinary one.
+  return {answer.numbers.front(), std::move(line)};
+}
+
+void let_begin(const Fork& fork) {
+  // When it has died meanwhile, its end is an ordinary one.
   const std::array<std::int32_t, 1> go{1};
-  send_message(line.get(), go);
-  return answer.numbers.front();
+  send_message(fork.line.get(), go);
 }
 
 }  // namespace play_launch::guard

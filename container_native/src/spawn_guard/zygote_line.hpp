@@ -9,10 +9,17 @@
 
 namespace play_launch::guard {
 
-/// Has a zygote (main/zygote.hpp) make a process of the command, as a child of ours, and let it
-/// begin. Returns its pid, or -errno; then there is none, nor will there be. Waits for at most
+/// A child of ours that waits at the end of its line until it may begin; it ends when that closes.
+struct Fork {
+  pid_t pid;  // -errno: there is none, nor will there be
+  UniqueFd line;
+};
+
+/// Has a zygote (main/zygote.hpp) make a process of the command. Waits for at most
 /// `kZygotePatience`.
-pid_t fork_of_zygote(int zygote, const UniqueFd& command, std::span<const UniqueFd> descriptors,
-                     std::span<const std::int32_t> wanted);
+Fork fork_of_zygote(int zygote, const UniqueFd& command, std::span<const UniqueFd> descriptors,
+                    std::span<const std::int32_t> wanted);
+
+void let_begin(const Fork& fork);
 
 }  // namespace play_launch::guard

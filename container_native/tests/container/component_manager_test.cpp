@@ -177,7 +177,7 @@ void test_cancel() {
 void test_crash() {
   Bench bench;
   const std::uint64_t unique_id = bench.loaded("a");
-  bench.host.observer->on_crashed(unique_id, {0, 11, "SIGSEGV", {"frame"}, {}, false});
+  bench.host.observer->on_crashed(unique_id, {0, 11, "SIGSEGV", {"frame"}, {}, {}, false});
   const ComponentEvent& event = bench.recorder.last();
   CHECK(event.event_type == ComponentEvent::CRASHED && event.signal == 11);
   CHECK(event.backtrace == std::vector<std::string>{"frame"});
@@ -199,20 +199,20 @@ void test_deaths_of_nodes_that_nobody_wants() {
   Bench bench;
   const std::uint64_t unloading = bench.loaded("a");
   CHECK(!bench.manager.unload(unloading));
-  bench.host.observer->on_crashed(unloading, {0, 11, "in its destructor", {}, {}, false});
+  bench.host.observer->on_crashed(unloading, {0, 11, "in its destructor", {}, {}, {}, false});
   CHECK(bench.recorder.last().event_type == kUnloaded && bench.recorder.last().signal == 11);
   CHECK(contains(bench.recorder.last().error_message, "in its destructor"));
 
   const std::uint64_t cancelled = bench.load("b");
   CHECK(!bench.manager.cancel(cancelled));
-  bench.host.observer->on_load_crashed(cancelled, {0, 6, "in its constructor", {}, {}, false});
+  bench.host.observer->on_load_crashed(cancelled, {0, 6, "in its constructor", {}, {}, {}, false});
   CHECK(bench.recorder.last().event_type == kUnloaded && bench.recorder.last().signal == 6);
 
   bench.loaded("c");
   const std::uint64_t namesake = bench.load("");
   CHECK(!bench.host.observer->on_loaded(namesake, "/c"));
   CHECK(!bench.manager.unload(namesake));  // it leaves already
-  bench.host.observer->on_crashed(namesake, {0, 11, "in its destructor", {}, {}, false});
+  bench.host.observer->on_crashed(namesake, {0, 11, "in its destructor", {}, {}, {}, false});
   CHECK(bench.recorder.last().event_type == kFailed && bench.recorder.last().signal == 11);
   CHECK(contains(bench.recorder.last().error_message, "a node named /c is loaded"));
   CHECK(contains(bench.recorder.last().error_message, "in its destructor"));
@@ -221,10 +221,12 @@ void test_deaths_of_nodes_that_nobody_wants() {
 void test_death_while_loading() {
   Bench bench;
   const auto long_ago = std::chrono::steady_clock::now() - std::chrono::hours(1);
-  bench.host.observer->on_load_crashed(bench.load("a"), {0, 6, "why", {"frame"}, long_ago, false});
+  bench.host.observer->on_load_crashed(bench.load("a"),
+                                       {0, 6, "why", {"frame"}, {"module"}, long_ago, false});
   CHECK((bench.recorder.types() == Types{kLoading, kFailed}));
   const ComponentEvent& event = bench.recorder.last();
   CHECK(event.signal == 6 && event.error_message == "why" && event.backtrace.size() == 1);
+  CHECK(event.modules == std::vector<std::string>{"module"});
   CHECK(event.stamp.sec < bench.recorder.events.front().stamp.sec);
 }
 

@@ -5,6 +5,7 @@
 #include <play_launch_msgs/msg/component_event.hpp>
 #include <rcl_interfaces/msg/parameter_type.hpp>
 
+#include "base/cpus.hpp"
 #include "base/failpoints.hpp"
 #include "check.hpp"
 #include "components/component_index.hpp"

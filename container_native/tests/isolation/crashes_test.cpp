@@ -259,6 +259,23 @@ class Neighbour {
 
 double milliseconds(std::uint64_t ns) { return static_cast<double>(ns) / 1e6; }
 
+/// Each module is one of the backtrace; that of this program has its path and its build id.
+void check_modules(const CrashSlot& slot) {
+  const std::string backtrace = joined(slot);
+  bool is_there = false;
+  for (const std::string& module : modules_of(slot)) {
+    const std::size_t id = module.find(' ') + 1;
+    const std::size_t path = module.find(' ', id) + 1;
+    CHECK(contains(backtrace, module.substr(0, id - 1) + "+0x"));
+    CHECK(module.substr(module.rfind('/') + 1) == module.substr(0, id - 1));
+    const std::string build = module.substr(id, path - 1 - id);
+    CHECK(build == "-" || (build.size() % 2 == 0 &&
+                           build.find_first_not_of("0123456789abcdef") == std::string::npos));
+    is_there = is_there || (contains(module, "crashes_test") && build.size() >= 16);
+  }
+  CHECK(is_there || !contains(backtrace, "crashes_test+0x"));
+}
+
 void check_outcome(const Kind& kind, const Outcome& outcome, bool in_main_thread) {
   if (outcome.end.signal != kind.signal) {
     std::fprintf(stderr, "%s: %s\n%s", kind.name, outcome.text().c_str(),
@@ -283,6 +300,7 @@ void check_outcome(const Kind& kind, const Outcome& outcome, bool in_main_thread
     std::fprintf(stderr, "%s\n", backtrace.c_str());
   }
   CHECK(contains(backtrace, kind.function));
+  check_modules(outcome.slot);
 }
 
 void test_crashes(const Kind& kind, std::vector<std::unique_ptr<Neighbour>>& neighbours) {

@@ -9,13 +9,15 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import anyio
+from msgspec.structs import replace
 
 from play_launch.actors.container.hello import description, isolation_shortfall
 from play_launch.actors.container.limits import LIMITS, Limits
-from play_launch.actors.container.nodes import AttemptNumbers, ContainerNodes
+from play_launch.actors.container.nodes import ContainerNodes
 from play_launch.actors.container.watch import ContainerWatch
 from play_launch.actors.death import Death, death_of_container
 from play_launch.actors.member import Member
+from play_launch.actors.resource_report import report_shortfalls
 from play_launch.core.events import ContainerState, ProcessEventKind
 from play_launch.core.lifecycle import Patience
 from play_launch.core.member import MemberInput
@@ -25,10 +27,13 @@ from play_launch.wire.messages import Hello, Incoming, Shutdown, Status
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from play_launch.actors.container.attempts import AttemptNumbers
     from play_launch.actors.container.library_probes import LibraryProbes
+    from play_launch.actors.order import StartOrder
     from play_launch.actors.ports import ControlLink, Launcher, ManagedProcess, StartError
     from play_launch.actors.publisher import Publisher
     from play_launch.actors.stop_requests import StopRequests
+    from play_launch.actors.turn import StartTurn
     from play_launch.config.model import ContainerConfig
     from play_launch.process.exit import Exit
 
@@ -46,7 +51,8 @@ class ContainerMember(Member):
         publisher: Publisher,
         stop: StopRequests,
         attempts: AttemptNumbers,
-        slots: asyncio.Semaphore,
+        turn: StartTurn,
+        order: StartOrder,
         probes: LibraryProbes | None = None,
         limits: Limits = LIMITS,
         jitter: Callable[[], float] = random.random,
@@ -60,7 +66,7 @@ class ContainerMember(Member):
             restart=config.restart,
             publisher=publisher,
             stop=stop,
-            slots=slots,
+            turn=turn,
             jitter=jitter,
         )
         self._config = config
@@ -79,6 +85,7 @@ class ContainerMember(Member):
             jitter=jitter,
             silence=limits.silence,
             deliver=self.deliver,
+            order=order,
             probes=probes,
         )
         self._watch = ContainerWatch(self.name, clock=self._loop.time, limits=limits.watch)
@@ -95,6 +102,21 @@ class ContainerMember(Member):
         """Publish that it and its nodes are declared."""
         self._publish_state("")
         self.nodes.announce()
+
+    def adopt(self, config: ContainerConfig) -> None:
+        """Take another configuration; what its process reads holds from the next start on.
+
+        Its nodes are declared one by one, see `nodes`.
+        """
+        self._config = config
+        self._restarter.limit(config.restart)
+        self.nodes.patience = replace(self.nodes.patience, loading_timeout=config.loading_timeout)
+        self.nodes.suspects.adopt(config)
+
+    def close(self) -> None:
+        """Do nothing at any later time."""
+        super().close()
+        self.nodes.suspects.close()
 
     def stop_container(self, reason: str) -> None:
         """Stop it for good, while the rest of the system runs on."""
@@ -138,9 +160,9 @@ class ContainerMember(Member):
 
     def _started(self) -> None:
         assert self._link is not None
-        # One that somebody else starts may come at any time.
-        attaches = self._config.attach
-        self._hello_due = None if attaches else self._loop.time() + self._limits.hello
+        # One that somebody else starts may come at any time, and a debugger may take any time.
+        may_be_late = self._config.attach or self._config.prefix
+        self._hello_due = None if may_be_late else self._loop.time() + self._limits.hello
         self._source(partial(self._listen, self._link, self._said_everything))
 
     def _death_of(self, exit_: Exit) -> Death:
@@ -160,7 +182,11 @@ class ContainerMember(Member):
         shortfall = isolation_shortfall(self._config, self._hello)
         if shortfall and self._publisher.is_news(shortfall):
             _log.warning("%s: %s", self.name, shortfall)
-        self._watch.begin(self._link.send)
+        if self._process is not None:
+            pid = self._hello.pid or self._process.pid
+            report_shortfalls(self.name, self._config.resources, pid, self._publisher)
+        if not self._config.prefix:  # a debugger may stop it
+            self._watch.begin(self._link.send)
         self.nodes.container_ready(self._link.send)
 
     def _lose(self, reason: str, *, comes_back: bool) -> None:

@@ -26,4 +26,6 @@ def load_request(config: ComposableNodeConfig, attempt: int) -> Load:
         remap_rules=remap_rules(config.remappings),
         parameters=config.parameters,
         extra_arguments=config.extra_arguments,
+        resources=config.resources.settings(),
+        lock_memory=config.resources.lock_memory,
     )

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import logging
-from typing import TYPE_CHECKING, Final, assert_never
+from typing import TYPE_CHECKING, Any, Final, assert_never
 
 from msgspec import Struct, field
 
+from play_launch.actors.container.node_facts import NOTHING, Facts
+from play_launch.actors.resource_report import report_shortfalls
 from play_launch.core.events import (
     REPORTED_LOGGER,
     ComponentEvent,
     ComponentEventKind,
     NodeState,
     NodeStateChanged,
+    SubjectKind,
 )
 from play_launch.core.lifecycle import NodeRecord
 from play_launch.core.node_report import NodeReport
@@ -20,7 +23,6 @@ from play_launch.core.node_report import NodeReport
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from play_launch.actors.container.node_facts import Facts
     from play_launch.actors.publisher import Publisher
     from play_launch.actors.restarter import CrashFollower
     from play_launch.config.model import ComposableNodeConfig
@@ -43,12 +45,16 @@ class MirroredNode(Struct):
     follower: CrashFollower
     record: NodeRecord = field(default_factory=NodeRecord)
     pid: int = 0
+    start_time: int = 0
+    """Of the process with this pid, in clock ticks after boot; 0 where unknown."""
     loaded_at: float | None = None
     took: float = 0.0
     """Seconds of the latest load that came to its end."""
     reload_at: float | None = None
     crashes: int = 0
     reloads: int = 0
+    is_withdrawn: bool = False
+    """Whether it is forgotten as soon as it has left."""
     reported_silent: bool = False
     """Whether its present stay in callbacks was reported."""
 
@@ -61,6 +67,10 @@ class MirroredNode(Struct):
     def name(self) -> str:
         """Declared full name."""
         return self.config.declared_full_name
+
+    def is_slow_reload(self, now: float, limit: float) -> bool:
+        """Whether it is loaded after a crash, for ``limit`` seconds and thrice its usual time."""
+        return self.record.is_reload and now - self.record.sent_at > limit + 3 * self.took
 
 
 class NodeReports:
@@ -88,6 +98,7 @@ class NodeReports:
                 elapsed_ns=round(elapsed * 1e9),
                 reason=facts.reason,
                 pid=node.pid,
+                start_time=node.start_time,
                 cpu_time_ns=facts.cpu_time_ns,
                 unique_id=record.unique_id,
                 attempt=record.attempt,
@@ -95,6 +106,27 @@ class NodeReports:
                 reloads=node.reloads,
             )
         )
+
+    def resources(self, node: MirroredNode) -> None:
+        """Report which of its resources the kernel refused; it is loaded."""
+        report_shortfalls(node.name, node.config.resources, node.pid, self._publisher)
+
+    def silence(self, node: MirroredNode, seconds: float, limit: float) -> None:
+        """Report once that its executor has been blocked for ``limit`` seconds, and its return."""
+        is_loaded = node.record.state is NodeState.LOADED
+        if not is_loaded or seconds < limit:
+            if node.reported_silent and is_loaded:
+                self.state(node, NOTHING)
+            node.reported_silent = False
+        elif not node.reported_silent:
+            node.reported_silent = True
+            reason = f"its executor has been blocked in a callback for {seconds:.0f} s"
+            _log.warning("%s: %s", node.name, reason)
+            self.state(node, Facts(reason=reason))
+
+    def withdrawn(self, node: MirroredNode) -> None:
+        """Publish that it is not declared any more."""
+        self._publisher.withdraw(SubjectKind.NODE, str(node.key))
 
     def log(
         self, report: NodeReport, node: MirroredNode, facts: Facts, *, is_stopping: bool
@@ -125,38 +157,40 @@ class NodeReports:
 
     def refusal(self, node: MirroredNode, reason: str, finding: Finding | None) -> None:
         """Publish that its latest load is not repeated, with what a scratch process found."""
-        self._publisher.publish(
-            ComponentEvent(
-                stamp_ns=self._publisher.stamp_ns(),
-                kind=ComponentEventKind.LOAD_FAILED,
-                container=self._container,
-                unique_id=node.record.unique_id,
-                attempt=node.record.attempt,
-                full_node_name=node.name,
-                package_name=node.config.package,
-                plugin_name=node.config.plugin,
-                error_message=reason,
-                exit_code=finding.exit_code if finding and not finding.signal else 0,
-                signal=finding.signal if finding else 0,
-                backtrace=finding.backtrace if finding else (),
-                confirmed_by="supervisor" if finding is None else "probe",
-            )
+        self._event_of(
+            node,
+            ComponentEventKind.LOAD_FAILED,
+            full_node_name=node.name,
+            error_message=reason,
+            exit_code=finding.exit_code if finding and not finding.signal else 0,
+            signal=finding.signal if finding else 0,
+            backtrace=finding.backtrace if finding else (),
+            modules=finding.modules if finding else (),
+            confirmed_by="supervisor" if finding is None else "probe",
         )
 
     def _confirmation(self, node: MirroredNode, facts: Facts) -> None:
         """Publish that it is loaded, as the container's answer says."""
+        self._event_of(
+            node,
+            ComponentEventKind.LOADED,
+            full_node_name=facts.full_node_name,
+            pid=facts.pid,
+            start_time=facts.start_time,
+            confirmed_by="status",
+        )
+
+    def _event_of(self, node: MirroredNode, kind: ComponentEventKind, **values: Any) -> None:
+        """Publish an event about its latest load that its container did not send."""
         self._publisher.publish(
             ComponentEvent(
                 stamp_ns=self._publisher.stamp_ns(),
-                kind=ComponentEventKind.LOADED,
+                kind=kind,
                 container=self._container,
                 unique_id=node.record.unique_id,
                 attempt=node.record.attempt,
-                full_node_name=facts.full_node_name,
                 package_name=node.config.package,
                 plugin_name=node.config.plugin,
-                pid=facts.pid,
-                start_time=facts.start_time,
-                confirmed_by="status",
+                **values,
             )
         )

@@ -8,19 +8,18 @@ from __future__ import annotations
 
 import logging
 import random
+from functools import partial
 from typing import TYPE_CHECKING, Final, assert_never
 
 from msgspec.structs import replace
 
 from play_launch.actors.container.load_request import load_request
 from play_launch.actors.container.node_facts import (
-    INPUT_OF_EVENT,
     NOTHING,
     Facts,
-    facts_of_event,
-    facts_of_status,
 )
 from play_launch.actors.container.node_reports import MirroredNode, NodeReports
+from play_launch.actors.container.node_words import words_of
 from play_launch.actors.container.questions import Questions
 from play_launch.actors.container.suspect_nodes import SuspectNodes
 from play_launch.actors.restarter import CrashFollower
@@ -29,6 +28,7 @@ from play_launch.core.events import REPORTED_LOGGER, ComponentEvent, NodeState
 from play_launch.core.lifecycle import is_silent, step
 from play_launch.core.node_report import NodeReport, report_of
 from play_launch.core.node_table import NodeAction, NodeInput
+from play_launch.core.outlook import NodeFacts
 from play_launch.core.questions import Asked
 from play_launch.core.restart import GiveUp, Restart
 from play_launch.wire.channel import ControlError
@@ -43,14 +43,17 @@ from play_launch.wire.messages import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Iterator
 
+    from play_launch.actors.container.attempts import AttemptNumbers
     from play_launch.actors.container.library_probes import LibraryProbes
+    from play_launch.actors.order import StartOrder
     from play_launch.actors.ports import Escalation
     from play_launch.actors.publisher import Publisher
-    from play_launch.config.model import ContainerConfig
+    from play_launch.config.model import ComposableNodeConfig, ContainerConfig
     from play_launch.core.lifecycle import Patience
     from play_launch.core.node_key import NodeKey
+    from play_launch.core.order import Verdict
     from play_launch.core.probe import Finding
     from play_launch.wire.messages import NodeStatus
 
@@ -61,17 +64,8 @@ _ALONE_LIMIT: Final = 60.0
 """Seconds for which a load can keep others waiting that have to be alone."""
 
 _UNDER_WAY: Final = frozenset({NodeState.REQUESTED, NodeState.LOADING})
-
-
-class AttemptNumbers:
-    """Numbers for load attempts, unique in the supervisor's life and never 0."""
-
-    def __init__(self) -> None:
-        self.upcoming = 1
-
-    def use(self) -> None:
-        """The upcoming number is taken."""
-        self.upcoming += 1
+_GONE: Final = frozenset({NodeState.UNLOADED, NodeState.CRASHED})
+"""States of a node that nobody wants, in which its container has nothing of it."""
 
 
 class ContainerNodes:
@@ -89,6 +83,7 @@ class ContainerNodes:
         jitter: Callable[[], float] = random.random,
         silence: float,
         deliver: Callable[[Callable[[], None]], None],
+        order: StartOrder,
         probes: LibraryProbes | None = None,
     ) -> None:
         """Know the declared nodes; ``attempts`` and ``probes`` are shared by all containers.
@@ -100,24 +95,59 @@ class ContainerNodes:
         self._reports = NodeReports(config.full_name, publisher, clock)
         self._escalation = escalation
         self._attempts = attempts
-        self._patience = patience
+        self.patience = patience
         self._clock = clock
         self._silence = silence
+        self._jitter = jitter
+        self._deliver = deliver
+        self._order = order
         self._send: Callable[[Outgoing], None] | None = None
         self._stopping = False
         self._lost_loading: list[NodeKey] = []
         self._questions = Questions(config.full_name)
         self._to_ask: dict[NodeKey, MirroredNode] = {}
-        self._nodes = {
-            node.key: MirroredNode(node, CrashFollower(node.on_crash, node.restart, jitter))
-            for node in config.composable_nodes
-        }
+        self._nodes = {node.key: self._mirror(node) for node in config.composable_nodes}
         self.suspects = SuspectNodes(config, probes, self, deliver)
         """Those that may have taken the container down; its `run` has to run."""
 
     def __contains__(self, key: NodeKey) -> bool:
         """Whether that node is declared here."""
         return key in self._nodes
+
+    def _mirror(self, config: ComposableNodeConfig) -> MirroredNode:
+        return MirroredNode(config, CrashFollower(config.on_crash, config.restart, self._jitter))
+
+    def declare(self, config: ComposableNodeConfig) -> None:
+        """Take in a node, which is loaded as soon as the container is ready.
+
+        One that is known is not touched: what has changed holds when it is loaded next.
+        """
+        self.suspects.declare(config)
+        if (known := self._nodes.get(config.key)) is not None:
+            known.config = config
+            known.follower.limit(config.on_crash, config.restart)
+            if known.is_withdrawn:
+                known.is_withdrawn = False
+                self.reload(config.key)
+            return
+        node = self._nodes[config.key] = self._mirror(config)
+        self._reports.state(node, NOTHING)
+        if self._send is not None and not self._stopping:
+            self._begin(node)
+
+    def withdraw(self, key: NodeKey) -> None:
+        """Unload a node and forget it, which is published when it has left."""
+        self._nodes[key].is_withdrawn = True
+        self._order.forget(str(key))
+        self.unload(key)
+        self._deliver(partial(self._drop, key))
+
+    def _drop(self, key: NodeKey) -> None:
+        node = self._nodes.get(key)
+        if node is not None and node.is_withdrawn and node.record.state in _GONE:
+            del self._nodes[key]
+            self.suspects.forget(key)
+            self._reports.withdrawn(node)
 
     def announce(self) -> None:
         """Report that the nodes are declared."""
@@ -128,10 +158,26 @@ class ContainerNodes:
         """Ask for all nodes at once, in the order of their declaration."""
         self._send = send
         self._stopping = False
-        for node in self._nodes.values():
-            if not self.suspects.holds(node.key):
-                self._apply(node, NodeInput.CONTAINER_READY)
+        for node in tuple(self._nodes.values()):
+            self._begin(node)
         self.load_cleared()
+
+    def _begin(self, node: MirroredNode) -> None:
+        """Load a node for the first time, or again with its container."""
+        if self._order.holds(str(node.key)):
+            self._order.want(str(node.key), partial(self._hear_verdict, node))
+        elif not self.suspects.holds(node.key):
+            self._apply(node, NodeInput.CONTAINER_READY)
+
+    def _hear_verdict(self, node: MirroredNode, verdict: Verdict) -> None:
+        self._deliver(partial(self._let_through, node, verdict))
+
+    def _let_through(self, node: MirroredNode, verdict: Verdict) -> None:
+        """Load a node that waited for what it depends on, or let it fail."""
+        if verdict.fails:
+            self.refuse(node.key, verdict.reason)
+        elif self._send is not None and not self._stopping and not self.suspects.holds(node.key):
+            self._apply(node, NodeInput.CONTAINER_READY)
 
     def container_stops(self) -> None:
         """The container was asked to end; nothing is loaded again any more."""
@@ -159,10 +205,18 @@ class ContainerNodes:
         """
         self.suspects.container_died(self._lost_loading if blame else (), blame)
 
-    def wait_for_probe(self, key: NodeKey) -> None:
-        """Report that the library of a node is loaded in a scratch process first."""
-        facts = Facts(reason="its library is loaded in a scratch process first")
-        self._reports.state(self._nodes[key], facts)
+    def __iter__(self) -> Iterator[NodeKey]:
+        return iter(self._nodes)
+
+    def facts(self, key: NodeKey, reason: str) -> NodeFacts:
+        """Say what those who depend on a node want to know; the reason is that of its state."""
+        node = self._nodes[key]
+        comes_back = node.reload_at is not None or node.record.replaces
+        return NodeFacts(node.record.state, node.record.wanted, comes_back, reason)
+
+    def report_wait(self, key: NodeKey, reason: str) -> None:
+        """Report why a node is not loaded yet."""
+        self._reports.state(self._nodes[key], Facts(reason=reason))
 
     def refuse(self, key: NodeKey, reason: str, finding: Finding | None = None) -> None:
         """Let a node fail that the container does not get."""
@@ -205,18 +259,10 @@ class ContainerNodes:
 
     def hear(self, message: Accepted | Rejected | ComponentEvent | Status) -> None:
         """Take what the container said."""
-        match message:
-            case Accepted():
-                facts = Facts(attempt=message.attempt, unique_id=message.unique_id)
-                self._about_attempt(NodeInput.ACCEPTED, facts)
-            case Rejected():
-                self._hear_rejected(message)
-            case ComponentEvent():
-                self._hear_event(message)
-            case Status():
-                self._hear_status(message)
-            case _:
-                assert_never(message)
+        if isinstance(message, ComponentEvent):
+            self._reports.event(message)
+        for word in words_of(message, self._nodes, self._questions, self._container):
+            self._apply(*word)
         self._ask()
         self.load_cleared()
 
@@ -224,25 +270,13 @@ class ContainerNodes:
         """Report once each loaded node whose executor is blocked in a callback for long."""
         silent = {each.attempt: each.silence_ns / 1e9 for each in listed}
         for node in self._nodes.values():
-            is_loaded = node.record.state is NodeState.LOADED
-            seconds = silent.get(node.record.attempt, 0.0) if is_loaded else 0.0
-            if seconds < self._silence:
-                if node.reported_silent and is_loaded:
-                    self._reports.state(node, NOTHING)
-                node.reported_silent = False
-            elif not node.reported_silent:
-                node.reported_silent = True
-                reason = f"its executor has been blocked in a callback for {seconds:.0f} s"
-                _log.warning("%s: %s", node.name, reason)
-                self._reports.state(node, Facts(reason=reason))
+            self._reports.silence(node, silent.get(node.record.attempt, 0.0), self._silence)
 
     def slow_reload(self, limit: float) -> str:
         """Name a node whose reload takes ``limit`` seconds and thrice its usual time; or empty."""
         now = self._clock()
         for node in self._nodes.values():
-            record = node.record
-            is_under_way = record.is_reload and record.state in _UNDER_WAY
-            if is_under_way and now - record.sent_at > limit + 3 * node.took:
+            if node.record.state in _UNDER_WAY and node.is_slow_reload(now, limit):
                 return node.name
         return ""
 
@@ -267,41 +301,13 @@ class ContainerNodes:
         self._ask()
         self.load_cleared()
 
-    def _hear_rejected(self, message: Rejected) -> None:
-        facts = Facts(attempt=message.attempt, unique_id=message.unique_id, reason=message.reason)
-        if message.attempt:
-            self._about_attempt(NodeInput.REJECTED, facts)
-            return
-        for node in self._nodes.values():
-            if message.unique_id and node.record.unique_id == message.unique_id:
-                self._apply(node, NodeInput.UNLOAD_REJECTED, facts)
-                return
-        _log.warning("%s rejected a request: %s", self._container, message.reason)
-
-    def _hear_event(self, event: ComponentEvent) -> None:
-        self._reports.event(event)
-        if event.attempt:
-            self._about_attempt(INPUT_OF_EVENT[event.kind], facts_of_event(event))
-
-    def _hear_status(self, status: Status) -> None:
-        for answer in self._questions.read(status):
-            facts = facts_of_status(answer.asked, answer.listed)
-            self._apply(self._nodes[answer.asked.key], answer.said, facts)
-
-    def _about_attempt(self, said: NodeInput, facts: Facts) -> None:
-        for node in self._nodes.values():
-            if node.record.attempt == facts.attempt:
-                self._apply(node, said, facts)
-                return
-        _log.info("%s: %s of old attempt %d is ignored", self._container, said, facts.attempt)
-
     def _apply(self, node: MirroredNode, said: NodeInput, facts: Facts = NOTHING) -> None:
         before = node.record
         result = step(
             before,
             said,
             now=self._clock(),
-            patience=self._patience,
+            patience=self.patience,
             next_attempt=self._attempts.upcoming,
             attempt=facts.attempt,
             unique_id=facts.unique_id,
@@ -310,13 +316,15 @@ class ContainerNodes:
             _log.info("%s in %s: %s", node.name, self._container, result.ignored)
             return
         node.record = record = result.record
-        node.pid = facts.pid or (node.pid if record.attempt == before.attempt else 0)
+        if facts.pid or record.attempt != before.attempt:
+            node.pid, node.start_time = facts.pid, facts.start_time
         if record.attempt != before.attempt:
             node.loaded_at = None
             self._attempts.use()
         if record.state is NodeState.LOADED and record.state is not before.state:
             node.loaded_at = self._clock()
             node.took = node.loaded_at - record.sent_at
+            self._reports.resources(node)
         has_changed = record.state is not before.state
         report = report_of(before.state, said, record.state)
         if report is NodeReport.UNASKED and not self._stopping and not facts.reason:
@@ -340,6 +348,9 @@ class ContainerNodes:
             self._escalation.reload_hangs(f"{node.name} is not loaded again: {facts.reason}")
         for action in result.actions:
             self._execute(node, action, facts)
+        if node.is_withdrawn and node.record.state in _GONE:
+            # Not at once: somebody may be going through the nodes.
+            self._deliver(partial(self._drop, node.key))
 
     def _execute(self, node: MirroredNode, action: NodeAction, facts: Facts) -> None:
         match action:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Sequence
 
     from play_launch.actors.container.library_probes import LibraryProbes
-    from play_launch.config.model import ContainerConfig
+    from play_launch.config.model import ComposableNodeConfig, ContainerConfig
     from play_launch.core.node_key import NodeKey
     from play_launch.core.probe import Finding
 
@@ -29,8 +29,8 @@ _log = logging.getLogger(__name__)
 class SuspectLoads(Protocol):
     """What is done with the nodes."""
 
-    def wait_for_probe(self, node: NodeKey) -> None:
-        """Report that the library of a node is loaded in a scratch process first."""
+    def report_wait(self, node: NodeKey, reason: str) -> None:
+        """Report why a node is not loaded yet."""
 
     def refuse(self, node: NodeKey, reason: str, finding: Finding | None = None) -> None:
         """Let the node fail: it is not sent to the container."""
@@ -61,12 +61,32 @@ class SuspectNodes:
         self._suspects = Suspects(self._nodes)
         self._to_probe: asyncio.Queue[list[NodeKey]] = asyncio.Queue()
         self._stopped = asyncio.Event()
+        self._is_closed = False
 
     async def run(self) -> None:
-        """Probe libraries until it is cancelled; then no process is left."""
-        while True:
+        """Probe libraries until it is cancelled or closed; then no process is left."""
+        while not self._is_closed:
             self._stopped.clear()
             await first_of(self._serve(), self._stopped.wait())
+
+    def adopt(self, config: ContainerConfig) -> None:
+        """Take another configuration of the container."""
+        self._config = config
+
+    def declare(self, node: ComposableNodeConfig) -> None:
+        """Take in a node, or one whose declaration has changed."""
+        self._nodes[node.key] = node
+        self._suspects.trust(node.key)
+
+    def forget(self, node: NodeKey) -> None:
+        """Nobody is going to load this one any more."""
+        del self._nodes[node]
+        self._suspects.forget(node)
+
+    def close(self) -> None:
+        """End `run`."""
+        self._is_closed = True
+        self.stop()
 
     def stop(self) -> None:
         """Give up what is being probed: the container is stopped."""
@@ -86,7 +106,7 @@ class SuspectNodes:
             why = f"it took the container down {deaths} times while it was loaded: {reason}"
             self._loads.refuse(node, why)
         for node in probe:
-            self._loads.wait_for_probe(node)
+            self._loads.report_wait(node, "its library is loaded in a scratch process first")
         if probe:
             self._to_probe.put_nowait(probe)
 
@@ -120,35 +140,33 @@ class SuspectNodes:
                 for group in await self._by_library(await self._to_probe.get()):
                     tasks.create_task(self._probe(group))
 
-    async def _by_library(self, nodes: Sequence[NodeKey]) -> list[list[NodeKey]]:
+    async def _by_library(self, nodes: Sequence[NodeKey]) -> list[list[ComposableNodeConfig]]:
         assert self._probes is not None
-        groups: defaultdict[str, list[NodeKey]] = defaultdict(list)
-        for node in nodes:
-            library = await self._probes.library_of(self._config, self._nodes[node])
+        groups: defaultdict[str, list[ComposableNodeConfig]] = defaultdict(list)
+        for node in [self._nodes[key] for key in nodes if key in self._nodes]:
+            library = await self._probes.library_of(self._config, node)
             groups[library].append(node)
         return list(groups.values())
 
-    async def _probe(self, group: list[NodeKey]) -> None:
+    async def _probe(self, group: list[ComposableNodeConfig]) -> None:
         """Probe nodes of one library, in most cases by the first of them."""
         assert self._probes is not None
         while group:
-            first = self._nodes[group[0]]
+            first = group[0]
             finding = await self._probes.probe(self._config, first)
-            same = {first.plugin}
-            settled = [
-                node
-                for node in group
-                if finding is None or finding.is_about_library or self._nodes[node].plugin in same
-            ]
+            is_about_all = finding is None or finding.is_about_library
+            settled = [node for node in group if is_about_all or node.plugin == first.plugin]
             group = [node for node in group if node not in settled]
             self._deliver(partial(self._conclude, settled, finding))
 
-    def _conclude(self, settled: Collection[NodeKey], finding: Finding | None) -> None:
+    def _conclude(self, settled: Collection[ComposableNodeConfig], finding: Finding | None) -> None:
         loads = finding is None or finding.loads
         for node in settled:
-            self._suspects.probe_ended(node, loads=loads)
+            if self._nodes.get(node.key) is not node:
+                continue  # it was taken out or declared anew meanwhile
+            self._suspects.probe_ended(node.key, loads=loads)
             if finding is not None and not loads:
-                self._loads.refuse(node, self._why(finding), finding)
+                self._loads.refuse(node.key, self._why(finding), finding)
         self._loads.load_cleared()
 
     def _why(self, finding: Finding) -> str:

@@ -7,7 +7,6 @@ import os
 from collections import Counter
 from typing import TYPE_CHECKING, Any, Final
 
-from play_launch.actors.container.limits import default_starts
 from play_launch.actors.stock.attached import AttachedContainer
 from play_launch.actors.stock.link import StockLink
 from play_launch.actors.stock.ports import STOCK_LIMITS, StockLimits
@@ -54,28 +53,34 @@ class StockContainers:
         Raises:
             NotInstalledError: When that is not possible here.
         """
+        made = cls({}, ask=config.stop.ask, limits=limits)
+        try:
+            made.extend(config)
+        except NotInstalledError:
+            made.close()
+            raise
+        return made
+
+    def extend(self, config: ReplayConfig) -> None:
+        """Start what the containers of a further system need as well; as `of`."""
+        self._ask = config.stop.ask
         domains = {
             _domain(each)
             for each in config.containers
             if each.container_type is ContainerType.STOCK
         }
-        threads = {
-            # A name that `ros2 node list` does not show.
-            domain: RosThread(f"_play_launch_{os.getpid()}", domain_id=domain)
-            for domain in sorted(domains, key=str)
-        }
-        made = cls(threads, ask=config.stop.ask, limits=limits)
         try:
-            if threads:
+            for domain in sorted(domains - self._threads.keys(), key=str):
                 import composition_interfaces.srv  # noqa: F401, PLC0415 - takes long
                 import rcl_interfaces.msg  # noqa: F401, PLC0415
-            for thread in threads.values():
+
+                # A name that `ros2 node list` does not show.
+                thread = RosThread(f"_play_launch_{os.getpid()}", domain_id=domain)
                 thread.start()
+                self._threads[domain] = thread
         except Exception as error:
-            made.close()
             reason = f"container_type stock cannot be used here: {error}"
             raise NotInstalledError(f"{reason} (see play-launch doctor)") from error
-        return made
 
     def attach(self, config: ContainerConfig) -> tuple[ManagedProcess, ControlLink]:
         """Attach to a container that somebody else starts or has started."""
@@ -126,8 +131,8 @@ class StockContainers:
         self, config: ContainerConfig, container: ContainerIdentity
     ) -> tuple[StockLink, CompositionClient]:
         if self._places is None:
-            # A load is discovery and a constructor: as many at a time as start up at a time.
-            self._places = asyncio.Semaphore(default_starts())
+            # A load is discovery and a constructor, so CPU time.
+            self._places = asyncio.Semaphore(max(4, 2 * (os.cpu_count() or 1)))
         thread = self._threads[_domain(config)]
         services = self._services(config, thread)
         link = StockLink(

@@ -6,24 +6,33 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
-from play_launch.cli.show.status import container_status, duration, ending
+from play_launch.cli.show.durations import duration
+from play_launch.cli.show.status import container_status, ending
 from play_launch.core.events import (
     REPORTED_LOGGER,
+    ActionEvent,
+    ActionPhase,
     ContainerState,
+    ContainerStateChanged,
     LogRecord,
+    ManagedNodeChanged,
     NodeState,
     NodeStateChanged,
     OutputLine,
     ProcessEvent,
     ProcessEventKind,
     RunEvent,
+    Withdrawn,
 )
+from play_launch.core.managed import ManagedState
 from play_launch.recording.console_format import ERROR, INFO, WARN, line_level
 
 if TYPE_CHECKING:
     from play_launch.core.view import ProcessView, SystemView
 
 OWN_NAME: Final = "play-launch"
+_UNSAID: Final = frozenset({ManagedState.ABSENT, ManagedState.ASKED})
+"""States of a managed node that say nothing that its own do not say."""
 
 
 class Line(Struct, frozen=True):
@@ -50,8 +59,40 @@ def line_of(event: RunEvent, before: SystemView, after: SystemView) -> Line | No
             return _node_line(event, before, after)
         case ProcessEvent():
             return _process_line(event, before)
+        case ActionEvent():
+            return _action_line(event)
+        case ManagedNodeChanged(state=ManagedState.FAILED):
+            return Line(event.stamp_ns, event.node, f"autostart failed: {event.reason}", ERROR)
+        case ManagedNodeChanged() if event.state not in _UNSAID:
+            return Line(event.stamp_ns, event.node, f"is {event.state}", is_progress=True)
+        case ContainerStateChanged(state=ContainerState.STARTING) if event.reason:
+            return Line(event.stamp_ns, event.container, event.reason, is_progress=True)
+        case Withdrawn():
+            reason = f": {event.reason}" if event.reason else ""
+            return Line(event.stamp_ns, event.key, f"taken out of the system{reason}")
         case _:
             return None
+
+
+def _action_line(event: ActionEvent) -> Line | None:
+    names = ", ".join(event.targets[:_MOST_TARGETS])
+    if more := event.targets[_MOST_TARGETS:]:
+        names += f" and {len(more)} more"
+    what = f"{event.action} {names}"
+    match event.phase:
+        case ActionPhase.REQUESTED:
+            besides = f" ({event.reason})" if event.reason else ""
+            who = f"user {event.uid}, pid {event.pid}"
+            command = f": {event.command}" if event.command else ""
+            text = f"{what}{besides}: asked for by {who}{command}"
+            return Line(event.stamp_ns, OWN_NAME, text)
+        case ActionPhase.FAILED:
+            return Line(event.stamp_ns, OWN_NAME, f"{what} failed: {event.reason}", WARN)
+        case ActionPhase.DONE:
+            return Line(event.stamp_ns, OWN_NAME, f"{what}: done", is_progress=True)
+
+
+_MOST_TARGETS: Final = 5
 
 
 def _node_line(event: NodeStateChanged, before: SystemView, after: SystemView) -> Line | None:
@@ -71,6 +112,9 @@ def _node_line(event: NodeStateChanged, before: SystemView, after: SystemView) -
             # A reason says that something was not as usual; that is worth a line of its own.
             usual = not reason and not again
             return Line(event.stamp_ns, event.container, text, is_progress=usual)
+        case NodeState.PENDING if event.reason:
+            text = f"{event.node} {event.reason}"
+            return Line(event.stamp_ns, event.container, text, is_progress=True)
         case NodeState.LOADING if repeated:
             text = container_status(container, event.stamp_ns) + reason
             return Line(event.stamp_ns, event.container, text, is_progress=True)
@@ -109,6 +153,8 @@ def _process_line(event: ProcessEvent, before: SystemView) -> Line | None:
             return Line(event.stamp_ns, event.name, text, WARN)
         case ProcessEventKind.GAVE_UP:
             return Line(event.stamp_ns, event.name, event.message or "not started again", ERROR)
+        case ProcessEventKind.WAITING:
+            return Line(event.stamp_ns, event.name, event.message, is_progress=True)
         case ProcessEventKind.READY | ProcessEventKind.STOPPING:
             return None
 

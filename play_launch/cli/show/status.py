@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
+from play_launch.cli.show.durations import duration
 from play_launch.core.events import ContainerState, ProcessEventKind
 from play_launch.process.exit import Exit
 
@@ -23,7 +24,7 @@ def container_status(container: ContainerView, now_ns: int = 0) -> str:
     if container.state is ContainerState.STOPPED:
         return _because("stopped", container.reason)
     if container.state is ContainerState.STARTING:
-        return f"starting{_waited(container.since_ns, now_ns)}"
+        return _because("starting", container.reason) + _waited(container.since_ns, now_ns)
     if container.state is not ContainerState.RUNNING:
         return _because(container.state.value, container.reason)
     parts = [f"loaded {container.loaded}/{container.total}"]
@@ -53,6 +54,8 @@ def process_status(process: ProcessView) -> str:
             return _because("gave up", process.message)
         case ProcessEventKind.STOPPING:
             return "stopping"
+        case ProcessEventKind.WAITING:
+            return process.message
         case _:
             return "running"
 
@@ -60,19 +63,6 @@ def process_status(process: ProcessView) -> str:
 def ending(exit_code: int, signal: int) -> str:
     """Say how a process ended."""
     return str(Exit(code=exit_code, signal=signal))
-
-
-def duration(nanoseconds: int) -> str:
-    """Write a time for people: ``0.8 s``, ``12 s``, ``3 min 20 s``, ``2 h 5 min``."""
-    seconds = nanoseconds / _SECOND
-    if seconds < 9.95:
-        return f"{seconds:.1f} s"
-    whole = round(seconds)
-    if whole < 60:
-        return f"{whole} s"
-    if whole < 3600:
-        return f"{whole // 60} min {whole % 60} s"
-    return f"{whole // 3600} h {whole // 60 % 60} min"
 
 
 def _waited(since_ns: int, now_ns: int) -> str:

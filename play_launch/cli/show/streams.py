@@ -1,9 +1,15 @@
-"""The standard streams of a process that may have been started without some of them."""
+"""The standard streams of a process that may have been started without some of them.
+
+Standard output belongs to us alone: its readers are programs. But libraries write to descriptor 1
+as well; Fast DDS reports its errors there. So what we write goes to a copy of the descriptor, and
+descriptor 1 leads to standard error.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import errno
+import io
 import os
 import sys
 from typing import IO, Final
@@ -15,7 +21,7 @@ _ESCAPED: Final = "backslashreplace"
 
 
 def prepare_standard_streams() -> None:
-    """Put the null device in the place of closed streams, and let stdout take every character.
+    """Put the null device in the place of closed streams, and keep stdout for what we write.
 
     A file that is opened later would otherwise get the number of a closed stream, and with it
     whatever is written there; Python has no stream object then either. A character that the
@@ -29,8 +35,34 @@ def prepare_standard_streams() -> None:
     sys.stdin = sys.stdin or _null(0, "r")
     sys.stdout = sys.stdout or _null(1, "w")
     sys.stderr = sys.stderr or _null(2, "w")
-    if hasattr(sys.stdout, "reconfigure"):
-        sys.stdout.reconfigure(errors=_ESCAPED)
+    sys.stdout = kept = _kept_to_ourselves(sys.stdout)
+    # The terminal's width is asked of the original.
+    sys.__stdout__ = kept  # type: ignore[misc]
+
+
+def _kept_to_ourselves(stdout: IO[str]) -> io.TextIOWrapper:
+    """Return a stream like ``stdout`` that no library knows; whoever writes to 1 gets stderr."""
+    assert isinstance(stdout, io.TextIOWrapper)
+    stdout.flush()
+    # Children do not inherit the copy. Python closes neither this one nor descriptor 1.
+    unbuffered = stdout.write_through
+    binary = open(os.dup(1), "wb", buffering=0 if unbuffered else -1, closefd=False)  # noqa: SIM115
+    os.dup2(2, 1)
+    return io.TextIOWrapper(
+        binary,
+        encoding=stdout.encoding,
+        errors=_ESCAPED,
+        newline="\n",
+        line_buffering=stdout.line_buffering,
+        write_through=unbuffered,
+    )
+
+
+def stdout_is_kept() -> bool:
+    """Whether what we write goes to another descriptor than 1."""
+    with contextlib.suppress(OSError, ValueError):
+        return sys.stdout.fileno() != 1
+    return False
 
 
 def _null(number: int, mode: str) -> IO[str]:
@@ -43,8 +75,9 @@ def let_go_of(stream: IO[str]) -> None:
     Otherwise Python would fail once more while it flushes at exit, and end with status 120.
     """
     with contextlib.suppress(OSError, ValueError):
+        number = stream.fileno()
         nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, stream.fileno())
+        os.dup2(nowhere, number, inheritable=number == 2)
         os.close(nowhere)
 
 

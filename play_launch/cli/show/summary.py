@@ -11,6 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from play_launch.cli.find_mistakes import counted
+from play_launch.cli.show.sizes import size
 from play_launch.cli.show.status import container_status, is_complete, process_status
 from play_launch.core.events import NodeState
 
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
 
 _PIPE_WIDTH: Final = 200
 """Columns of a table that no terminal limits."""
-_BYTES: Final = (("GB", 1_000_000_000), ("MB", 1_000_000), ("kB", 1_000))
 
 
 def print_summary(
@@ -66,17 +66,15 @@ def print_summary(
 def recording_line(recording: RecordingSummary) -> str:
     """``Recording: /x/session.mcap (1,234 messages, 56 kB)``."""
     facts = [f"{recording.messages:,} messages", size(recording.bytes)]
+    if recording.parts > 1:
+        facts.insert(0, f"{recording.parts} files")
     if recording.dropped:
         facts.append(f"{recording.dropped:,} events dropped")
+    if recording.interruptions:
+        facts.append(f"interrupted {counted(recording.interruptions, 'time')}")
+    if recording.topic_drops:
+        facts.append(f"{recording.topic_drops:,} messages of topics dropped")
     return f"Recording: {recording.path} ({', '.join(facts)})"
-
-
-def size(count: int) -> str:
-    """Write a number of bytes for people, in powers of ten."""
-    for unit, factor in _BYTES:
-        if count >= factor:
-            return f"{count / factor:.3g} {unit}"
-    return f"{count} bytes"
 
 
 def summary_object(
@@ -92,7 +90,10 @@ def summary_object(
             "path": str(recording.path),
             "messages": recording.messages,
             "dropped": recording.dropped,
+            "topic_drops": recording.topic_drops,
             "bytes": recording.bytes,
+            "parts": recording.parts,
+            "interruptions": recording.interruptions,
             "error": recording.error,
         },
     }

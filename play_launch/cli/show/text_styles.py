@@ -9,7 +9,7 @@ from typing import IO, TYPE_CHECKING, Final
 
 from play_launch.cli.show.lines import OWN_NAME, Line, line_of
 from play_launch.cli.show.terminal import RESET, printable
-from play_launch.core.events import LogRecord, OutputLine, RunEvent
+from play_launch.core.events import LogRecord, OutputLine, RunEvent, Sample
 from play_launch.core.view import SystemView
 from play_launch.recording.console_format import ERROR, WARN
 
@@ -108,7 +108,9 @@ class LiveStyle:
 def _wants(event: RunEvent, *, quiet: bool) -> bool:
     if isinstance(event, OutputLine):
         return not quiet
-    return not isinstance(event, LogRecord) or event.level >= WARN
+    if isinstance(event, LogRecord):
+        return event.level >= WARN
+    return not isinstance(event, Sample)
 
 
 def missed_line(missed: int) -> Line:

@@ -8,13 +8,15 @@ from typing import TYPE_CHECKING, Final
 from msgspec import Struct
 from msgspec.structs import replace
 
-from play_launch.config.model import ContainerConfig, ContainerType
+from play_launch.config.model import ContainerConfig, ContainerType, Output
 from play_launch.config.resolve.nodes import resolve_composable_node
 from play_launch.config.resolve.policy import ISOLATED_KEYS, refuse, refuse_unread
+from play_launch.config.resolve.resources import Process, refined_resources
 from play_launch.config.schema import ContainerSection
 from play_launch.config.validation import items_of, validate_mapping
 from play_launch.config.values import join_full_name, resolve_environment
 from play_launch.config.yaml.tree import Mapping
+from play_launch.core.resources import Resources
 
 if TYPE_CHECKING:
     from play_launch.config.model import ComposableNodeConfig
@@ -34,6 +36,9 @@ _FOR_STARTING: Final = (
     "environment",
     "log_level",
     "ros_arguments",
+    "prefix",
+    "output",
+    "resources",
 )
 """Keys that say how a container is started; one that runs already reads none of them."""
 
@@ -59,6 +64,8 @@ def resolve_container(at: At, shared: Shared, policy: Policy) -> ContainerConfig
         why = f"is for container_type mt and isolated_mt, this container is {kind}"
         refuse(("thread_num",), why, at)
     stock = _stock_program(section, kind, at)
+    process = Process.PROGRAM if kind is ContainerType.STOCK else Process.CONTAINER
+    shared.start_rules.declare(full_name, at, section.start_delay)
     return ContainerConfig(
         name=section.name,
         namespace=namespace,
@@ -71,14 +78,18 @@ def resolve_container(at: At, shared: Shared, policy: Policy) -> ContainerConfig
         executable=stock.executable,
         arguments=stock.arguments,
         attach=stock.attach,
+        prefix=tuple(section.prefix or ()),
+        output=section.output or Output.BOTH,
         log_level=section.log_level,
         environment=MappingProxyType({**shared.environment, **variables}),
         ros_arguments=tuple(section.ros_arguments or ()),
         restart=policy.restart,
+        resources=refined_resources(Resources(), section.resources, at, process),
         loading_timeout=policy.loading_timeout,
         probe_timeout=policy.probe_timeout,
         composable_nodes=composable_nodes,
         line=at.node.place.line,
+        file=at.node.place.file,
     )
 
 

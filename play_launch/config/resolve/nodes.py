@@ -7,13 +7,20 @@ from collections import Counter
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
-from msgspec import Struct, field
+from msgspec import Struct
 
-from play_launch.config.model import ComposableNodeConfig, ProcessConfig
+from play_launch.config.model import ComposableNodeConfig, Output, ProcessConfig
 from play_launch.config.resolve.parameters import resolve_parameters
 from play_launch.config.resolve.policy import refined_restart, refuse_unread
 from play_launch.config.resolve.remappings import resolve_remappings
+from play_launch.config.resolve.resources import (
+    Process,
+    node_process,
+    refined_resources,
+    refuse_inherited,
+)
 from play_launch.config.schema import ComposableNodeSection, ProcessSection
+from play_launch.config.source import path_from
 from play_launch.config.validation import validate_mapping
 from play_launch.config.values import (
     LONGEST_FULL_NAME,
@@ -24,20 +31,22 @@ from play_launch.config.values import (
 )
 from play_launch.config.yaml.tree import Mapping
 from play_launch.core.node_key import NodeKey
-from play_launch.core.restart import RestartLimits
+from play_launch.core.resources import Resources
+from play_launch.core.restart import OnExit, RestartLimits
 
 if TYPE_CHECKING:
     from collections.abc import Mapping as Variables
 
     from play_launch.config.model import ContainerType
     from play_launch.config.problems import Place
+    from play_launch.config.resolve.order import StartRules
     from play_launch.config.resolve.parameter_files import ParameterFiles
     from play_launch.config.resolve.policy import Policy
     from play_launch.config.yaml.tree import At
 
 _COMMAND_OR_PACKAGE = "give either command, or package and executable"
 _NUMBERED: Final = re.compile(r":[0-9]+$")
-_CRASH_KEYS: Final = ("auto_reload_on_crash", "on_crash", "restart")
+_ISOLATED_KEYS: Final = ("auto_reload_on_crash", "on_crash", "restart", "resources")
 
 
 class NodeNames:
@@ -49,6 +58,10 @@ class NodeNames:
     def __init__(self) -> None:
         self._places: dict[str, Place] = {}
         self._labels: Counter[tuple[str, str]] = Counter()
+
+    def __contains__(self, full_name: str) -> bool:
+        """Whether some node gives this name."""
+        return full_name in self._places
 
     def declare(self, at: At) -> str | None:
         """Return the full name that a node gives, None if it gives none; report a second owner.
@@ -93,7 +106,8 @@ class Shared(Struct, frozen=True):
 
     files: ParameterFiles
     environment: Variables[str, str]
-    names: NodeNames = field(default_factory=NodeNames)
+    start_rules: StartRules
+    names: NodeNames
 
 
 def resolve_composable_node(
@@ -116,24 +130,32 @@ def resolve_composable_node(
     if section is None:
         return None
     if kind is not None:
-        refuse_unread(_CRASH_KEYS, kind, at)
+        refuse_unread(_ISOLATED_KEYS, kind, at)
     policy = policy.refined(section, at)
+    resources = Resources()
+    if kind is None or kind.is_isolated:
+        process = node_process(policy.isolation)
+        refuse_inherited(policy.resources, at, process)
+        resources = refined_resources(policy.resources, section.resources, at, process)
     namespace = section.namespace or ""
+    key = NodeKey(container, full_name or shared.names.label(container, namespace, section.plugin))
+    shared.start_rules.declare(str(key), at, section.start_delay)
+    shared.start_rules.declare_managed(str(key), full_name, at, section)
     return ComposableNodeConfig(
         package=section.package,
         plugin=section.plugin,
         name=section.name or "",
         namespace=namespace,
-        key=NodeKey(
-            container, full_name or shared.names.label(container, namespace, section.plugin)
-        ),
+        key=key,
         parameters=parameters,
         remappings=remappings,
         extra_arguments=extra_arguments,
         log_level=section.log_level,
         on_crash=policy.on_crash,
         restart=policy.restart,
+        resources=resources,
         line=at.node.place.line,
+        file=at.node.place.file,
     )
 
 
@@ -150,14 +172,21 @@ def resolve_process(at: At, shared: Shared) -> ProcessConfig | None:
     if section is None:
         return None
     restart = refined_restart(RestartLimits(), section.restart, at)
-    if section.restart is not None and not section.respawn:
-        at.blame("restart").problem("only read with respawn: true; add that")
+    resources = refined_resources(Resources(), section.resources, at, Process.PROGRAM)
+    on_exit = _on_exit(section, at)
+    if section.restart is not None and on_exit is not OnExit.RESTART:
+        at.blame("restart").problem("only read with on_exit: restart; add that")
     namespace = section.namespace or ""
     program = section.executable or (section.command[0] if section.command else "")
+    given_name = full_name
+    if full_name is None:
+        full_name = shared.names.label("", namespace, program.rpartition("/")[2])
+    shared.start_rules.declare(full_name, at, section.start_delay)
+    shared.start_rules.declare_managed(full_name, given_name, at, section)
     return ProcessConfig(
         name=section.name or "",
         namespace=namespace,
-        full_name=full_name or shared.names.label("", namespace, program.rpartition("/")[2]),
+        full_name=full_name,
         command=None if section.command is None else tuple(section.command),
         package=section.package,
         executable=section.executable,
@@ -166,11 +195,27 @@ def resolve_process(at: At, shared: Shared) -> ProcessConfig | None:
         remappings=remappings,
         environment=MappingProxyType({**shared.environment, **variables}),
         ros_arguments=tuple(section.ros_arguments or ()),
-        respawn=section.respawn or False,
+        prefix=tuple(section.prefix or ()),
+        cwd=None if section.cwd is None else path_from(at.blame("cwd"), section.cwd),
+        emulate_tty=bool(section.emulate_tty),
+        output=section.output or Output.BOTH,
+        on_exit=on_exit,
         restart=restart,
+        resources=resources,
         log_level=section.log_level,
         line=at.node.place.line,
+        file=at.node.place.file,
     )
+
+
+def _on_exit(section: ProcessSection, at: At) -> OnExit:
+    on_exit, respawn = section.on_exit, section.respawn
+    if on_exit is None:
+        return OnExit.RESTART if respawn else OnExit.IGNORE
+    if respawn is not None and respawn is not (on_exit is OnExit.RESTART):
+        message = f"contradicts on_exit: {on_exit}; leave one of them out"
+        at.blame("respawn").problem(message)
+    return on_exit
 
 
 def _check_combinations(at: At) -> None:

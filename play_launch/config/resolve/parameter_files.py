@@ -7,25 +7,26 @@ order of the file.
 
 from __future__ import annotations
 
-import os
 import re
 from typing import TYPE_CHECKING
 
 from msgspec import Struct
 
-from play_launch.config.model import ParameterFile
+from play_launch.config.model import SourceFile
 from play_launch.config.problems import excerpt
 from play_launch.config.resolve.parameters import flatten
-from play_launch.config.source import Refused, decode, read_bytes
+from play_launch.config.source import Refused, decode, path_from, read_bytes
 from play_launch.config.yaml.compose import compose
 from play_launch.config.yaml.scalars import ScalarKind
 from play_launch.config.yaml.tree import At, Mapping, Scalar, describe_node
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
     from play_launch.config.model import ParameterValue
     from play_launch.config.problems import Report
+    from play_launch.config.yaml.tree import Node
 
 _PARAMETERS = "ros__parameters"
 _PATTERN = re.compile(r"(?:/(?:\*\*|\*|[A-Za-z_][A-Za-z0-9_]*))+", re.ASCII)
@@ -41,17 +42,19 @@ class _Section(Struct):
 class ParameterFiles:
     """The parameter files of one configuration, each read once.
 
-    Relative paths start at the directory of the configuration file.
+    Relative paths start at the directory of the file in which they stand.
     """
 
-    def __init__(self, directory: Path, report: Report) -> None:
-        self._directory = directory
+    def __init__(
+        self, report: Report, read: Callable[[Path], bytes | Refused] = read_bytes
+    ) -> None:
+        self._read_bytes = read
         self._report = report
         self._sections: dict[Path, list[_Section] | Refused] = {}
-        self._read_files: list[ParameterFile] = []
+        self._read_files: list[SourceFile] = []
 
     @property
-    def read(self) -> tuple[ParameterFile, ...]:
+    def read(self) -> tuple[SourceFile, ...]:
         """The files that were read so far, in that order."""
         return tuple(self._read_files)
 
@@ -60,7 +63,7 @@ class ParameterFiles:
         if not path.strip() or "\x00" in path:
             at.problem("expected the path of a parameter file")
             return {}
-        file = self._directory / os.path.expanduser(path)  # noqa: PTH111 - never raises
+        file = path_from(at, path)
         if file not in self._sections:
             self._sections[file] = self._read(file)
         sections = self._sections[file]
@@ -78,53 +81,62 @@ class ParameterFiles:
                     "not known whether that is this node; give the node a name"
                 )
                 break
-            if full_name is None or _matches(section.pattern, full_name):
+            if full_name is None or matches(section.pattern, full_name):
                 if section.values is None:
                     section.values = flatten(section.at)
                 values.update(section.values)
         return values
 
     def _read(self, file: Path) -> list[_Section] | Refused:
-        content = read_bytes(file)
+        content = self._read_bytes(file)
         if isinstance(content, Refused):
             return content
-        self._read_files.append(ParameterFile(file, content))
+        self._read_files.append(SourceFile(file, content))
         text = decode(content, str(file))
         if isinstance(text, Refused):
             return text
         root = compose(text, str(file), self._report)
-        sections: list[_Section] = []
-        if isinstance(root, Mapping):
-            self._collect(At(root, "", self._report), "", sections)
-        elif root is not None and not (isinstance(root, Scalar) and root.kind is ScalarKind.NULL):
-            message = f"expected node names with {_PARAMETERS} below, given {describe_node(root)}"
-            At(root, "", self._report).problem(message)
-        return sections
+        return [_Section(pattern, at) for pattern, at in parameter_sections(root, self._report)]
 
-    def _collect(self, at: At, pattern: str, into: list[_Section]) -> None:
-        """Walk down namespaces and names to the sections; nested names are joined with `/`."""
-        for entry, value in at.entries():
-            if entry.key == _PARAMETERS:
-                if not pattern:
-                    message = f'{_PARAMETERS} needs a node name above it, or "{_FOR_ALL}" for all'
-                    value.problem(message, entry.place)
-                elif isinstance(value.node, Mapping):
-                    into.append(_Section(pattern, value))
-                else:
-                    value.expected("parameter names and values")
-                continue
-            below = f"{pattern}/{entry.key.removeprefix('/')}"
-            if not _PATTERN.fullmatch(below):
-                message = f"{excerpt(entry.key)} is neither {_PARAMETERS} nor the name of a node"
+
+def parameter_sections(root: Node | None, report: Report) -> list[tuple[str, At]]:
+    """Return the sections of a parameter file: the pattern of each, and where its values stand."""
+    sections: list[tuple[str, At]] = []
+    if isinstance(root, Mapping):
+        _collect(At(root, "", report), "", sections)
+    elif root is not None and not (isinstance(root, Scalar) and root.kind is ScalarKind.NULL):
+        message = f"expected node names with {_PARAMETERS} below, given {describe_node(root)}"
+        At(root, "", report).problem(message)
+    return sections
+
+
+def _collect(at: At, pattern: str, into: list[tuple[str, At]]) -> None:
+    """Walk down namespaces and names to the sections; nested names are joined with `/`."""
+    for entry, value in at.entries():
+        if entry.key == _PARAMETERS:
+            if not pattern:
+                message = f'{_PARAMETERS} needs a node name above it, or "{_FOR_ALL}" for all'
                 value.problem(message, entry.place)
             elif isinstance(value.node, Mapping):
-                self._collect(value, below, into)
+                into.append((pattern, value))
             else:
-                value.expected(f"{_PARAMETERS} below a node name")
+                value.expected("parameter names and values")
+            continue
+        below = f"{pattern}/{entry.key.removeprefix('/')}"
+        if not _PATTERN.fullmatch(below):
+            message = f"{excerpt(entry.key)} is neither {_PARAMETERS} nor the name of a node"
+            value.problem(message, entry.place)
+        elif isinstance(value.node, Mapping):
+            _collect(value, below, into)
+        else:
+            value.expected(f"{_PARAMETERS} below a node name")
 
 
-def _matches(pattern: str, full_name: str) -> bool:
-    """Match part by part; taking `**` at its shortest first keeps one place to come back to."""
+def matches(pattern: str, full_name: str) -> bool:
+    """Say whether the pattern of a section is for a node.
+
+    Match part by part; taking `**` at its shortest first keeps one place to come back to.
+    """
     parts = pattern.split("/")[1:]
     names = full_name.split("/")[1:]
     part = name = 0

@@ -9,6 +9,7 @@ from msgspec.structs import replace
 
 from play_launch.config.model import ContainerType, Isolation
 from play_launch.core.crash import OnCrash
+from play_launch.core.resources import Resources
 from play_launch.core.restart import RestartLimits
 
 if TYPE_CHECKING:
@@ -38,6 +39,8 @@ class Policy(Struct, frozen=True):
     probe_timeout: float = 60.0
     on_crash: OnCrash = OnCrash.RELOAD
     restart: RestartLimits = field(default_factory=RestartLimits)
+    resources: Resources = Resources()
+    """Of nodes that are processes of their own; not refined here."""
 
     def refined(
         self, section: LoadingSection | ContainerSection | ComposableNodeSection, at: At
@@ -51,7 +54,7 @@ class Policy(Struct, frozen=True):
         )
 
 
-_PLAIN: Final = set(Policy.__struct_fields__) - {"on_crash", "restart"}
+_PLAIN: Final = set(Policy.__struct_fields__) - {"on_crash", "restart", "resources"}
 
 
 def refined_restart(base: RestartLimits, section: RestartSection | None, at: At) -> RestartLimits:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
@@ -10,44 +9,60 @@ from msgspec.structs import replace
 
 from play_launch.config.model import ContainerType, ReplayConfig, StopLimits
 from play_launch.config.resolve.containers import resolve_container
-from play_launch.config.resolve.nodes import Shared, resolve_process
+from play_launch.config.resolve.nodes import NodeNames, Shared, resolve_process
+from play_launch.config.resolve.order import StartRules
 from play_launch.config.resolve.parameter_files import ParameterFiles
 from play_launch.config.resolve.policy import ISOLATED_KEYS, Policy
+from play_launch.config.resolve.record import resolve_record
+from play_launch.config.resolve.resources import node_process, refined_resources
 from play_launch.config.schema import DocumentSection, LoadingSection
+from play_launch.config.source import path_from, read_bytes
 from play_launch.config.validation import items_of, validate_mapping
 from play_launch.config.values import resolve_environment
 from play_launch.config.yaml.tree import At, Mapping, Sequence
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
     from play_launch.config.model import ContainerConfig, ProcessConfig
     from play_launch.config.problems import Report
+    from play_launch.config.source import Refused
     from play_launch.config.yaml.tree import Node
 
 _LOADING = "composable_node_loading"
 
 
 def resolve_document(
-    root: Node, source: Path, content: bytes, report: Report
+    root: Node,
+    source: Path,
+    content: bytes,
+    report: Report,
+    read: Callable[[Path], bytes | Refused] = read_bytes,
 ) -> ReplayConfig | None:
-    """Return the configuration in `root`; None, or nothing to rely on, if `report` got problems."""
+    """Return the configuration in `root`; None, or nothing to rely on, if `report` got problems.
+
+    What it was put together from is for the caller to add.
+    """
     at = At(root, "", report)
     document = validate_mapping(DocumentSection, at)
     if not isinstance(root, Mapping):
         return None
     environment = resolve_environment(at.value("environment"))
-    shared = Shared(ParameterFiles(source.parent, report), environment)
+    names = NodeNames()
+    start_rules = StartRules(names.__contains__)
+    shared = Shared(ParameterFiles(report, read), environment, start_rules, names)
     given = None if document is None else document.composable_node_loading
     containers = _containers(at, shared, given or LoadingSection())
     nodes = _processes(at, shared)
+    rules = start_rules.resolved(containers, nodes)
     _refuse_nothing(at)
     if document is None:
         return None
     stop = {} if document.stop is None else document.stop.given
     log_dir = None
     if document.log_dir is not None:
-        log_dir = source.parent / os.path.expanduser(document.log_dir)  # noqa: PTH111 - never raises
+        log_dir = path_from(at.blame("log_dir"), document.log_dir)
     return ReplayConfig(
         name=source.stem if document.name is None else document.name,
         source=source,
@@ -58,14 +73,20 @@ def resolve_document(
         graph_daemon=bool(document.graph_daemon),
         environment=MappingProxyType(environment),
         stop=replace(StopLimits(), **stop),
+        record=resolve_record(document.record),
         containers=containers,
         nodes=nodes,
+        start_rules=MappingProxyType(rules),
+        managed=MappingProxyType(start_rules.managed(rules)),
     )
 
 
 def _containers(at: At, shared: Shared, loading: LoadingSection) -> tuple[ContainerConfig, ...]:
     at_loading = at.blame(_LOADING)
     policy = Policy().refined(loading, at_loading)
+    process = node_process(policy.isolation)
+    resources = refined_resources(policy.resources, loading.resources, at_loading, process)
+    policy = replace(policy, resources=resources)
     items = items_of(at.value("containers"), "containers")
     resolved = [resolve_container(item, shared, policy) for item in items]
     complete = tuple(one for one in resolved if one is not None)
@@ -80,7 +101,7 @@ def _refuse_unread(at: At, loading: LoadingSection, kinds: set[ContainerType]) -
     if not any(kind.is_multi_threaded for kind in kinds):
         unread["thread_num"] = "mt or isolated_mt"
     if not any(kind.is_isolated for kind in kinds):
-        unread |= dict.fromkeys(ISOLATED_KEYS, "isolated or isolated_mt")
+        unread |= dict.fromkeys((*ISOLATED_KEYS, "resources"), "isolated or isolated_mt")
     if kinds <= {ContainerType.STOCK}:
         unread["probe_timeout"] = "standard, mt, isolated or isolated_mt"
     for key, readers in unread.items():

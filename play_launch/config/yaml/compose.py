@@ -14,12 +14,13 @@ import re
 from typing import TYPE_CHECKING, NoReturn
 
 import yaml
-from msgspec import Struct
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from play_launch.config.problems import Place, excerpt, join_path
+from play_launch.config.sources.substitution import may_hold_substitutions
 from play_launch.config.yaml.scalars import (
     ScalarKind,
-    ScalarRefusedError,
     resolve_scalar,
     shown_tag,
     unknown_tag,
@@ -27,12 +28,12 @@ from play_launch.config.yaml.scalars import (
 from play_launch.config.yaml.tree import Entry, Mapping, Node, Scalar, Sequence
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from play_launch.config.problems import Report
 
 MOST_VALUES = 200_000
-"""Keys and values in one file, aliases counted as if their text stood there."""
+"""Keys and values in a file and all it includes, aliases counted as if their text stood there."""
 DEEPEST = 100
 """Levels of mappings and lists in one another."""
 ARRAY_TAGS = frozenset(
@@ -66,23 +67,43 @@ _FIXES = (
 _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
-def compose(text: str, file: str, report: Report) -> Node | None:
+class Tally:
+    """Counts keys and values; shared by files that become one configuration."""
+
+    def __init__(self, most: int = MOST_VALUES) -> None:
+        self.most = most
+        self.values = 0
+
+
+class Reading(Struct, frozen=True):
+    """How a text is read, where that is not as usual.
+
+    `included_from` is where another file includes this one. `substitute` carries out what stands
+    in a text; it raises ValueError with the fix. With `nulls`, null is a value.
+    """
+
+    included_from: Place | None = None
+    substitute: Callable[[str], str] | None = None
+    tally: Tally = field(default_factory=Tally)
+    nulls: bool = False
+
+
+def compose(text: str, file: str, report: Report, reading: Reading | None = None) -> Node | None:
     """Return the tree of the only document in `text`, or None where there is none to speak of.
 
     Problems go to `report`: what is wrong with the syntax ends the reading, a key given twice
     or a tag of no use does not.
     """
-    directive = _refused_directive(text, file)
-    if directive is not None:
-        report.add(directive[0], "(yaml)", directive[1])
-        return None
+    reading = reading or Reading()
     try:
-        return _Composer(iter(yaml.parse(text, Loader=_Loader)), file, report).run()
+        _refuse_directives(text, file)
+        events = iter(yaml.parse(text, Loader=_Loader))
+        return _Composer(events, file, report, reading).run()
     except _StopReadingError as stop:
-        report.add(stop.place, stop.path, stop.message)
+        place, path, message = stop.place, stop.path, stop.message
     except yaml.YAMLError as error:
-        place, message = _explain(error, text, file)
-        report.add(place, "(yaml)", message)
+        (place, message), path = _explain(error, text, file), "(yaml)"
+    report.add(replace(place, included_from=reading.included_from), path, message)
     return None
 
 
@@ -108,13 +129,16 @@ class _Found(Struct, frozen=True):
 class _Composer:
     """Descends into the events; `DEEPEST` bounds its recursion."""
 
-    def __init__(self, events: Iterator[yaml.Event], file: str, report: Report) -> None:
+    def __init__(
+        self, events: Iterator[yaml.Event], file: str, report: Report, reading: Reading
+    ) -> None:
         self._events = events
         self._file = file
         self._report = report
+        self._reading = reading
+        self._tally = reading.tally
         self._anchored: dict[str, _Found] = {}
         self._open_anchors: set[str] = set()
-        self._values = 0
         self._depth = 0
 
     def run(self) -> Node | None:
@@ -134,7 +158,7 @@ class _Composer:
         """Read the value that begins with `event` to its end."""
         if isinstance(event, yaml.AliasEvent):
             return self._alias(event, path)
-        values_before = self._values
+        values_before = self._tally.values
         self._count(1, event)
         node: Node
         deepest = -1
@@ -149,7 +173,7 @@ class _Composer:
                 node, deepest = self._sequence(event, path, array_tag)
             self._depth -= 1
             self._open_anchors.discard(event.anchor)
-        found = _Found(node, self._values - values_before, deepest + 1)
+        found = _Found(node, self._tally.values - values_before, deepest + 1)
         if event.anchor is not None:
             self._anchored[event.anchor] = found
         return found
@@ -157,18 +181,19 @@ class _Composer:
     def _place(self, event: yaml.Event) -> Place:
         mark = event.start_mark
         assert mark is not None
-        return Place(self._file, mark.line + 1, mark.column + 1)
+        return Place(self._file, mark.line + 1, mark.column + 1, self._reading.included_from)
 
     def _problem(self, place: Place, path: str, message: str) -> None:
         self._report.add(place, path or "(top level)", message)
 
     def _count(self, values: int, event: yaml.Event) -> None:
-        self._values += values
-        if self._values > MOST_VALUES:
+        self._tally.values += values
+        most = self._tally.most
+        if self._tally.values > most:
             why = (
-                f"aliases grow this file to more than {MOST_VALUES} values"
+                f"aliases grow this file to more than {most} values"
                 if isinstance(event, yaml.AliasEvent)
-                else f"more than {MOST_VALUES} keys and values in one file"
+                else f"more than {most} keys and values in one file and what it includes"
             )
             raise _StopReadingError(self._place(event), "(yaml)", why)
 
@@ -177,21 +202,27 @@ class _Composer:
         # A key is the text it is written as: `1:` and `"1":` are the same key.
         tag = None if is_key else event.tag
         plain = not is_key and event.tag is None and event.implicit[0]
+        text = event.value
         try:
-            kind, value = resolve_scalar(event.value, tag, plain=plain)
-        except ScalarRefusedError as error:
+            if self._reading.substitute is not None and may_hold_substitutions(text):
+                text = _refuse_in_key(text) if is_key else self._reading.substitute(text)
+            kind, value = resolve_scalar(text, tag, plain=plain)
+        except ValueError as error:
             message = str(error)
             if tag in ARRAY_TAGS:
                 message = f"the tag {tag} belongs to a list: {tag} [...]"
             self._problem(place, path, message)
             kind, value = ScalarKind.INVALID, None
-        if kind is ScalarKind.NULL and self._depth > 0:
+        substituted = text != event.value
+        if kind is ScalarKind.NULL and substituted:
+            kind, value = ScalarKind.STRING, text
+        if kind is ScalarKind.NULL and self._depth > 0 and not self._reading.nulls:
             self._problem(place, path, _NO_VALUE)
             kind = ScalarKind.INVALID
-        if not event.value.isascii() and any("\ud800" <= one <= "\udfff" for one in event.value):
+        if not text.isascii() and any("\ud800" <= one <= "\udfff" for one in text):
             self._problem(place, path, "half of a surrogate pair is not a character")
             kind = ScalarKind.INVALID
-        return Scalar(place, kind, value, event.value, event.implicit[0])
+        return Scalar(place, kind, value, text, event.implicit[0], substituted)
 
     def _begin(self, event: yaml.CollectionStartEvent, path: str) -> str | None:
         """Enter a list or a mapping; returns the tag of a ROS array."""
@@ -296,6 +327,13 @@ class _Composer:
                 self._report.add(merged.place, path, message)
 
 
+def _refuse_in_key(text: str) -> str:
+    """Return the text of a key; raise ValueError if somebody expects a substitution in it."""
+    if any(begin in text for begin in ("${env:", "${arg:", "$(find-pkg-share")):
+        raise ValueError("a key takes no substitution, only a value does")
+    return text
+
+
 def _explain(error: yaml.YAMLError, text: str, file: str) -> tuple[Place, str]:
     """Say what is wrong with text that is not YAML, in words for people who write launch files."""
     mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
@@ -318,13 +356,13 @@ def _explain(error: yaml.YAMLError, text: str, file: str) -> tuple[Place, str]:
     return Place(file, mark.line + 1, mark.column + 1), message
 
 
-def _refused_directive(text: str, file: str) -> tuple[Place, str] | None:
-    """Find the directive that is one too many; the parser's time grows with their square."""
+def _refuse_directives(text: str, file: str) -> None:
+    """Stop at the directive that is one too many; the parser's time grows with their square."""
     for index, found in enumerate(re.finditer(r"^%", text, re.MULTILINE)):
         if index >= _MOST_DIRECTIVES:
             line = text.count("\n", 0, found.start()) + 1
-            return Place(file, line, 1), f"more than {_MOST_DIRECTIVES} directives (lines with %)"
-    return None
+            message = f"more than {_MOST_DIRECTIVES} directives (lines with %)"
+            raise _StopReadingError(Place(file, line, 1), "(yaml)", message)
 
 
 def _tab_in_indentation(text: str, line: int) -> int | None:

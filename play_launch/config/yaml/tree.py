@@ -17,21 +17,30 @@ if TYPE_CHECKING:
 
 
 class Scalar(Struct, frozen=True, eq=False):
-    """A single value; `plain` is whether it stands without quotes and tag."""
+    """A single value; `plain` is whether it stands without quotes and tag.
+
+    `substituted` is whether its text comes from a substitution: where a string is expected, such a
+    value is one, whatever it looks like.
+    """
 
     place: Place
     kind: ScalarKind
     value: ScalarValue
     text: str
     plain: bool
+    substituted: bool = False
 
 
 class Sequence(Struct, frozen=True, eq=False):
-    """A list; `array_tag` is one of the tags for ROS arrays, such as `!string_array`."""
+    """A list; `array_tag` is one of the tags for ROS arrays, such as `!string_array`.
+
+    `labels` are what elements are called in paths, where their numbers are those of no file.
+    """
 
     place: Place
     items: tuple[Node, ...]
     array_tag: str | None = None
+    labels: tuple[str, ...] | None = None
 
 
 class Entry(Struct, frozen=True, eq=False):
@@ -80,10 +89,11 @@ class At(Struct, frozen=True):
 
     @property
     def string(self) -> str | None:
-        """The text of a string; None for everything else."""
-        if isinstance(self.node, Scalar) and self.node.kind is ScalarKind.STRING:
-            return self.node.text
-        return None
+        """The text of a string, and of what was substituted; None for everything else."""
+        node = self.node
+        if not isinstance(node, Scalar) or node.kind is ScalarKind.INVALID:
+            return None
+        return node.text if node.kind is ScalarKind.STRING or node.substituted else None
 
     def problem(self, message: str, place: Place | None = None) -> None:
         """Report `message`, at `place` or where the node stands."""
@@ -122,7 +132,8 @@ class At(Struct, frozen=True):
     def element(self, index: int) -> At:
         """Return an element of a list."""
         assert isinstance(self.node, Sequence)
-        return At(self.node.items[index], f"{self.path}[{index}]", self.report)
+        label = str(index) if self.node.labels is None else self.node.labels[index]
+        return At(self.node.items[index], f"{self.path}[{label}]", self.report)
 
 
 def describe_node(node: Node) -> str:

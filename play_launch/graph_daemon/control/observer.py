@@ -35,6 +35,8 @@ FORSAKEN: Final = 60.0
 """Seconds without a question after which the daemon ends by itself: we ask all the time, so then
 we were killed."""
 _WAIT: Final = 10.0
+_RECORDER_PREFIX: Final = "_play_launch_recorder_"
+"""Of the node in `container_native/src/topic_recorder/ros.cpp`."""
 _log = logging.getLogger(__name__)
 
 
@@ -148,9 +150,7 @@ class _Observer:
             return True
         self._failing = False
         self._generation = generation
-        event = self._fold(
-            (node.full_name for node in nodes if not _is_daemon(node.name)), stamp_ns
-        )
+        event = self._fold((node.full_name for node in nodes if not _is_ours(node.name)), stamp_ns)
         if event is not None:
             self._sink.publish(event)
         return True
@@ -162,5 +162,6 @@ class _Observer:
         return event
 
 
-def _is_daemon(name: str) -> bool:
-    return name.startswith(NODE_PREFIX)
+def _is_ours(name: str) -> bool:
+    """Whether it is a daemon, or what records topics."""
+    return name.startswith((NODE_PREFIX, _RECORDER_PREFIX))

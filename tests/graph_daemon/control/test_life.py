@@ -27,9 +27,10 @@ from play_launch.graph_daemon.control.start_stop import (
     stop_daemon,
 )
 from play_launch.graph_daemon.control.takeover import Kind, look
+from tests.graph_daemon.addresses import is_free
 from tests.graph_daemon.control.occupants import occupied
-from tests.graph_daemon.waiting import is_free, until
 from tests.graph_daemon.wire import ask
+from tests.support.waiting import until
 
 WAIT = 60.0
 

@@ -26,8 +26,8 @@ from play_launch.graph_daemon.control.takeover import (
     end,
     look,
 )
+from tests.graph_daemon.addresses import is_free
 from tests.graph_daemon.control.occupants import occupied
-from tests.graph_daemon.waiting import is_free
 
 HOLDER = Holder(7, ("python3", "-c", "ros2cli.daemon"))
 SETTINGS = {"settings": {"ROS_DOMAIN_ID": "3", "RMW_IMPLEMENTATION": "rmw_a"}}

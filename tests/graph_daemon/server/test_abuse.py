@@ -15,8 +15,8 @@ import pytest
 
 from play_launch.graph_daemon.contract import STATUS_METHOD, DaemonAddress
 from play_launch.graph_daemon.server.http import LONGEST_BODY
-from tests.graph_daemon.waiting import until
 from tests.graph_daemon.wire import ask, post, read, request_body
+from tests.support.waiting import until
 
 MEMORY = 150 * 1024 * 1024
 """Bytes by which abuse may let the daemon grow: its own limit of 64 MiB, and room to breathe."""

@@ -67,8 +67,8 @@ def test_our_own_method_is_not_listed(daemon: DaemonAddress) -> None:
 def test_whoever_knows_the_generation_gets_no_status_until_it_changes(
     known_scene: DaemonAddress,
 ) -> None:
-    from tests.graph_daemon.waiting import until
     from tests.support.ros import Probe
+    from tests.support.waiting import until
 
     known = ""
 
@@ -85,8 +85,8 @@ def test_whoever_knows_the_generation_gets_no_status_until_it_changes(
 
 def test_a_changed_graph_is_answered_at_once(known_scene: DaemonAddress) -> None:
     """The node of `Probe` is unknown, known and unknown again, through a warm cache."""
-    from tests.graph_daemon.waiting import until
     from tests.support.ros import Probe
+    from tests.support.waiting import until
 
     def is_known() -> bool:
         return ["newcomer", "/"] in ask(known_scene, "get_node_names_and_namespaces")

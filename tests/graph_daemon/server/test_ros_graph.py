@@ -14,8 +14,8 @@ from play_launch.graph_daemon.server.replacement import Replacer
 from play_launch.graph_daemon.server.ros_graph import RosGraph, graph_functions, rmw_implementation
 from play_launch.graph_daemon.server.service import GraphService
 from play_launch.ros.graph_guard import GraphGuardError
-from tests.graph_daemon.waiting import LIMIT, until
 from tests.support.ros import Probe
+from tests.support.waiting import LIMIT, until
 
 
 class Changes:

@@ -17,9 +17,13 @@ CloneIsolatedHost::CloneIsolatedHost(BackendList backends, const ExecutorChoice&
 }
 
 std::shared_ptr<IsolatedNode> CloneIsolatedHost::start(std::uint64_t unique_id, LoadRequest request,
-                                                       int doorbell) {
-  return std::make_shared<ClonedNode>(unique_id, backends(), choice_, std::move(request), doorbell,
-                                      lock_watch_, core_dumps_);
+                                                       NodeResources resources, int doorbell) {
+  if (request.lock_memory) {
+    throw LoadError("lock_memory is not for a node that shares the memory of its container");
+  }
+  return std::make_shared<ClonedNode>(unique_id, backends(), choice_, std::move(request),
+                                      std::move(resources), watch_urgency(), doorbell, lock_watch_,
+                                      core_dumps_);
 }
 
 }  // namespace play_launch::container

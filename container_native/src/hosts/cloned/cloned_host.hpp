@@ -25,7 +25,7 @@ class CloneIsolatedHost final : public IsolatedHost {
 
  private:
   std::shared_ptr<IsolatedNode> start(std::uint64_t unique_id, LoadRequest request,
-                                      int doorbell) override;
+                                      NodeResources resources, int doorbell) override;
 
   const ExecutorChoice choice_;
   const bool core_dumps_;

@@ -39,11 +39,13 @@ std::string innermost(const std::vector<std::string>& backtrace) {
 }  // namespace
 
 ClonedNode::ClonedNode(std::uint64_t unique_id, const BackendList& backends,
-                       const ExecutorChoice& choice, LoadRequest request, int doorbell,
-                       LockWatch& lock_watch, bool core_dumps)
+                       const ExecutorChoice& choice, LoadRequest request, NodeResources resources,
+                       const WatchUrgency& watch_urgency, int doorbell, LockWatch& lock_watch,
+                       bool core_dumps)
     : IsolatedNode(unique_id, doorbell),
       program_(backends, choice, std::move(request), doorbell),
-      donor_(unique_id, program_, process_name(program_.request()), lock_watch, core_dumps) {}
+      donor_(unique_id, program_, process_name(program_.request()), lock_watch, core_dumps,
+             std::move(resources), watch_urgency) {}
 
 NodeLife ClonedNode::look() {
   // Before all else: of what is dead by now nothing changes below.
@@ -132,6 +134,7 @@ NodeDeath ClonedNode::death() {
     death.reason = "died while it was constructed: " + death.reason + innermost(*backtrace_);
   }
   death.backtrace = std::move(*backtrace_);
+  death.modules = isolation::modules_of(slot);
   if (slot.thread != 0) {
     death.when =
         std::chrono::steady_clock::time_point(std::chrono::nanoseconds(slot.report.crash_time_ns));

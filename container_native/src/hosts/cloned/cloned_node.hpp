@@ -19,9 +19,11 @@ class ClonedNode final : public IsolatedNode {
   /// Starts the donor thread and with it the child, which dumps core or not when it crashes. Throws
   /// std::system_error.
   ClonedNode(std::uint64_t unique_id, const BackendList& backends, const ExecutorChoice& choice,
-             LoadRequest request, int doorbell, LockWatch& lock_watch, bool core_dumps);
+             LoadRequest request, NodeResources resources, const WatchUrgency& watch_urgency,
+             int doorbell, LockWatch& lock_watch, bool core_dumps);
 
   std::optional<std::chrono::nanoseconds> silence() const override;
+  void rise(Urgency urgency) noexcept override { donor_.rise(urgency); }
 
  private:
   NodeLife look() override;

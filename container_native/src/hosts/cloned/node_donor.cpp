@@ -30,15 +30,19 @@ std::string no_process(int error) {
 }  // namespace
 
 NodeDonor::NodeDonor(std::uint64_t unique_id, NodeProgram& program, std::string process_name,
-                     LockWatch& lock_watch, bool core_dumps)
+                     LockWatch& lock_watch, bool core_dumps, NodeResources resources,
+                     const WatchUrgency& watch_urgency)
     : unique_id_(unique_id),
       program_(program),
       process_name_(std::move(process_name)),
       lock_watch_(lock_watch),
       core_dumps_(core_dumps),
+      resources_(std::move(resources)),
+      watch_urgency_(watch_urgency),
       thread_(process_name_, [this] { donate(); }, [this] { donated(); }) {}
 
 void NodeDonor::donate() noexcept {
+  assume(0, watch_urgency_);
   if (!program_.prepare(unique_id_)) {
     program_.reach(NodeLife::ended);
     return;
@@ -47,6 +51,8 @@ void NodeDonor::donate() noexcept {
   isolation::ChildOptions options;
   options.name = process_name_;
   options.core_dumps = core_dumps_;
+  options.urgency = resources_.urgency;
+  options.resources = resources_.settings;
   options.dies_abruptly = hit(Failpoint::abrupt_deaths);
   end_ = isolation::run_in_child(program_, slot_, options);
   if (end_.pid == 0) {
@@ -81,6 +87,7 @@ void NodeDonor::bury() {
   if (program_.left_remains()) {
     isolation::ChildOptions options;
     options.name = "undertaker";
+    options.urgency = resources_.urgency;
     options.time_limit = kBurialLimit;
     options.cpu_limit = kBurialCpuLimit;
     options.expendable = true;

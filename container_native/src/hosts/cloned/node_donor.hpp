@@ -8,6 +8,7 @@
 
 #include "hosts/cloned/lock_watch.hpp"
 #include "hosts/cloned/node_program.hpp"
+#include "hosts/isolated/node_resources.hpp"
 #include "isolation/clone/child.hpp"
 #include "isolation/clone/donor_thread.hpp"
 #include "isolation/record/crash_slot.hpp"
@@ -23,12 +24,14 @@ class NodeDonor {
   /// Starts the thread and with it the child, which dumps core or not when it crashes. Throws
   /// std::system_error. `process_name` is what `ps` shows.
   NodeDonor(std::uint64_t unique_id, NodeProgram& program, std::string process_name,
-            LockWatch& lock_watch, bool core_dumps);
+            LockWatch& lock_watch, bool core_dumps, NodeResources resources,
+            const WatchUrgency& watch_urgency);
 
   /// The node's process. Any time: the slot says itself what of it is valid.
   isolation::CrashSlot& slot() { return slot_; }
   const isolation::CrashSlot& slot() const { return slot_; }
   bool signal(int number) { return isolation::send_signal(slot_, number); }
+  void rise(Urgency urgency) noexcept { thread_.rise(urgency); }
   /// The death is reported. Until then, for a short time, the donor leaves the processor to those
   /// who report it: people wait for the report, nobody for the burial.
   void begin_burial() noexcept;
@@ -51,6 +54,8 @@ class NodeDonor {
   const std::string process_name_;
   LockWatch& lock_watch_;
   const bool core_dumps_;
+  const NodeResources resources_;
+  const WatchUrgency& watch_urgency_;
 
   isolation::CrashSlot slot_;
   isolation::CrashSlot burial_slot_;

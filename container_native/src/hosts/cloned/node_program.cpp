@@ -6,6 +6,7 @@
 #include <play_launch/detail/intra_process.hpp>
 #include <utility>
 
+#include "base/cpus.hpp"
 #include "base/doorbell.hpp"
 #include "base/failpoints.hpp"
 #include "isolation/quiesce/quiesce.hpp"
@@ -52,7 +53,11 @@ int NodeProgram::run() {
   hit(Failpoint::before_construct);
   try {
     partial_ = true;
-    executor_ = backends_[found_.backend].create_executor(choice_, stop_);
+    ExecutorChoice choice = choice_;
+    if (choice.by_cpus) {
+      choice.threads = node_executor_threads(0);  // of this process, which may have its own CPUs
+    }
+    executor_ = backends_[found_.backend].create_executor(choice, stop_);
     const HandleLedger::Watch watch(handles_);
     component_ = found_.component_class->create(request_);
   } catch (...) {

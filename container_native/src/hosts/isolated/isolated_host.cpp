@@ -2,6 +2,7 @@
 
 #include <poll.h>
 #include <pthread.h>
+#include <unistd.h>
 
 #include <algorithm>
 #include <utility>
@@ -16,6 +17,11 @@ IsolatedHost::IsolatedHost(BackendList backends)
     : backends_(std::move(backends)), doorbell_(make_doorbell()) {
   monitor_ = std::thread([this] {
     ::pthread_setname_np(::pthread_self(), "monitor");
+    {
+      const std::lock_guard lock(mutex_);
+      monitor_number_ = ::gettid();
+      assume(monitor_number_, watch_urgency_);
+    }
     monitor();
   });
 }
@@ -32,8 +38,32 @@ IsolatedHost::~IsolatedHost() {
 void IsolatedHost::load(std::uint64_t unique_id, LoadRequest request) {
   // The lock is held until the node is in the map: the monitor would miss its first ring.
   const std::lock_guard lock(mutex_);
-  nodes_.emplace(unique_id, start(unique_id, std::move(request), doorbell_.get()));
+  NodeResources resources(request, urgency_);
+  rise_above(resources.urgency);
+  nodes_.emplace(unique_id,
+                 start(unique_id, std::move(request), std::move(resources), doorbell_.get()));
   ring(doorbell_.get());
+}
+
+/// A node that never leaves its processor must not keep those waiting who report on it and on the
+/// others, and bury them.
+void IsolatedHost::rise_above(Urgency node) {
+  if (!is_more_urgent(node, urgency_)) {
+    return;
+  }
+  for (const Urgency wanted : {just_above(node), node}) {
+    if (!is_more_urgent(wanted, watch_urgency_)) {
+      return;
+    }
+    // What the monitor may do, the others may, too.
+    if (monitor_number_ == 0 || assume(monitor_number_, wanted)) {
+      watch_urgency_ = wanted;
+      for (const auto& [unique_id, other] : nodes_) {
+        other->rise(wanted);
+      }
+      return;
+    }
+  }
 }
 
 void IsolatedHost::unload(std::uint64_t unique_id) {

@@ -12,8 +12,10 @@
 #include <vector>
 
 #include "base/unique_fd.hpp"
+#include "base/urgency.hpp"
 #include "components/backend_list.hpp"
 #include "hosts/isolated/isolated_node.hpp"
+#include "hosts/isolated/node_resources.hpp"
 #include "hosts/node_host.hpp"
 
 namespace play_launch::container {
@@ -40,8 +42,9 @@ class IsolatedHost : public NodeHost {
 
   /// Starts the process. Throws std::exception when there is none to be had.
   virtual std::shared_ptr<IsolatedNode> start(std::uint64_t unique_id, LoadRequest request,
-                                              int doorbell) = 0;
+                                              NodeResources resources, int doorbell) = 0;
   const BackendList& backends() const { return backends_; }
+  const WatchUrgency& watch_urgency() const { return watch_urgency_; }
 
  private:
   using Time = IsolatedNode::Time;
@@ -50,15 +53,19 @@ class IsolatedHost : public NodeHost {
   void monitor();
   Time look_after(Nodes& nodes, Time end);
   void wait_until(Time deadline, const Nodes& nodes) const;
+  void rise_above(Urgency node);
 
   const BackendList backends_;
   const UniqueFd doorbell_;
+  const Urgency urgency_ = own_urgency();  // of the container's other threads
+  WatchUrgency watch_urgency_{urgency_};
   NodeHostObserver* observer_ = nullptr;
 
   mutable std::mutex mutex_;  // guards what follows; no process but the container takes it
   std::map<std::uint64_t, std::shared_ptr<IsolatedNode>> nodes_;
   Time end_ = Time::max();
   bool done_ = false;
+  pid_t monitor_number_ = 0;  // 0: it has not begun
 
   std::thread monitor_;  // last: it uses all of the above
 };

@@ -7,6 +7,7 @@
 #include <string>
 
 #include "base/process_identity.hpp"
+#include "base/urgency.hpp"
 #include "components/load_request.hpp"
 #include "hosts/isolated/leave_pressure.hpp"
 #include "hosts/isolated/node_life.hpp"
@@ -42,6 +43,9 @@ class IsolatedNode {
 
   /// How long its executor has not come round; nothing: that is not known. Any thread.
   virtual std::optional<std::chrono::nanoseconds> silence() const { return std::nullopt; }
+
+  /// Has the container's threads that belong to this node alone run that urgently. Any thread.
+  virtual void rise(Urgency urgency) noexcept { static_cast<void>(urgency); }
 
   /// Becomes readable when follow() should be called, besides the doorbell; -1: there is none.
   virtual int watched_fd() const { return -1; }

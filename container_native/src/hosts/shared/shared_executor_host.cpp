@@ -35,6 +35,10 @@ SharedExecutorHost::~SharedExecutorHost() {
 }
 
 void SharedExecutorHost::load(std::uint64_t unique_id, LoadRequest request) {
+  if (!request.resources.empty() || request.lock_memory) {
+    throw LoadError(
+        "resources are for isolated nodes: the nodes of this container share a process");
+  }
   tasks_.run("load-" + std::to_string(unique_id),
              [this, unique_id, request = std::move(request)] { construct(unique_id, request); });
 }

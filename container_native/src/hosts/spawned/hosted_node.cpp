@@ -29,9 +29,11 @@ std::pair<UniqueFd, UniqueFd> socket_pair() {
   return {UniqueFd(fds[0]), UniqueFd(fds[1])};
 }
 
-/// The only load of that process.
+/// The only load of that process, which has asked for its resources when it began.
 LoadRequest first_attempt(LoadRequest request) {
   request.attempt = 1;
+  request.resources.clear();
+  request.lock_memory = false;
   return request;
 }
 

@@ -10,6 +10,8 @@
 #include <string_view>
 #include <system_error>
 
+#include "base/urgency.hpp"
+
 namespace play_launch::container {
 namespace {
 
@@ -112,6 +114,7 @@ void HostedProcess::signal(int number) const {
 
 bool HostedProcess::reap() {
   siginfo_t info{};
+  const NotRealTime reaping;
   if (reaped_ ||
       ::waitid(kByDescriptor, static_cast<id_t>(fd_.get()), &info, WEXITED | WNOHANG) != 0 ||
       info.si_pid == 0) {

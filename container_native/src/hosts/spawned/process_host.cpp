@@ -17,19 +17,29 @@ ProcessHost::ProcessHost(BackendList backends, const ExecutorChoice& executor, b
                          const std::vector<std::string>& ros_arguments)
     : IsolatedHost(std::move(backends)), arguments_{"--hosted", "--stop_timeout", kStopTimeout} {
   if (executor.multi_threaded) {
-    arguments_.insert(arguments_.end(), {"--use_multi_threaded_executor", "--thread_num",
-                                         std::to_string(executor.threads)});
+    arguments_.emplace_back("--use_multi_threaded_executor");
+    if (!executor.by_cpus) {  // else of those that its process may use
+      arguments_.insert(arguments_.end(), {"--thread_num", std::to_string(executor.threads)});
+    }
   }
   if (core_dumps) {
     arguments_.emplace_back("--core_dumps");
   }
-  arguments_.emplace_back("--ros-args");
-  arguments_.insert(arguments_.end(), ros_arguments.begin(), ros_arguments.end());
+  ros_arguments_.emplace_back("--ros-args");
+  ros_arguments_.insert(ros_arguments_.end(), ros_arguments.begin(), ros_arguments.end());
 }
 
 std::shared_ptr<IsolatedNode> ProcessHost::start(std::uint64_t unique_id, LoadRequest request,
-                                                 int doorbell) {
-  return std::make_shared<HostedNode>(unique_id, arguments_, std::move(request), doorbell);
+                                                 NodeResources /*resources*/, int doorbell) {
+  std::vector<std::string> arguments = arguments_;
+  for (const std::string& text : request.resources) {
+    arguments.insert(arguments.end(), {"--resource", text});
+  }
+  if (request.lock_memory) {
+    arguments.emplace_back("--lock_memory");
+  }
+  arguments.insert(arguments.end(), ros_arguments_.begin(), ros_arguments_.end());
+  return std::make_shared<HostedNode>(unique_id, arguments, std::move(request), doorbell);
 }
 
 }  // namespace play_launch::container

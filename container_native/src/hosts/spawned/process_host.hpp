@@ -19,9 +19,10 @@ class ProcessHost final : public IsolatedHost {
 
  private:
   std::shared_ptr<IsolatedNode> start(std::uint64_t unique_id, LoadRequest request,
-                                      int doorbell) override;
+                                      NodeResources resources, int doorbell) override;
 
   std::vector<std::string> arguments_;
+  std::vector<std::string> ros_arguments_;
 };
 
 }  // namespace play_launch::container

@@ -70,6 +70,12 @@ void enter(const Launch& launch) noexcept {
   forget_signal_actions();
   // The limits are this process's own, whatever it shares.
   set_core_dumps(record.options.core_dumps);
+  if (record.options.urgency) {
+    assume(0, *record.options.urgency);
+  }
+  for (const ResourceSetting& setting : record.options.resources) {
+    apply(setting);  // who asked for it looks what holds
+  }
   launch.alternate_stack.use();
   install_crash_handlers();
   if (record.options.time_limit.count() > 0) {

@@ -1,10 +1,14 @@
 #pragma once
 
 #include <pthread.h>
+#include <sys/types.h>
 
+#include <atomic>
 #include <cstddef>
 #include <functional>
 #include <string>
+
+#include "base/urgency.hpp"
 
 namespace play_launch::isolation {
 
@@ -31,6 +35,9 @@ class DonorThread {
   /// Joins.
   ~DonorThread();
 
+  /// Has the thread run more urgently, as far as the kernel agrees; not the children. Any thread.
+  void rise(Urgency urgency) noexcept;
+
   /// Waits until the body has returned, and gives the stack back. Only once, or never.
   void join();
 
@@ -44,6 +51,8 @@ class DonorThread {
   std::size_t mapping_size_ = 0;
   pthread_t thread_{};
   bool joinable_ = false;
+  std::atomic<pid_t> number_{0};  // of the thread; 0: it has not begun, or is about to end
+  std::atomic<int> risers_{0};    // who use the number; the thread ends after them
 };
 
 }  // namespace play_launch::isolation

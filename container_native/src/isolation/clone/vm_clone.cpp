@@ -8,6 +8,7 @@
 
 #include <cerrno>
 
+#include "base/urgency.hpp"
 #include "isolation/clone/clone_syscall.hpp"
 #include "isolation/clone/donor_state.hpp"
 #include "isolation/clone/thread_destructors.hpp"
@@ -75,6 +76,7 @@ ChildEnd clone_and_wait(CloneEntry entry, void* argument, void (*before_reaping)
     before_reaping(argument);
   }
   siginfo_t info{};
+  const NotRealTime reaping;
   while (::waitid(P_PID, static_cast<id_t>(end.pid), &info, WEXITED | __WALL) != 0) {
     if (errno != EINTR) {
       end.error = errno;

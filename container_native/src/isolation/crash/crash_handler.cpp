@@ -12,6 +12,7 @@
 
 #include <algorithm>
 #include <array>
+#include <atomic>
 #include <cerrno>
 #include <cstdint>
 #include <cstdlib>
@@ -41,6 +42,11 @@ constexpr std::array kRequests{SIGTERM, SIGINT,  SIGHUP,    SIGQUIT, SIGUSR1, SI
                                SIGALRM, SIGPROF, SIGVTALRM, SIGIO,   SIGPWR};
 
 std::terminate_handler terminate_before = nullptr;
+
+/// See watch_own_crash().
+std::atomic<CrashSlot*> own_slot{nullptr};
+void (*own_described)() noexcept = nullptr;
+pid_t own_pid = 0;
 
 std::uint64_t time_ns(clockid_t clock) noexcept {
   constexpr std::uint64_t kPerSecond = 1'000'000'000;
@@ -172,13 +178,33 @@ void crash(ChildRecord& child, int signal, const siginfo_t& info, void* context)
   slot.phase = ChildPhase::dying;
 }
 
+/// The process itself dies, and no other thread comes back from a fault of its own meanwhile.
+void crash_of_all(CrashSlot& slot, int signal, const siginfo_t& info, void* context) noexcept {
+  static std::atomic<bool> is_claimed{false};
+  if (is_claimed.exchange(true)) {
+    while (true) {
+      ::pause();
+    }
+  }
+  describe(slot, signal, info, context);
+  trace(slot, context);
+  slot.report.inside = false;  // nobody is left whom that could harm
+  own_described();
+}
+
 extern "C" void on_crash_signal(int signal, siginfo_t* info, void* context) {
   const int error = errno;
   ChildRecord* const child = current_child();
-  if (child == nullptr) {
+  CrashSlot* const own = own_pid == ::getpid() ? own_slot.load() : nullptr;
+  if (child == nullptr && own == nullptr) {
     die_in_place(signal, *info, context);  // a process that a node forked
   } else if (is_surviving(*info)) {
     // It is dying already.
+  } else if (child == nullptr) {
+    if (!is_request(signal, *info)) {
+      survive([&] { crash_of_all(*own, signal, *info, context); });
+    }
+    die_in_place(signal, *info, context);
   } else if (child->options.dies_abruptly || is_deadline(*info, *child) ||
              !is_request(signal, *info)) {
     // Whatever else goes wrong, the process dies of this signal.
@@ -217,6 +243,9 @@ iovec piece(const char* text) { return {const_cast<char*>(text), std::strlen(tex
 /// been called, and from the second death on says nothing else.
 [[noreturn]] void on_terminate() {
   ChildRecord* const child = current_child();
+  if (CrashSlot* const own = own_slot; child == nullptr && own != nullptr) {
+    note_exception(*own);
+  }
   if (child == nullptr && terminate_before != nullptr) {
     terminate_before();
   }
@@ -257,6 +286,17 @@ void install_crash_handlers() noexcept {
   handle(kFaults);
   handle(kRequests);
   install_park_handler();
+}
+
+void watch_own_crash(CrashSlot* slot, void (*described)() noexcept) noexcept {
+  own_pid = ::getpid();
+  if (slot != nullptr) {
+    own_described = described;
+    own_slot = slot;
+    handle(kFaults);
+  } else {
+    own_slot = nullptr;
+  }
 }
 
 void claim_end(ChildRecord& child) noexcept {

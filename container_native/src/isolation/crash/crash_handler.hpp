@@ -24,6 +24,11 @@ void prepare_crash_handling();
 /// A node may install handlers of its own for all of them; they are its own process's.
 void install_crash_handlers() noexcept;
 
+/// In the process itself, which is no child: from now on the first of the same signals that it
+/// causes itself is noted in the slot, as for a child, then `described` is called in the handler,
+/// and the process dies of the signal. Null: no more.
+void watch_own_crash(CrashSlot* slot, void (*described)() noexcept) noexcept;
+
 /// In a child: makes the calling thread the one that ends it. If another one is at it already, this
 /// one is parked for good.
 void claim_end(ChildRecord& child) noexcept;

@@ -3,6 +3,7 @@
 #include <signal.h>
 #include <string.h>
 
+#include <algorithm>
 #include <array>
 #include <cstdio>
 #include <map>
@@ -170,6 +171,25 @@ std::vector<std::string> symbolise(const CrashSlot& slot) {
   for (std::size_t i = first; i < slot.report.frame_count; ++i) {
     lines.push_back("#" + std::to_string(i - first) + " " +
                     memory.describe(slot.report.frames[i], i > 0));
+  }
+  return lines;
+}
+
+std::vector<std::string> modules_of(const CrashSlot& slot) {
+  std::vector<std::string> lines;
+  if (slot.thread == 0) {
+    return lines;
+  }
+  std::vector<const link_map*> seen;
+  for (std::size_t i = slot.report.thrower; i < slot.report.frame_count; ++i) {
+    const link_map* const library = library_at(slot.report.frames[i] - (i > 0 ? 1 : 0));
+    if (library == nullptr || std::ranges::find(seen, library) != seen.end()) {
+      continue;
+    }
+    seen.push_back(library);
+    const std::string path = path_of(*library);
+    const std::string id = build_id_of(*library);
+    lines.push_back(base_name(path) + " " + (id.empty() ? "-" : id) + " " + path);
   }
   return lines;
 }

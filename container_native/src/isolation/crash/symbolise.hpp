@@ -14,6 +14,11 @@ namespace play_launch::isolation {
 /// what it has looked up.
 std::vector<std::string> symbolise(const CrashSlot& slot);
 
+/// The libraries and programs that the frames are in, each once, such as
+/// "libdemo.so 4ae3b1… /opt/ros/lib/libdemo.so": name as in the frames, build id in hexadecimal
+/// ("-" without one), path. Read in memory: the file may be another one by now.
+std::vector<std::string> modules_of(const CrashSlot& slot);
+
 /// "SIGSEGV (no memory at address 0x0) in thread 'executor'", "exit status 3 (exit() was called)",
 /// "SIGKILL" and so on, with a remark when threads could not be quiesced. To be called after the
 /// child's death.

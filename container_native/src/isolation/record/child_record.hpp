@@ -7,8 +7,12 @@
 #include <chrono>
 #include <cstddef>
 #include <cstdint>
+#include <optional>
+#include <span>
 #include <string_view>
 
+#include "base/resource_setting.hpp"
+#include "base/urgency.hpp"
 #include "isolation/record/child_threads.hpp"
 #include "isolation/record/crash_slot.hpp"
 
@@ -70,6 +74,10 @@ struct ChildOptions {
   bool dies_abruptly = false;
   /// A core is dumped when it crashes, see set_core_dumps().
   bool core_dumps = false;
+  /// How urgently it runs, whatever its donor does; nothing: as its donor.
+  std::optional<Urgency> urgency = std::nullopt;
+  /// What else it asks of the kernel for itself, before run(). Must outlive the child.
+  std::span<const ResourceSetting> resources = {};
   /// Nobody minds should it hang until its time limit: living_children() leaves it out.
   bool expendable = false;
 };

@@ -1,0 +1,56 @@
+#pragma once
+
+#include <sys/types.h>
+
+#include <cstdint>
+#include <vector>
+
+#include "base/resource_setting.hpp"
+
+namespace play_launch {
+
+/// How the scheduler ranks a thread: its policy, with that a priority (1 to 99, for SCHED_FIFO and
+/// SCHED_RR only), and its nice value.
+struct Urgency {
+  std::int16_t policy = 0;  // SCHED_OTHER
+  std::int16_t priority = 0;
+  std::int32_t nice = 0;
+
+  friend bool operator==(const Urgency&, const Urgency&) = default;
+};
+
+/// That of the calling thread.
+Urgency own_urgency() noexcept;
+
+/// What a thread of urgency `base` has after these settings, if the kernel agrees.
+Urgency urgency_after(Urgency base, const std::vector<ResourceSetting>& settings) noexcept;
+
+/// Whether `left` gets the processor before `right`.
+bool is_more_urgent(Urgency left, Urgency right) noexcept;
+
+/// The least urgency that is more urgent; of the highest itself.
+Urgency just_above(Urgency urgency) noexcept;
+
+/// Gives it to a thread of this process, by its number, 0: the calling one; false when the kernel
+/// refuses. One of SCHED_FIFO and SCHED_RR keeps its nice value, which means nothing there: who may
+/// give it up could not take it back. Async-signal-safe, and keeps errno.
+bool assume(pid_t thread, Urgency urgency) noexcept;
+
+/// As long as it lives, the calling thread is none of the real-time ones.
+///
+/// For reaping a process: the kernel then waits, without ever sleeping, for whoever just looks at
+/// the process's folder in /proc. Should that be a thread that the caller keeps from its processor,
+/// it waits for minutes, and not even SIGKILL ends it (d_invalidate() in release_task(), Linux
+/// 6.18).
+class NotRealTime {
+ public:
+  NotRealTime() noexcept;
+  ~NotRealTime();
+  NotRealTime(const NotRealTime&) = delete;
+  NotRealTime& operator=(const NotRealTime&) = delete;
+
+ private:
+  const Urgency before_;
+};
+
+}  // namespace play_launch

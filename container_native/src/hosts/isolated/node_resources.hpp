@@ -1,0 +1,28 @@
+#pragma once
+
+#include <atomic>
+#include <vector>
+
+#include "base/resource_setting.hpp"
+#include "base/urgency.hpp"
+#include "components/load_request.hpp"
+
+namespace play_launch::container {
+
+/// What an isolated node's process asks of the kernel.
+struct NodeResources {
+  /// `container`: what the process has without asking. Throws std::invalid_argument.
+  NodeResources(const LoadRequest& request, Urgency container)
+      : settings(parse_resource_settings(request.resources)),
+        urgency(urgency_after(container, settings)) {}
+
+  std::vector<ResourceSetting> settings;
+  Urgency urgency;
+};
+
+/// How urgently the threads of the container run that report on its nodes and clean up after them:
+/// more so than any of these. It only ever rises.
+using WatchUrgency = std::atomic<Urgency>;
+static_assert(WatchUrgency::is_always_lock_free);
+
+}  // namespace play_launch::container

@@ -1,0 +1,33 @@
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <utility>
+#include <vector>
+
+namespace play_launch::topics {
+
+/// What the supervisor wants recorded, from the command line.
+struct Options {
+  /// Number of the socket to the supervisor.
+  int socket = -1;
+  /// Names of topics, or patterns, see selection.hpp.
+  std::vector<std::string> topics;
+  std::vector<std::string> excluded;
+  /// Those that are kept in memory until they are asked for.
+  std::vector<std::string> held;
+  /// Bytes per second that may be recorded of each topic; 0 for any number.
+  std::uint64_t budget = 0;
+  /// Such numbers for some topics, by name or pattern; the first that matches holds.
+  std::vector<std::pair<std::string, std::uint64_t>> topic_budgets;
+  /// How long a node may take to give its parameters, in nanoseconds.
+  std::int64_t patience = 5'000'000'000;
+  /// How much of `held` is kept: nanoseconds, and bytes of all of them together.
+  std::int64_t hold_time = 0;
+  std::uint64_t hold_size = 0;
+};
+
+/// Throws std::invalid_argument with what is wrong.
+Options parse_options(int argc, const char* const* argv);
+
+}  // namespace play_launch::topics

@@ -1,0 +1,40 @@
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <string_view>
+
+#include "topic_recorder/options.hpp"
+
+namespace play_launch::topics {
+
+/// What is done with a topic.
+enum class Treatment {
+  none,
+  /// Recorded as it comes.
+  recorded,
+  /// Kept in memory until it is asked for.
+  held,
+};
+
+/// Whether a name fits a pattern: `*` stands for any text, slashes included, `?` for one character.
+/// A pattern does not reach hidden topics (a part begins with `_`) unless it names such a part.
+bool matches(const std::string& pattern, const std::string& topic);
+
+/// Whether a part of a name begins with `_`.
+bool is_hidden(std::string_view name);
+
+/// Bytes per second that may be recorded of a topic; 0 for any number.
+std::uint64_t budget_of(const Options& options, const std::string& topic);
+
+/// Where the parameters of nodes are recorded.
+constexpr const char* kParametersTopic = "/play_launch/parameters";
+
+/// Whether nodes are to be asked for their parameters.
+bool asks_for_parameters(const Options& options);
+
+/// What is both asked for as it comes and to be held is recorded as it comes. Never topics below
+/// /play_launch: those are the supervisor's own, somebody plays a recording back.
+Treatment treatment(const Options& options, const std::string& topic);
+
+}  // namespace play_launch::topics

@@ -1,0 +1,73 @@
+// What a process asks of the kernel, and how urgent that makes it.
+
+#include "base/resource_setting.hpp"
+
+#include <sys/resource.h>
+
+#include <stdexcept>
+
+#include "base/urgency.hpp"
+#include "check.hpp"
+
+using namespace play_launch;
+
+namespace {
+
+using Kind = ResourceSetting::Kind;
+
+void test_texts() {
+  const auto nice = parse_resource_setting("nice -5");
+  CHECK(nice && nice->kind == Kind::nice && static_cast<int>(nice->numbers[0]) == -5);
+  const auto limit = parse_resource_setting("rlimit 7 100 18446744073709551615");
+  CHECK(limit && limit->numbers[1] == 100 && limit->numbers[2] == RLIM_INFINITY);
+  const auto cpus = parse_resource_setting("cpu_affinity 0 1023");
+  CHECK(cpus && CPU_COUNT(&cpus->cpus) == 2 && CPU_ISSET(1023, &cpus->cpus));
+  for (const char* const text :
+       {"", "nice", "nice five", "nice 5 6", "scheduler 1", "cpu_affinity", "cpu_affinity 1024",
+        "cpu_affinity -1", "rlimit 7 100", "rlimit 7 100 18446744073709551616", "niceness 5"}) {
+    CHECK(!parse_resource_setting(text));
+  }
+  CHECK(
+      contains(CHECK_THROWS(parse_resource_settings({"nice 5", "nice six"}), std::invalid_argument),
+               "'nice six'"));
+}
+
+void test_refusals_are_errors() {
+  CHECK(apply(*parse_resource_setting("nice 19")) == 0);
+  CHECK(own_urgency().nice == 19);
+  CHECK(apply(*parse_resource_setting("scheduler 99 0")) == EINVAL);
+  CHECK(apply(*parse_resource_setting("rlimit 7 200 200")) == 0);
+  // A soft limit is never above the hard one: as near as it may be.
+  CHECK(apply(*parse_resource_setting("rlimit 7 300 100")) == EINVAL);
+  rlimit held{};
+  CHECK(::getrlimit(RLIMIT_NOFILE, &held) == 0 && held.rlim_cur == 100 && held.rlim_max == 100);
+}
+
+Urgency after(std::initializer_list<std::string> texts) {
+  return urgency_after({SCHED_OTHER, 0, 0}, parse_resource_settings(texts));
+}
+
+void test_ranks() {
+  const Urgency rising[] = {after({"scheduler 5 0"}),
+                            after({"nice 5"}),
+                            after({"scheduler 3 0"}),
+                            after({"nice -1"}),
+                            after({"scheduler 2 1", "nice 19"}),
+                            after({"scheduler 1 99"})};
+  for (std::size_t i = 1; i < std::size(rising); ++i) {
+    CHECK(is_more_urgent(rising[i], rising[i - 1]) && !is_more_urgent(rising[i - 1], rising[i]));
+  }
+  for (const Urgency urgency : rising) {
+    const bool highest = urgency.priority == 99;
+    CHECK(is_more_urgent(just_above(urgency), urgency) != highest);
+  }
+  CHECK(!is_more_urgent(just_above(after({"nice -20"})), after({"nice -20"})));
+}
+
+}  // namespace
+
+int main() {
+  test_texts();
+  test_ranks();
+  test_refusals_are_errors();  // last: it changes this process
+}

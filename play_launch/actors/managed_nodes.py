@@ -1,0 +1,246 @@
+"""Brings managed nodes where ``autostart`` says, beside their members; a sink of events.
+
+What follows from what is decided by :mod:`play_launch.core.managed`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import math
+from typing import TYPE_CHECKING, Final, assert_never
+
+import anyio
+from msgspec import Struct, field
+
+from play_launch.core.events import (
+    REPORTED_LOGGER,
+    ManagedNodeChanged,
+    NodeState,
+    NodeStateChanged,
+    ProcessEvent,
+    ProcessEventKind,
+)
+from play_launch.core.managed import ManagedAction, ManagedInput, ManagedState, step
+from play_launch.core.order import Look, Standing
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+    from contextlib import AbstractAsyncContextManager
+
+    from anyio.abc import TaskGroup, TaskStatus
+
+    from play_launch.actors.ports import ManagedNode
+    from play_launch.actors.publisher import Publisher
+    from play_launch.config.model import ManagedConfig
+    from play_launch.core.events import RunEvent
+    from play_launch.core.view import SystemView
+
+    OpenClient = Callable[[str, Callable[[int], None]], AbstractAsyncContextManager[ManagedNode]]
+
+_log = logging.getLogger(__name__)
+_reported = logging.getLogger(REPORTED_LOGGER)
+
+_INPUT_OF_STATE: Final = {
+    1: ManagedInput.IS_UNCONFIGURED,
+    2: ManagedInput.IS_INACTIVE,
+    3: ManagedInput.IS_ACTIVE,
+    4: ManagedInput.IS_FINALIZED,
+}
+"""By the numbers of ``lifecycle_msgs/msg/State``; the others are on the way between these."""
+_TRANSITIONS: Final = {
+    ManagedAction.CONFIGURE: (1, ManagedInput.IS_INACTIVE),
+    ManagedAction.ACTIVATE: (3, ManagedInput.IS_ACTIVE),
+}
+"""Numbers of ``lifecycle_msgs/msg/Transition``, and where they lead."""
+_LOOKS_AGAIN: Final = (1.0, 2.0, 4.0, 8.0)
+"""Seconds between looks at a node that is left to itself. A state that it entered before DDS had
+connected its topic with us is never heard of; that takes up to 3.3 s after its services are there,
+more on a busy machine."""
+_GONE: Final = frozenset(
+    {
+        NodeState.CRASHED,
+        NodeState.LOST,
+        NodeState.UNLOADING,
+        NodeState.UNLOADED,
+        NodeState.GAVE_UP,
+        NodeState.REQUESTED,
+    }
+)
+
+
+class _Managed(Struct):
+    """One of them."""
+
+    config: ManagedConfig
+    state: ManagedState = ManagedState.ABSENT
+    reason: str = ""
+    """Why it failed; else empty."""
+    scope: anyio.CancelScope | None = None
+    """Of the conversation with the present node."""
+    to_do: asyncio.Queue[ManagedAction] = field(default_factory=asyncio.Queue)
+
+
+class ManagedNodes:
+    """Belongs to the thread of the event loop."""
+
+    def __init__(
+        self,
+        publisher: Publisher,
+        on_change: Callable[[], None],
+        open_client: Callable[
+            [str, Callable[[int], None]], AbstractAsyncContextManager[ManagedNode]
+        ],
+    ) -> None:
+        """Know no node yet; ``open_client`` gets a full name, and who hears states.
+
+        ``on_change`` is called when one of them is in another state.
+        """
+        self._nodes: dict[str, _Managed] = {}
+        self._publisher = publisher
+        self._on_change = on_change
+        self._open_client = open_client
+        self._tasks: TaskGroup | None = None
+
+    def use(self, configs: Mapping[str, ManagedConfig]) -> None:
+        """Take the managed nodes by unit; one that is there and is to go further does so."""
+        for unit in self._nodes.keys() - configs.keys():
+            self._apply(unit, ManagedInput.GONE)
+            del self._nodes[unit]
+        for unit, config in configs.items():
+            known = self._nodes.get(unit)
+            if known is not None and known.config == config:
+                continue
+            if known is None:
+                self._nodes[unit] = _Managed(config)
+            else:
+                known.config = config
+            if self._is_up(unit):
+                self._apply(unit, ManagedInput.UP)
+
+    def look(self, unit: str) -> Look:
+        """Say whether a managed node is active."""
+        node = self._nodes[unit]
+        if node.state is ManagedState.ACTIVE:
+            return Look(Standing.HOLDS)
+        if node.state is ManagedState.FAILED:
+            return Look(Standing.NEVER, node.reason)
+        return Look(Standing.OPEN)
+
+    def _is_up(self, unit: str) -> bool:
+        view = self._publisher.view
+        if unit in view.processes:
+            return bool(view.processes[unit].pid)
+        nodes = (
+            each for container in view.containers.values() for each in container.nodes.values()
+        )
+        return any(str(each.key) == unit and each.state is NodeState.LOADED for each in nodes)
+
+    async def run(self, *, task_status: TaskStatus[None] = anyio.TASK_STATUS_IGNORED) -> None:
+        """Talk to the nodes until this is cancelled."""
+        async with anyio.create_task_group() as self._tasks:
+            task_status.started()
+            await anyio.sleep_forever()
+
+    def publish(self, event: RunEvent, _before: SystemView, _after: SystemView) -> None:
+        """See whether one of them comes or goes."""
+        match event:
+            case NodeStateChanged():
+                unit, is_up = str(event.key), event.state is NodeState.LOADED
+                is_gone = event.state in _GONE
+            case ProcessEvent():
+                unit, is_up = event.name, event.kind is ProcessEventKind.STARTED
+                is_gone = event.kind is ProcessEventKind.EXITED
+            case _:
+                return
+        node = self._nodes.get(unit)
+        if node is None:
+            return
+        # A state may be published again while it lasts.
+        if is_up and node.scope is None:
+            self._apply(unit, ManagedInput.UP)
+        elif is_gone:
+            self._apply(unit, ManagedInput.GONE)
+
+    def _apply(self, unit: str, said: ManagedInput, reason: str = "") -> None:
+        node = self._nodes[unit]
+        before = node.state
+        node.state, actions = step(before, said, node.config.autostart)
+        node.reason = reason if node.state is ManagedState.FAILED else ""
+        if node.state is not before:
+            if node.config.autostart is not None:
+                self._publisher.publish(
+                    ManagedNodeChanged(
+                        stamp_ns=self._publisher.stamp_ns(),
+                        unit=unit,
+                        node=node.config.name,
+                        state=node.state,
+                        reason=node.reason,
+                    )
+                )
+            self._on_change()
+        for action in actions:
+            self._do(unit, node, action, reason)
+
+    def _do(self, unit: str, node: _Managed, action: ManagedAction, reason: str) -> None:
+        match action:
+            case ManagedAction.ASK:
+                assert self._tasks is not None
+                node.scope, node.to_do = anyio.CancelScope(), asyncio.Queue()
+                self._tasks.start_soon(self._converse, unit, node, node.scope)
+            case ManagedAction.LEAVE:
+                if node.scope is not None:
+                    node.scope.cancel()
+                    node.scope = None
+            case ManagedAction.CONFIGURE | ManagedAction.ACTIVATE:
+                node.to_do.put_nowait(action)
+            case ManagedAction.REPORT_FAILED:
+                goal = node.config.autostart
+                _reported.error("%s does not %s: %s", node.config.name, goal, reason)
+            case _:
+                assert_never(action)
+
+    async def _converse(self, unit: str, node: _Managed, scope: anyio.CancelScope) -> None:
+        """Ask one life of a node for its state, and then for one transition after the other."""
+        known: ManagedInput | None = None
+
+        def hear(state: int) -> None:
+            nonlocal known
+            said = _INPUT_OF_STATE.get(state)
+            if said is not None and not scope.cancel_called:
+                known = said
+                self._apply(unit, said, f"it is in the state {said.removeprefix('is_')}")
+
+        limit = node.config.timeout
+        with scope:
+            try:
+                async with self._open_client(node.config.name, hear) as client:
+                    with anyio.move_on_after(limit) as asking:
+                        hear(await client.state())
+                    if asking.cancelled_caught:
+                        reason = f"its lifecycle services did not answer within {limit:g} s"
+                        self._apply(unit, ManagedInput.OVERDUE, reason)
+                    looks = iter(_LOOKS_AGAIN)
+                    while True:
+                        with anyio.move_on_after(next(looks, math.inf)) as pausing:
+                            action = await node.to_do.get()
+                        if pausing.cancelled_caught:
+                            with anyio.move_on_after(limit):
+                                state = await client.state()
+                                if _INPUT_OF_STATE.get(state) is not known:
+                                    hear(state)
+                            continue
+                        transition, leads_to = _TRANSITIONS[action]
+                        with anyio.move_on_after(limit) as changing:
+                            if await client.change(transition):
+                                known = leads_to
+                                self._apply(unit, leads_to)
+                            else:
+                                reason = f"its transition {action} failed"
+                                self._apply(unit, ManagedInput.REFUSED, reason)
+                        if changing.cancelled_caught:
+                            reason = f"its transition {action} took longer than {limit:g} s"
+                            self._apply(unit, ManagedInput.OVERDUE, reason)
+            except Exception as error:  # noqa: BLE001 - the others are not to pay for it
+                _log.warning("%s cannot be talked to: %s", node.config.name, error)
+                self._apply(unit, ManagedInput.REFUSED, str(error))

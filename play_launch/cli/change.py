@@ -1,0 +1,122 @@
+"""``play-launch diff`` and ``play-launch apply``."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from play_launch.cli.failure import fail
+from play_launch.cli.operate import FAILED, OK
+from play_launch.cli.show.plan_text import outcome_line, plan_lines
+from play_launch.cli.show.terminal import is_terminal, printable, wants_colour
+from play_launch.control.protocol import ControlError
+
+if TYPE_CHECKING:
+    from argparse import ArgumentParser, Namespace
+
+    from play_launch.control.client import ControlClient
+
+DIFFERS: Final = 1
+_USUAL_LIMIT: Final = 60.0
+
+
+def add_arguments(parser: ArgumentParser, verb: str) -> None:
+    """Declare what it takes."""
+    parser.add_argument("config", metavar="CONFIG", help="the YAML file")
+    parser.add_argument(
+        "arguments",
+        nargs="*",
+        metavar="NAME:=VALUE",
+        help="arguments of the configuration, which are ${arg:NAME} in there",
+    )
+    if verb == "apply":
+        parser.add_argument(
+            "--timeout",
+            type=float,
+            default=_USUAL_LIMIT,
+            metavar="S",
+            help=f"seconds for each step ({_USUAL_LIMIT:g})",
+        )
+        parser.add_argument(
+            "--rollback-on-failure",
+            action="store_true",
+            help="apply the configuration of before again when a step fails",
+        )
+        parser.add_argument(
+            "--dry-run", action="store_true", help="say what would be done, as diff does"
+        )
+
+
+def run(client: ControlClient, options: Namespace) -> int:
+    """Compare or change, and print what differs and what was done."""
+    config = {"config": _bundled(options)}
+    plan = client.ask("diff", config)["plan"]
+    is_diff = options.verb == "diff" or options.dry_run
+    if is_diff or not options.json:
+        _print_plan(plan, options)
+    if is_diff:
+        return DIFFERS if plan["steps"] and options.verb == "diff" else OK
+    request = {
+        **config,
+        "timeout": options.timeout,
+        "rollback_on_failure": options.rollback_on_failure,
+    }
+    try:
+        for message in client.stream("apply", request):
+            if "step" in message:
+                _print_outcome(message["step"], options)
+            elif "result" in message:
+                _print_json(message["result"]["applied"], options)
+                return OK
+    except ControlError as error:
+        _print_json(error.details.get("applied"), options)
+        raise
+    _report("the session ended before everything was applied")
+    return FAILED
+
+
+def _bundled(options: Namespace) -> dict[str, Any]:
+    """Read the configuration here: environment and working directory are the user's."""
+    from play_launch.config import ConfigError, load_config  # noqa: PLC0415 - takes its time
+    from play_launch.config.bundle import bundled  # noqa: PLC0415
+    from play_launch.config.sources.surroundings import (  # noqa: PLC0415
+        Surroundings,
+        parse_arguments,
+    )
+
+    try:
+        given = parse_arguments(options.arguments)
+    except ValueError as error:
+        fail(str(error))
+    try:
+        return bundled(load_config(Path(options.config), Surroundings(arguments=given)))
+    except ConfigError as error:
+        what = "nothing was changed" if options.verb == "apply" else "nothing was compared"
+        fail(f"{options.config} cannot be used, {what}\n{error.for_people()}")
+
+
+def _print_plan(plan: Any, options: Namespace) -> None:
+    if options.json:
+        sys.stdout.write(f"{json.dumps(plan)}\n")
+        return
+    colour = is_terminal(sys.stdout) and wants_colour(sys.stdout)
+    for line in plan_lines(plan, colour=colour):
+        sys.stdout.write(f"{printable(line, colour=colour)}\n")
+    sys.stdout.flush()
+
+
+def _print_outcome(outcome: Any, options: Namespace) -> None:
+    if not options.json:
+        sys.stdout.write(f"{printable(outcome_line(outcome), colour=False)}\n")
+        sys.stdout.flush()
+
+
+def _print_json(applied: Any, options: Namespace) -> None:
+    if options.json and applied is not None:
+        sys.stdout.write(f"{json.dumps(applied)}\n")
+
+
+def _report(message: str) -> None:
+    sys.stderr.write(f"error: {message}\n")

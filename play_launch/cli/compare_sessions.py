@@ -1,0 +1,131 @@
+"""What ``play-launch compare`` does: says what became worse or better between two sessions."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import msgspec
+
+from play_launch.cli.failure import fail
+from play_launch.cli.show.terminal import printable, say
+from play_launch.cli.sum_up import DAMAGED, report_damage
+from play_launch.core.exit_code import ExitCode
+from play_launch.history.bag_reader import NotARecordingError
+from play_launch.history.comparison import (
+    Change,
+    Comparison,
+    CrashChange,
+    Measure,
+    ParameterChange,
+    compare,
+)
+from play_launch.history.parameters import shortened
+from play_launch.history.story import read_story
+from play_launch.history.whole_file import OutputError
+from play_launch.reporting.comparison import Words, comparison_page, scaled
+from play_launch.reporting.page import put
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+_MOST_LINES: Final = 50
+"""Of one section."""
+_SAYS: Final = {
+    Measure.BRING_UP: "is loaded {1:.1f} s after the start instead of {0:.1f} s",
+    Measure.RESTARTS: "is restarted {1:.0f} times instead of {0:.0f}",
+    Measure.PEAK_MEMORY: "uses {1:.0f} MB at most instead of {0:.0f} MB",
+    Measure.CPU: "uses {1:.0f} % of a core instead of {0:.0f} %",
+}
+
+
+def compare_sessions(
+    first: Path, second: Path, output: Path | None = None, *, as_json: bool
+) -> int:
+    """Print what differs, and write it as a page to ``output``; return the exit code."""
+    try:
+        stories = read_story(first), read_story(second)
+    except NotARecordingError as error:
+        fail(str(error))
+    found = compare(*stories)
+    words = _words(found)
+    if output is not None:
+        try:
+            put(comparison_page(stories, found, words), output)
+        except OutputError as error:
+            fail(str(error), ExitCode.NODE_FAILED)
+    if as_json:
+        values = {
+            "first": _text(first),
+            "second": _text(second),
+            "worse": found.is_worse,
+            **msgspec.to_builtins(found),
+        }
+        values["changes"] = [
+            {**msgspec.to_builtins(each), "worse": each.is_worse, "better": each.is_better}
+            for each in found.changes
+        ]
+        say(msgspec.json.encode(values).decode())
+    else:
+        for line in _lines(words):
+            say(printable(line, colour=False))
+    damaged = [report_damage(story.session.reader) for story in stories]
+    if any(damaged):
+        return DAMAGED
+    return ExitCode.NODE_FAILED if found.is_worse else ExitCode.OK
+
+
+def _text(path: Path) -> str:
+    """Write a name that is not UTF-8 with escapes."""
+    return str(path).encode("utf-8", "backslashreplace").decode()
+
+
+def _lines(words: Words) -> Iterator[str]:
+    for title, lines in (*words.reasons, *words.others):
+        if lines:
+            yield f"{title}:"
+            yield from (f"  {line}" for line in lines[:_MOST_LINES])
+            if len(lines) > _MOST_LINES:
+                yield f"  and {len(lines) - _MOST_LINES} more; --json gives all"
+    yield words.verdict
+
+
+def _words(found: Comparison) -> Words:
+    worse = [_change(each) for each in found.changes if each.is_worse]
+    better = [_change(each) for each in found.changes if each.is_better]
+    crashes = [f"new crash: {_crash(each, f'{each.after} times')}" for each in found.new_crashes]
+    failures = [f"{key} is not loaded any more" for key in found.new_failures]
+    more = [f"more crashes: {_crash(each, _counts(each))}" for each in found.more_crashes]
+    fewer = [f"fewer crashes: {_crash(each, _counts(each))}" for each in found.fewer_crashes]
+    gone = [f"gone crash: {_crash(each, f'{each.before} times')}" for each in found.gone_crashes]
+    return Words(
+        "The second session is worse." if found.is_worse else "The second session is not worse.",
+        (
+            ("Worse", [*crashes, *more, *failures, *worse]),
+            ("Better", [*gone, *fewer, *better]),
+        ),
+        (
+            ("Only in the first", found.gone_members),
+            ("Only in the second", found.new_members),
+            ("Parameters that differ", [_parameter(each) for each in found.parameters]),
+        ),
+    )
+
+
+def _change(change: Change) -> str:
+    return f"{change.who} {_SAYS[change.measure].format(*scaled(change))}"
+
+
+def _crash(change: CrashChange, how_often: str) -> str:
+    return f"{change.signature.id} {change.signature}, {how_often}, {', '.join(change.who)}"
+
+
+def _counts(change: CrashChange) -> str:
+    return f"{change.after} times instead of {change.before}"
+
+
+def _parameter(change: ParameterChange) -> str:
+    before, after = (
+        "not set" if value is None else shortened(value) for value in (change.before, change.after)
+    )
+    return f"{change.node} {change.name}: {before} -> {after}"

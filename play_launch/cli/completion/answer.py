@@ -1,0 +1,40 @@
+"""``play-launch completion --answer SHELL LINE``: what a shell's script asks at each key."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING
+
+from play_launch.cli.completion.candidates import candidates, place_of
+from play_launch.cli.completion.commands import FILES, FOLDERS, program
+from play_launch.cli.completion.line import for_bash, read_line
+from play_launch.control.glance import glance
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Print ``files``, ``folders``, or ``words`` and a candidate on each line; else nothing.
+
+    What is not bash gets the meaning of a candidate as well, after a tab.
+
+    Args:
+        arguments: The shell, the line up to the cursor, and for bash what ``COMP_WORDBREAKS`` is.
+    """
+    shell, text, *rest = arguments
+    line = read_line(text)
+    place = place_of(line.words[1:], line.current, program())
+    if place is None:
+        return 0
+    if place.value.kind in {FILES, FOLDERS}:
+        sys.stdout.write(f"{place.value.kind}\n")
+        return 0
+    found = candidates(place, glance)
+    if shell == "bash":
+        shown = [for_bash(each.word, line, rest[0] if rest else "") for each in found]
+    else:
+        shown = [f"{each.word}\t{each.about}" if each.about else each.word for each in found]
+    lines = ("words", *(each.replace("\n", " ") for each in shown))
+    sys.stdout.write("".join(f"{each}\n" for each in lines if found))
+    return 0

@@ -1,0 +1,101 @@
+"""What ``play-launch crashes`` does: groups the equal crashes of all sessions in a folder."""
+
+from __future__ import annotations
+
+import sys
+from datetime import datetime
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from play_launch.cli.failure import fail
+from play_launch.cli.find_mistakes import counted
+from play_launch.cli.show.terminal import printable, say
+from play_launch.cli.sum_up import DAMAGED
+from play_launch.history.bag_reader import NotARecordingError
+from play_launch.history.crash_groups import CrashGroup, CrashGroups
+from play_launch.history.story import read_story
+from play_launch.recording.folder import part_file
+from play_launch.recording.part import ACTIVE_SUFFIX
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+
+def list_crashes(folder: Path, *, as_json: bool) -> int:
+    """Print the groups; return the exit code."""
+    if not folder.exists():
+        fail(f"{folder}: no such folder")
+    groups = CrashGroups()
+    count = 0
+    unread: list[str] = []
+    for path in recordings(folder):
+        try:
+            story = read_story(path, only_failures=True)
+        except NotARecordingError as error:
+            unread.append(str(error))
+            continue
+        groups.add(story)
+        unread += [f"{path}: {damage}" for damage in story.session.reader.damages]
+        count += 1
+    if count == 0 and not unread:
+        fail(f"{folder}: there is no recording (*.mcap) in it")
+    found = groups.sorted()
+    if as_json:
+        crashes = [
+            {"id": each.signature.id, "title": str(each.signature)} | msgspec.to_builtins(each)
+            for each in found
+        ]
+        values = {"sessions": count, "unread": unread, "crashes": crashes}
+        say(msgspec.json.encode(values).decode())
+    else:
+        for each in found:
+            for line in _lines(each):
+                say(printable(line, colour=False))
+        say(f"{counted(len(found), 'signature')} in {counted(count, 'session')}")
+    for text in unread:
+        print(f"warning: {text}", file=sys.stderr)  # noqa: T201 - for people
+    return DAMAGED if unread else 0
+
+
+def recordings(folder: Path) -> Iterator[Path]:
+    """Give the recordings below a folder, or the file itself; links are not followed.
+
+    The files of one session are one recording, which is their folder.
+    """
+    if folder.is_file():
+        yield folder
+        return
+    names = ("*.mcap", f"*.mcap{ACTIVE_SUFFIX}")
+    found = {path for name in names for path in folder.rglob(name) if not _is_linked(path, folder)}
+    yield from sorted({path.parent if part_file(path) else path for path in found})
+
+
+def _is_linked(path: Path, folder: Path) -> bool:
+    """Whether it is found by another name: `latest` is a link to one of the sessions."""
+    parents = [parent for parent in path.parents if parent.is_relative_to(folder)]
+    return any(each.is_symlink() for each in (path, *parents) if each != folder)
+
+
+def _lines(group: CrashGroup) -> Iterator[str]:
+    where = counted(group.sessions, "session")
+    yield f"{group.signature.id}  {group.signature}"
+    yield f"  {counted(group.count, 'time')} in {where}, {_when(group)}"
+    yield f"  {counted(len(group.nodes), 'member')}: {', '.join(group.nodes)}"
+    yield from (f"  called by {frame}" for frame in group.signature.frames[1:])
+    if group.builds:
+        yield f"  builds: {', '.join(group.builds)}"
+    if group.versions:
+        yield f"  play-launch {', '.join(group.versions)}"
+    yield f"  latest: {group.cause}"
+    yield f"  play-launch explain {group.example}"
+    yield ""
+
+
+def _when(group: CrashGroup) -> str:
+    first, last = (
+        datetime.fromtimestamp(ns / 1e9).astimezone().strftime("%Y-%m-%d %H:%M:%S")
+        for ns in (group.first_ns, group.last_ns)
+    )
+    return f"at {first}" if group.count == 1 else f"first at {first}, last at {last}"

@@ -1,0 +1,54 @@
+"""What ``play-launch explain`` does: says in plain sentences what went wrong in a session."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from play_launch.cli.failure import fail
+from play_launch.cli.show.terminal import printable, say
+from play_launch.cli.story_words import paragraphs
+from play_launch.cli.sum_up import DAMAGED, report_damage
+from play_launch.core.exit_code import ExitCode
+from play_launch.history.bag_reader import NotARecordingError
+from play_launch.history.findings import is_wrong
+from play_launch.history.locate import located
+from play_launch.history.story import read_story
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def explain(file: Path, *, as_json: bool) -> int:
+    """Print what went wrong; return the exit code."""
+    try:
+        story = read_story(file)
+    except NotARecordingError as error:
+        fail(str(error))
+    findings = tuple(map(located, story.findings))
+    wrong = is_wrong(findings)
+    session, reader = story.session, story.session.reader
+    if as_json:
+        values = {
+            "path": str(reader.path),
+            "session": session.about,
+            "started_ns": session.started_ns,
+            "begin_ns": reader.begin,
+            "end_ns": reader.end,
+            "complete": reader.is_complete and not reader.damages,
+            "damages": [str(damage) for damage in reader.damages],
+            "wrong": wrong,
+            "findings": [
+                {"signature_id": each.signature.id if each.signature else None}
+                | msgspec.to_builtins(each)
+                for each in findings
+            ],
+        }
+        say(msgspec.json.encode(values).decode())
+    else:
+        for line in paragraphs(findings, session):
+            say(printable(line, colour=False))
+    if report_damage(reader):
+        return DAMAGED
+    return ExitCode.NODE_FAILED if wrong else ExitCode.OK

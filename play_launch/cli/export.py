@@ -1,0 +1,76 @@
+"""``play-launch export``: a recording in the formats of other tools."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack, closing
+from importlib.util import find_spec
+from itertools import chain
+from typing import TYPE_CHECKING, Final
+
+from play_launch.cli.failure import fail
+from play_launch.cli.show.terminal import say
+from play_launch.cli.sum_up import DAMAGED, report_damage
+from play_launch.core.exit_code import ExitCode
+from play_launch.exporting.tables import WRITERS, rows
+from play_launch.exporting.trace import trace_events, write_trace
+from play_launch.history.bag_reader import NotARecordingError
+from play_launch.history.session import PastSession
+from play_launch.history.whole_file import OutputError, whole_file
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from play_launch.exporting.tables import TableWriter
+
+TRACE: Final = "perfetto"
+FORMATS: Final = (TRACE, *WRITERS)
+
+
+def export_session(file: Path, form: str, output: Path | None) -> int:
+    """Write a recording in another format; return the exit code."""
+    if form not in FORMATS:
+        fail(f"--format {form}: use one of {', '.join(FORMATS)}")
+    if form == "parquet" and find_spec("pyarrow") is None:
+        fail("--format parquet needs pyarrow: pip install 'play-launch-py[parquet]', or use csv")
+    session = PastSession(file)
+    target = output or _beside(file, form)
+    try:
+        written = (
+            _write_trace(session, target) if form == TRACE else _write_tables(session, form, target)
+        )
+    except NotARecordingError as error:
+        fail(str(error))
+    except OutputError as error:
+        fail(str(error), ExitCode.NODE_FAILED)
+    except OSError as error:  # the folder of the tables
+        fail(f"{error.filename or target}: {error.strerror or error}", ExitCode.NODE_FAILED)
+    say(f"{target}: {written}")
+    return DAMAGED if report_damage(session.reader) else 0
+
+
+def _beside(file: Path, form: str) -> Path:
+    name = file.name.removesuffix(".active").removesuffix(".mcap") or file.name
+    return file.with_name(f"{name}.trace.json" if form == TRACE else f"{name}-{form}")
+
+
+def _write_trace(session: PastSession, target: Path) -> str:
+    """Write it, and say what to do with it."""
+    events = trace_events(session)
+    first = next(events, None)  # what is no recording leaves no file behind
+    with whole_file(target) as half, half.open("w", encoding="utf-8") as file:
+        write_trace([] if first is None else chain([first], events), session.about, file)
+    return "open it in ui.perfetto.dev or chrome://tracing"
+
+
+def _write_tables(session: PastSession, form: str, folder: Path) -> str:
+    """Write them, and name them."""
+    tables: dict[str, TableWriter] = {}
+    with ExitStack() as files:
+        for table, values in rows(session):
+            writer = tables.get(table)
+            if writer is None:
+                folder.mkdir(parents=True, exist_ok=True)
+                half = files.enter_context(whole_file(folder / f"{table}.{form}"))
+                writer = tables[table] = files.enter_context(closing(WRITERS[form](half)))
+            writer.add(values)
+    return ", ".join(f"{table}.{form}" for table in sorted(tables)) or "nothing to write"

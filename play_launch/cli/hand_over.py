@@ -1,0 +1,86 @@
+"""Hands over a configuration that was made from something else: to a file, or to stdout."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, NoReturn
+
+import typer
+from msgspec.structs import asdict
+
+from play_launch.cli.failure import fail
+from play_launch.cli.show.terminal import say
+from play_launch.cli.target import complain, report_losses, sizes
+from play_launch.core.exit_code import ExitCode
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from play_launch.launch_files.configuration.write import Written
+
+
+def hand_over(
+    made: Written,
+    output: Path | None,
+    *,
+    strict: bool,
+    as_json: bool,
+    more: Mapping[str, object] | None = None,
+) -> NoReturn:
+    """Write the configuration, report what it does not say, and end with the exit code.
+
+    With `strict` nothing is written when anything was lost. `more` goes into the JSON.
+    """
+    is_refused = strict and made.lost > 0
+    if output is not None and not is_refused:
+        _write(made.text, output)
+    if as_json:
+        say(json.dumps({**_values(made, output), **(more or {})}, ensure_ascii=False))
+    else:
+        if output is None and not is_refused:
+            say(made.text.rstrip("\n"))
+        report_losses(made)
+        complain(sizes(made))
+    raise typer.Exit(ExitCode.USAGE if made.problems or is_refused else ExitCode.OK)
+
+
+def _write(text: str, output: Path) -> None:
+    """Write all of it or nothing; what was there before stays until then."""
+    if output.exists() and not output.is_file():
+        with contextlib.suppress(OSError):
+            output.write_text(text, encoding="utf-8")
+            return
+    temporary: str | None = None
+    try:
+        descriptor, temporary = tempfile.mkstemp(prefix=f".{output.name}-", dir=output.parent)
+        with os.fdopen(descriptor, "w", encoding="utf-8") as file:
+            file.write(text)
+        mask = os.umask(0)
+        os.umask(mask)
+        Path(temporary).chmod(0o666 & ~mask)
+        Path(temporary).replace(output)
+    except OSError as error:
+        if temporary is not None:
+            Path(temporary).unlink(missing_ok=True)
+        fail(f"{output} cannot be written: {error.strerror}")
+
+
+def _values(made: Written, output: Path | None) -> dict[str, object]:
+    return {
+        "output": None if output is None else str(output),
+        "config": made.text if output is None else None,
+        "containers": made.containers,
+        "composable_nodes": made.composable_nodes,
+        "processes": made.processes,
+        "lost": [_loss(each) for each in made.losses if not each.is_note],
+        "notes": [_loss(each) for each in made.losses if each.is_note],
+        "problems": [asdict(problem) for problem in made.problems],
+    }
+
+
+def _loss(loss: object) -> dict[str, str]:
+    return {"where": str(getattr(loss, "where", "")), "what": str(getattr(loss, "what", ""))}

@@ -1,0 +1,53 @@
+"""``play-launch import``: a system that another program has dumped becomes a configuration."""
+
+from __future__ import annotations
+
+from pathlib import Path  # noqa: TC003 - typer evaluates the annotations
+from typing import Annotated
+
+import typer
+
+from play_launch.cli.failure import fail
+from play_launch.cli.hand_over import hand_over
+
+
+def import_system(
+    file: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FILE", help="A record.json or a system_model.yaml.", show_default=False
+        ),
+    ],
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="CONFIG",
+            help="Where to write the configuration; by default to stdout.",
+            show_default=False,
+        ),
+    ] = None,
+    stock: Annotated[
+        bool,
+        typer.Option("--stock", help="Containers keep their programs, as stock containers."),
+    ] = False,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Exit with 2 if anything could not be carried over.")
+    ] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="One JSON object on stdout, the configuration in it.")
+    ] = False,
+) -> None:
+    """Turn a dump of the program play_launch (Rust) into a configuration.
+
+    What could not be carried over is reported, a line each. Exits with 2 if the result has mistakes
+    that `check` finds, with --strict also if anything was lost.
+    """
+    from play_launch.importing import read  # noqa: PLC0415 - not for other verbs
+
+    try:
+        imported = read.import_system(file, stock=stock)
+    except read.NotImportableError as error:
+        fail(str(error))
+    hand_over(imported, output, strict=strict, as_json=as_json)

@@ -1,0 +1,64 @@
+"""``play-launch init``: a configuration to begin with."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Final
+
+import typer
+
+from play_launch.cli.failure import fail
+from play_launch.cli.schema import SCHEMA_FILE
+from play_launch.cli.show.terminal import say
+
+_STARTER: Final = """\
+# yaml-language-server: $schema=SCHEMA
+#
+#     play-launch check FILE        find mistakes, start nothing
+#     play-launch replay FILE       bring it up; Ctrl-C stops it
+version: 1
+environment:
+  # All traffic stays on this machine; leave it out for a robot of several.
+  ROS_AUTOMATIC_DISCOVERY_RANGE: LOCALHOST
+
+containers:
+  # Composable nodes are loaded into a container. In this one each is a process of its own: a crash
+  # ends one node, and messages go by pointer all the same.
+  - name: chat
+    container_type: isolated
+    composable_nodes:
+      - package: play_launch_demo
+        plugin: play_launch_demo::Talker
+        name: talker
+        parameters:
+          # play-launch replay FILE rate:=2.0
+          rate: ${arg:rate:-10.0}
+      - package: play_launch_demo
+        plugin: play_launch_demo::Listener
+        name: listener
+        # remappings: {chatter: /somewhere/else}
+
+# nodes:
+#   # Ordinary processes: a program of a package, or any command.
+#   - package: demo_nodes_py
+#     executable: listener
+#     name: far_listener
+#     on_exit: restart
+"""
+
+
+def init(
+    file: Annotated[Path, typer.Argument(metavar="[FILE]", help="Where to write it.")] = Path(
+        "robot.yaml"
+    ),
+) -> None:
+    """Write a commented configuration to begin with; a file that is there is kept."""
+    text = _STARTER.replace("SCHEMA", str(SCHEMA_FILE)).replace("FILE", file.name)
+    try:
+        with file.open("x", encoding="utf-8") as opened:
+            opened.write(text)
+    except FileExistsError:
+        fail(f"{file} is there already; give another name")
+    except OSError as error:
+        fail(f"{file} cannot be written: {error.strerror}")
+    say(f"{file} is written; next: play-launch replay {file}")

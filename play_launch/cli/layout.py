@@ -1,0 +1,39 @@
+"""``play-launch layout``: how another tool shows a recording."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Final
+
+from play_launch.cli.failure import fail
+from play_launch.cli.show.terminal import say
+from play_launch.cli.sum_up import DAMAGED, report_damage
+from play_launch.exporting.foxglove import foxglove_layout
+from play_launch.exporting.plotjuggler import plotjuggler_layout
+from play_launch.exporting.subjects import NOBODY, chosen
+from play_launch.history.bag_reader import NotARecordingError
+from play_launch.history.session import PastSession
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+TOOLS: Final = ("foxglove", "plotjuggler")
+
+
+def show_layout(tool: str, file: Path | None) -> int:
+    """Print a layout; with a recording, one for its nodes; return the exit code."""
+    if tool not in TOOLS:
+        fail(f"there is no layout for {tool}: use {' or '.join(TOOLS)}")
+    subjects, code = NOBODY, 0
+    if file is not None:
+        session = PastSession(file)
+        try:
+            subjects = chosen(session)
+        except NotARecordingError as error:
+            fail(str(error))
+        code = DAMAGED if report_damage(session.reader) else 0
+    if tool == "foxglove":
+        say(json.dumps(foxglove_layout(subjects), indent=2))
+    else:
+        say(plotjuggler_layout(subjects).rstrip("\n"))
+    return code

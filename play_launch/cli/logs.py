@@ -1,0 +1,97 @@
+"""``play-launch logs``: what nodes print."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+import time
+from typing import TYPE_CHECKING, Any, Final
+
+from play_launch.cli.event_words import lines_of
+from play_launch.cli.operate import OK, add_names
+from play_launch.control.protocol import Code, ControlError
+
+if TYPE_CHECKING:
+    from argparse import ArgumentParser, Namespace
+    from collections.abc import Callable
+
+    from play_launch.control.client import ControlClient
+
+_LEVELS: Final = {"debug": 10, "info": 20, "warn": 30, "error": 40, "fatal": 50}
+_CLOCK: Final = re.compile(r"(\d{1,2}):(\d\d)(?::(\d\d))?")
+
+
+def add_arguments(parser: ArgumentParser, verb: str) -> None:  # noqa: ARG001 - as for all verbs
+    """Declare what it takes."""
+    add_names(parser, "only of these", optional=True)
+    parser.add_argument("-f", "--follow", action="store_true", help="go on until Ctrl-C")
+    parser.add_argument(
+        "--since", metavar="TIME", help="only the last 30s, 5min; or from 14:03 on, of the clock"
+    )
+    parser.add_argument(
+        "--level", choices=tuple(_LEVELS), help="only lines of this level and above"
+    )
+
+
+def run(client: ControlClient, options: Namespace) -> int:
+    """Print lines: those that are kept, and with -f those that come."""
+    since_ns = since(options.since, time.time()) if options.since else 0
+    kinds = ["output"] if options.names else ["output", "log"]
+    arguments = {"names": options.names, "kinds": kinds, "follow": options.follow}
+    is_wanted = _by_level(_LEVELS[options.level]) if options.level else _anything
+    for message in client.stream("events", arguments):
+        if "result" in message:
+            break
+        event = message.get("event")
+        if event is None:
+            _print_missed(message.get("missed", 0), as_json=options.json)
+        elif event["stamp_ns"] >= since_ns and is_wanted(event):
+            text = json.dumps(event, separators=(",", ":")) if options.json else lines_of(event)
+            sys.stdout.write(f"{text}\n")
+            sys.stdout.flush()
+    return OK
+
+
+def since(text: str, now: float) -> int:
+    """Give the time that is meant, in nanoseconds since the epoch; ControlError with the fix."""
+    if clock := _CLOCK.fullmatch(text):
+        parts = time.localtime(now)
+        day = (*parts[:3], int(clock[1]), int(clock[2]), int(clock[3] or 0), 0, 0, -1)
+        return int(time.mktime(day)) * 1_000_000_000
+    from play_launch.config.values import parse_duration  # noqa: PLC0415 - slow
+
+    try:
+        return int((now - parse_duration(text)) * 1e9)
+    except ValueError as error:
+        raise ControlError(Code.BAD_ARGUMENTS, f"--since: {error}") from None
+
+
+def _anything(_event: dict[str, Any]) -> bool:
+    return True
+
+
+def _by_level(least: int) -> Callable[[dict[str, Any]], bool]:
+    from play_launch.core.events import OutputLine, Stream  # noqa: PLC0415 - slow, and rarely asked
+    from play_launch.recording.console_format import line_level  # noqa: PLC0415
+
+    def is_wanted(event: dict[str, Any]) -> bool:
+        if event["event"] == "log":
+            return int(event["level"]) >= least
+        line = OutputLine(
+            stamp_ns=0,
+            process="",
+            pid=0,
+            stream=Stream(event["stream"]),
+            text=event["text"],
+        )
+        return line_level(line) >= least
+
+    return is_wanted
+
+
+def _print_missed(missed: int, *, as_json: bool) -> None:
+    if as_json:
+        sys.stdout.write(f"{json.dumps({'event': 'missed', 'events': missed})}\n")
+    else:
+        sys.stderr.write(f"{missed} lines were too many to send; the recording has them\n")

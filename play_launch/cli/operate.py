@@ -1,0 +1,135 @@
+"""What the verbs for a running session have in common: their options, their errors.
+
+They are done before typer would be imported, and import as little as they can: whoever looks at a
+robot looks often.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from argparse import ArgumentParser, HelpFormatter, Namespace
+from importlib import import_module
+from typing import TYPE_CHECKING, Final, Protocol, cast
+
+from play_launch.cli.session_verbs import SESSION_VERBS
+from play_launch.control.client import (
+    AmbiguousSessionError,
+    ControlClient,
+    NoSessionError,
+    connect,
+)
+from play_launch.control.protocol import Code, ControlError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+OK: Final = 0
+FAILED: Final = 1
+USAGE: Final = 2
+NOT_IN_TIME: Final = 3
+_POLL: Final = 0.05
+_EXIT_CODES: Final = {
+    Code.BAD_ARGUMENTS: USAGE,
+    Code.UNKNOWN_NAME: USAGE,
+    Code.AMBIGUOUS_NAME: USAGE,
+    Code.TIMEOUT: NOT_IN_TIME,
+}
+
+_FAILED_AS: Final = {"diff": USAGE}
+"""The verb of which 1 says something else: that something differs."""
+
+
+class Verb(Protocol):
+    """The module of a verb."""
+
+    def add_arguments(self, parser: ArgumentParser, verb: str) -> None:
+        """Declare what only this verb takes."""
+
+    def run(self, client: ControlClient, options: Namespace) -> int:
+        """Do what ``options.verb`` says and return the exit code; raises ControlError."""
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run one of the verbs; ``arguments`` start with it. Returns the exit code."""
+    verb = _module_of(arguments[0])
+    options = parser_of(arguments[0]).parse_args(arguments[1:])
+    try:
+        with _connected(options) as client:
+            status = verb.run(client, options)
+        sys.stdout.flush()
+    except NoSessionError as error:
+        _report(str(error))
+        return _FAILED_AS.get(options.verb, FAILED)
+    except ControlError as error:
+        _report(str(error))
+        return _EXIT_CODES.get(error.code, _FAILED_AS.get(options.verb, FAILED))
+    except BrokenPipeError:
+        # The reader has seen enough (`| head`).
+        from play_launch.cli.show.streams import let_go_of  # noqa: PLC0415 - rarely needed
+
+        let_go_of(sys.stdout)
+        return OK
+    except KeyboardInterrupt:
+        return 130
+    return status
+
+
+class _Help(HelpFormatter):
+    """Lays help out; argparse would import shutil for the width at every start."""
+
+    def __init__(self, prog: str) -> None:
+        try:
+            columns = int(os.environ.get("COLUMNS") or 0) or os.get_terminal_size().columns
+        except (OSError, ValueError):
+            columns = 0
+        super().__init__(prog, width=(columns or 80) - 2)
+
+
+def _connected(options: Namespace) -> ControlClient:
+    """Connect; where somebody waits anyway, for a session that begins in that time."""
+    deadline = time.monotonic() + (options.timeout if options.verb == "wait" else 0.0)
+    while True:
+        try:
+            return connect(options.session)
+        except AmbiguousSessionError:
+            raise
+        except NoSessionError:
+            if time.monotonic() + _POLL > deadline:
+                raise
+            time.sleep(_POLL)
+
+
+def _module_of(name: str) -> Verb:
+    return cast("Verb", import_module(f"play_launch.cli.{SESSION_VERBS[name][0]}"))
+
+
+def parser_of(name: str) -> ArgumentParser:
+    """Build the parser of a verb."""
+    verb, about = _module_of(name), SESSION_VERBS[name][1]
+    parser = ArgumentParser(prog=f"play-launch {name}", description=about, formatter_class=_Help)
+    parser.set_defaults(verb=name)
+    verb.add_arguments(parser, name)
+    parser.add_argument(
+        "--session",
+        metavar="SESSION",
+        help="folder, name or pid of the session, where several are running",
+    )
+    parser.add_argument("--json", action="store_true", help="for programs")
+    return parser
+
+
+def add_names(parser: ArgumentParser, what: str, *, optional: bool = False) -> None:
+    """Declare names; they may be patterns."""
+    parser.add_argument(
+        "names",
+        nargs="*" if optional else "+",
+        metavar="NAME",
+        help=f"{what}: full names, patterns such as '/sensing/*', or the last part where only one "
+        "has it",
+    )
+
+
+def _report(message: str) -> None:
+    sys.stderr.write(f"error: {message}\n")

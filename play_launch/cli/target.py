@@ -1,0 +1,115 @@
+"""The launch file of a command line, and its arguments: ``PKG FILE name:=value`` or a path."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path  # noqa: TC003 - msgspec reads the annotations
+from typing import TYPE_CHECKING
+
+from msgspec import Struct
+
+from play_launch.cli.failure import fail
+from play_launch.cli.show.terminal import printable, say
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from play_launch.launch_files.configuration.write import Written
+    from play_launch.launch_files.records import Argument, Description
+
+
+class Target(Struct, frozen=True):
+    """A launch file, its arguments, and how it was named."""
+
+    path: Path
+    arguments: dict[str, str]
+    words: tuple[str, ...]
+
+    @property
+    def name(self) -> str:
+        """The name of the file without its endings, for a run."""
+        return self.path.name.partition(".")[0] or "launch"
+
+
+def target_of(words: Sequence[str]) -> Target:
+    """Return what a command line names; mistakes end the process."""
+    from play_launch.config.sources.surroundings import parse_arguments  # noqa: PLC0415
+    from play_launch.launch_files.find import find  # noqa: PLC0415 - not for other verbs
+    from play_launch.launch_files.records import LaunchFileError  # noqa: PLC0415
+
+    named = [each for each in words if ":=" not in each]
+    if len(named) not in (1, 2) or list(words[: len(named)]) != named:
+        fail("give a launch file, or a package and a launch file, then name:=value")
+    try:
+        given = parse_arguments(words[len(named) :])
+        return Target(find(named), given, tuple(words))
+    except (ValueError, LaunchFileError) as error:
+        fail(str(error))
+
+
+def evaluated(target: Target, *, only_arguments: bool = False) -> Description:
+    """Return what the launch file describes; mistakes end the process."""
+    from play_launch.install.ros import NotInstalledError  # noqa: PLC0415
+    from play_launch.launch_files.evaluation import evaluate  # noqa: PLC0415
+    from play_launch.launch_files.records import LaunchFileError  # noqa: PLC0415
+
+    try:
+        return evaluate(target.path, target.arguments, only_arguments=only_arguments)
+    except (LaunchFileError, NotInstalledError) as error:
+        fail(str(error))
+    except OSError as error:
+        fail(f"{target.path} cannot be evaluated: {error}")
+
+
+def unread(target: Target, description: Description) -> list[str]:
+    """Return the given arguments that no file declares; launch takes them without a word."""
+    declared = {each.name for each in description.arguments}
+    return [name for name in target.arguments if name not in declared]
+
+
+def say_arguments(arguments: Sequence[Argument]) -> None:
+    """Print the arguments that a launch file takes."""
+    if not arguments:
+        say("it declares no arguments")
+    for each in arguments:
+        value = "required" if each.default is None else f"default: {each.default}"
+        say(f"{each.name}  ({value})")
+        if each.description:
+            say(f"    {each.description}")
+        if each.choices:
+            say(f"    one of: {', '.join(each.choices)}")
+
+
+def argument_values(arguments: Sequence[Argument]) -> list[dict[str, object]]:
+    """Return the arguments for programs."""
+    return [
+        {
+            "name": each.name,
+            "default": each.default,
+            "description": each.description,
+            "choices": list(each.choices),
+            "place": str(each.origin),
+        }
+        for each in arguments
+    ]
+
+
+def report_losses(written: Written) -> None:
+    """Write to stderr what could not be carried over, and mistakes in the result."""
+    for loss in written.losses:
+        complain(f"{'note' if loss.is_note else 'not carried over'}: {loss.where}: {loss.what}")
+    for problem in written.problems:
+        complain(f"mistake in the result: {problem}")
+
+
+def sizes(written: Written) -> str:
+    """Say how much was written."""
+    return (
+        f"{written.containers} containers with {written.composable_nodes} nodes, "
+        f"{written.processes} processes; {written.lost} not carried over"
+    )
+
+
+def complain(text: str) -> None:
+    """Write a line to stderr."""
+    print(printable(text, colour=False), file=sys.stderr)  # noqa: T201 - for people

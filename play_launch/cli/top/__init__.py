@@ -1,0 +1,1 @@
+"""``play-launch top``: the screen of a running session."""

@@ -1,0 +1,96 @@
+"""Has the sessions of before looked after while a system runs, when it is up."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+import signal
+import sys
+from typing import TYPE_CHECKING, Final
+
+from play_launch.process.child import spawn
+from play_launch.process.program import SpawnError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+    from play_launch.config import KeepConfig
+    from play_launch.core.events import Stream
+    from play_launch.core.view import SystemView
+    from play_launch.process.lines import Line
+
+_PATIENCE: Final = 60.0
+"""Seconds after which a system that is not complete counts as one that never will be."""
+_LOOK: Final = 1.0
+REST = 10.0
+"""Seconds between the end of the bring-up and the first look at other sessions."""
+_AGAIN: Final = 3600.0
+"""Seconds until limits are kept again: the running session grows, too."""
+_log = logging.getLogger(__name__)
+
+
+async def look_after_sessions(
+    log_folder: Path,
+    keep: KeepConfig,
+    view: Callable[[], SystemView],
+    guard: Path,
+    *,
+    rest: float | None = None,
+) -> None:
+    """Recover what was cut off, and keep to the limits; until cancelled.
+
+    It is done by a process at the lowest priority, which ends when this is cancelled.
+
+    Args:
+        log_folder: Where the folders of the sessions are.
+        keep: The limits.
+        view: Gives the system as it stands.
+        guard: The program `spawn_guard`, which ties that process to this one.
+        rest: Seconds to wait when the system is up; `REST` unless it is given.
+    """
+    await _end_of_bring_up(view)
+    await asyncio.sleep(REST if rest is None else rest)
+    while True:
+        await _run_once(log_folder, keep, guard)
+        if keep.sessions is None and keep.size is None:
+            return
+        await asyncio.sleep(_AGAIN)
+
+
+async def _end_of_bring_up(view: Callable[[], SystemView]) -> None:
+    loop = asyncio.get_running_loop()
+    latest = loop.time() + _PATIENCE
+    while not view().is_complete and loop.time() < latest:  # noqa: ASYNC110 - views have no event
+        await asyncio.sleep(_LOOK)
+
+
+async def _run_once(log_folder: Path, keep: KeepConfig, guard: Path) -> None:
+    # The working directory is no place for modules.
+    command = [sys.executable, "-P", "-m", "play_launch.archive", os.fspath(log_folder)]
+    if keep.sessions is not None:
+        command.append(f"--keep-sessions={keep.sessions}")
+    if keep.size is not None:
+        command.append(f"--keep-size={keep.size}")
+    try:
+        child = spawn(command, env=os.environ, guard=guard, on_output=_report)
+    except SpawnError as error:
+        _log.warning("sessions of before are not looked after: %s", error)
+        return
+    try:
+        await child.gone()
+    except asyncio.CancelledError:
+        # The next start takes up what it was at.
+        child.send_signal(signal.SIGKILL)
+        await child.gone()
+        raise
+
+
+def _report(_stream: Stream, lines: Sequence[Line]) -> None:
+    for line in lines:
+        level, _, text = line.text.partition(": ")
+        if level == "info":
+            _log.info("%s", text)
+        else:
+            _log.warning("%s", text if level == "warning" else line.text)

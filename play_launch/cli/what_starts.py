@@ -1,0 +1,162 @@
+"""What ``play-launch check --explain`` prints: what is read, and each process that would start."""
+
+from __future__ import annotations
+
+import json
+import os
+import shlex
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+from play_launch.cli.failure import fail
+from play_launch.config.model import ContainerConfig
+from play_launch.install.environment import caller_environment, child_environment
+from play_launch.install.ros import (
+    MixedInstallationError,
+    NotInstalledError,
+    component_container,
+    ros_installation,
+    topic_recorder,
+)
+from play_launch.launching.command import Command, Machine
+from play_launch.launching.survey import DESCRIPTOR, Start, allocator_for, survey
+from play_launch.process.program import SpawnError, check_program
+from play_launch.recording.facts import REDACTED, is_secret
+from play_launch.recording.resolved_form import taken_secrets, without
+from play_launch.topic_recording.program import recorder_argv
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator, Mapping
+
+    from play_launch.config import ReplayConfig
+
+_RECORDER: Final = "topic recorder"
+
+
+class _Process(NamedTuple):
+    name: str
+    kind: str
+    place: str
+    command: Command | None
+    problem: str = ""
+    parameter_file: str | None = None
+
+
+def processes(config: ReplayConfig) -> list[dict[str, Any]]:
+    """Give each process that `replay` starts, without secrets, as values for JSON.
+
+    What cannot be started has a ``problem``. Mistakes of the installation end the process.
+    """
+    try:
+        ros = ros_installation()
+        container, recorder = component_container(), topic_recorder()
+    except (NotInstalledError, MixedInstallationError) as error:
+        fail(str(error))
+    machine = Machine(ros, container, os.environ, allocator_for(config).library)
+    caller = caller_environment(os.environ, ros)
+    secrets = taken_secrets(config)
+    found = [_member(start) for start in survey(config, machine)]
+    if config.record.ros:
+        argv = recorder_argv(recorder, config.record, DESCRIPTOR)
+        environment = child_environment(os.environ, ros, config.environment)
+        found.append(_Process("", _RECORDER, "", Command(argv, environment)))
+    return [_values(process, caller, secrets) for process in found]
+
+
+def as_text(values: Mapping[str, object], started: list[dict[str, Any]]) -> str:
+    """Lay a resolved configuration and `processes` out for people: YAML, then shell commands."""
+    import yaml  # noqa: PLC0415 - not for JSON
+
+    text = yaml.safe_dump(dict(values), sort_keys=False, allow_unicode=True, width=float("inf"))
+    return "\n".join([text, *(f"{_shell(each)}\n" for each in started)]).rstrip("\n")
+
+
+def _member(start: Start) -> _Process:
+    config = start.config
+    kind = "container" if isinstance(config, ContainerConfig) else "process"
+    process = _Process(config.full_name, kind, f"{config.file}:{config.line}", None)
+    if isinstance(start.command, str):
+        return process._replace(problem=start.command)
+    try:
+        check_program(start.command.argv, start.command.environment, start.command.cwd)
+    except SpawnError as error:
+        process = process._replace(problem=str(error))
+    return process._replace(command=start.command, parameter_file=start.parameter_file)
+
+
+def _values(
+    process: _Process, caller: Mapping[str, str], secrets: Collection[str]
+) -> dict[str, Any]:
+    command = process.command
+    values: dict[str, Any] = {
+        "name": process.name or None,
+        "kind": process.kind,
+        "place": process.place or None,
+        "problem": process.problem or None,
+    }
+    if command is None:
+        return values
+    changed = {
+        name: REDACTED if is_secret(name, value) else value
+        for name, value in command.environment.items()
+        if caller.get(name) != value
+    }
+    return values | {
+        "argv": without(command.argv, secrets),
+        "environment": without(changed, secrets),
+        "unset": sorted(caller.keys() - command.environment.keys()),
+        "cwd": str(command.cwd or _here()),
+        "emulate_tty": command.emulate_tty,
+        "resources": command.resources.described(),
+        "parameter_file": without(process.parameter_file, secrets),
+    }
+
+
+def _here() -> str:
+    with suppress(FileNotFoundError):
+        return str(Path.cwd())
+    return ""
+
+
+def _shell(process: Mapping[str, Any]) -> str:
+    return "\n".join(_lines(process))
+
+
+def _lines(process: Mapping[str, Any]) -> Iterator[str]:
+    place = f", {process['place']}" if process["place"] else ""
+    yield _remark(f"{process['name'] or 'for the recording'} ({process['kind']}{place})")
+    if process["problem"]:
+        yield _remark(f"cannot be started: {process['problem']}")
+    if "argv" not in process:
+        return
+    if process["emulate_tty"]:
+        yield "# writes to terminals (emulate_tty)"
+    if process["resources"]:
+        yield _remark(f"asks the kernel for resources: {json.dumps(process['resources'])}")
+    if process["parameter_file"]:
+        yield "# parameter file:"
+        yield from (_remark(f"  {line}") for line in process["parameter_file"].splitlines())
+    yield f"cd {_quoted(process['cwd'])} && \\"
+    unset = "".join(f" -u {_quoted(name)}" for name in process["unset"])
+    yield f"env{unset} \\"
+    for name, value in process["environment"].items():
+        yield f"  {_quoted(name)}={_quoted(value)} \\"
+    yield f"  {' '.join(map(_quoted, process['argv']))}"
+
+
+def _remark(text: str) -> str:
+    return f"# {text if text.isprintable() else ascii(text)[1:-1]}"
+
+
+def _quoted(text: str) -> str:
+    """Quote for bash; what would disturb a terminal is written by its number."""
+    if text.isprintable():
+        return shlex.quote(text)
+    written = (
+        each
+        if each.isprintable() and each not in "\\'"
+        else "".join(f"\\x{byte:02x}" for byte in os.fsencode(each))
+        for each in text
+    )
+    return f"$'{''.join(written)}'"

@@ -1,0 +1,70 @@
+"""A page of a recording."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from play_launch.cli.failure import fail
+from play_launch.cli.show.terminal import say
+from play_launch.cli.story_words import details, headline
+from play_launch.cli.sum_up import DAMAGED, report_damage
+from play_launch.core.exit_code import ExitCode
+from play_launch.history.bag_reader import NotARecordingError
+from play_launch.history.findings import IMPORTANCE
+from play_launch.history.locate import located
+from play_launch.history.session import PastSession
+from play_launch.history.story import Telling
+from play_launch.history.whole_file import OutputError
+from play_launch.recording.part import ACTIVE_SUFFIX
+from play_launch.reporting.facts import contents
+from play_launch.reporting.gather import Gathering
+from play_launch.reporting.page import write_page
+from play_launch.reporting.parameters import parameters_shown
+from play_launch.reporting.story import Point
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+    from pathlib import Path
+
+    from play_launch.history.findings import Finding
+
+
+def write_report(file: Path, output: Path | None) -> int:
+    """Write the page of a recording; return the exit code."""
+    output = output or default_output(file)
+    session = PastSession(file)
+    telling, gathering = Telling(session), Gathering(session)
+    try:
+        # Reading takes longest, so both look at each message.
+        for message in session.reader.messages():
+            telling.take(message)
+            gathering.take(message)
+        points = _points(telling.findings(), session.started_ns)
+        parameters = parameters_shown(telling.parameters, session.started_ns)
+        every = contents(session, gathering.finish(), tuple(points), parameters)
+        size = write_page(every, output)
+    except NotARecordingError as error:
+        fail(str(error))
+    except OutputError as error:
+        fail(str(error), ExitCode.NODE_FAILED)
+    say(f"{output}: {size / 1e6:.1f} MB")
+    return DAMAGED if report_damage(session.reader) else 0
+
+
+def _points(findings: Iterable[Finding], started_ns: int) -> Iterator[Point]:
+    """Give what ``explain`` says."""
+    for finding in map(located, findings):
+        yield Point(
+            headline(finding, started_ns),
+            tuple(details(finding)),
+            (finding.at_ns - started_ns) / 1e6,
+            finding.who,
+            IMPORTANCE[finding.kind].is_failure,
+        )
+
+
+def default_output(file: Path) -> Path:
+    """``session.html``: beside ``session.mcap`` or ``session.mcap.active``, or in the folder."""
+    if file.is_dir():
+        return file / "session.html"
+    return file.with_name(f"{file.name.removesuffix(ACTIVE_SUFFIX).removesuffix('.mcap')}.html")

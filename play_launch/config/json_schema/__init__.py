@@ -1,0 +1,1 @@
+"""The keys of the configuration as JSON Schema, for editors."""

@@ -1,0 +1,127 @@
+"""`resources` of a container, a composable node or a process."""
+
+from __future__ import annotations
+
+from enum import Enum, auto
+from typing import TYPE_CHECKING, Any, Final
+
+from msgspec.structs import replace
+
+from play_launch.config.model import Isolation
+from play_launch.core.resources import Resources, Scheduler
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from play_launch.config.schema import ResourcesSection, SchedulerSection
+    from play_launch.config.yaml.tree import At
+
+KEY: Final = "resources"
+_RLIMITS: Final = "rlimits"
+_SHARED_LIMIT: Final = "the limit is about memory or descriptors that it shares with its container"
+_EXEC: Final = (
+    "a lock on memory does not survive the start of a program; have the program call mlockall(), "
+    "which rlimits: {memlock: unlimited} allows"
+)
+_CORE_DUMPS: Final = "the key core_dumps of the container says that"
+
+
+class Process(Enum):
+    """What kind of process asks."""
+
+    CONTAINER = auto()
+    """Of play-launch's own."""
+    PROGRAM = auto()
+    """Somebody else's program."""
+    NODE_WITH_OWN_MEMORY = auto()
+    NODE_IN_SHARED_MEMORY = auto()
+
+
+_IMPOSSIBLE: Final[Mapping[Process, Mapping[str, str]]] = {
+    Process.CONTAINER: {},
+    Process.PROGRAM: {"lock_memory": _EXEC},
+    Process.NODE_WITH_OWN_MEMORY: {"rlimits.core": _CORE_DUMPS},
+    Process.NODE_IN_SHARED_MEMORY: {
+        "lock_memory": "it shares the memory of its container; give it to the container",
+        "oom_score_adj": "the kernel has one for all processes that share memory; give it to the "
+        "container",
+        "rlimits.core": _CORE_DUMPS,
+        **{
+            f"{_RLIMITS}.{name}": f"{_SHARED_LIMIT}; give it to the container"
+            for name in ("as", "data", "memlock", "nofile", "stack")
+        },
+    },
+}
+"""What such a process cannot have, with the reason."""
+
+
+def node_process(isolation: Isolation) -> Process:
+    """What an isolated node is; where that is up to the machine, it may share memory."""
+    own = isolation is Isolation.PROCESS
+    return Process.NODE_WITH_OWN_MEMORY if own else Process.NODE_IN_SHARED_MEMORY
+
+
+def refined_resources(
+    base: Resources, section: ResourcesSection | None, at: At, process: Process
+) -> Resources:
+    """Return `base` with what `section` says instead, which is the key `resources` at `at`."""
+    if section is not None:
+        where = at.blame(KEY)
+        if _refuse(where, process):
+            return base
+        base = replace(base, **_given(base, section, where))
+    return base
+
+
+def refuse_inherited(resources: Resources, at: At, process: Process) -> None:
+    """Report what the defaults give a process that cannot have it; it stands at `at`."""
+    limits = {f"{_RLIMITS}.{limit.name}" for limit in resources.rlimits}
+    inherited = (resources.described().keys() | limits) - _keys(at.value(KEY))
+    for name, why in _IMPOSSIBLE[process].items():
+        if name in inherited:
+            at.problem(f"{name} of composable_node_loading.resources cannot hold for it: {why}")
+
+
+def _refuse(at: At, process: Process) -> bool:
+    """Report what such a process cannot have; whether there was any."""
+    limits = at.value(_RLIMITS)
+    refused = False
+    for name, why in _IMPOSSIBLE[process].items():
+        key, _, limit = name.partition(".")
+        value = at.value(key) if not limit else limits and limits.value(limit)
+        if value is not None:
+            value.problem(f"{limit or key} cannot be given here: {why}")
+            refused = True
+    return refused
+
+
+def _keys(at: At | None) -> set[str]:
+    """Name what stands there."""
+    if at is None:
+        return set()
+    limits = at.value(_RLIMITS)
+    names = {entry.key for entry, _ in at.entries()}
+    if limits is not None:
+        names |= {f"{_RLIMITS}.{entry.key}" for entry, _ in limits.entries()}
+    return names
+
+
+def _given(base: Resources, section: ResourcesSection, at: At) -> dict[str, Any]:
+    given = section.given
+    if section.scheduler is not None:
+        given["scheduler"] = scheduler = _scheduler(section.scheduler, at)
+        if scheduler.policy.is_real_time and section.nice is not None:
+            at.blame("nice").problem(f"nothing reads it with the policy {scheduler.policy}")
+    if section.rlimits is not None:
+        limits = {limit.name: limit for limit in (*base.rlimits, *section.rlimits.given.values())}
+        given[_RLIMITS] = tuple(limits[name] for name in sorted(limits))
+    return given
+
+
+def _scheduler(section: SchedulerSection, at: At) -> Scheduler:
+    where = at.blame("scheduler")
+    if section.policy.is_real_time and section.priority is None:
+        where.problem(f'the key "priority", 1 to 99, is missing, which goes with {section.policy}')
+    elif section.priority is not None and not section.policy.is_real_time:
+        where.blame("priority").problem(f"only for fifo and rr, the policy is {section.policy}")
+    return Scheduler(section.policy, section.priority or 0)

@@ -1,0 +1,1 @@
+"""What a configuration is put together from: included files, arguments, variables, packages."""

@@ -1,0 +1,176 @@
+"""Reads a configuration and the files that it includes, and makes one tree of them."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct
+from msgspec.structs import replace
+
+from play_launch.config.problems import Place, excerpt
+from play_launch.config.source import Refused, decode, path_from
+from play_launch.config.sources.merge import INCLUDE, has_nothing, merge
+from play_launch.config.sources.surroundings import Given
+from play_launch.config.yaml.compose import Reading, Tally, compose
+from play_launch.config.yaml.tree import At, Mapping, Scalar, Sequence
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from collections.abc import Mapping as Values
+    from pathlib import Path
+
+    from play_launch.config.problems import Report
+    from play_launch.config.sources.surroundings import Taken
+    from play_launch.config.yaml.tree import Node
+
+DEEPEST_INCLUSION: Final = 20
+"""Files that include one another, the first one not counted."""
+MOST_INCLUSIONS: Final = 200
+"""Inclusions in one configuration; a file that is included twice counts twice."""
+_LAUNCH_FILES: Final = (".py", ".xml")
+_ENTRY: Final = "the path of a file, or {file: ..., arguments: {...}}"
+
+
+class _File(Struct, frozen=True):
+    """A file that is being read: by whom it is included, and what it can see."""
+
+    path: Path
+    content: bytes
+    arguments: Values[str, Given]
+    included_from: Place | None
+    ancestors: tuple[str, ...]
+    """Real paths of the files that include it, from the first one on, itself not among them."""
+
+
+class Documents:
+    """The files of one configuration."""
+
+    def __init__(
+        self, report: Report, read: Callable[[Path], bytes | Refused], taken: Taken
+    ) -> None:
+        self._report = report
+        self._read_bytes = read
+        self._taken = taken
+        self._tally = Tally()
+        self._inclusions = 0
+        self.included: dict[Path, bytes] = {}
+        """The files that were included, in the order in which they were read."""
+
+    def read(self, content: bytes, source: Path) -> Node | None:
+        """Return the tree of a configuration; None after every reason was reported."""
+        return self._read(_File(source, content, {}, None, ()))
+
+    def _read(self, file: _File) -> Node | None:
+        name = str(file.path)
+        start = Place(name, 1, 1, file.included_from)
+        text = decode(file.content, name)
+        if isinstance(text, Refused):
+            place = replace(text.place, included_from=file.included_from)
+            self._report.add(place, "(file)", text.message)
+            return None
+        before = len(self._report)
+        substitute = self._taken.substitutions(file.arguments)
+        reading = Reading(file.included_from, substitute, self._tally)
+        root = compose(text, name, self._report, reading)
+        if root is None or has_nothing(root):
+            if len(self._report) == before:
+                place = start if root is None else root.place
+                self._report.add(place, "(file)", "holds no configuration; begin with version: 1")
+            return None
+        return self._with_included(root, file)
+
+    def _with_included(self, root: Node, file: _File) -> Node:
+        at = At(root, "", self._report)
+        includes = at.value(INCLUDE)
+        if file.included_from is not None or includes is not None:
+            _check_version(at)
+        if includes is None or not isinstance(root, Mapping):
+            return root
+        base = Mapping(root.place, {})
+        for inclusion in self._inclusions_in(includes, file):
+            included = self._read(inclusion)
+            _refuse_unread(inclusion, file)
+            if isinstance(included, Mapping):
+                base = merge(base, At(included, "", self._report))
+            elif included is not None:
+                At(included, "", self._report).expected("a configuration")
+        return merge(base, at)
+
+    def _inclusions_in(self, includes: At, file: _File) -> Iterator[_File]:
+        is_list = isinstance(includes.node, Sequence)
+        for entry in includes.elements() if is_list else (includes,):
+            arguments: dict[str, Given] = {}
+            at_file: At | None = entry
+            if isinstance(entry.node, Mapping):
+                at_file = entry.value("file")
+                arguments = _arguments(entry)
+            if any(given.at.is_invalid for given in arguments.values()):
+                continue  # what follows from that would be reported as well
+            if at_file is None or not at_file.string:
+                (at_file or entry).expected(_ENTRY)
+                continue
+            path = path_from(at_file, at_file.string)
+            inclusion = self._open(at_file, path, file, {**file.arguments, **arguments})
+            if inclusion is not None:
+                yield inclusion
+
+    def _open(self, at: At, path: Path, file: _File, arguments: Values[str, Given]) -> _File | None:
+        ancestors = (*file.ancestors, os.path.realpath(file.path))
+        self._inclusions += 1
+        if os.path.realpath(path) in ancestors:
+            at.problem(f"{path} includes itself this way; leave one of the inclusions out")
+            return None
+        if len(ancestors) > DEEPEST_INCLUSION:
+            at.problem(f"files include one another deeper than {DEEPEST_INCLUSION} levels")
+            return None
+        if self._inclusions > MOST_INCLUSIONS:
+            at.problem(f"more than {MOST_INCLUSIONS} inclusions in one configuration")
+            return None
+        if path.suffix in _LAUNCH_FILES:
+            at.problem(f"{path} is a launch file; include takes configurations like this one")
+            return None
+        content = self.included.get(path)
+        if content is None:
+            found = self._read_bytes(path)
+            if isinstance(found, Refused):
+                at.problem(f"the included file {path}: {found.message}")
+                return None
+            content = self.included[path] = found
+        return _File(path, content, arguments, at.node.place, ancestors)
+
+
+def _refuse_unread(inclusion: _File, file: _File) -> None:
+    """Report arguments that the including file gives and nothing reads."""
+    for name, given in inclusion.arguments.items():
+        if given is not file.arguments.get(name) and not given.is_read:
+            given.at.problem(f"{inclusion.path} reads no argument {excerpt(name)}")
+
+
+def _arguments(entry: At) -> dict[str, Given]:
+    """Return the arguments of an inclusion; report what is none."""
+    for key, value in entry.entries():
+        if key.key not in {"file", "arguments"}:
+            value.problem(f"unknown key {excerpt(key.key)}; known here: file, arguments", key.place)
+    at = entry.value("arguments")
+    if at is None:
+        return {}
+    if not isinstance(at.node, Mapping):
+        at.expected("a mapping of arguments to values")
+    arguments: dict[str, Given] = {}
+    for key, value in at.entries():
+        if isinstance(value.node, Scalar):
+            arguments[key.key] = Given(value.node.text, value)
+        else:
+            value.expected("a value")
+    return arguments
+
+
+def _check_version(at: At) -> None:
+    if not isinstance(at.node, Mapping):
+        return
+    version = at.value("version")
+    if version is None:
+        at.problem('the key "version" is missing')
+    elif not (isinstance(version.node, Scalar) and version.node.value == 1):
+        version.expected("version 1")

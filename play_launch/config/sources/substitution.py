@@ -1,0 +1,157 @@
+"""Substitutions in a text: `${env:NAME}`, `${arg:NAME:-default}`, `$(find-pkg-share package)`.
+
+`$${` and `$$(` stand for `${` and `$(`. What looks like neither is text: a shell's `${HOME}` and
+`$(date)` reach the shell. What can only be a slip or another program's substitution is refused.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct
+
+from play_launch.config.problems import excerpt
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+DEEPEST_DEFAULT: Final = 10
+"""Substitutions inside the default of one another."""
+_BEGIN: Final = re.compile(
+    r"\$\$(?=[{(])|\$\{(?P<kind>[a-z]+):(?=[A-Za-z_])|\$\((?P<word>[a-z-]+)(?P<space>\s+|(?=\)))"
+)
+_BRACE: Final = re.compile(r"[{}]")
+_NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]*", re.ASCII)
+_PACKAGE: Final = re.compile(r"([A-Za-z][A-Za-z0-9_-]*)\s*\)", re.ASCII)
+_SHARE: Final = "find-pkg-share"
+_OF_LAUNCH_FILES: Final = {
+    "var": "${arg:NAME}",
+    "arg": "${arg:NAME}",
+    "optenv": "${env:NAME:-default}",
+    "find-pkg-prefix": "$(find-pkg-share package), and the way from there",
+}
+"""Substitutions of launch files that no shell has, and what is written here instead."""
+_KINDS: Final = ("env", "arg")
+
+
+class SubstitutionError(ValueError):
+    """A substitution that is not written as it should be, or has no value; the text is the fix."""
+
+
+class Lookup(Struct, frozen=True):
+    """Where values come from: each gives the value of a name, None where there is none."""
+
+    variable: Callable[[str], str | None]
+    argument: Callable[[str], str | None]
+    share: Callable[[str], str]
+    """The share folder of a package; raises SubstitutionError."""
+
+
+def may_hold_substitutions(text: str) -> bool:
+    """Whether `substitute` could change the text, or refuse it; quick."""
+    return "$" in text and ("${" in text or "$(" in text)
+
+
+def substitute(text: str, lookup: Lookup) -> str:
+    """Return `text` with its substitutions carried out; raise SubstitutionError.
+
+    A value is not looked at again: a `$` in it is a `$`.
+    """
+    result, end = _read(text, 0, lookup, depth=0, needed=True)
+    assert end == len(text)
+    return result
+
+
+def _read(text: str, at: int, lookup: Lookup, *, depth: int, needed: bool) -> tuple[str, int]:
+    """Read from `at` to the end, or below a default to its `}`; braces in a default are paired.
+
+    What is not needed may have no value.
+    """
+    done: list[str] = []
+    opened = 0
+    while True:
+        found = _BEGIN.search(text, at)
+        brace = _BRACE.search(text, at) if depth else None
+        if brace is not None and (found is None or brace.start() < found.start()):
+            done.append(text[at : brace.start()])
+            opened += 1 if brace[0] == "{" else -1
+            if opened < 0:
+                return "".join(done), brace.start()
+            done.append(brace[0])
+            at = brace.end()
+            continue
+        if found is None:
+            if depth:
+                raise SubstitutionError(f"{excerpt(text)}: a substitution is not closed by }}")
+            done.append(text[at:])
+            return "".join(done), len(text)
+        done.append(text[at : found.start()])
+        if found["kind"] is not None:
+            value, at = _braces(text, found, lookup, depth, needed)
+        elif found["word"] is not None:
+            value, at = _parentheses(text, found, lookup, needed)
+        else:
+            value, at = text[found.end() - 1 : found.end() + 1], found.end() + 1
+        done.append(value)
+
+
+def _braces(
+    text: str, found: re.Match[str], lookup: Lookup, depth: int, needed: bool
+) -> tuple[str, int]:
+    kind = found["kind"]
+    if kind not in _KINDS:
+        raise SubstitutionError(
+            f"{excerpt(text[found.start() : found.end()] + '…}')} is no substitution; known here: "
+            "${env:NAME} and ${arg:NAME}; write $${ for the characters ${ themselves"
+        )
+    name = _NAME.match(text, found.end())
+    assert name is not None
+    after = name.end()
+    if text.startswith("}", after):
+        return _value(kind, name[0], lookup, needed), after + 1
+    if not text.startswith(":-", after):
+        raise SubstitutionError(
+            f"{excerpt(text[found.start() :])}: after the name of a substitution stands }} or "
+            ":-default}"
+        )
+    if depth >= DEEPEST_DEFAULT:
+        raise SubstitutionError(f"defaults in one another deeper than {DEEPEST_DEFAULT} levels")
+    given = _given(kind, name[0], lookup)
+    default, close = _read(text, after + 2, lookup, depth=depth + 1, needed=needed and not given)
+    return given or default, close + 1
+
+
+def _parentheses(text: str, found: re.Match[str], lookup: Lookup, needed: bool) -> tuple[str, int]:
+    word = found["word"]
+    if word != _SHARE:
+        if word in _OF_LAUNCH_FILES and found["space"]:
+            raise SubstitutionError(
+                f"$({word} …) is for launch files; write {_OF_LAUNCH_FILES[word]} here, or $$( for "
+                "the characters $( themselves"
+            )
+        # A command for a shell.
+        return text[found.start() : found.end()], found.end()
+    package = _PACKAGE.match(text, found.end())
+    if package is None:
+        raise SubstitutionError(f"expected $({_SHARE} package), given {excerpt(text)}")
+    return lookup.share(package[1]) if needed else "", package.end()
+
+
+def _given(kind: str, name: str, lookup: Lookup) -> str | None:
+    return lookup.variable(name) if kind == "env" else lookup.argument(name)
+
+
+def _value(kind: str, name: str, lookup: Lookup, needed: bool) -> str:
+    value = _given(kind, name, lookup)
+    if value is not None or not needed:
+        return value or ""
+    if kind == "env":
+        raise SubstitutionError(
+            f"the environment variable {name} is not set; set it, or write a default: "
+            f"${{env:{name}:-default}}"
+        )
+    raise SubstitutionError(
+        f"the argument {name} is not given; append {name}:=value to the command, or write a "
+        f"default: ${{arg:{name}:-default}}"
+    )

@@ -1,0 +1,171 @@
+"""Compares a running system with another configuration, and makes it that one."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from play_launch.actors.applying import STEP_LIMIT, BusyError
+from play_launch.config.bundle import unbundled
+from play_launch.config.problems import ConfigError
+from play_launch.control.protocol import Code, ControlError, flag_argument, seconds_argument
+from play_launch.core.events import ActionPhase
+from play_launch.plan.outcome import Result
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from play_launch.actors.applying import Applying
+    from play_launch.actors.system import System
+    from play_launch.config.model import ReplayConfig
+    from play_launch.control.action_record import ActionRecords
+    from play_launch.control.connection import Stream
+    from play_launch.control.place import Peer
+    from play_launch.plan.outcome import Applied, StepOutcome
+    from play_launch.plan.steps import Plan
+
+
+class Changes:
+    """What can be changed of one session. It belongs to the thread of the event loop."""
+
+    def __init__(
+        self,
+        system: System,
+        records: ActionRecords,
+        *,
+        as_started: Callable[[ReplayConfig], ReplayConfig],
+        on_begin: Callable[[ReplayConfig, int], None],
+        on_end: Callable[[ReplayConfig], None],
+    ) -> None:
+        """Change a system.
+
+        Args:
+            system: What is changed.
+            records: Publish who asked for it.
+            as_started: Puts into a configuration what the command line of the session said.
+            on_begin: Hears of each configuration that is going to be applied, with its number.
+            on_end: Hears of what the system is configured as afterwards.
+        """
+        self._system = system
+        self._records = records
+        self._as_started = as_started
+        self._on_begin = on_begin
+        self._on_end = on_end
+        self._number = 0
+        self._under_way: asyncio.Task[Applied] | None = None
+
+    async def diff(self, arguments: dict[str, Any], _peer: Peer, _stream: Stream) -> object:
+        """Say what differs; raises ControlError."""
+        target = await self._target(arguments)
+        return {"plan": _plain(self._applying.plan(target))}
+
+    async def apply(self, arguments: dict[str, Any], peer: Peer, stream: Stream) -> object:
+        """Change what differs; raises ControlError."""
+        limit = seconds_argument(arguments, "timeout", STEP_LIMIT)
+        rolls_back = flag_argument(arguments, "rollback_on_failure")
+        target = await self._target(arguments)
+        over: asyncio.Queue[StepOutcome | None] = asyncio.Queue()
+        task = await self._begin(
+            target, peer, limit=limit, rolls_back=rolls_back, on_outcome=over.put_nowait
+        )
+        task.add_done_callback(lambda _: over.put_nowait(None))
+        while (outcome := await over.get()) is not None:
+            await stream.send("step", _plain(outcome))
+        try:
+            applied = task.result()
+        except BusyError as error:
+            raise ControlError(Code.REFUSED, f"{error}; wait for its end") from None
+        result = {"applied": _plain(applied)}
+        if not applied.succeeded:
+            raise ControlError(Code.FAILED, _failures(applied), **result)
+        return result
+
+    async def apply_own(self, target: ReplayConfig, peer: Peer) -> None:
+        """Change what differs from a configuration that was read here; events say what came of it.
+
+        Raises:
+            ControlError: When it cannot begin.
+        """
+        target = self._as_started(target)
+        if self._applying.plan(target).to_do:
+            task = await self._begin(target, peer)
+            await asyncio.wait({task})
+
+    async def _begin(
+        self,
+        target: ReplayConfig,
+        peer: Peer,
+        *,
+        limit: float = STEP_LIMIT,
+        rolls_back: bool = False,
+        on_outcome: Callable[[StepOutcome], None] = lambda _: None,
+    ) -> asyncio.Task[Applied]:
+        if self._system.is_stopping:
+            raise ControlError(Code.REFUSED, "the session is being stopped")
+        if not self._applying.idle.is_set():
+            raise ControlError(
+                Code.REFUSED, "another configuration is being applied; wait for its end"
+            )
+        found = self._applying.plan(target)
+        record = await self._records.begin("apply", _names(found), peer)
+        record.publish(ActionPhase.REQUESTED, str(target.source))
+        if found.to_do:
+            self._number += 1
+            self._on_begin(target, self._number)
+        # It is carried out to its end also when whoever asked for it leaves.
+        task = asyncio.create_task(
+            self._applying.apply(target, limit=limit, rolls_back=rolls_back, on_outcome=on_outcome)
+        )
+        self._under_way = task
+        task.add_done_callback(lambda done: record.publish(*_end(done)))
+        task.add_done_callback(lambda _: self._on_end(self._applying.config))
+        return task
+
+    async def _target(self, arguments: dict[str, Any]) -> ReplayConfig:
+        try:
+            target = await asyncio.to_thread(unbundled, arguments.get("config"))
+        except ConfigError as error:
+            raise ControlError(Code.BAD_ARGUMENTS, error.for_people()) from None
+        except ValueError as error:
+            raise ControlError(Code.BAD_ARGUMENTS, f"config: {error}") from None
+        return self._as_started(target)
+
+    @property
+    def _applying(self) -> Applying:
+        return self._system.applying
+
+
+def _names(plan: Plan) -> list[str]:
+    return [step.name for step in plan.steps if step.name]
+
+
+def _end(task: asyncio.Task[Applied]) -> tuple[ActionPhase, str]:
+    if task.cancelled():
+        return ActionPhase.FAILED, "the session ended"
+    if (error := task.exception()) is not None:
+        return ActionPhase.FAILED, str(error)
+    applied = task.result()
+    reason = _failures(applied)
+    return (ActionPhase.FAILED if reason else ActionPhase.DONE), reason
+
+
+def _failures(applied: Applied) -> str:
+    """Say what failed, how far it came, and what became of that."""
+    failed = [each for each in applied.outcomes if each.result is Result.FAILED]
+    if applied.succeeded:
+        return ""
+    reasons = [f"{each.step.name or each.step.kind}: {each.reason}" for each in failed]
+    if not reasons:
+        reasons = sorted({each.reason for each in applied.outcomes if each.reason})
+    done = sum(each.result is Result.DONE for each in applied.outcomes)
+    text = f"{'; '.join(reasons)} ({done} of {len(applied.outcomes)} steps are done"
+    if applied.rollback is None:
+        return f"{text})"
+    is_back = all(each.result is Result.DONE for each in applied.rollback)
+    return f"{text}; {'rolled back' if is_back else 'the rollback failed as well'})"
+
+
+def _plain(value: object) -> Any:
+    return msgspec.to_builtins(value)

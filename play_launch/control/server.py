@@ -1,0 +1,160 @@
+"""Listens on the control socket of a session while it runs."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import os
+import socket
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from msgspec import Struct
+
+from play_launch.control.connection import Connection, Room
+from play_launch.control.place import CONTROL_SOCKET, Peer, address_of, register
+from play_launch.control.protocol import PROTOCOL, encode
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator, Coroutine
+
+    from play_launch.control.connection import Operate
+
+MOST_CLIENTS: Final = 128
+"""Connections at once; whoever comes then is refused."""
+MOST_RECEIVED: Final = 16 * 1024 * 1024
+"""Bytes of long requests in memory, of all clients: read in part, waiting or under way. What is
+made of them can take twenty times as much."""
+_BACKLOG: Final = 128
+_log = logging.getLogger(__name__)
+
+
+class About(Struct, frozen=True, kw_only=True):
+    """What a session says about itself."""
+
+    name: str
+    """As its configuration calls it."""
+    session: str
+    """The id of its recording."""
+    version: str
+    """Of play-launch."""
+    started_ns: int
+    """Nanoseconds since the epoch."""
+
+
+@contextlib.asynccontextmanager
+async def serving(folder: Path, about: About, operate: Operate) -> AsyncIterator[None]:
+    """Answer on the socket of this folder while the block runs; it runs in any case."""
+    try:
+        listening = await asyncio.to_thread(_listen, folder)
+    except OSError as error:
+        _log.warning("the session cannot be controlled: no socket in %s: %s", folder, error)
+        yield
+        return
+    server = Server(folder, about, operate)
+    loop = asyncio.get_running_loop()
+    listener = await loop.create_unix_server(server.connection, sock=listening)
+    link = await asyncio.to_thread(_register, folder)
+    try:
+        yield
+    finally:
+        await asyncio.to_thread(_remove, link, folder / CONTROL_SOCKET)
+        listener.close()
+        await server.close()
+
+
+class Server:
+    """The clients of a session. It belongs to the thread of the event loop."""
+
+    def __init__(self, folder: Path, about: About, operate: Operate) -> None:
+        """Know what to answer."""
+        self._operate = operate
+        self._room = Room(MOST_RECEIVED)
+        self._clients: set[Connection] = set()
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._greeting = encode(
+            {
+                "hello": {
+                    "protocol": PROTOCOL,
+                    "version": about.version,
+                    "pid": os.getpid(),
+                    "name": about.name,
+                    "session": about.session,
+                    "folder": str(folder),
+                    "started_ns": about.started_ns,
+                }
+            }
+        )
+
+    def connection(self) -> Connection:
+        """Make what serves the next client."""
+        return Connection(
+            greeting=self._greeting,
+            operate=self._operate,
+            room=self._room,
+            admits=self._admits,
+            spawn=self._spawn,
+            on_end=self._clients.discard,
+        )
+
+    async def close(self) -> None:
+        """End all conversations."""
+        for client in tuple(self._clients):
+            client.close()
+        tasks = tuple(self._tasks)
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        for client in tuple(self._clients):
+            client.abort()  # it does not read, and nobody waits for it
+
+    def _admits(self, client: Connection, peer: Peer) -> str:
+        if peer.uid not in {0, os.geteuid()}:
+            return f"this session is of user {os.geteuid()}, and you are user {peer.uid}"
+        if len(self._clients) >= MOST_CLIENTS:
+            return f"{MOST_CLIENTS} others are connected already"
+        self._clients.add(client)
+        return ""
+
+    def _spawn(self, work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
+        task = asyncio.get_running_loop().create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+        return task
+
+
+def _listen(folder: Path) -> socket.socket:
+    path = folder / CONTROL_SOCKET
+    listening = socket.socket(socket.AF_UNIX)
+    try:
+        listening.setblocking(False)
+        with address_of(str(folder)) as address:
+            # Nobody else may connect, from the first moment on.
+            os.fchmod(listening.fileno(), 0o600)
+            listening.bind(address)
+        path.chmod(0o600)
+        listening.listen(_BACKLOG)
+    except BaseException:
+        listening.close()
+        raise
+    return listening
+
+
+def _remove(*paths: Path | None) -> None:
+    for path in paths:
+        if path is not None:
+            with contextlib.suppress(OSError):
+                path.unlink()
+
+
+def _register(folder: Path) -> Path | None:
+    try:
+        return Path(register(str(folder)))
+    except OSError as error:
+        _log.warning(
+            "commands find this session by --session %s only: it is not registered: %s",
+            folder,
+            error,
+        )
+        return None

@@ -1,0 +1,115 @@
+"""Causes that are recognised by what programs say about them, whoever it is that says it."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from msgspec import Struct
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+
+class KnownCause(Struct, frozen=True):
+    """One of them."""
+
+    name: str
+    says: re.Pattern[str]
+    means: str
+    """For people, after "that is: "."""
+    fix: str
+
+
+KNOWN_CAUSES: Final = (
+    KnownCause(
+        "disk_full",
+        re.compile(r"no space left on device|ENOSPC|disk quota exceeded", re.IGNORECASE),
+        "the disk is full",
+        "free space there, or write elsewhere",
+    ),
+    KnownCause(
+        "out_of_memory",
+        re.compile(r"bad_alloc|MemoryError|cannot allocate memory|out of memory", re.IGNORECASE),
+        "it got no more memory",
+        "find what grows, or raise its limit",
+    ),
+    KnownCause(
+        "wrong_parameter_type",
+        re.compile(
+            r"ParameterType(?:Error|Exception)|parameter '[^']*' has (?:the wrong|invalid) type"
+        ),
+        "a parameter has the wrong type",
+        "give it the type that the node declares",
+    ),
+    KnownCause(
+        "missing_symbol",
+        re.compile(r"undefined symbol: \S+"),
+        "a library was built against another version",
+        "build the package again",
+    ),
+    KnownCause(
+        "missing_library",
+        re.compile(
+            r"cannot open shared object file|no components in the ament index|has no component '"
+            r"|does not exist: \S+\.so|no such library"
+        ),
+        "a library is missing",
+        "install the package, or add its prefix to AMENT_PREFIX_PATH or LD_LIBRARY_PATH",
+    ),
+    KnownCause(
+        "missing_program",
+        re.compile(r"(?:exited with status 12[67])\b|command not found"),
+        "its program was not found, or cannot be executed",
+        "install it, or correct the command",
+    ),
+    KnownCause(
+        "null_pointer",
+        re.compile(r"SIGSEGV \(no memory at address 0x[0-9a-f]{1,3}\)"),
+        "a null pointer was used",
+        "",
+    ),
+    KnownCause(
+        "stack_smashed",
+        re.compile(r"stack smashing detected|buffer overflow detected"),
+        "it wrote beyond a buffer",
+        "build it with -fsanitize=address",
+    ),
+    KnownCause(
+        "heap_broken",
+        re.compile(r"double free|free\(\): invalid|malloc\(\): |corrupted (?:size|unsorted)"),
+        "it broke the heap",
+        "build it with -fsanitize=address",
+    ),
+    KnownCause(
+        "address_in_use",
+        re.compile(r"address already in use", re.IGNORECASE),
+        "another program has its port",
+        "end that program, or choose another port",
+    ),
+)
+"""In the order in which they are looked for."""
+
+BY_NAME: Final = {each.name: each for each in KNOWN_CAUSES}
+
+
+class Said(NamedTuple):
+    """A known cause, and the text that gives it away."""
+
+    known: KnownCause
+    text: str
+
+
+def known_by(cause: str, last_lines: Sequence[str]) -> Said | None:
+    """Find the known cause that the reason names, else the latest line that names one."""
+    for text in (cause, *reversed(last_lines)):
+        for each in KNOWN_CAUSES:
+            if each.says.search(text):
+                return Said(each, text)
+    return None
+
+
+def known_cause(cause: str, last_lines: Sequence[str]) -> str:
+    """Return the name of that cause; empty without one."""
+    said = known_by(cause, last_lines)
+    return said.known.name if said else ""

@@ -1,0 +1,84 @@
+"""The latest lines that everybody wrote, kept as they were recorded until somebody asks for them.
+
+An hour of a large system has millions of lines, of which a few dozen are read.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import deque
+from struct import Struct
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from play_launch.cdr.layout import CdrError
+from play_launch.cdr.messages import LOG
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+MOST: Final = 20
+_NAME: Final = Struct("<I")
+_NAME_AT: Final = 16
+"""Where the length of the first string stands, behind encapsulation, stamp and level."""
+_LOGGER: Final = re.compile(rb"\] \[([^\]\n]{1,255})\]: ")
+_LOGGER_WITHIN: Final = 400
+"""Bytes from the begin of a message in which a line's logger stands, if anywhere."""
+
+
+class _Line(NamedTuple):
+    log_time: int
+    data: bytes
+
+
+class LastLines:
+    """A ring for each process and each logger in it: the nodes of a container share its output."""
+
+    def __init__(self) -> None:
+        """Begin without lines."""
+        self._rings: dict[bytes, dict[bytes, deque[_Line]]] = {}
+
+    def take(self, log_time: int, data: bytes) -> None:
+        """Keep a message of the output topic; one that is damaged is left out."""
+        if len(data) < _NAME_AT + _NAME.size:
+            return
+        (size,) = _NAME.unpack_from(data, _NAME_AT)
+        begin = _NAME_AT + _NAME.size
+        name = data[begin : begin + size - 1]
+        found = _LOGGER.search(data, begin + size, _LOGGER_WITHIN + size)
+        logger = found[1] if found else b""
+        rings = self._rings.setdefault(name, {})
+        ring = rings.get(logger)
+        if ring is None:
+            ring = rings[logger] = deque(maxlen=MOST)
+        ring.append(_Line(log_time, data))
+
+    def of_process(self, name: str, until_ns: int) -> tuple[str, ...]:
+        """Give the latest lines of a process up to that moment."""
+        return _latest(iter(self._rings.get(name.encode(), {}).values()), until_ns)
+
+    def of_node(self, container: str, node: str, until_ns: int) -> tuple[str, ...]:
+        """Give those of a node: by its loggers, and those of its container that name none."""
+        own = node.removeprefix("/").replace("/", ".").encode()
+        rings = self._rings.get(container.encode(), {})
+        chosen = (
+            ring
+            for logger, ring in rings.items()
+            if not logger or logger == own or logger.startswith(own + b".")
+        )
+        return _latest(chosen, until_ns)
+
+
+def _latest(rings: Iterator[deque[_Line]], until_ns: int) -> tuple[str, ...]:
+    lines = sorted(
+        (line for ring in rings for line in ring if line.log_time <= until_ns),
+        key=lambda line: line.log_time,
+    )
+    return tuple(filter(None, (_text(line.data) for line in lines[-MOST:])))
+
+
+def _text(data: bytes) -> str:
+    try:
+        text: str = LOG.read(data)["msg"]
+    except CdrError:
+        return ""
+    return text

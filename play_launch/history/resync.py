@@ -1,0 +1,50 @@
+"""Where the next chunk begins behind a place that makes no sense."""
+
+from __future__ import annotations
+
+import struct
+from typing import IO, Final
+
+from mcap.opcode import Opcode
+
+_NAMES: Final = tuple(struct.pack("<I", len(name)) + name for name in (b"zstd", b"lz4"))
+"""How a chunk is compressed stands behind its head; an uncompressed one has nothing to be found
+by."""
+_BEFORE: Final = 1 + 8 + 8 + 8 + 8 + 4
+"""Bytes of a chunk before that: kind, length, first and last log time, size, checksum."""
+_LENGTH: Final = struct.Struct("<Q")
+_BLOCK: Final = 1024 * 1024
+_OVERLAP: Final = _BEFORE + max(map(len, _NAMES))
+
+
+def next_chunk(file: IO[bytes], begin: int, size: int) -> int | None:
+    """Find the first chunk at or behind `begin` that fits into the file; None when there is none.
+
+    Args:
+        file: It is left anywhere.
+        begin: In bytes.
+        size: Of the file.
+    """
+    at = begin
+    while at < size:
+        file.seek(at)
+        block = file.read(_BLOCK + _OVERLAP)
+        found = [place for name in _NAMES for place in _places(block, name, at, size)]
+        if found:
+            return min(found)
+        at += _BLOCK
+    return None
+
+
+def _places(block: bytes, name: bytes, offset: int, size: int) -> list[int]:
+    """Where chunks with this compression begin in a block, which itself is at `offset`."""
+    found = []
+    at = block.find(name)
+    while at >= 0:
+        begin = at - _BEFORE
+        if begin >= 0 and block[begin] == Opcode.CHUNK:
+            (length,) = _LENGTH.unpack_from(block, begin + 1)
+            if offset + begin + 9 + length <= size:
+                found.append(offset + begin)
+        at = block.find(name, at + 1)
+    return found

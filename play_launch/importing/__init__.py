@@ -1,0 +1,1 @@
+"""Systems that were described by other programs, as configurations of ours."""

@@ -1,0 +1,1 @@
+"""Launch files of ROS, evaluated, and the configurations that become of them."""

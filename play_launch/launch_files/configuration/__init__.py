@@ -1,0 +1,1 @@
+"""Records of launch files as a configuration: one that a person could have written."""

@@ -1,0 +1,280 @@
+"""One container, composable node or process, as an entry of the configuration."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from typing import TYPE_CHECKING, Any, Final
+
+from play_launch.config.model import ParameterType
+from play_launch.config.values import check_node_name, check_topic
+from play_launch.launch_files.configuration.container_parameters import as_arguments
+from play_launch.launch_files.configuration.options import Containers
+from play_launch.launch_files.configuration.sources import values_of
+from play_launch.launch_files.configuration.yaml_text import Commented
+from play_launch.launch_files.records import AtExit, ProgramKind, typed_value
+
+if TYPE_CHECKING:
+    from play_launch.launch_files.configuration.options import Options
+    from play_launch.launch_files.configuration.paths import Paths
+    from play_launch.launch_files.configuration.sources import ParameterSources
+    from play_launch.launch_files.losses import Losses
+    from play_launch.launch_files.records import Composable, Process, Unit
+
+_TYPES: Final = {
+    "component_container": "standard",
+    "component_container_mt": "mt",
+    "component_container_isolated": "isolated",
+}
+"""The container types that do what these programs of rclcpp_components do."""
+_ISOLATED: Final = {"standard": "isolated", "mt": "isolated_mt", "isolated": "isolated"}
+_SEVERAL_THREADS: Final = "--use_multi_threaded_executor"
+_THREADS: Final = "thread_num"
+_IDENTITY: Final = ("__node:=", "__name:=", "__ns:=")
+_LONGEST_PAUSE: Final = 30.0
+_LEVELS: Final = {"warning": "warn", "critical": "fatal"}
+_INTO_FILES: Final = frozenset({"log", "own_log"})
+_YEAR: Final = 8760 * 3600.0
+_FOR_ONE_NODE: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]*:[A-Za-z0-9_/~{}]+", re.ASCII)
+"""The source of a remapping for one node of a process, `node:topic`."""
+_NOT_IN_NAMES: Final = re.compile(r"[^A-Za-z0-9]+", re.ASCII)
+
+
+class Members:
+    """Writes entries; what they do not say is reported."""
+
+    def __init__(
+        self, options: Options, paths: Paths, sources: ParameterSources, losses: Losses
+    ) -> None:
+        self._options = options
+        self._paths = paths
+        self._sources = sources
+        self._losses = losses
+
+    def container(self, unit: Process) -> dict[str, Any]:
+        """Return the entry of a container, without its nodes."""
+        entry = self._begin(unit)
+        values = values_of(unit, self._losses)
+        arguments = list(unit.arguments)
+        kind = _TYPES.get(unit.executable) if unit.package == "rclcpp_components" else None
+        if kind is None or self._options.containers is Containers.STOCK:
+            if kind is None:
+                program = unit.executable or " ".join(unit.command)
+                note = f"keeps its program {program}, as a stock container"
+                self._losses.note(unit.described, note)
+            entry |= {
+                "container_type": "stock",
+                "package": unit.package,
+                "executable": unit.executable,
+            }
+            if arguments:
+                entry["arguments"] = arguments
+        else:
+            if kind == "isolated" and _SEVERAL_THREADS in arguments:
+                kind = "isolated_mt"
+                arguments.remove(_SEVERAL_THREADS)
+            elif self._options.containers is Containers.ISOLATED:
+                kind = _ISOLATED[kind]
+            entry["container_type"] = kind
+            threads = values.get(_THREADS)
+            if kind.endswith("mt") and threads and threads.type is ParameterType.INTEGER:
+                del values[_THREADS]
+                if threads.value:
+                    entry[_THREADS] = threads.value
+            if arguments:
+                self._lost(unit, f"arguments that its container has no use for: {arguments}")
+        extra = as_arguments(unit, values, self._losses)
+        for source, target in self._remappings(unit):
+            extra += ["-r", f"{source}:={target}"]
+        self._add_common(entry, unit, extra)
+        if unit.respawn_delay:
+            entry["restart"] = {"backoff": _backoff(unit.respawn_delay)}
+        self._refuse_for_container(unit)
+        return entry
+
+    def composable(self, unit: Composable) -> dict[str, Any]:
+        """Return the entry of a composable node."""
+        entry = self._begin(unit)
+        entry |= {"package": unit.package, "plugin": unit.plugin}
+        self._add_parameters(entry, unit)
+        if remappings := dict(self._remappings(unit)):
+            entry["remappings"] = remappings
+        if unit.extra_arguments:
+            entry["extra_arguments"] = {
+                each.name: typed_value(each) for each in unit.extra_arguments
+            }
+        self._add_level(entry, unit)
+        self._add_lifecycle(entry, unit)
+        return entry
+
+    def process(self, unit: Process) -> dict[str, Any] | None:
+        """Return the entry of a process; None where there is nothing to start."""
+        entry = self._begin(unit)
+        prefix = list(unit.prefix)
+        if unit.package:
+            entry |= {"package": unit.package, "executable": unit.executable}
+            if unit.arguments:
+                entry["arguments"] = unit.arguments
+        elif unit.command:
+            entry["command"] = (
+                ["/bin/sh", "-c", " ".join([*prefix, *unit.command])]
+                if unit.shell
+                else unit.command
+            )
+            if unit.shell:
+                prefix = []
+            if "name" not in entry and (label := _label(unit)):
+                entry["name"] = label
+        else:
+            self._lost(unit, "has neither a package nor a command, so nothing can be started")
+            return None
+        self._add_parameters(entry, unit)
+        extra: list[str] = []
+        remappings = dict(self._remappings(unit, extra))
+        if remappings:
+            entry["remappings"] = remappings
+        self._add_common(entry, unit, extra, prefix)
+        if unit.cwd:
+            entry["cwd"] = unit.cwd
+        if unit.emulate_tty:
+            entry["emulate_tty"] = True
+        self._add_end(entry, unit)
+        self._add_lifecycle(entry, unit)
+        return entry
+
+    def _begin(self, unit: Unit) -> Commented:
+        named: dict[str, Any] = {}
+        if unit.name:
+            named["name"] = unit.name
+        if unit.namespace not in ("", "/"):
+            named["namespace"] = unit.namespace
+        place = unit.origin.place
+        where = self._paths.shown(place.file) if place.file else ""
+        return Commented(
+            named, f"from {where}{f':{place.line}' if place.line else ''}" * bool(where)
+        )
+
+    def _add_parameters(self, entry: dict[str, Any], unit: Unit) -> None:
+        if written := self._sources.written(unit, values_of(unit, self._losses)):
+            entry["parameters"] = written
+        for section in unit.for_others:
+            count = len(section.parameters)
+            self._lost(unit, f"{count} parameters that are for {section.pattern}")
+
+    def _add_common(
+        self,
+        entry: dict[str, Any],
+        unit: Process,
+        extra: list[str],
+        prefix: list[str] | None = None,
+    ) -> None:
+        prefix = list(unit.prefix) if prefix is None else prefix
+        if unit.unset:
+            prefix = ["env", *(word for name in unit.unset for word in ("-u", name)), *prefix]
+        if prefix:
+            entry["prefix"] = shlex.join(prefix)
+        if unit.environment:
+            entry["environment"] = dict(unit.environment)
+        if arguments := [*self._ros_arguments(unit), *extra]:
+            entry["ros_arguments"] = arguments
+        self._add_level(entry, unit)
+        if unit.output in _INTO_FILES:
+            entry["output"] = "log"
+
+    def _add_level(self, entry: dict[str, Any], unit: Unit) -> None:
+        if unit.log_level:
+            level = unit.log_level.lower()
+            entry["log_level"] = _LEVELS.get(level, level)
+
+    def _add_lifecycle(self, entry: dict[str, Any], unit: Unit) -> None:
+        if unit.autostart is not None:
+            entry["autostart"] = str(unit.autostart)
+        elif unit.is_lifecycle:
+            self._losses.note(
+                unit.described, "is a lifecycle node; nobody but your own nodes activates it"
+            )
+
+    def _add_end(self, entry: dict[str, Any], unit: Process) -> None:
+        """Say what follows when a process ends."""
+        if unit.on_exit is AtExit.SHUTDOWN:
+            # launch does both; the restarted process is stopped at once.
+            entry["on_exit"] = "shutdown"
+            return
+        if not unit.respawn:
+            return
+        entry["respawn"] = True
+        restart: dict[str, Any] = {}
+        if unit.respawn_max_retries >= 0:
+            # Counted from the start on, not within a time.
+            restart |= {"max_restarts": unit.respawn_max_retries, "within": _YEAR}
+        if unit.respawn_delay:
+            restart["backoff"] = _backoff(unit.respawn_delay)
+        if restart:
+            entry["restart"] = restart
+
+    def _refuse_for_container(self, unit: Process) -> None:
+        if unit.on_exit is AtExit.SHUTDOWN:
+            self._lost(unit, "the system is not stopped when this container ends; it comes back")
+        if unit.cwd:
+            self._lost(
+                unit, f"its working directory {unit.cwd}: containers have that of the system"
+            )
+        if unit.emulate_tty:
+            self._losses.note(unit.described, "its output goes to no terminal (emulate_tty)")
+        for section in unit.for_others:
+            count = len(section.parameters)
+            self._lost(unit, f"{count} parameters that are for {section.pattern}")
+
+    def _ros_arguments(self, unit: Process) -> list[str]:
+        """Return the arguments for ROS, without the marks that are put around them here."""
+        kept: list[str] = []
+        for word in unit.ros_arguments:
+            if word in {"--ros-args", "--"}:
+                continue
+            if any(part in word for part in _IDENTITY):
+                self._lost(unit, f"{word}: a name that its arguments give")
+                if kept and kept[-1] in {"-r", "--remap"}:
+                    kept.pop()
+            else:
+                kept.append(word)
+        return kept
+
+    def _remappings(self, unit: Unit, rest: list[str] | None = None) -> list[tuple[str, str]]:
+        """Return the remappings that hold: the first of each name, as in rcl.
+
+        Those that the key does not take become arguments in `rest`, where that is given.
+        """
+        found: dict[str, str] = {}
+        for source, target in unit.remappings:
+            try:
+                check_topic(source)
+                check_topic(target)
+                if source.startswith("__"):
+                    raise ValueError("the node's own name is given by name and namespace")  # noqa: TRY301
+            except ValueError as error:
+                if rest is not None and _FOR_ONE_NODE.fullmatch(source):
+                    rest += ["-r", f"{source}:={target}"]
+                else:
+                    self._lost(unit, f"the remapping {source}:={target}: {error}")
+                continue
+            if found.setdefault(source, target) != target:
+                note = f"{source} is remapped twice; the first holds, as in ROS"
+                self._losses.note(unit.described, note)
+        return list(found.items())
+
+    def _lost(self, unit: Unit, what: str) -> None:
+        self._losses.lost(unit.described, what)
+
+
+def _backoff(delay: float) -> dict[str, Any]:
+    return {"initial": delay, "maximum": max(delay, _LONGEST_PAUSE)}
+
+
+def _label(unit: Process) -> str:
+    if unit.kind is not ProgramKind.PROCESS or not unit.label:
+        return ""
+    label = _NOT_IN_NAMES.sub("_", unit.label).strip("_")
+    try:
+        return check_node_name(label)
+    except ValueError:
+        return ""

@@ -1,0 +1,31 @@
+"""What may be asked for when a configuration is written."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+
+from msgspec import Struct, field
+
+
+class Containers(StrEnum):
+    """What becomes of the containers of rclcpp_components."""
+
+    SAME = "same"
+    """A container of ours that does the same."""
+    ISOLATED = "isolated"
+    """One of ours whose nodes are processes of their own."""
+    STOCK = "stock"
+    """They stay what they are."""
+
+
+class Options(Struct, frozen=True, kw_only=True):
+    """How a configuration is written.
+
+    With `inline`, parameter files are copied instead of referenced. `folder` is where the
+    configuration will stand; paths below it are written relative to it.
+    """
+
+    containers: Containers = Containers.SAME
+    inline: bool = False
+    folder: Path = field(default_factory=Path.cwd)

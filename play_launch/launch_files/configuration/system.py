@@ -1,0 +1,152 @@
+"""Makes a configuration from records, as plain values."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from play_launch.config.resolve.nodes import NodeNames
+from play_launch.config.schema import ComposableNodeSection, ContainerSection, ProcessSection
+from play_launch.launch_files.configuration.common import pull_up, stop_limits
+from play_launch.launch_files.configuration.members import Members
+from play_launch.launch_files.configuration.order import add_order
+from play_launch.launch_files.configuration.paths import Paths
+from play_launch.launch_files.configuration.sources import ParameterSources
+from play_launch.launch_files.records import Composable, Process, ProgramKind
+
+if TYPE_CHECKING:
+    from play_launch.launch_files.configuration.options import Options
+    from play_launch.launch_files.losses import Losses
+    from play_launch.launch_files.records import Description, Unit
+
+
+def configuration_of(description: Description, options: Options, losses: Losses) -> dict[str, Any]:
+    """Return the configuration; what it does not say is reported."""
+    paths = Paths(options.folder)
+    members = Members(
+        options,
+        paths,
+        ParameterSources(
+            options,
+            paths,
+        ),
+        losses,
+    )
+    return _Builder(_once(description.units, losses), members, losses).built()
+
+
+class _Builder:
+    def __init__(self, units: list[Unit], members: Members, losses: Losses) -> None:
+        self._units = units
+        self._members = members
+        self._losses = losses
+        self._containers: dict[str, dict[str, Any]] = {}
+        self._processes: list[dict[str, Any]] = []
+        self._entries: list[tuple[Unit, dict[str, Any]]] = []
+        self._names: dict[str, str] = {}
+        self._labels = NodeNames()
+
+    def built(self) -> dict[str, Any]:
+        hosts = {unit.container for unit in self._units if isinstance(unit, Composable)}
+        for unit in self._units:
+            if isinstance(unit, Process):
+                self._add_process(unit, is_host=unit.full_name in hosts or unit.name in hosts)
+        for unit in self._units:
+            if isinstance(unit, Composable):
+                self._add_composable(unit)
+        by_id = {unit.id: unit for unit in self._units if unit.id}
+        for unit, entry in self._entries:
+            add_order(entry, unit, by_id, self._names, self._losses)
+        for unit, entry in self._entries:
+            self._keep_known(unit, entry)
+        containers = list(self._containers.values())
+        for entry in containers:
+            if nodes := entry.pop("composable_nodes", None):
+                entry["composable_nodes"] = nodes
+        values: dict[str, Any] = {"version": 1}
+        processes = [unit for unit in self._units if isinstance(unit, Process)]
+        if limits := stop_limits(processes, self._losses):
+            values["stop"] = limits
+        values |= pull_up(containers, self._processes)
+        if containers:
+            values["containers"] = containers
+        if self._processes:
+            values["nodes"] = self._processes
+        return values
+
+    def _add_process(self, unit: Process, *, is_host: bool) -> None:
+        if unit.name and (unit.kind is ProgramKind.CONTAINER or is_host) and unit.package:
+            entry = self._members.container(unit)
+            self._containers[unit.full_name] = entry
+            self._names[unit.id] = unit.full_name
+            if unit.respawn is not True:
+                self._losses.note("(containers)", "come back when they end, as with respawn")
+        else:
+            made = self._members.process(unit)
+            if made is None:
+                return
+            entry = made
+            self._processes.append(entry)
+            # As the configuration names it where nothing else does.
+            program = unit.executable or (unit.command[0] if unit.command else "")
+            namespace = str(entry.get("namespace", ""))
+            self._names[unit.id] = (
+                f"{namespace}/{entry['name']}"
+                if "name" in entry
+                else self._labels.label("", namespace, program.rpartition("/")[2])
+            )
+        self._entries.append((unit, entry))
+
+    def _add_composable(self, unit: Composable) -> None:
+        host, container = self._host(unit)
+        entry = self._members.composable(unit)
+        container.setdefault("composable_nodes", []).append(entry)
+        # The same name may be given in two containers where it is a label.
+        name = unit.full_name or self._labels.label(host, unit.namespace, unit.plugin)
+        self._names[unit.id] = f"{host}:{name}"
+        self._entries.append((unit, entry))
+
+    def _host(self, unit: Composable) -> tuple[str, dict[str, Any]]:
+        """Return the container of a composable node; one that nobody starts is attached to."""
+        target = unit.container
+        alike = [
+            name
+            for name in self._containers
+            if name == target or name.rpartition("/")[2] == target.removeprefix("/")
+        ]
+        if target in alike:
+            alike = [target]
+        if len(alike) > 1:
+            note = f"{len(alike)} containers are called {target}; the first is taken"
+            self._losses.note(unit.described, note)
+        if alike:
+            return alike[0], self._containers[alike[0]]
+        full_name = target if target.startswith("/") else f"/{target}"
+        note = f"nobody starts its container {full_name}; it is attached to"
+        self._losses.note(unit.described, note)
+        namespace, _, name = full_name.rpartition("/")
+        entry: dict[str, Any] = {"name": name, **({"namespace": namespace} if namespace else {})}
+        entry |= {"container_type": "stock", "attach": True}
+        return full_name, self._containers.setdefault(full_name, entry)
+
+    def _keep_known(self, unit: Unit, entry: dict[str, Any]) -> None:
+        """Leave out keys that configurations do not have."""
+        section: Any = ComposableNodeSection
+        if isinstance(unit, Process):
+            is_container = entry is self._containers.get(unit.full_name)
+            section = ContainerSection if is_container else ProcessSection
+        for key in [key for key in entry if key not in section.keys]:
+            self._losses.lost(unit.described, f"{key}: {entry.pop(key)}")
+
+
+def _once(units: list[Unit], losses: Losses) -> list[Unit]:
+    """Leave out nodes whose full name another one has: both would misbehave."""
+    seen: set[str] = set()
+    left = []
+    for unit in units:
+        if unit.full_name and unit.full_name in seen:
+            what = f"a second node is called {unit.full_name}; it is left out"
+            losses.lost(unit.described, what)
+        else:
+            left.append(unit)
+            seen.add(unit.full_name)
+    return left

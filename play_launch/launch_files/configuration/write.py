@@ -1,0 +1,61 @@
+"""Writes a description as the text of a configuration, and looks for mistakes in it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from msgspec import Struct
+
+from play_launch.config.load import parse_config
+from play_launch.config.problems import ConfigError, Problem
+from play_launch.config.sources.surroundings import Surroundings
+from play_launch.launch_files.configuration.system import configuration_of
+from play_launch.launch_files.configuration.yaml_text import yaml_text
+from play_launch.launch_files.losses import Losses
+from play_launch.launch_files.records import Loss  # noqa: TC001 - msgspec reads the annotations
+
+if TYPE_CHECKING:
+    from play_launch.launch_files.configuration.options import Options
+    from play_launch.launch_files.records import Description
+
+
+class Written(Struct, frozen=True):
+    """A configuration, what it does not say, and what `check` finds in it."""
+
+    text: str
+    losses: tuple[Loss, ...]
+    problems: tuple[Problem, ...]
+    containers: int
+    composable_nodes: int
+    processes: int
+
+    @property
+    def lost(self) -> int:
+        """How much could not be carried over; notes are not counted."""
+        return sum(not loss.is_note for loss in self.losses)
+
+
+def written(description: Description, options: Options, heading: str) -> Written:
+    """Return the configuration, below a comment of one or more lines."""
+    losses = Losses(description.losses)
+    made = configuration_of(description, options, losses)
+    comment = "".join(f"# {line}\n" for line in heading.splitlines())
+    text = f"{comment}{yaml_text(made)}"
+    containers = made.get("containers", [])
+    return Written(
+        text=text,
+        losses=tuple(losses),
+        problems=_problems(text, options),
+        containers=len(containers),
+        composable_nodes=sum(len(each.get("composable_nodes", ())) for each in containers),
+        processes=len(made.get("nodes", ())),
+    )
+
+
+def _problems(text: str, options: Options) -> tuple[Problem, ...]:
+    place = options.folder / "(the configuration)"
+    try:
+        parse_config(text.encode(), place, surroundings=Surroundings())
+    except ConfigError as error:
+        return error.problems
+    return ()

@@ -1,0 +1,67 @@
+"""Finds the launch file that a command line names: a path, or a package and a file in it."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from play_launch.config.sources.surroundings import share_folder
+from play_launch.launch_files.records import Failure, LaunchFileError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+_ENDINGS = (".py", ".xml", ".yaml", ".yml", ".launch")
+
+
+def find(words: list[str]) -> Path:
+    """Return the launch file for one word, a path, or two, a package and the name of a file.
+
+    Raises:
+        LaunchFileError: When there is none, or more than one.
+    """
+    if len(words) == 1:
+        path = Path(words[0]).expanduser()
+        if path.is_file():
+            return path
+        hint = "; give PACKAGE FILE, or a path" if path.parent == Path() else ""
+        kind = "is a directory" if path.is_dir() else "there is no such launch file"
+        raise LaunchFileError(Failure(f"{path}: {kind}{hint}"))
+    package, name = words
+    share = share_folder(package)
+    if share is None:
+        why = f"no package {package} is installed: none of the prefixes in AMENT_PREFIX_PATH has it"
+        raise LaunchFileError(Failure(f"{why}; source its workspace"))
+    found = sorted(_named(share, name))
+    if not found:
+        raise LaunchFileError(Failure(f"{package} has no launch file {name}{_others(share)}"))
+    if len(found) > 1:
+        several = ", ".join(map(str, found))
+        raise LaunchFileError(
+            Failure(f"{package} has several files {name}: {several}; give a path")
+        )
+    return found[0]
+
+
+def _named(share: Path, name: str) -> Iterator[Path]:
+    for folder, _, files in os.walk(share, followlinks=True):
+        if name in files:
+            yield Path(folder) / name
+
+
+def launch_files(share: Path) -> list[str]:
+    """Return the names of what look like launch files in a package."""
+    return sorted(
+        {
+            name
+            for folder, _, files in os.walk(share, followlinks=True)
+            for name in files
+            if name.endswith(_ENDINGS) and ("launch" in name or Path(folder).name == "launch")
+        }
+    )
+
+
+def _others(share: Path) -> str:
+    names = launch_files(share)
+    return f"; it has {', '.join(names[:10])}" if names else " at all"

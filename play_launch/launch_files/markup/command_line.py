@@ -1,0 +1,51 @@
+"""Command lines in attributes: split at spaces, but not within what a substitution gives."""
+
+from __future__ import annotations
+
+import shlex
+from typing import TYPE_CHECKING
+
+from play_launch.launch_files.markup.template import Call, parse
+from play_launch.launch_files.markup.trouble import Trouble
+
+if TYPE_CHECKING:
+    from play_launch.launch_files.markup.context import Context
+
+
+def words_of(text: str, context: Context) -> list[str]:
+    """Return the words of a command line, as launch splits it.
+
+    Raises:
+        Trouble: When quotes are not closed.
+    """
+    words: list[str] = []
+    word: list[str] = []
+
+    def finish() -> None:
+        words.append("".join(word))
+        word.clear()
+
+    for part in parse(text):
+        if isinstance(part, Call):
+            word.append(context.carried_out((part,)))
+            continue
+        try:
+            tokens = shlex.split(part)
+        except ValueError as error:
+            raise Trouble(f"{text!r}: {error}") from error
+        if not tokens:
+            # Nothing but spaces: two substitutions are two words.
+            finish()
+            continue
+        if part[0].isspace() and word:
+            finish()
+        word.append(tokens[0])
+        if len(tokens) > 1:
+            finish()
+            words.extend(tokens[1:-1])
+            word.append(tokens[-1])
+        if part[-1].isspace():
+            finish()
+    if word:
+        finish()
+    return words

@@ -1,0 +1,338 @@
+"""What a launch description contains once it is evaluated, with nothing left to decide.
+
+Whatever evaluates launch files makes these records, and one writer makes configurations of them.
+They cross a process border as JSON: `encode` and `decode`. Defaults are left out of it.
+"""
+
+from __future__ import annotations
+
+import base64
+import math
+from enum import StrEnum
+from typing import Final, TypeAlias
+
+import msgspec
+from msgspec import Struct, field
+
+from play_launch.config.model import ParameterType, ParameterValue
+from play_launch.core.managed import Autostart  # noqa: TC001 - msgspec reads the annotations
+
+FORMAT: Final = 1
+"""The version of the JSON."""
+FOR_ALL: Final = "/**"
+"""The pattern of a section of parameters that is for every node."""
+
+
+class Place(Struct, frozen=True, omit_defaults=True):
+    """A line of a launch file, counted from 1; 0: not known. `file` is an absolute path."""
+
+    file: str = ""
+    line: int = 0
+
+    def __str__(self) -> str:
+        """Write it as `file:line`."""
+        return f"{self.file}:{self.line}" if self.line else self.file
+
+
+class Origin(Struct, frozen=True, omit_defaults=True):
+    """Where something stands, and the includes that led there, the nearest one first."""
+
+    place: Place = Place()
+    included_from: tuple[Place, ...] = ()
+
+    def __str__(self) -> str:
+        """Write the place without the includes."""
+        return str(self.place)
+
+
+Plain: TypeAlias = bool | int | float | str
+
+
+class Parameter(Struct, frozen=True):
+    """A parameter with its type, numbered as in `rcl_interfaces/msg/ParameterType`.
+
+    Names of nested parameters are joined with dots. JSON has no bytes, no infinity and no NaN: a
+    byte array is text in base64, such doubles are the texts `.inf`, `-.inf` and `.nan`. `parameter`
+    makes it, `typed_value` reads it.
+    """
+
+    name: str
+    type: ParameterType
+    value: Plain | tuple[Plain, ...]
+
+
+class Section(Struct, frozen=True):
+    """Parameters for the nodes whose full name matches a pattern, such as `/**` or `/a/*`."""
+
+    pattern: str
+    parameters: tuple[Parameter, ...]
+
+
+class Values(Struct, frozen=True, tag="values", omit_defaults=True):
+    """A source of parameters: values that the launch file gives.
+
+    `pattern` is the section in which the node gets them: launch_ros takes the full name of a node
+    that has one, and `/**` otherwise.
+    """
+
+    parameters: tuple[Parameter, ...]
+    pattern: str = FOR_ALL
+
+
+class ParameterFile(Struct, frozen=True, tag="file", omit_defaults=True):
+    """A source of parameters: a file.
+
+    `text` is what stands in it where the file does not stay (temporary files of substitutions, and
+    files in dumps, whose `path` is empty); None: it is to be read at `path`, which is absolute.
+    """
+
+    path: str = ""
+    text: str | None = None
+
+
+Source: TypeAlias = Values | ParameterFile
+
+
+class Event(StrEnum):
+    """What has to happen before something is started."""
+
+    DELAY = "delay"
+    """`seconds` have passed (TimerAction)."""
+    STARTED = "started"
+    """The process `unit` was started (OnProcessStart)."""
+    EXITED = "exited"
+    """The process `unit` has exited, with any status (OnProcessExit)."""
+    LOADED = "loaded"
+    """The load requests for the composable node `unit` are answered (OnExecutionComplete)."""
+    STATE = "state"
+    """The managed node `unit` has reached the lifecycle state `state` (OnStateTransition)."""
+    OUTPUT = "output"
+    """The process `unit` wrote a line that matches the regular expression `pattern`."""
+
+
+class StartCondition(Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """One condition; `unit` is the `id` of another record."""
+
+    event: Event
+    unit: str = ""
+    seconds: float = 0.0
+    state: str = ""
+    pattern: str = ""
+
+
+class ProgramKind(StrEnum):
+    """What a process is to ROS."""
+
+    PROCESS = "process"
+    """An ordinary command, no node (ExecuteProcess)."""
+    NODE = "node"
+    CONTAINER = "container"
+
+
+class AtExit(StrEnum):
+    """What follows when a process ends by itself and is not respawned."""
+
+    IGNORE = "ignore"
+    SHUTDOWN = "shutdown"
+
+
+class _Unit(Struct, kw_only=True, omit_defaults=True):
+    """What processes and composable nodes have in common.
+
+    `id` is unique in a description. `where` is for reports, and empty for the place of `origin`. An
+    empty `name` is the program's own; `namespace` is absolute, or empty for the program's own.
+    `sources` are the parameters as the launch file gives them, in order. `parameters` are those
+    that the node itself gets of them, as rcl reads them; `for_others` are those of other nodes in
+    the same process. Remappings are in the order in which they count, the first of each name holds.
+    `autostart` is how far the launch file brings a managed node. It starts when all of `start` has
+    happened, one after the other.
+    """
+
+    id: str = ""
+    origin: Origin = Origin()
+    where: str = ""
+    package: str = ""
+    name: str = ""
+    namespace: str = ""
+    sources: list[Source] = field(default_factory=list)
+    parameters: list[Parameter] = field(default_factory=list)
+    for_others: list[Section] = field(default_factory=list)
+    remappings: list[tuple[str, str]] = field(default_factory=list)
+    log_level: str = ""
+    is_lifecycle: bool = False
+    autostart: Autostart | None = None
+    start: list[StartCondition] = field(default_factory=list)
+
+    @property
+    def full_name(self) -> str:
+        """Namespace and name; empty where there is no name."""
+        return f"{self.namespace.rstrip('/')}/{self.name}" if self.name else ""
+
+    @property
+    def described(self) -> str:
+        """Where it stands, and what it is called, for reports."""
+        return self.where or " ".join(filter(None, (str(self.origin), self.full_name)))
+
+
+class Process(_Unit, kw_only=True, tag="process", omit_defaults=True):
+    """A process: an ordinary command, a node, or a container.
+
+    It runs `executable` of `package` with `arguments`, or, where `package` is empty, `command` (a
+    single line for a shell with `shell`). `ros_arguments` are those beside name, namespace,
+    remappings and parameters, without `--ros-args`. `environment` and `unset` are the difference to
+    the environment in which the file was evaluated. `respawn_delay` and the timeouts are seconds,
+    `respawn_max_retries` is -1 for any number. `output` is as in launch: `screen`, `log`, `both`,
+    `own_log`, `full`, empty for the default.
+    """
+
+    kind: ProgramKind = ProgramKind.NODE
+    executable: str = ""
+    command: list[str] = field(default_factory=list)
+    label: str = ""
+    """What launch calls the process in its output."""
+    shell: bool = False
+    arguments: list[str] = field(default_factory=list)
+    ros_arguments: list[str] = field(default_factory=list)
+    environment: list[tuple[str, str]] = field(default_factory=list)
+    unset: list[str] = field(default_factory=list)
+    prefix: list[str] = field(default_factory=list)
+    cwd: str = ""
+    output: str = ""
+    emulate_tty: bool = False
+    respawn: bool | None = None
+    """None: not said, as in some dumps."""
+    respawn_delay: float | None = None
+    respawn_max_retries: int = -1
+    on_exit: AtExit = AtExit.IGNORE
+    sigterm_timeout: float | None = None
+    sigkill_timeout: float | None = None
+
+
+class Composable(_Unit, kw_only=True, tag="composable", omit_defaults=True):
+    """A composable node; `container` is the full name of its container."""
+
+    plugin: str = ""
+    container: str = ""
+    extra_arguments: list[Parameter] = field(default_factory=list)
+
+
+Unit: TypeAlias = Process | Composable
+
+
+class Loss(Struct, frozen=True, omit_defaults=True):
+    """Something that the records do not say, or that the configuration says in another way.
+
+    With `is_note` the system behaves alike for all that is known, or nobody asked for it.
+    """
+
+    where: str
+    what: str
+    is_note: bool = False
+
+
+class Argument(Struct, frozen=True, omit_defaults=True):
+    """A declared launch argument; `default` is None where it is required."""
+
+    name: str
+    default: str | None = None
+    description: str = ""
+    choices: tuple[str, ...] = ()
+    origin: Origin = Origin()
+
+
+class Description(Struct, tag="description", omit_defaults=True):
+    """An evaluated launch description.
+
+    `units` are in the order in which launch starts them. `files` are the launch files that were
+    read, the first one first. `arguments` are those that may be given. `losses` are what was found
+    and has no record.
+    """
+
+    units: list[Unit] = field(default_factory=list)
+    losses: list[Loss] = field(default_factory=list)
+    files: list[str] = field(default_factory=list)
+    arguments: list[Argument] = field(default_factory=list)
+
+
+class Failure(Struct, frozen=True, tag="failure", omit_defaults=True):
+    """Why a launch file could not be evaluated: the first error, and where."""
+
+    message: str
+    origin: Origin = Origin()
+
+    def __str__(self) -> str:
+        """Write one line for the error, and one for each include that led there."""
+        place = f"{self.origin}: " if self.origin.place.file else ""
+        chain = "".join(f"\n  included from {each}" for each in self.origin.included_from)
+        return f"{place}{self.message}{chain}"
+
+
+class LaunchFileError(Exception):
+    """A launch file cannot be evaluated; the text is that of the failure."""
+
+    def __init__(self, failure: Failure) -> None:
+        super().__init__(str(failure))
+        self.failure = failure
+
+
+class _Envelope(Struct):
+    format: int
+    outcome: Description | Failure
+
+
+def encode(outcome: Description | Failure) -> bytes:
+    """Return it as JSON."""
+    return msgspec.json.encode(_Envelope(FORMAT, outcome))
+
+
+def decode(content: bytes) -> Description | Failure:
+    """Read what `encode` wrote.
+
+    Raises:
+        ValueError: When it is something else.
+    """
+    envelope = msgspec.json.decode(content, type=_Envelope)
+    if envelope.format != FORMAT:
+        raise ValueError(f"records of format {envelope.format}; {FORMAT} is read here")
+    return envelope.outcome
+
+
+_NOT_FINITE: Final = {".inf": math.inf, "-.inf": -math.inf, ".nan": math.nan}
+_DOUBLES: Final = frozenset({ParameterType.DOUBLE, ParameterType.DOUBLE_ARRAY})
+
+
+def parameter(name: str, value: ParameterValue) -> Parameter:
+    """Make the record of a parameter."""
+    payload = value.value
+    if isinstance(payload, bytes):
+        return Parameter(name, value.type, base64.b64encode(payload).decode("ascii"))
+    if isinstance(payload, tuple):
+        return Parameter(name, value.type, tuple(_to_json(each) for each in payload))
+    return Parameter(name, value.type, _to_json(payload))
+
+
+def typed_value(record: Parameter) -> ParameterValue:
+    """Return the value of a parameter.
+
+    Raises:
+        ValueError: When a byte array is not base64.
+    """
+    kind, value = record.type, record.value
+    if kind is ParameterType.BYTE_ARRAY:
+        return ParameterValue(kind, base64.b64decode(str(value), validate=True))
+    if isinstance(value, tuple):
+        items = tuple(_from_json(kind, each) for each in value)
+        return ParameterValue(kind, items)  # type: ignore[arg-type] # as its type says
+    return ParameterValue(kind, _from_json(kind, value))
+
+
+def _to_json(value: Plain) -> Plain:
+    if isinstance(value, float) and not math.isfinite(value):
+        return ".nan" if math.isnan(value) else ".inf" if value > 0 else "-.inf"
+    return value
+
+
+def _from_json(kind: ParameterType, value: Plain) -> Plain:
+    if kind in _DOUBLES:
+        return _NOT_FINITE[value] if isinstance(value, str) else float(value)
+    return value

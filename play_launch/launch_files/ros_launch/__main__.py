@@ -1,0 +1,47 @@
+"""Evaluates one launch file for `evaluate`: a job as JSON in the arguments, the answer on stdout.
+
+What the launch file prints goes to stderr. The process ends at once after the answer, whatever
+threads the launch file has left.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from contextlib import suppress
+
+import msgspec
+
+from play_launch.launch_files.records import Description, Failure, Origin, Place, encode
+from play_launch.launch_files.ros_launch.driver import SIZE, Job, evaluate
+
+
+def main() -> None:
+    """Answer, and end."""
+    descriptor = os.dup(1)
+    os.dup2(2, 1)
+    job = msgspec.json.decode(sys.argv[1], type=Job)
+    # Nothing in the launch file shall take these for its own.
+    sys.argv[1:] = []
+
+    def answer(found: Description | Failure) -> None:
+        try:
+            records = encode(found)
+        except UnicodeEncodeError as error:
+            place = Origin(Place(job.path))
+            text = error.object[error.start : error.end + 20]
+            records = encode(Failure(f"it holds what is not UTF-8: {text!a}", place))
+        content = SIZE.pack(len(records)) + records
+        while content:
+            content = content[os.write(descriptor, content) :]
+
+    evaluate(job, answer)
+    # The launch file may have closed them, or put something else in their place.
+    with suppress(Exception):
+        sys.stdout.flush()
+    with suppress(Exception):
+        sys.stderr.flush()
+    os._exit(0)
+
+
+main()

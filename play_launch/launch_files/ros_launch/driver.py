@@ -1,0 +1,133 @@
+"""One evaluation: reads a launch file, visits it, lets happen what follows, and answers."""
+
+from __future__ import annotations
+
+import asyncio
+import importlib.util
+import logging
+import os
+import signal
+import struct
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from msgspec import Struct
+
+from play_launch.launch_files.records import Description, Failure
+from play_launch.launch_files.ros_launch.places import Places
+from play_launch.launch_files.ros_launch.reasons import reason_of, trail
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from types import FrameType
+
+_PACKAGES: Final = ("launch", "launch_ros", "launch_xml", "launch_yaml", "osrf_pycommon")
+
+SIZE: Final = struct.Struct("=Q")
+"""The size of the answer, which stands before it: a fork of the launch file may hold the pipe."""
+
+
+class Job(Struct, frozen=True, kw_only=True):
+    """What is to be evaluated.
+
+    `limit` is seconds. `only_arguments` reads the file without visiting it. `is_faster` evaluates
+    with what `faster` replaces.
+    """
+
+    path: str
+    arguments: tuple[tuple[str, str], ...] = ()
+    temporary: str
+    limit: float
+    is_faster: bool = True
+    only_arguments: bool = False
+
+
+def evaluate(job: Job, answer: Callable[[Description | Failure], None]) -> None:
+    """Evaluate, and call `answer` once; with a failure also out of the middle when time is up."""
+    places = Places(_library_folders())
+    _set_alarm(job.limit, places, answer)
+    # The files of RewrittenYaml, of launch_ros and others; the variable TMPDIR would be inherited.
+    tempfile.tempdir = job.temporary
+    try:
+        found: Description | Failure = _evaluate(job, places)
+    except (Exception, SystemExit, KeyboardInterrupt) as error:  # noqa: BLE001 - the user's code
+        found = _failure(places, error)
+    signal.setitimer(signal.ITIMER_REAL, 0)
+    answer(found)
+
+
+def _library_folders() -> tuple[str, ...]:
+    """Return the folders whose code is never where a part of a launch file stands."""
+    found = [str(Path(os.__file__).parent), str(Path(__file__).parents[2])]
+    for name in _PACKAGES:
+        spec = importlib.util.find_spec(name)
+        found += list(spec.submodule_search_locations or ()) if spec else []
+    return tuple(found)
+
+
+def _set_alarm(
+    limit: float, places: Places, answer: Callable[[Description | Failure], None]
+) -> None:
+    def on_alarm(_: int, frame: FrameType | None) -> None:
+        place = places.of_frames(frame)
+        origin = places.origin(place) if place.file in places.files else places.of_visited()
+        answer(Failure(f"it is not evaluated after {limit:g} s", origin))
+        # Whatever it hangs in may swallow an exception.
+        os._exit(0)
+
+    signal.signal(signal.SIGALRM, on_alarm)
+    signal.setitimer(signal.ITIMER_REAL, limit)
+
+
+def _failure(places: Places, error: BaseException) -> Failure:
+    errors = trail(error)
+    message, place = reason_of(errors[0], places)
+    return Failure(message, places.of_error(errors, place))
+
+
+def _write_no_logs(config: Any, temporary: Path) -> None:
+    """Have launch log to the screen only; its loggers make a folder in the home otherwise."""
+    config.log_dir = str(temporary)
+    config.get_log_file_handler = lambda *_: logging.NullHandler()
+
+
+def _evaluate(job: Job, places: Places) -> Description:
+    import launch  # noqa: PLC0415 - a failure to import it is an answer
+    import launch.logging  # noqa: PLC0415
+    from launch.actions import IncludeLaunchDescription  # noqa: PLC0415
+    from launch.launch_description_sources import AnyLaunchDescriptionSource  # noqa: PLC0415
+
+    from play_launch.launch_files.ros_launch import ends, faster, reading  # noqa: PLC0415
+    from play_launch.launch_files.ros_launch.happenings import Happenings  # noqa: PLC0415
+    from play_launch.launch_files.ros_launch.scene import Scene  # noqa: PLC0415
+    from play_launch.launch_files.ros_launch.visit import Visitor  # noqa: PLC0415
+
+    _write_no_logs(launch.logging.launch_config, Path(job.temporary))
+    if job.is_faster:
+        faster.install(only_arguments=job.only_arguments)
+    reading.install(places)
+    arguments = [f"{name}:={value}" for name, value in job.arguments]
+    context = launch.LaunchContext(argv=arguments, noninteractive=True)
+    given = frozenset(name for name, _ in job.arguments)
+    scene = Scene(context, places, Path(job.temporary), given)
+    source = AnyLaunchDescriptionSource(job.path)
+    if job.only_arguments:
+        for action in source.get_launch_description(context).get_launch_arguments():
+            scene.declared(action, ends.default_of(action, context))
+    else:
+        visitor = Visitor(scene)
+        happenings = Happenings(scene, visitor.visit)
+        visitor.happenings = happenings
+        ends.install(scene, happenings)
+        loop = asyncio.new_event_loop()
+        context._set_asyncio_loop(loop)  # noqa: SLF001 - as LaunchService does
+        context._push_locals()  # noqa: SLF001
+        # As `ros2 launch` does it, so that the place of the launch file is known in it.
+        included = IncludeLaunchDescription(source, launch_arguments=list(job.arguments))
+        visitor.visit(launch.LaunchDescription([included]))
+        context._pop_locals()  # noqa: SLF001
+        happenings.run()
+    scene.report_temporary()
+    scene.description.files = list(places.files)
+    return scene.description

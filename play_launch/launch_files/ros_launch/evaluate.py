@@ -1,0 +1,143 @@
+"""Evaluates a launch file in a process of its own, of which nothing is left afterwards.
+
+The guard of sessions is its parent: it ends everything that the launch file has started, also when
+this process is killed.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import sys
+import time
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Final
+
+import msgspec
+
+from play_launch.install.ros import spawn_guard
+from play_launch.launch_files.records import Description, Failure, LaunchFileError, Origin, Place
+from play_launch.launch_files.records import decode as decode_records
+from play_launch.launch_files.ros_launch.driver import SIZE, Job
+from play_launch.launch_files.ros_launch.temporary import temporary_folder
+from play_launch.process.guard import SessionGuard
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from play_launch.process.exit import Exit
+
+LIMIT: Final = 120.0
+"""Seconds that an evaluation may take; Autoware's largest takes a few."""
+_GRACE: Final = 5.0
+"""Seconds beyond the limit in which the process may still say where it hangs."""
+_END_LIMIT: Final = 5.0
+_MODULE: Final = "play_launch.launch_files.ros_launch"
+_CHUNK: Final = 1 << 20
+
+
+def is_installed() -> bool:
+    """Whether ROS's launch is there; PyPI's `launch` is something else."""
+    return find_spec("launch_ros") is not None and find_spec("launch") is not None
+
+
+def evaluate(
+    path: Path,
+    arguments: Mapping[str, str],
+    *,
+    limit: float = LIMIT,
+    only_arguments: bool = False,
+    is_faster: bool = True,
+) -> Description:
+    """Evaluate a launch file; its output goes to stderr. Blocks.
+
+    Args:
+        path: The launch file.
+        arguments: The launch arguments.
+        limit: Seconds that it may take.
+        only_arguments: Read only which arguments it declares.
+        is_faster: Leave out what launch does needlessly often; the answer is the same.
+
+    Raises:
+        LaunchFileError: When it cannot be evaluated.
+        NotInstalledError: When our own programs are missing.
+        OSError: When no process can be started.
+    """
+    with temporary_folder() as temporary:
+        job = Job(
+            path=str(path.absolute()),
+            arguments=tuple(arguments.items()),
+            temporary=temporary,
+            limit=limit,
+            is_faster=is_faster,
+            only_arguments=only_arguments,
+        )
+        try:
+            text = msgspec.json.encode(job).decode()
+        except UnicodeEncodeError:
+            place = Origin(Place(ascii(job.path)))
+            raise LaunchFileError(Failure("its path or arguments are not UTF-8", place)) from None
+        found = _run(job, text)
+    if isinstance(found, Failure):
+        raise LaunchFileError(found)
+    return found
+
+
+def _run(job: Job, text: str) -> Description | Failure:
+    guard = SessionGuard.start(spawn_guard())
+    try:
+        read, write = os.pipe()
+        with open(read, "rb", buffering=0) as answer:  # noqa: PTH123 - a descriptor
+            try:
+                # -P: a folder `launch` in the working directory is not what is imported.
+                argv = [sys.executable, "-P", "-m", _MODULE, text]
+                with open(os.devnull, "rb") as nothing:  # noqa: PTH123
+                    streams = {0: nothing.fileno(), 1: write, 2: 2}
+                    pid = guard.spawn(argv, os.environ, streams, leaves_by_itself=False)
+            finally:
+                os.close(write)
+            content = _read(answer.fileno(), job.limit + _GRACE)
+        if content is None:
+            return _failure(job, f"it is not evaluated after {job.limit:g} s, and does not say why")
+        try:
+            return decode_records(content)
+        except ValueError:
+            return _failure(job, f"it ends its own evaluation: {_end(guard, pid)}")
+    finally:
+        guard.close()
+
+
+def _failure(job: Job, message: str) -> Failure:
+    return Failure(message, Origin(Place(job.path)))
+
+
+def _read(descriptor: int, limit: float) -> bytes | None:
+    """Read the answer, or what there is of it; None when that takes longer than the limit."""
+    deadline = time.monotonic() + limit
+    content = bytearray()
+    while True:
+        left = deadline - time.monotonic()
+        if left <= 0 or not select.select([descriptor], [], [], left)[0]:
+            return None
+        chunk = os.read(descriptor, _CHUNK)
+        content += chunk
+        is_whole = (
+            len(content) >= SIZE.size and len(content) >= SIZE.size + SIZE.unpack_from(content)[0]
+        )
+        if is_whole or not chunk:
+            return bytes(content[SIZE.size :])
+
+
+def _end(guard: SessionGuard, pid: int) -> str:
+    """Say how the process ended, which closed its end of the pipe before."""
+    deadline = time.monotonic() + _END_LIMIT
+    found: Exit | None = None
+    while found is None and time.monotonic() < deadline:
+        try:
+            found = guard.ended(pid)
+        except ChildProcessError:
+            break
+        if found is None:
+            time.sleep(0.01)
+    return str(found) if found is not None else "it closed its output"

@@ -1,0 +1,217 @@
+"""What `ExecuteLocal` and its kinds (ExecuteProcess, Node, containers) become: a process."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import TYPE_CHECKING, Any, Final
+
+from launch.conditions import evaluate_condition_expression
+from launch.utilities import normalize_to_list_of_substitutions, perform_substitutions
+from launch_ros.actions import ComposableNodeContainer, LifecycleNode, Node
+
+from play_launch.config.resolve.parameter_files import matches
+from play_launch.launch_files.records import (
+    FOR_ALL,
+    Parameter,
+    Process,
+    ProgramKind,
+    Values,
+)
+from play_launch.launch_files.ros_launch.rcl_parameters import RclParameters, RclParametersError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from play_launch.launch_files.records import Source
+    from play_launch.launch_files.ros_launch.scene import Scene
+
+_ROS_ARGUMENTS: Final = "--ros-args"
+_DEFAULT_OUTPUT: Final = "log"
+_DEFAULT_TIMEOUT: Final = 5.0
+
+
+def record_process(scene: Scene, action: Any) -> Process:
+    """Return the record of an action that is about to be executed and has been prepared."""
+    process = Process(
+        id=scene.next_id("p"),
+        origin=scene.places.origin(scene.places.of_part(action)),
+        start=list(scene.causes.now),
+    )
+    description = action.process_description
+    words = [str(word) for word in description.final_cmd]
+    count = len(words) - len(description.cmd)
+    process.prefix, words = words[:count], words[count:]
+    if isinstance(action, Node):
+        _read_node(scene, process, action, words)
+    else:
+        process.kind = ProgramKind.PROCESS
+        process.command = words
+    if action.shell:
+        _write_for_shell(process, words)
+    _read_settings(scene, process, action)
+    _read_environment(scene, process, description.final_env)
+    return process
+
+
+def _write_for_shell(process: Process, words: list[str]) -> None:
+    """Write the one line that launch gives to a shell; what ROS adds is part of it."""
+    process.shell = True
+    process.command = [" ".join([*process.prefix, *words])]
+    process.prefix = []
+
+
+def _read_settings(scene: Scene, process: Process, action: Any) -> None:
+    context, description = scene.context, action.process_description
+    if description.name is not None:
+        process.label = perform_substitutions(context, description.name)
+    process.cwd = description.final_cwd or scene.changed_folder()
+    process.emulate_tty = bool(action.emulate_tty)
+    if "emulate_tty" in context.launch_configurations:
+        process.emulate_tty = evaluate_condition_expression(
+            context,
+            normalize_to_list_of_substitutions(context.launch_configurations["emulate_tty"]),
+        )
+    process.respawn = bool(_private(action, "respawn"))
+    delay = _private(action, "respawn_delay")
+    process.respawn_delay = None if delay is None else float(delay)
+    process.respawn_max_retries = int(_private(action, "respawn_max_retries"))
+    process.sigterm_timeout = _timeout(scene, action.sigterm_timeout)
+    process.sigkill_timeout = _timeout(scene, action.sigkill_timeout)
+    has_output = action.play_launch_has_output
+    process.output = _output(scene, process, action.output, has_output=has_output)
+
+
+def _private(action: Any, name: str) -> Any:
+    """Return an attribute of ExecuteLocal that has no getter."""
+    return getattr(action, f"_ExecuteLocal__{name}")
+
+
+def _timeout(scene: Scene, value: Any) -> float | None:
+    """Return the seconds; None for those that launch takes where nothing is said."""
+    seconds = float(perform_substitutions(scene.context, value))
+    return None if seconds == _DEFAULT_TIMEOUT else seconds
+
+
+def _output(scene: Scene, process: Process, output: Any, *, has_output: bool) -> str:
+    if isinstance(output, dict):
+        kinds = {str(kind) for kind in output.values()}
+        if set(output) == {"both"}:
+            return kinds.pop()
+        scene.lost(process, f"output: {output}; another one for stdout and stderr is not possible")
+        return ""
+    text = perform_substitutions(scene.context, output)
+    return text if text != _DEFAULT_OUTPUT or has_output else ""
+
+
+def _read_environment(scene: Scene, process: Process, environment: Mapping[str, str]) -> None:
+    before = scene.environment
+    process.environment = [
+        (name, value) for name, value in sorted(environment.items()) if before.get(name) != value
+    ]
+    process.unset = sorted(before.keys() - environment.keys())
+
+
+def _read_node(scene: Scene, process: Process, action: Any, words: list[str]) -> None:
+    is_container = isinstance(action, ComposableNodeContainer)
+    process.kind = ProgramKind.CONTAINER if is_container else ProgramKind.NODE
+    process.is_lifecycle = isinstance(action, LifecycleNode)
+    process.arguments, process.ros_arguments, added = _parted(action, words)
+    if action.node_package is None:
+        process.command, process.arguments = [words[0], *process.arguments], []
+    else:
+        process.package = _performed(scene, action.node_package)
+        process.executable = _performed(scene, action.node_executable)
+    _read_added(scene, process, added)
+
+
+def _performed(scene: Scene, text: Any) -> str:
+    found: str = perform_substitutions(scene.context, normalize_to_list_of_substitutions(text))
+    return found
+
+
+def _parted(action: Any, words: list[str]) -> tuple[list[str], list[str], list[str]]:
+    """Return the arguments, those for ROS, and what launch_ros adds after a last `--ros-args`."""
+    arguments = getattr(action, "_Node__arguments", None)
+    ros_arguments = getattr(action, "_Node__ros_arguments", None)
+    at = 1 + (len(arguments) if isinstance(arguments, Collection) else 0)
+    if arguments is not None and not isinstance(arguments, Collection):
+        # A generator, which is used up: launch_ros puts its own behind the last one.
+        at = len(words) - 1 - words[::-1].index(_ROS_ARGUMENTS)
+    own, rest = words[1:at], words[at:]
+    for_ros = list(ros_arguments) if isinstance(ros_arguments, Collection) else []
+    count = len(for_ros) + 1 if ros_arguments is not None else 0
+    return own, rest[1:count] if count else [], rest[count + 1 :]
+
+
+def _read_added(scene: Scene, process: Process, added: list[str]) -> None:
+    """Read what launch_ros puts behind the arguments: names, parameters, remappings."""
+    reader = RclParameters()
+    try:
+        left = iter(added)
+        for word in left:
+            value = next(left, None) if word in {"-r", "-p", "--params-file"} else None
+            if value is None:
+                process.ros_arguments.append(word)
+            elif word == "-r":
+                _read_remapping(process, value)
+            else:
+                _read_parameters(scene, process, reader, word, value)
+        _take_parameters(process, reader)
+    finally:
+        reader.close()
+
+
+def _read_remapping(process: Process, rule: str) -> None:
+    source, _, target = rule.partition(":=")
+    if source == "__node":
+        process.name = target
+    elif source == "__ns":
+        process.namespace = target
+    else:
+        process.remappings.append((source, target))
+
+
+def _read_parameters(
+    scene: Scene, process: Process, reader: RclParameters, word: str, value: str
+) -> None:
+    try:
+        if word == "-p":
+            reader.add_rule(value)
+            process.sources += _values(value, is_file=False)
+        else:
+            reader.add_file(value)
+            # launch_ros has written what the launch file gives as values.
+            is_written = value in scene.written
+            found = _values(value, is_file=True) if is_written else [scene.parameter_file(value)]
+            process.sources += found
+    except RclParametersError as error:
+        what = "the parameter" if word == "-p" else "the parameter file"
+        scene.lost(process, f"rcl refuses {what} {value.strip()}: {error}")
+
+
+def _values(text: str, *, is_file: bool) -> list[Source]:
+    """Return what rcl reads of a single source."""
+    reader = RclParameters()
+    try:
+        if is_file:
+            reader.add_file(text)
+        else:
+            reader.add_rule(text)
+        return [Values(section.parameters, section.pattern) for section in reader.sections()]
+    finally:
+        reader.close()
+
+
+def _take_parameters(process: Process, reader: RclParameters) -> None:
+    """Give the process what its node, and others in it, get of everything that was read.
+
+    As rclcpp does it: of all sections that are for the node, in their order, the last value.
+    """
+    own: dict[str, Parameter] = {}
+    for section in reader.sections():
+        name = process.full_name
+        if section.pattern == FOR_ALL or (name and matches(section.pattern, name)):
+            own.update({each.name: each for each in section.parameters})
+        elif section.parameters:
+            process.for_others.append(section)
+    process.parameters = list(own.values())

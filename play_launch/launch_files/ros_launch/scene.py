@@ -1,0 +1,125 @@
+"""What one evaluation knows: the context of launch, what was found, and where things stand."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from play_launch.launch_files.records import (
+    Argument,
+    Description,
+    Event,
+    Loss,
+    ParameterFile,
+    Process,
+)
+from play_launch.launch_files.ros_launch.causes import Causes
+
+if TYPE_CHECKING:
+    from play_launch.launch_files.records import StartCondition, Unit
+    from play_launch.launch_files.ros_launch.causes import Conditions
+    from play_launch.launch_files.ros_launch.places import Places
+
+
+class Scene:
+    """The state of one evaluation.
+
+    Attributes:
+        context: The `launch.LaunchContext`.
+        places: Where things stand.
+        causes: Under which conditions something is visited.
+        description: What was found so far.
+        environment: The variables as they were before.
+        temporary: The folder in which temporary files are made; it does not stay.
+        written: The parameter files that launch_ros wrote of values.
+        given: The names of the arguments that were given.
+        passed: The names of those that each include passes on, the outermost first.
+    """
+
+    def __init__(
+        self, context: Any, places: Places, temporary: Path, given: frozenset[str]
+    ) -> None:
+        self.context = context
+        self.given = given
+        self.passed: list[set[str]] = []
+        self.places = places
+        self.causes = Causes()
+        self.description = Description()
+        self.environment = dict(os.environ)
+        self.temporary = temporary
+        self.written: set[str] = set()
+        self._folder = Path.cwd()
+        self._numbers = 0
+
+    def next_id(self, kind: str) -> str:
+        """Return an id for a record: its kind and its number in the order of the launch."""
+        self._numbers += 1
+        return f"{kind}{self._numbers}"
+
+    def add(self, unit: Unit) -> None:
+        """Take a record."""
+        self.causes.note(unit.id)
+        self.description.units.append(unit)
+
+    def unit(self, name: str) -> Unit:
+        """Return the record with an id."""
+        return next(each for each in self.description.units if each.id == name)
+
+    def described(self, conditions: Conditions) -> str:
+        """Put conditions into words."""
+        return " and then ".join(self._described(each) for each in conditions)
+
+    def _described(self, condition: StartCondition) -> str:
+        if condition.event is Event.DELAY:
+            return f"{condition.seconds:g} s have passed"
+        unit = self.unit(condition.unit)
+        command = getattr(unit, "command", [])
+        name = unit.full_name or getattr(unit, "executable", "") or " ".join(command[:2])
+        if condition.event is Event.STATE:
+            return f"{name} is {condition.state}"
+        return f"{name} has {condition.event}"
+
+    def lost(self, where: Any, what: str, *, is_note: bool = False) -> None:
+        """Note what the records do not say; `where` is a unit, or a part of the description."""
+        described = getattr(where, "described", None)
+        if not isinstance(described, str):
+            described = str(self.places.of_part(where)) if where is not None else ""
+        loss = Loss(described or next(iter(self.places.files), ""), what, is_note)
+        if loss not in self.description.losses:
+            self.description.losses.append(loss)
+
+    def declared(self, action: Any, default: str | None) -> None:
+        """Note a launch argument that may be given."""
+        if all(each.name != action.name for each in self.description.arguments):
+            origin = self.places.origin(self.places.of_part(action))
+            choices = tuple(map(str, action.choices or ()))
+            # launch puts the choices behind the description.
+            text = str(action.description).removesuffix(f" Valid choices are: {action.choices}")
+            self.description.arguments.append(Argument(action.name, default, text, choices, origin))
+
+    def changed_folder(self) -> str:
+        """Return the working directory where the launch file has changed it, else nothing."""
+        try:
+            now = Path.cwd()
+        except FileNotFoundError:
+            return ""
+        return "" if now == self._folder else str(now)
+
+    def parameter_file(self, path: str) -> ParameterFile:
+        """Return a parameter file as a source; with its text where it does not stay."""
+        file = Path(path).absolute()
+        if file.is_relative_to(self.temporary):
+            return ParameterFile(str(file), file.read_text(encoding="utf-8"))
+        return ParameterFile(str(file))
+
+    def report_temporary(self) -> None:
+        """Report the units that name a temporary file other than one of parameters."""
+        for unit in self.description.units:
+            texts = [str(each.value) for each in unit.parameters]
+            if isinstance(unit, Process):
+                texts += [*unit.command, *unit.arguments, *unit.ros_arguments, *unit.prefix]
+                texts += [unit.cwd, *(value for _, value in unit.environment)]
+            for text in texts:
+                if str(self.temporary) in text:
+                    self.lost(unit, f"it names a temporary file, which does not stay: {text}")

@@ -1,0 +1,1 @@
+"""How each process of a system is started: its command line, environment and folder."""

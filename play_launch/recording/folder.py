@@ -1,0 +1,100 @@
+"""The files of a recording in the folder of its session."""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+from typing import IO, TYPE_CHECKING, Final, NamedTuple
+
+from play_launch.recording.part import ACTIVE_SUFFIX, part_number
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+BAG_NAME: Final = "session.mcap"
+_STEM: Final = "session"
+
+
+class PartFile(NamedTuple):
+    """One file of a recording."""
+
+    path: Path
+    number: int
+    """From 0 on, in the order in which they were written."""
+
+    @property
+    def is_active(self) -> bool:
+        """Whether it is being written, or was never completed."""
+        return self.path.name.endswith(ACTIVE_SUFFIX)
+
+
+def parts_of(folder: Path) -> list[PartFile]:
+    """The files of the recording in this folder, in order; may raise ``OSError``.
+
+    Of a file that has been completed and of what it was made of, only the former. One that was
+    begun and holds nothing yet is left out.
+    """
+    found: dict[int, PartFile] = {}
+    for path in folder.iterdir():
+        part = part_file(path)
+        if part is None or (part.is_active and is_empty(path)):
+            continue
+        other = found.get(part.number)
+        if other is None or other.is_active:
+            found[part.number] = part
+    return [found[number] for number in sorted(found)]
+
+
+def active_parts(folder: Path) -> list[PartFile]:
+    """The files that were not completed, in order; may raise ``OSError``."""
+    found = (part_file(path) for path in folder.iterdir())
+    active = [part for part in found if part is not None and part.is_active]
+    return sorted(active, key=lambda part: part.number)
+
+
+def is_empty(path: Path) -> bool:
+    """Whether a file is there and holds nothing: its writer was killed before it wrote the head."""
+    try:
+        return path.stat(follow_symlinks=False).st_size == 0
+    except OSError:
+        return False
+
+
+def part_file(path: Path) -> PartFile | None:
+    """Read a file's name; None for a file that is no part of a session's recording."""
+    name = path.name.removesuffix(ACTIVE_SUFFIX)
+    number = part_number(name)
+    if number is None or not name.startswith((f"{_STEM}.", f"{_STEM}_")):
+        return None
+    if number == 0 and name != BAG_NAME:
+        return None
+    return PartFile(path, number)
+
+
+def open_regular(path: Path, *, follow: bool = False) -> int:
+    """Open a file to read it and return the descriptor; raises ``OSError``.
+
+    Nothing else is opened: a pipe would be waited for, a device can be endless. ``follow`` allows
+    a symbolic link.
+    """
+    flags = os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC
+    descriptor = os.open(path, flags if follow else flags | os.O_NOFOLLOW)
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        raise OSError(errno.EINVAL, "it is no regular file", str(path))
+    return descriptor
+
+
+def open_bag(path: Path) -> IO[bytes]:
+    """Open a file of a recording, also one that was completed since its name was read.
+
+    Raises:
+        OSError: When that cannot be done, or it is no regular file.
+    """
+    try:
+        return os.fdopen(open_regular(path, follow=True), "rb")
+    except FileNotFoundError:
+        if not path.name.endswith(ACTIVE_SUFFIX):
+            raise
+        return open_bag(path.with_name(path.name.removesuffix(ACTIVE_SUFFIX)))

@@ -1,0 +1,204 @@
+"""Which fields of a message hold which fields of an event; read here in both directions."""
+
+from __future__ import annotations
+
+from operator import attrgetter
+from typing import TYPE_CHECKING, Any, Final, Generic, NamedTuple, TypeVar
+
+from play_launch.cdr.messages import (
+    ACTION_EVENT,
+    COMPONENT_EVENT,
+    GRAPH_EVENT,
+    PROCESS_STATS,
+    STATE_EVENT,
+    SYSTEM_STATS,
+)
+from play_launch.core.events import (
+    ActionEvent,
+    ActionPhase,
+    ComponentEvent,
+    ComponentEventKind,
+    ContainerState,
+    ContainerStateChanged,
+    GraphChanged,
+    ManagedNodeChanged,
+    MemoryKind,
+    NodeState,
+    NodeStateChanged,
+    ProcessEvent,
+    ProcessEventKind,
+    ProcessSample,
+    SubjectKind,
+    SystemSample,
+    Withdrawn,
+)
+from play_launch.core.managed import ManagedState
+from play_launch.core.node_key import NodeKey
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+    from enum import Enum
+
+    from play_launch.cdr.layout import Layout
+
+_Event = TypeVar("_Event")
+
+
+class Column(NamedTuple):
+    """One field of an event and the one of the message that holds it."""
+
+    attribute: str
+    field: str
+    write: Callable[[Any], Any] | None = None
+    """None: as it is."""
+    read: Callable[[Any], Any] | None = None
+
+
+class Form(Generic[_Event]):
+    """How events of one class stand in messages of one layout."""
+
+    def __init__(
+        self,
+        event: type[_Event],
+        layout: Layout,
+        *columns: Column,
+        besides: Callable[[_Event], Mapping[str, Any]] = lambda _: {},
+    ) -> None:
+        """Take the columns but for those that have one name on both sides.
+
+        `besides` gives what a message says as well, but is not needed to read it.
+        """
+        self.layout = layout
+        self._event = event
+        alike = event.__annotations__.keys() & layout.types.keys()
+        alike -= {column.attribute for column in columns}
+        self._columns = (*columns, *(Column(name, name) for name in sorted(alike)))
+        # Those whose values stay as they are, at once: of samples there are hundreds of thousands.
+        plain = [column for column in self._columns if column.write is None]
+        assert len(plain) > 1, "of one attribute, what follows would give no tuple"
+        self._plain_fields = [column.field for column in plain]
+        self._plain_values = attrgetter(*(column.attribute for column in plain))
+        self._others = [column for column in self._columns if column.write is not None]
+        self._besides = besides
+
+    def write(self, event: _Event) -> bytes:
+        """Serialise an event.
+
+        Raises:
+            struct.error: When a number does not fit into its field.
+        """
+        values = dict(self._besides(event))
+        values.update(zip(self._plain_fields, self._plain_values(event), strict=True))
+        for attribute, field, write, _ in self._others:
+            if write is not None:
+                values[field] = write(getattr(event, attribute))
+        return self.layout.write(values)
+
+    def event(self, fields: Mapping[str, Any], **given: Any) -> _Event:
+        """Make the event that a message's fields describe; `given` is what it does not hold.
+
+        Raises:
+            ValueError, KeyError: When a field holds what it cannot.
+        """
+        for attribute, field, _, read in self._columns:
+            value = fields[field]
+            given[attribute] = read(value) if read else value
+        return self._event(**given)
+
+
+def _word(attribute: str, kind: type[Enum]) -> Column:
+    """A state is recorded as its name in small letters."""
+    return Column(
+        attribute, "state", lambda state: state.name.lower(), lambda word: kind[word.upper()]
+    )
+
+
+_STAMP: Final = Column("stamp_ns", "stamp")
+
+
+def _names(event: Withdrawn) -> dict[str, str]:
+    if event.kind is not SubjectKind.NODE:
+        is_container = event.kind is SubjectKind.CONTAINER
+        return {"name": event.key, "container": event.key if is_container else ""}
+    key = NodeKey.parsed(event.key)
+    return {"name": key.name, "container": key.container}
+
+
+_NODE: Final = Form(
+    NodeStateChanged,
+    STATE_EVENT,
+    _STAMP,
+    Column("key", "key", str, NodeKey.parsed),
+    _word("state", NodeState),
+    Column("reloads", "restarts"),
+    besides=lambda event: {
+        "kind": SubjectKind.NODE,
+        "name": event.node,
+        "container": event.container,
+    },
+)
+_CONTAINER: Final = Form(
+    ContainerStateChanged,
+    STATE_EVENT,
+    _STAMP,
+    Column("container", "key"),
+    _word("state", ContainerState),
+    besides=lambda event: {
+        "kind": SubjectKind.CONTAINER,
+        "name": event.container,
+        "container": event.container,
+    },
+)
+_PROCESS: Final = Form(
+    ProcessEvent,
+    STATE_EVENT,
+    _STAMP,
+    Column("name", "key"),
+    _word("kind", ProcessEventKind),
+    Column("message", "reason"),
+    besides=lambda event: {"kind": SubjectKind.PROCESS, "name": event.name},
+)
+COMPONENT: Final = Form(
+    ComponentEvent,
+    COMPONENT_EVENT,
+    _STAMP,
+    Column("kind", "event_type", None, ComponentEventKind),
+)
+WITHDRAWN_STATE: Final = "withdrawn"
+WITHDRAWN: Final = Form(
+    Withdrawn,
+    STATE_EVENT,
+    _STAMP,
+    Column("kind", "kind", None, SubjectKind),
+    besides=lambda event: {"state": WITHDRAWN_STATE, **_names(event)},
+)
+"""Whatever it was about: the last state of something that was taken out of the running system."""
+GRAPH: Final = Form(GraphChanged, GRAPH_EVENT, _STAMP)
+ACTION: Final = Form(ActionEvent, ACTION_EVENT, _STAMP, Column("phase", "phase", None, ActionPhase))
+PROCESS_SAMPLE: Final = Form(
+    ProcessSample,
+    PROCESS_STATS,
+    _STAMP,
+    Column("memory_kind", "memory_kind", None, MemoryKind),
+)
+SYSTEM_SAMPLE: Final = Form(
+    SystemSample,
+    SYSTEM_STATS,
+    _STAMP,
+)
+_MANAGED: Final = Form(
+    ManagedNodeChanged,
+    STATE_EVENT,
+    _STAMP,
+    Column("unit", "key"),
+    Column("node", "name"),
+    _word("state", ManagedState),
+    besides=lambda _event: {"kind": SubjectKind.MANAGED},
+)
+STATES: Final[dict[SubjectKind, Form[Any]]] = {
+    SubjectKind.NODE: _NODE,
+    SubjectKind.CONTAINER: _CONTAINER,
+    SubjectKind.PROCESS: _PROCESS,
+    SubjectKind.MANAGED: _MANAGED,
+}
+"""By what they are about; all have the same layout."""

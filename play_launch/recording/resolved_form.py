@@ -1,0 +1,68 @@
+"""A resolved configuration as it is recorded and shown: without secrets that were put into it.
+
+A file is recorded as it is. What it takes from outside, by `${env:NAME}` or an argument, is not in
+it, and a value whose name sounds like a secret stays out of the recording.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+from play_launch.config.description import describe
+from play_launch.recording.facts import REDACTED, is_secret
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Mapping, Sequence
+
+    from play_launch.config.model import ReplayConfig
+
+_SHORTEST: Final = 4
+"""Characters; a shorter secret is recognised only where it is the whole value."""
+
+
+def resolved_form(config: ReplayConfig) -> dict[str, object]:
+    """Return what `describe` returns, without secrets."""
+    values = describe(config)
+    secrets = taken_secrets(config)
+    if secrets:
+        values = {key: without(value, secrets) for key, value in values.items()}
+    return values
+
+
+def taken_secrets(config: ReplayConfig) -> frozenset[str]:
+    """Return the secret values that came from outside; of an included file's, too."""
+    taken = (*config.taken.variables.items(), *config.taken.arguments.items())
+    return frozenset(value for name, value in taken if value and is_secret(name, value))
+
+
+def redacted_arguments(argv: Sequence[str]) -> list[str]:
+    """Return a command line without the values of arguments that sound like secrets."""
+    redacted = []
+    for word in argv:
+        name, assigned, value = word.partition(":=")
+        hidden = assigned and name.isidentifier() and is_secret(name, value)
+        redacted.append(f"{name}:={REDACTED}" if hidden else word)
+    return redacted
+
+
+def without(value: Any, secrets: Collection[str]) -> Any:
+    """Return plain values with `REDACTED` in place of the secrets."""
+    if isinstance(value, str):
+        for secret in secrets:
+            if value == secret or len(secret) >= _SHORTEST:
+                value = value.replace(secret, REDACTED)
+        return value
+    if isinstance(value, dict):
+        return {key: without(each, secrets) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [without(each, secrets) for each in value]
+    return value
+
+
+def kept(taken: Mapping[str, object]) -> dict[str, str]:
+    """Return the values of a recording that were there and were not taken out of it."""
+    return {
+        name: value
+        for name, value in taken.items()
+        if isinstance(value, str) and REDACTED not in value
+    }

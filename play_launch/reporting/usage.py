@@ -1,0 +1,130 @@
+"""What processes and the machine used, as columns of numbers over time."""
+
+from __future__ import annotations
+
+from array import array
+from math import isnan, nan
+from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct, field
+
+from play_launch.core.events import MemoryKind
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from play_launch.core.events import SystemSample
+
+MOST: Final = 16_384
+"""Samples of one thing, a multiple of four; of more, lowest and highest of each few are kept."""
+PROCESS_COLUMNS: Final = ("cpu", "memory")
+SYSTEM_COLUMNS: Final = (
+    *("cpu", "memory", "cpu_pressure", "memory_pressure", "io_pressure", "steal"),
+)
+"""All in percent; see `play_launch.core.events.SystemSample`."""
+
+
+class Series(Struct):
+    """Columns that have their times in common: milliseconds since the start, never falling."""
+
+    columns: tuple[array[float], ...]
+    times: array[float] = field(default_factory=lambda: array("d"))
+    row: int = 0
+    """Of the timeline."""
+    is_shared: bool = False
+    """Whether its memory is that of its container."""
+    _last: float = 0.0
+    _width: int = 1
+    """Two times so many samples become two."""
+    _waiting: list[tuple[float, tuple[float, ...]]] = field(default_factory=list)
+
+    def add(self, at: float, values: tuple[float, ...]) -> None:
+        """Take one sample."""
+        at = max(at, self._last)
+        self._last = at
+        if self._width == 1:
+            self._append(at, values)
+        else:
+            self._waiting.append((at, values))
+            if len(self._waiting) == 2 * self._width:
+                self._append_extremes()
+        if len(self.times) >= MOST:
+            self._thin_out()
+
+    def finish(self) -> None:
+        """Take what is waiting for more, as it is."""
+        for at, values in self._waiting:
+            self._append(at, values)
+        self._waiting.clear()
+
+    def _append(self, at: float, values: tuple[float, ...]) -> None:
+        self.times.append(at)
+        for column, value in zip(self.columns, values, strict=True):
+            column.append(value)
+
+    def _append_extremes(self) -> None:
+        waiting, self._waiting = self._waiting, []
+        low_high = [
+            _extremes(column) for column in zip(*(each[1] for each in waiting), strict=True)
+        ]
+        first, second = zip(*low_high, strict=True)
+        self._append(waiting[0][0], first)
+        self._append(waiting[self._width][0], second)
+
+    def _thin_out(self) -> None:
+        # Only when nothing waits, and `MOST` can be divided by four.
+        self._width *= 2
+        self.times = self.times[::2]
+        for column in self.columns:
+            pairs = [_extremes(column[i : i + 4]) for i in range(0, len(column), 4)]
+            column[:] = array("d", [value for pair in pairs for value in pair])
+
+
+def _extremes(values: Sequence[float]) -> tuple[float, float]:
+    """Give the lowest and the highest, that which came first before the other."""
+    known = [value for value in values if not isnan(value)]
+    if not known:
+        return nan, nan
+    low, high = min(known), max(known)
+    return (low, high) if known.index(low) < known.index(high) else (high, low)
+
+
+class Usage(Struct):
+    """Series of each row that was sampled, and of the machine."""
+
+    of_rows: dict[int, Series] = field(default_factory=dict)
+    system: Series = field(default_factory=lambda: _series(SYSTEM_COLUMNS))
+
+    def finish(self) -> None:
+        """Take what waits for more: no sample comes any more."""
+        for series in (*self.of_rows.values(), self.system):
+            series.finish()
+
+    def process(self, row: int, at: float, cpu: float, memory: int, kind: int) -> None:
+        """Take a sample of a process: percent of a core, bytes, and what they count."""
+        series = self.of_rows.get(row)
+        if series is None:
+            series = self.of_rows[row] = _series(PROCESS_COLUMNS)
+            series.row = row
+        series.is_shared = kind == MemoryKind.SHARED
+        series.add(at, (cpu, memory))
+
+    def machine(self, at: float, sample: SystemSample) -> None:
+        """Take a sample of the machine."""
+        total = sample.memory_total
+        used = 100 * (total - sample.memory_available) / total if total else float("nan")
+        self.system.add(
+            at,
+            (
+                sample.cpu_percent,
+                used,
+                sample.cpu_some_avg10,
+                sample.memory_some_avg10,
+                sample.io_some_avg10,
+                sample.steal_percent,
+            ),
+        )
+
+
+def _series(columns: tuple[str, ...]) -> Series:
+    return Series(columns=tuple(array("d") for _ in columns))

@@ -1,0 +1,123 @@
+"""A client of one managed node: its state, its transitions."""
+
+from __future__ import annotations
+
+import asyncio
+from contextlib import asynccontextmanager, suppress
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator, Callable
+
+    from rclpy.node import Node
+
+    from play_launch.ros.shared_thread import SharedRosThread
+    from play_launch.ros.thread import RosThread
+
+
+class ManagedNodeClient:
+    """Talks to the node of a name; belongs to one event loop."""
+
+    def __init__(self, ros: RosThread, name: str, on_state: Callable[[int], None]) -> None:
+        """Talk to the node with this full name; ``on_state`` gets every state that it enters.
+
+        States are numbers of ``lifecycle_msgs/msg/State``.
+        """
+        self._ros = ros
+        self._name = name
+        self._on_state = on_state
+        self._heard = 0
+        self._loop = asyncio.get_running_loop()
+        self._entities: dict[str, Any] = {}
+        self._changed = asyncio.Event()
+        ros.post(self._create)
+        self._forget = ros.listen(self._changed.set)
+
+    async def state(self) -> int:
+        """Wait until the node offers its services, and ask for its state.
+
+        One that it enters meanwhile is newer than the answer may be: then it is asked once more.
+        """
+        while True:
+            self._changed.clear()
+            if await self._ros.call(lambda _: self._is_ready()):
+                break
+            await self._changed.wait()
+        while True:
+            heard = self._heard
+            reply = await self._call("get_state", lambda request: request)
+            if self._heard == heard:
+                return int(reply.current_state.id)
+
+    async def change(self, transition: int) -> bool:
+        """Ask for a transition and wait for its end; whether it succeeded."""
+
+        def with_transition(request: Any) -> Any:
+            request.transition.id = transition
+            return request
+
+        reply = await self._call("change_state", with_transition)
+        return bool(reply.success)
+
+    def close(self) -> None:
+        """End it; answers that are still expected are dropped."""
+        self._forget()
+        self._ros.post(self._destroy)
+
+    def _hear(self, state: int) -> None:
+        self._heard += 1
+        self._on_state(state)
+
+    def _is_ready(self) -> bool:
+        clients = [self._entities.get(name) for name in ("get_state", "change_state")]
+        return all(each is not None and each.service_is_ready() for each in clients)
+
+    async def _call(self, name: str, fill: Callable[[Any], Any]) -> Any:
+        def send(_: Node) -> Any:
+            client = self._entities[name]  # gone only when it was closed, and nobody waits any more
+            return client.call_async(fill(client.srv_type.Request()))
+
+        return await self._ros.request(send)
+
+    def _hand_over(self, callback: Callable[..., None], *values: Any) -> None:
+        # A loop that has ended in the meantime has nobody who waits.
+        with suppress(RuntimeError):
+            self._loop.call_soon_threadsafe(callback, *values)
+
+    def _create(self, node: Node) -> None:
+        # Takes long, so it is done in the thread.
+        from lifecycle_msgs.msg import TransitionEvent  # noqa: PLC0415
+        from lifecycle_msgs.srv import ChangeState, GetState  # noqa: PLC0415
+
+        def on_event(event: Any) -> None:
+            self._hand_over(self._hear, int(event.goal_state.id))
+
+        self._entities = {
+            "transition_event": node.create_subscription(
+                TransitionEvent, f"{self._name}/transition_event", on_event, 10
+            ),
+            "change_state": node.create_client(ChangeState, f"{self._name}/change_state"),
+            "get_state": node.create_client(GetState, f"{self._name}/get_state"),
+        }
+        self._hand_over(self._changed.set)
+
+    def _destroy(self, node: Node) -> None:
+        entities, self._entities = self._entities, {}
+        for name, entity in entities.items():
+            if name == "transition_event":
+                node.destroy_subscription(entity)
+            else:
+                node.destroy_client(entity)
+
+
+@asynccontextmanager
+async def managed_node(
+    ros: SharedRosThread, name: str, on_state: Callable[[int], None]
+) -> AsyncIterator[ManagedNodeClient]:
+    """Give a client for the time of the block."""
+    async with ros.used() as thread:
+        client = ManagedNodeClient(thread, name, on_state)
+        try:
+            yield client
+        finally:
+            client.close()

@@ -1,0 +1,53 @@
+"""What writing the seconds before came to, and where a running session is asked for it."""
+
+from __future__ import annotations
+
+import contextlib
+from typing import TYPE_CHECKING
+
+from msgspec import Struct
+
+if TYPE_CHECKING:
+    from collections.abc import Awaitable, Callable, Iterator
+
+
+class Snapshot(Struct, frozen=True):
+    """What was held and is written now."""
+
+    messages: int
+    bytes: int
+    seconds: float
+    """That they span."""
+
+
+class SnapshotError(Exception):
+    """Nothing was written; the text says why and what to do."""
+
+
+class Snapshots:
+    """Whoever asks for a snapshot asks here, whether anything is held or not."""
+
+    def __init__(self) -> None:
+        self._take: Callable[[], Awaitable[Snapshot]] | None = None
+
+    @contextlib.contextmanager
+    def taken_by(self, take: Callable[[], Awaitable[Snapshot]]) -> Iterator[None]:
+        """Have them taken by this while the block runs; it may raise SnapshotError."""
+        self._take = take
+        try:
+            yield
+        finally:
+            self._take = None
+
+    async def take(self) -> Snapshot:
+        """Have what is held written.
+
+        Raises:
+            SnapshotError: When nothing is held, or it cannot be written.
+        """
+        if self._take is None:
+            raise SnapshotError(
+                "nothing is held in memory: either the recording of topics has not begun yet, or "
+                "the configuration has no record.before_crash"
+            )
+        return await self._take()

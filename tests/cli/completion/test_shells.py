@@ -1,0 +1,162 @@
+"""Keys pressed in real shells, beside real sessions."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pty
+import re
+import select
+import shutil
+import signal
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from play_launch.control.client import connect_to
+from play_launch.control.place import LINKS
+from tests.support.replay import COMMAND, Replay, replaying
+from tests.support.waiting import LIMIT, until
+
+SYSTEM = """
+version: 1
+name: {name}
+record: {{ros: false}}
+nodes:
+  - {{name: talker, command: [sleep, "1000"]}}
+  - {{name: front, namespace: /sensing, command: [sleep, "1000"]}}
+  - {{name: rear, namespace: /sensing, command: [sleep, "1000"]}}
+"""
+PREPARE_ZSH = """unsetopt zle_bracketed_paste; bindkey -e
+ autoload -U compinit; compinit -u -D; source <(play-launch completion zsh)"""
+SHELLS = {
+    "bash": (["bash", "--norc", "--noprofile", "-i"], "source <(play-launch completion bash)"),
+    "zsh": (["zsh", "-f", "-i"], PREPARE_ZSH),
+    "fish": (["fish", "--no-config", "-i"], "play-launch completion fish | source"),
+}
+BEGIN_OF_LINE, END_OF_LINE, ALL = b"\x01", b"\x05", b"\x1b*"
+
+
+class Terminal:
+    """An interactive shell."""
+
+    def __init__(self, shell: str, folder: Path) -> None:
+        command, prepare = SHELLS[shell]
+        self.pid, self._terminal = pty.fork()
+        if self.pid == 0:
+            os.chdir(folder)
+            path = f"{COMMAND.parent}:{os.environ['PATH']}"
+            keep = {"PATH": path, "TERM": "xterm", "PS1": "$ ", "HOME": str(folder)}
+            os.execvpe(command[0], command, {**os.environ, **keep})
+        self._said = b""
+        self._send(f" {prepare}\n".encode())
+        self.words(b"printf")
+
+    def words(self, typed: bytes) -> list[str]:
+        """Type a line and what completes it; return the words that the shell makes of it."""
+        # In octal, so that what the shell echoes is not what it prints.
+        show = rb" printf '\074\074%s\076\076' "
+        self._send(typed + BEGIN_OF_LINE + show + END_OF_LINE + rb"; printf '\074end\076'" + b"\n")
+        deadline = time.monotonic() + LIMIT
+        while b"<end>" not in self._said:
+            assert time.monotonic() < deadline, self._said
+            if select.select([self._terminal], [], [], 1)[0]:
+                self._said += os.read(self._terminal, 65536)
+        said, _, self._said = self._said.partition(b"<end>")
+        return re.findall(r"<<(.*?)>>", said.decode())
+
+    def close(self) -> None:
+        os.close(self._terminal)
+        os.kill(self.pid, signal.SIGKILL)
+        os.waitpid(self.pid, 0)
+
+    def _send(self, keys: bytes) -> None:
+        os.write(self._terminal, keys)
+
+
+@pytest.fixture(autouse=True)
+def links(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv(LINKS, str(tmp_path / "links"))
+    return tmp_path / "links"
+
+
+@pytest.fixture(params=list(SHELLS))
+def terminal(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Terminal]:
+    if shutil.which(request.param) is None:
+        pytest.skip(f"{request.param} is not installed")
+    terminal = Terminal(request.param, tmp_path)
+    yield terminal
+    terminal.close()
+
+
+@contextlib.contextmanager
+def running(folder: Path, name: str) -> Iterator[Replay]:
+    config = folder / f"{name}.yaml"
+    config.write_text(SYSTEM.format(name=name), encoding="utf-8")
+    with replaying(config, folder / name, "-q") as replay:
+        until(lambda: answers(folder / name / "latest"), "a session that answers")
+        yield replay
+
+
+def answers(folder: Path) -> bool:
+    with contextlib.suppress(Exception), connect_to(str(folder.resolve())) as client:
+        return len(client.ask("ps")) == 3
+    return False
+
+
+def offered(line: str) -> list[str]:
+    command = [str(COMMAND), "completion", "--answer", "fish", f"play-launch {line}"]
+    shown = subprocess.run(command, check=True, capture_output=True, text=True, timeout=LIMIT)
+    assert shown.stderr == ""
+    return [each.partition("\t")[0] for each in shown.stdout.splitlines()[1:]]
+
+
+def test_keys_complete_verbs_options_and_live_names(terminal: Terminal, tmp_path: Path) -> None:
+    (tmp_path / "my_robot.yaml").touch()
+    assert terminal.words(b"play-launch snap\t") == ["play-launch", "snapshot"]
+    assert terminal.words(b"play-launch replay --dur\t1s")[2:] == ["--duration", "1s"]
+    assert terminal.words(b"play-launch wait --for act\t")[2:] == ["--for", "active"]
+    assert terminal.words(b"play-launch check my\t")[2:] == ["my_robot.yaml"]
+    assert terminal.words(b"play-launch stop /t\t")[2:] == ["/t"], "no session, no name"
+    with running(tmp_path, "robot"):
+        assert terminal.words(b"play-launch stop /t\t")[2:] == ["/talker"]
+        assert terminal.words(b"play-launch stop tal\t /sensing/f\t")[2:] == [
+            "talker",
+            "/sensing/front",
+        ]
+        assert terminal.words(b"play-launch ps --session ro\t")[2:] == ["--session", "robot"]
+    assert terminal.words(b"play-launch stop /t\t")[2:] == ["/t"]
+
+
+@pytest.mark.parametrize("terminal", ["bash"], indirect=True)
+def test_bash_gets_patterns_quoted_and_words_with_breaks(
+    terminal: Terminal, tmp_path: Path
+) -> None:
+    with running(tmp_path, "robot"):
+        every = ["/talker", "/sensing/front", "/sensing/rear", "/sensing/*"]
+        assert sorted(terminal.words(b"play-launch ps " + ALL)[2:]) == sorted(every)
+        assert sorted(terminal.words(b"play-launch ps /se" + ALL)[2:]) == sorted(every[1:])
+        assert terminal.words(b"play-launch ps '/tal\t")[2:] == ["/talker"]
+        assert terminal.words(b"play-launch ps --session=ro\t")[2:] == ["--session=robot"]
+        assert terminal.words(b"play-launch wait --for=rea\t")[2:] == ["--for=ready"]
+        assert terminal.words(b"play-launch ps /*f\t")[2:] == ["/sensing/front"]
+    assert terminal.words(b"play-launch ps " + ALL)[2:] == []
+
+
+def test_a_session_that_hangs_offers_nothing_and_holds_up_nobody(tmp_path: Path) -> None:
+    with running(tmp_path, "robot") as hanging:
+        assert offered("stop /t") == ["/talker"]
+        hanging.process.send_signal(signal.SIGSTOP)
+        try:
+            assert offered("stop /t") == []
+            with running(tmp_path, "second") as second:
+                assert offered("stop /t") == ["/talker"]
+                assert set(offered("ps --session ")) == {"second", str(second.pid)}
+        finally:
+            hanging.process.send_signal(signal.SIGCONT)
+        until(lambda: offered("stop /t") == ["/talker"], "the first session")
+    assert offered("stop /t") == []
+    assert offered("ps --session ") == []

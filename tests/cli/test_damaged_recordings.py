@@ -1,0 +1,321 @@
+"""Cut and flipped anywhere, a recording gives what can be read, or says where it cannot.
+
+Each verb that reads a recording has a line in `VERBS`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import random
+import signal
+import subprocess
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import pytest
+from mcap.opcode import Opcode
+from msgspec.structs import replace
+
+from play_launch.cli.compare_sessions import compare_sessions
+from play_launch.cli.explain import explain
+from play_launch.cli.sum_up import sum_up
+from play_launch.cli.timeline import Filter, show_timeline
+from play_launch.cli.write_anew import write_anew
+from play_launch.cli.write_page import write_report
+from play_launch.core.events import OutputLine, ProcessEvent, ProcessEventKind, RunEvent, Stream
+from play_launch.history.bag_reader import BagReader
+from play_launch.recording import topics
+from play_launch.recording.bag import McapBagWriter
+from play_launch.recording.convert import convert
+from tests.cli.test_past_sessions import EVENTS
+from tests.support.replay import COMMAND
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+PARTIAL = 3
+NOTHING = {1, 2}
+LONGEST = 20
+"""Seconds for one reading of a small file; more is a hang."""
+STEP = 1000
+
+EVERYTHING = Filter((), "debug", None, None, None)
+
+
+class Verb(NamedTuple):
+    """How a verb is called here, and on the command line."""
+
+    run: Callable[[Path, Path], int]
+    """Takes the recording and a path for its output; returns the exit code, or ends with it."""
+    words: Callable[[Path, Path], Sequence[object]]
+
+
+def but_for_findings(code: int) -> int:
+    """That something was wrong in the session says nothing about its recording."""
+    return 0 if code == 1 else code
+
+
+VERBS = {
+    "info": Verb(
+        lambda bag, _: sum_up(bag, as_json=False),
+        lambda bag, _: ("info", bag),
+    ),
+    "info --json": Verb(
+        lambda bag, _: sum_up(bag, as_json=True),
+        lambda bag, _: ("info", "--json", bag),
+    ),
+    "inspect": Verb(
+        lambda bag, _: show_timeline(bag, EVERYTHING, as_json=False),
+        lambda bag, _: ("inspect", "--level", "debug", bag),
+    ),
+    "inspect --json": Verb(
+        lambda bag, _: show_timeline(bag, EVERYTHING, as_json=True),
+        lambda bag, _: ("inspect", "--json", bag),
+    ),
+    "explain": Verb(
+        lambda bag, _: but_for_findings(explain(bag, as_json=False)),
+        lambda bag, _: ("explain", bag),
+    ),
+    "explain --json": Verb(
+        lambda bag, _: but_for_findings(explain(bag, as_json=True)),
+        lambda bag, _: ("explain", "--json", bag),
+    ),
+    "compare": Verb(
+        lambda bag, _: compare_sessions(bag, bag, as_json=False),
+        lambda bag, _: ("compare", bag, bag),
+    ),
+    "compare --output": Verb(
+        lambda bag, output: compare_sessions(bag, bag, output, as_json=False),
+        lambda bag, output: ("compare", bag, bag, "-o", output),
+    ),
+    "report": Verb(
+        write_report,
+        lambda bag, output: ("report", bag, "-o", output),
+    ),
+    "recover": Verb(
+        write_anew,
+        lambda bag, output: ("recover", bag, "-o", output),
+    ),
+}
+
+
+@cache
+def recording() -> bytes:
+    """A small session with everything that a recording has, in many chunks."""
+    import tempfile
+
+    noise = random.Random(7)
+    with tempfile.TemporaryDirectory() as folder:
+        writer = McapBagWriter(Path(folder) / "session.mcap")
+        for name in ("config.yaml", "resolved_config.json", "host.json"):
+            writer.attach(name, "application/json", b'{"name": "demo"}' * 20, time=1)
+        writer.metadata("play_launch.session", {"id": "1", "name": "demo", "started_ns": "1000"})
+        channels = {topic: writer.register(topic) for topic in topics.ALL_TOPICS}
+        stamp = 1000
+        for _ in range(12):
+            lines: list[RunEvent] = [
+                OutputLine(
+                    stamp_ns=stamp,
+                    process="/box",
+                    pid=7,
+                    stream=Stream.STDERR,
+                    text=noise.randbytes(200).hex(),
+                )
+                for _ in range(12)
+            ]
+            exited = ProcessEvent(
+                stamp_ns=stamp, kind=ProcessEventKind.EXITED, name="/box", pid=4711, signal=11
+            )
+            for event in (*EVENTS, *lines, replace(exited, stamp_ns=stamp)):
+                stamp += 1_000_000
+                for topic, data, key in convert(event):
+                    writer.write(channels[topic], data, log_time=stamp, publish_time=stamp, key=key)
+            writer.flush()
+        writer.close()
+        return writer.path.read_bytes()
+
+
+class Result(NamedTuple):
+    code: int
+    output: str
+    errors: str
+
+
+@contextlib.contextmanager
+def no_hang() -> Iterator[None]:
+    def hangs(_number: int, _frame: object) -> None:
+        raise AssertionError(f"takes more than {LONGEST} s")
+
+    before = signal.signal(signal.SIGALRM, hangs)
+    signal.alarm(LONGEST)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def call(verb: str, data: bytes, folder: Path) -> Result:
+    bag, made = folder / "session.mcap.active", folder / "made"
+    bag.write_bytes(data)
+    made.unlink(missing_ok=True)
+    output, errors = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(output), contextlib.redirect_stderr(errors), no_hang():
+        try:
+            code = VERBS[verb].run(bag, made)
+        except SystemExit as end:
+            code = int(end.code or 0)
+    return Result(code, output.getvalue(), errors.getvalue())
+
+
+def assert_in_order(result: Result, folder: Path) -> None:
+    bag = str(folder / "session.mcap.active")
+    assert result.code in {0, PARTIAL, *NOTHING}
+    if result.code == 0:
+        assert result.errors == ""
+    elif result.code == PARTIAL:
+        lines = result.errors.splitlines()
+        assert lines
+        for line in lines:
+            assert line.startswith(f"warning: {bag}: ")
+            assert "byte " in line or "not closed in order" in line
+    else:
+        assert result.errors.startswith(f"error: {bag}: ")
+        assert result.errors.count("\n") == 1
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_a_whole_recording_is_no_problem(verb: str, tmp_path: Path) -> None:
+    assert len(recording()) > 30 * STEP
+    result = call(verb, recording(), tmp_path)
+    assert (result.code, result.errors) == (0, "")
+    assert result.output
+
+
+@pytest.mark.parametrize("verb", [verb for verb in VERBS if "--json" not in verb])
+def test_cut_at_every_thousandth_byte(verb: str, tmp_path: Path) -> None:
+    whole = recording()
+    for length in (*range(0, len(whole), STEP), len(whole) - 1):
+        result = call(verb, whole[:length], tmp_path)
+        assert_in_order(result, tmp_path)
+        if length == 0:
+            assert result.code in NOTHING
+        elif verb == "recover":
+            # What ends between two records has lost nothing that was there.
+            assert result.code in {0, PARTIAL}
+        else:
+            assert result.code == PARTIAL
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_bits_flipped_anywhere(verb: str, tmp_path: Path) -> None:
+    whole = recording()
+    random_ = random.Random(5)
+    intact = call(verb, whole, tmp_path)
+    for begin in range(0, len(whole), STEP):
+        at = random_.randrange(begin, min(begin + STEP, len(whole)))
+        data = bytearray(whole)
+        data[at] ^= 1 << random_.randrange(8)
+        result = call(verb, bytes(data), tmp_path)
+        assert_in_order(result, tmp_path)
+        if result.code == 0 and verb == "inspect":
+            assert result.output == intact.output, f"byte {at} is wrong, and nothing says so"
+
+
+def first_record(kind: int) -> int:
+    """Where the first record of a kind stands."""
+    whole, at = recording(), 8
+    while whole[at] != kind:
+        at += 9 + int.from_bytes(whole[at + 1 : at + 9], "little")
+    return at
+
+
+@pytest.mark.parametrize("verb", VERBS)
+@pytest.mark.parametrize("kind", [3, 4, 6, 7, 9, 12, 15], ids=lambda kind: Opcode(kind).name)
+def test_a_record_that_says_it_is_another_one(verb: str, kind: int, tmp_path: Path) -> None:
+    for bit in range(8):
+        data = bytearray(recording())
+        data[first_record(kind)] ^= 1 << bit
+        result = call(verb, bytes(data), tmp_path)
+        assert_in_order(result, tmp_path)
+        assert result.code == PARTIAL, f"bit {bit}"
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_noise_after_the_first_bytes(verb: str, tmp_path: Path) -> None:
+    random_ = random.Random(3)
+    for _ in range(20):
+        data = recording()[: random_.randrange(8, 2000)] + random_.randbytes(3000)
+        result = call(verb, data, tmp_path)
+        assert_in_order(result, tmp_path)
+        assert result.code == PARTIAL
+
+
+@pytest.mark.parametrize("verb", [verb for verb in VERBS if "--json" not in verb])
+def test_the_real_commands(verb: str, tmp_path: Path) -> None:
+    whole = recording()
+    flipped = bytearray(whole)
+    flipped[len(whole) // 2] ^= 0x10
+    bag, made = tmp_path / "session.mcap.active", tmp_path / "made"
+    for data, code in ((whole[: len(whole) // 2], PARTIAL), (bytes(flipped), PARTIAL), (b"", None)):
+        bag.write_bytes(data)
+        made.unlink(missing_ok=True)
+        done = subprocess.run(
+            [str(COMMAND), *map(os.fspath, map(str, VERBS[verb].words(bag, made)))],
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=60,
+        )
+        assert_in_order(Result(done.returncode, done.stdout, done.stderr), tmp_path)
+        assert done.returncode == code or (code is None and done.returncode in NOTHING)
+
+
+def chunks() -> list[int]:
+    """Where the chunks stand."""
+    whole, at, found = recording(), 8, []
+    while whole[at] != Opcode.DATA_END:
+        if whole[at] == Opcode.CHUNK:
+            found.append(at)
+        at += 9 + int.from_bytes(whole[at + 1 : at + 9], "little")
+    return found
+
+
+@pytest.mark.parametrize("bit", range(0, 64, 3))
+def test_a_wrong_length_costs_one_chunk(bit: int, tmp_path: Path) -> None:
+    whole = recording()
+    third = chunks()[2]
+    data = bytearray(whole)
+    data[third + 1 + bit // 8] ^= 1 << bit % 8
+    counts = []
+    for each in (whole, bytes(data)):
+        path = tmp_path / "session.mcap"
+        path.write_bytes(each)
+        reader = BagReader(path)
+        counts.append(sum(1 for _ in reader.messages()))
+    assert counts[0] * 10 // 12 <= counts[1] < counts[0]
+    assert reader.damages[0].offset == third
+    assert len(reader.damages) < 10
+
+
+def test_zeros_at_the_end_are_one_damage(tmp_path: Path) -> None:
+    # A file system may have grown a file whose blocks were not written when the power failed.
+    path = tmp_path / "session.mcap.active"
+    path.write_bytes(recording()[: chunks()[5]] + bytes(3_000_000))
+    reader = BagReader(path)
+    assert sum(1 for _ in reader.messages()) > 0
+    assert [damage.offset for damage in reader.damages] == [chunks()[5]]
+
+
+@pytest.mark.parametrize("kind", [Opcode.CHANNEL, Opcode.SCHEMA])
+def test_a_wrong_letter_in_a_name_is_reported(kind: Opcode, tmp_path: Path) -> None:
+    # Records outside of chunks have no checksum; without their topics nothing would have happened.
+    data = bytearray(recording())
+    name = b"/play_launch/" if kind is Opcode.CHANNEL else b"play_launch_msgs/msg/"
+    data[data.index(name, first_record(kind))] ^= 1
+    result = call("inspect", bytes(data), tmp_path)
+    assert result.code == PARTIAL
+    assert "is not described as in the summary" in result.errors

@@ -1,0 +1,266 @@
+"""What is no recording, and outputs that cannot be written: one sentence, and nothing is spoilt."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+from typer.testing import CliRunner
+
+from play_launch.cli.app import app
+from play_launch.core.events import NodeState
+from tests.history.scenes import Scene
+from tests.support.mounts import mounted
+from tests.support.replay import COMMAND
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+READERS = (
+    ("info",),
+    ("inspect",),
+    ("explain",),
+    ("report",),
+    ("crashes",),
+    ("export",),
+    ("export", "--format", "csv"),
+    ("layout", "foxglove"),
+    ("recover",),
+    ("compare", "SECOND"),
+)
+HEAD = ("bash", "-c", 'set -o pipefail; "$@" | head -1', "bash")
+WRITERS = (
+    ("report", "GOOD", "-o", "OUTPUT"),
+    ("export", "GOOD", "-o", "OUTPUT"),
+    ("compare", "GOOD", "GOOD", "-o", "OUTPUT"),
+)
+
+
+def folder_of_nothing(path: Path) -> None:
+    path.mkdir()
+
+
+def folder_of_folders(path: Path) -> None:
+    (path / "session.mcap").mkdir(parents=True)
+
+
+def empty_file(path: Path) -> None:
+    path.touch()
+
+
+def pipe(path: Path) -> None:
+    os.mkfifo(path)
+
+
+def folder_with_a_pipe(path: Path) -> None:
+    path.mkdir()
+    os.mkfifo(path / "session.mcap")
+
+
+def link_to_itself(path: Path) -> None:
+    path.symlink_to(path)
+
+
+def device_without_end(path: Path) -> None:
+    path.symlink_to("/dev/zero")
+
+
+def bound_socket(path: Path) -> None:
+    with socket.socket(socket.AF_UNIX) as bound:
+        bound.bind(str(path))
+
+
+@pytest.fixture
+def good(tmp_path: Path) -> Path:
+    made = Scene()
+    made.started()
+    made.node(1, "/talker", NodeState.LOADED)
+    return made.record(tmp_path / "good.mcap")
+
+
+def run(*arguments: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [str(COMMAND), *map(str, arguments)],
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+
+
+@pytest.mark.parametrize("verb", READERS, ids=" ".join)
+@pytest.mark.parametrize(
+    "make",
+    [
+        folder_of_nothing,
+        folder_of_folders,
+        empty_file,
+        pipe,
+        folder_with_a_pipe,
+        link_to_itself,
+        device_without_end,
+        bound_socket,
+    ],
+)
+@pytest.mark.timeout(20)
+def test_what_is_no_recording_is_named(
+    tmp_path: Path,
+    good: Path,
+    verb: tuple[str, ...],
+    make: Callable[[Path], None],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    path = Path("it.mcap")
+    make(path)
+    before = sorted(tmp_path.rglob("*"))
+    words = [str(good) if word == "SECOND" else word for word in verb]
+    result = CliRunner().invoke(app, [*words, str(path)])
+    assert isinstance(result.exception, SystemExit), result.exception
+    assert result.exit_code in ({2, 3} if verb[0] == "crashes" else {1, 2})
+    (line,) = result.stderr.splitlines()
+    assert "it.mcap" in line
+    assert "None" not in line
+    # `crashes` reads on, and says how many it found.
+    assert result.stdout == "" or verb[0] == "crashes"
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize("verb", WRITERS, ids=lambda words: words[0])
+@pytest.mark.parametrize(
+    ("output", "reason"),
+    [
+        ("good.mcap", "is a recording"),
+        ("pipe", "is no regular file"),
+        ("/", "Is a directory"),
+        ("no/such/folder", "No such file or directory"),
+        ("/proc/x", "No such file or directory"),
+        ("x" * 300, "File name too long"),
+    ],
+)
+def test_what_cannot_be_an_output_stays_as_it_is(
+    tmp_path: Path,
+    good: Path,
+    verb: tuple[str, ...],
+    output: str,
+    reason: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    os.mkfifo("pipe")
+    whole = good.read_bytes()
+    words = [{"GOOD": str(good), "OUTPUT": output}.get(word, word) for word in verb]
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 1
+    assert result.stderr == f"error: {output}: {reason}; name another file with --output\n"
+    assert sorted(tmp_path.iterdir()) == [good, tmp_path / "pipe"]
+    assert good.read_bytes() == whole
+    assert Path("pipe").is_fifo()
+
+
+@pytest.mark.parametrize("arguments", [("report",), ("export",), ("export", "--format", "csv")])
+def test_nothing_is_left_of_an_output_for_which_there_is_no_room(
+    tmp_path: Path, good: Path, arguments: tuple[str, ...]
+) -> None:
+    folder = tmp_path / "full"
+    folder.mkdir()
+    mount = f"mount -t tmpfs -o size=4k tmpfs {folder} && head -c 4096 /dev/zero > {folder}/x"
+    listing = f'"$@" -o {folder}/out; code=$?; find {folder} -type f; exit $code'
+    command = [COMMAND, *arguments, good]
+    result = subprocess.run(
+        mounted(mount, "sh", "-c", listing, "sh", *command),
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert result.returncode == 1
+    assert "No space left on device" in result.stderr
+    assert result.stderr.count("\n") == 1
+    assert result.stdout == f"{folder}/x\n"
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_nothing_is_left_of_outputs_that_are_interrupted(
+    tmp_path: Path, number: signal.Signals
+) -> None:
+    program = """
+import signal, sys
+from pathlib import Path
+from play_launch.history.whole_file import whole_file
+for each in signal.SIGINT, signal.SIGTERM, signal.SIGHUP:
+    signal.signal(each, signal.SIG_DFL)
+with whole_file(Path(sys.argv[1])) as one, whole_file(Path(sys.argv[2])) as other:
+    one.write_text("half")
+    other.write_text("half")
+    print("there", flush=True)
+    signal.pause()
+"""
+    outputs = [tmp_path / "a", tmp_path / "b"]
+    outputs[0].write_text("old")
+    with subprocess.Popen(
+        [sys.executable, "-c", program, *outputs], stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "there\n"
+        assert len(list(tmp_path.iterdir())) == 3
+        process.send_signal(number)
+    assert process.returncode == -number
+    assert list(tmp_path.iterdir()) == [outputs[0]]
+    assert outputs[0].read_text() == "old"
+
+
+@pytest.mark.parametrize("verb", ["info", "inspect", "explain", "crashes", "export", "layout"])
+@pytest.mark.parametrize(("redirection", "code"), [(">/dev/full", 2), (">&-", 0)])
+def test_an_answer_that_nobody_takes(
+    tmp_path: Path, good: Path, verb: str, redirection: str, code: int
+) -> None:
+    arguments = [verb, "foxglove", str(good)] if verb == "layout" else [verb, str(good)]
+    result = subprocess.run(
+        ["sh", "-c", f'exec "$@" {redirection}', "sh", COMMAND, *arguments],
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert result.returncode == code
+    expected = "error: cannot write the output: No space left on device\n" if code else ""
+    assert result.stderr == expected
+
+
+def test_whoever_has_seen_enough_is_not_kept_waiting(tmp_path: Path) -> None:
+    made = Scene()
+    made.started()
+    for number in range(20_000):
+        made.line(number / 100, f"line {number}")
+    path = made.record(tmp_path / "x.mcap")
+    # Its end is damaged: who reads it to the end complains.
+    path.write_bytes(path.read_bytes()[:-100])
+    for option in ("--level=info", "--json"):
+        result = subprocess.run(
+            [*HEAD, str(COMMAND), "inspect", option, str(path)],
+            check=False,
+            capture_output=True,
+            text=True,
+            timeout=60,
+        )
+        assert (result.returncode, result.stderr) == (0, "")
+        assert result.stdout.count("\n") == 1
+
+
+def test_a_recording_that_is_being_written_is_read_as_far_as_it_is(tmp_path: Path) -> None:
+    made = Scene()
+    made.started()
+    made.crashed(1, "/talker")
+    path = made.record(tmp_path / "x.mcap", finished=False)
+    for verb in ("info", "inspect", "explain", "report", "export"):
+        result = run(verb, path)
+        assert result.returncode == 3
+        assert "it was not closed in order, so its end may be missing" in result.stderr
+        assert "Traceback" not in result.stderr

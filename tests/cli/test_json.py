@@ -1,0 +1,93 @@
+"""Whatever answers a question answers it in JSON as well, if ``--json`` asks for that."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+from play_launch.cli.completion.commands import Command, program
+from play_launch.cli.session_verbs import SESSION_VERBS
+from tests.support.replay import COMMAND, replaying
+from tests.support.waiting import until
+
+CHANGES_ONLY = {"daemon patch", "daemon run", "daemon start", "daemon stop", "daemon unpatch"}
+WRITES_A_FILE = {"completion", "export", "init", "layout", "recover", "report", "schema"}
+"""Or prints what is none of ours: a script, the layout of another tool, a schema."""
+SYSTEM = """
+version: 1
+record:
+  before_crash: {topics: [/chatter], seconds: 5 s}
+containers:
+  - name: chat
+    composable_nodes:
+      - {package: play_launch_demo, plugin: "play_launch_demo::Talker", name: talker}
+nodes:
+  - {name: sleeper, command: [sleep, "1000"]}
+"""
+
+
+def leaves(command: Command, path: str = "") -> Iterator[tuple[str, Command]]:
+    if not command.verbs:
+        yield path, command
+    for name, make in command.verbs.items():
+        yield from leaves(make(), f"{path} {name}".strip())
+
+
+def test_every_verb_that_answers_has_json() -> None:
+    without = {
+        path
+        for path, command in leaves(program())
+        if not any("--json" in option.names for option in command.options)
+    }
+    assert without == CHANGES_ONLY | WRITES_A_FILE
+
+
+FOR_PEOPLE = {"top"}
+"""It says so, and names the verbs for programs."""
+ASKED = {
+    "ps": [],
+    "events": [],
+    "logs": [],
+    "wait": [],
+    "stop": ["sleeper"],
+    "start": ["sleeper"],
+    "restart": ["sleeper"],
+    "unload": ["talker"],
+    "load": ["talker"],
+    "reload": ["talker"],
+    "signal": ["CONT", "sleeper"],
+    "diff": ["system.yaml"],
+    "apply": ["system.yaml"],
+    "param": ["get", "talker", "rate"],
+    "param set": ["talker", "rate", "11.0"],
+    "param dump": ["talker"],
+    "snapshot": [],
+}
+
+
+def test_all_verbs_for_a_running_session_print_json(
+    tmp_path: Path,
+) -> None:
+    assert {verb.partition(" ")[0] for verb in ASKED} == SESSION_VERBS.keys() - FOR_PEOPLE
+    (tmp_path / "system.yaml").write_text(SYSTEM, encoding="utf-8")
+    with replaying(tmp_path / "system.yaml", tmp_path / "logs") as replay:
+        session = str(tmp_path / "logs" / "latest")
+
+        def ask(verb: str, arguments: list[str]) -> subprocess.CompletedProcess[str]:
+            command = [str(COMMAND), *verb.split(), *arguments, "--json", "--session", session]
+            return subprocess.run(
+                command, check=False, capture_output=True, text=True, timeout=90, cwd=tmp_path
+            )
+
+        replay.read_until_states({"/talker": "loaded"})
+        until(lambda: ask("wait", ["--for", "ready"]).returncode == 0, "the system")
+        until(lambda: ask("snapshot", []).returncode == 0, "what holds topics")
+        for verb, arguments in ASKED.items():
+            done = ask(verb, arguments)
+            assert done.returncode == 0, (verb, done.stderr)
+            lines = done.stdout.splitlines()
+            assert lines, verb
+            for line in lines:
+                assert isinstance(json.loads(line), dict | list), (verb, line)

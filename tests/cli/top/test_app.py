@@ -1,0 +1,344 @@
+"""The screen without a terminal, on the real protocol, before sessions that do what is wanted."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Callable, Coroutine
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from blockbuster import blockbuster_ctx
+
+from play_launch.cli.top.app import End, TopApp
+from play_launch.cli.top.link import MOST_UNDER_WAY
+from play_launch.cli.top.panes import Pane, Question
+from play_launch.control.client import connect_to
+from play_launch.control.place import LINKS
+from play_launch.control.protocol import Code, ControlError
+from play_launch.control.server import About, serving
+from tests.support.waiting import LIMIT
+
+if TYPE_CHECKING:
+    from textual.pilot import Pilot
+
+    from play_launch.control.connection import Stream
+    from play_launch.control.place import Peer
+    from play_launch.control.protocol import Request
+
+ABOUT = About(name="robot", session="6c1f", version="0.1.0", started_ns=7)
+
+
+def row(name: str, state: str = "running", kind: str = "process", **fields: Any) -> dict[str, Any]:
+    return {"name": name, "kind": kind, "state": state, "container": None, **fields}
+
+
+def output(text: str, process: str = "/a") -> dict[str, Any]:
+    return {"event": "output", "stamp_ns": 0, "process": process, "text": text, "stream": "stdout"}
+
+
+class Session:
+    """Answers as it is set up to."""
+
+    def __init__(self) -> None:
+        self.rows: Any = [row("/a"), row("/b", "stopped"), row("/camera", cpu_percent=5.0)]
+        self.asked = 0
+        self.operations: list[tuple[str, dict[str, Any]]] = []
+        self.answer: Callable[[], Coroutine[Any, Any, object]] = self._done
+        self.stream: Stream | None = None
+        self.is_followed = asyncio.Event()
+
+    async def __call__(self, request: Request, peer: Peer, stream: Stream) -> object:
+        match request.operation:
+            case "ps":
+                self.asked += 1
+                return self.rows
+            case "events":
+                self.stream = stream
+                self.is_followed.set()
+                await asyncio.Event().wait()
+        self.operations.append((request.operation, dict(request.arguments)))
+        return await self.answer()
+
+    async def _done(self) -> object:
+        return {"results": []}
+
+    async def say(self, *events: dict[str, Any]) -> None:
+        async with asyncio.timeout(LIMIT):
+            await self.is_followed.wait()
+        assert self.stream is not None
+        for event in events:
+            await self.stream.send("event", event)
+
+
+class Scene:
+    """A session, the screen before it, and a person."""
+
+    def __init__(self, session: Session, app: TopApp, pilot: Pilot[End]) -> None:
+        self.session = session
+        self.app = app
+        self.press = pilot.press
+        self.resize = pilot.resize_terminal
+
+    def lines(self, pane: str) -> list[str]:
+        return [
+            line.rstrip() for line in self.app.screen_stack[0].query_one(f"#{pane}", Pane).texts()
+        ]
+
+    def names(self) -> list[str]:
+        return [line.split()[0] for line in self.lines("table")[1:]]
+
+    async def until(self, done: Callable[[], bool], what: str) -> None:
+        try:
+            async with asyncio.timeout(LIMIT):
+                while not done():
+                    await asyncio.sleep(0.02)
+        except TimeoutError:
+            raise AssertionError(f"waited for {what}; {self.lines('table')}") from None
+
+    async def until_asked(self, question: str) -> None:
+        def is_asked() -> bool:
+            screen = self.app.screen
+            return (
+                isinstance(screen, Question)
+                and screen.is_mounted
+                and question in str(screen.query("Static").first().render())
+            )
+
+        await self.until(is_asked, question)
+
+
+@pytest.fixture(autouse=True)
+def links(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(LINKS, str(tmp_path / "links"))
+
+
+@contextlib.asynccontextmanager
+async def shown(folder: Path, size: tuple[int, int] = (80, 24)) -> AsyncIterator[Scene]:
+    session = Session()
+    async with serving(folder, ABOUT, session):
+        with await asyncio.to_thread(connect_to, str(folder)) as client:
+            app = TopApp(client)
+            async with app.run_test(size=size) as pilot:
+                scene = Scene(session, app, pilot)
+                await scene.until(lambda: app.model.has_rows, "rows")
+                app._draw()
+                with blockbuster_ctx("play_launch"):
+                    yield scene
+
+
+def acted(folder: Path, act: Callable[[Scene], Coroutine[Any, Any, None]], **how: Any) -> End:
+    """Let a person act; return why the screen was left."""
+
+    async def main() -> End:
+        async with shown(folder, **how) as scene:
+            await act(scene)
+            await scene.press("q")
+        end = scene.app.return_value
+        assert end is not None
+        return end
+
+    return asyncio.run(main())
+
+
+def test_what_runs_is_shown_at_80_by_24(tmp_path: Path) -> None:
+    async def act(scene: Scene) -> None:
+        await scene.session.say(output("[INFO] [1.5] [a]: hello"))
+        await scene.until(lambda: "hello" in "".join(scene.lines("log")), "a line")
+        assert scene.lines("head")[0].startswith("robot (pid ")
+        assert scene.lines("head")[0].endswith("2 of 3 up, 1 at rest")
+        title, first = scene.lines("table")[:2]
+        assert title.split() == [
+            "NAME", "STATE", "PID", "UP", "RST", "CPU%", "MEM", "LAST", "LINE",
+        ]  # fmt: skip
+        assert first.split() == ["/a", "running", "-", "-", "0", "-", "-", "hello"]
+        assert scene.lines("detail") == ["/a, process"]
+        assert scene.lines("foot")[0].startswith("r restart  x stop  ? help  q quit")
+
+    assert acted(tmp_path, act) == End()
+
+
+@pytest.mark.parametrize(
+    ("key", "answer", "operations"),
+    [
+        ("r", "y", [("restart", "/a")]),
+        ("x", "y", [("stop", "/a")]),
+        ("x", "n", []),
+        ("x", "escape", []),
+        ("x", "enter", []),
+        ("x", "q", []),
+    ],
+)
+def test_only_a_yes_does_something(
+    tmp_path: Path, key: str, answer: str, operations: list[tuple[str, str]]
+) -> None:
+    async def act(scene: Scene) -> None:
+        await scene.press(key)
+        await scene.until_asked(" /a?")
+        await scene.press(answer)
+        await scene.until(lambda: len(scene.app.screen_stack) == 1, "the question to go")
+        if operations:
+            await scene.until(lambda: "ed" in scene.lines("foot")[0], "the outcome")
+        found = [(name, *asked["names"]) for name, asked in scene.session.operations]
+        assert found == operations
+
+    acted(tmp_path, act)
+
+
+def test_what_makes_no_sense_is_not_asked(tmp_path: Path) -> None:
+    async def act(scene: Scene) -> None:
+        await scene.press("s")
+        assert len(scene.app.screen_stack) == 1
+        assert scene.lines("foot") == ["/a is running: nothing to start"]
+        await scene.press("down")
+        assert scene.lines("foot")[0].startswith("r restart  s start")
+
+    acted(tmp_path, act)
+
+
+def test_what_failed_says_why(tmp_path: Path) -> None:
+    async def refuse() -> object:
+        raise ControlError(Code.REFUSED, "the session is \x1b[2Jbeing stopped")
+
+    async def act(scene: Scene) -> None:
+        scene.session.answer = refuse
+        await scene.press("r", "y")
+        await scene.until(lambda: "failed" in scene.lines("foot")[0], "the failure")
+        assert scene.lines("foot") == ["restart /a failed: the session is being stopped"]
+
+    acted(tmp_path, act)
+
+
+def test_operations_under_way_are_bounded(tmp_path: Path) -> None:
+    async def never() -> object:
+        return await asyncio.Event().wait()
+
+    async def act(scene: Scene) -> None:
+        scene.session.answer = never
+        for number in range(MOST_UNDER_WAY):
+            await scene.press("r", "y")
+            await scene.until(lambda n=number: len(scene.session.operations) > n, "it")  # type: ignore[misc]
+        await scene.press("r", "y")
+        await scene.until(lambda: "failed" in scene.lines("foot")[0], "the refusal")
+        assert f"{MOST_UNDER_WAY} operations are under way" in scene.lines("foot")[0]
+        assert len(scene.session.operations) == MOST_UNDER_WAY
+        # What it shows stays up to date beside them.
+        asked = scene.session.asked
+        await scene.until(lambda: scene.session.asked > asked, "another look")
+
+    acted(tmp_path, act)
+
+
+def test_keys_that_are_typed_ahead_are_what_they_are_meant_to_be(tmp_path: Path) -> None:
+    async def act(scene: Scene) -> None:
+        # Among the letters are keys that would do something.
+        await scene.press("slash", *"sys", "ctrl+u", *"camra", "backspace", "backspace", *"era")
+        assert scene.lines("foot")[0].startswith("names: camera_")
+        await scene.press("enter", "r")
+        await scene.until_asked("restart /camera?")
+        assert scene.session.operations == []
+        await scene.press("n")
+        assert scene.names() == ["/camera"]
+        assert "1 with 'camera'" in scene.lines("head")[0]
+        await scene.press("escape")
+        assert scene.names() == ["/a", "/b", "/camera"]
+        assert scene.lines("detail") == ["/camera, process"], "the selection stays"
+
+    acted(tmp_path, act)
+
+
+def test_rows_are_sorted_and_the_selection_stays_with_its_row(tmp_path: Path) -> None:
+    async def act(scene: Scene) -> None:
+        await scene.press("down")
+        orders = []
+        for _ in range(7):
+            await scene.press("o")
+            orders.append(scene.names())
+        assert orders[0] == ["/a", "/b", "/camera"]
+        assert orders[2] == ["/camera", "/a", "/b"], "by CPU"
+        assert orders[6] == ["/a", "/b", "/camera"]
+        await scene.press("o", "O")
+        assert scene.names() == ["/camera", "/b", "/a"]
+        assert scene.lines("detail") == ["/b, process"]
+        assert scene.lines("head")[0].endswith("; by name, reversed")
+        # It goes: what stands in its place is selected then.
+        scene.session.rows = [each for each in scene.session.rows if each["name"] != "/b"]
+        await scene.until(lambda: scene.names() == ["/camera", "/a"], "a row less")
+        assert scene.lines("detail") == ["/a, process"]
+        scene.session.rows = []
+        await scene.until(lambda: "nothing is declared" in scene.lines("table"), "no rows")
+        await scene.press("r", "down", "enter", "end")
+        assert scene.lines("detail") == [""]
+
+    acted(tmp_path, act)
+
+
+def test_the_log_is_chosen_and_scrolled(tmp_path: Path) -> None:
+    async def act(scene: Scene) -> None:
+        lines = [output(f"line {number}", "/b" if number % 2 else "/a") for number in range(100)]
+        await scene.session.say(*lines, output("[ERROR] [1.5] [x]: bad"))
+        await scene.until(lambda: "bad" in "".join(scene.lines("log")), "the last line")
+        await scene.press("enter")
+        assert scene.lines("log-title") == ["LOG of /a"]
+        assert scene.lines("log")[-2].endswith("/a: line 98")
+        await scene.press("tab", "pageup", "up")
+        height = len(scene.lines("log"))
+        assert scene.lines("log-title") == [f"LOG of /a, {height} lines below"]
+        held = scene.lines("log")
+        await scene.session.say(output("later"))
+        await scene.until(lambda: f"{height + 1} lines" in scene.lines("log-title")[0], "one more")
+        assert scene.lines("log") == held, "what is read stays where it is"
+        await scene.press("end")
+        assert scene.lines("log")[-1].endswith("/a: later")
+        await scene.press("l", "l", "l")
+        assert scene.lines("log-title") == ["LOG of /a, error and above"]
+        assert [line.split()[1:] for line in scene.lines("log")] == [["E", "x:", "bad"]]
+        await scene.press("tab", "escape")
+        assert scene.lines("log-title") == ["LOG of all, error and above"]
+
+    acted(tmp_path, act)
+
+
+def test_hostile_names_and_lines_keep_the_screen_in_order(tmp_path: Path) -> None:
+    async def act(scene: Scene) -> None:
+        name = "/\x1b[2J\x1b]0;title\x07猫" + "猫" * 80 + "\u202eend"
+        scene.session.rows = [row(name, "runn\ning\x1b[31m", reason="\x9b31m\ud83d")]
+        await scene.session.say(output("\x1b[2J🤖" * 5000, name), output("\x00\x07\r", name))
+        await scene.until(lambda: "🤖" in "".join(scene.lines("log")), "the line")
+        await scene.until(lambda: "猫" in scene.lines("table")[1], "the row")
+        for pane in ("head", "table", "detail", "log-title", "log", "foot"):
+            assert all(line.isprintable() for line in scene.lines(pane)), pane
+        await scene.press("x")
+        await scene.until_asked("stop /猫")
+        await scene.press("y")
+        await scene.until(lambda: bool(scene.session.operations), "the operation")
+        assert scene.session.operations[0][1]["names"] == [name], "as the session knows it"
+
+    acted(tmp_path, act)
+
+
+@pytest.mark.parametrize("rows", [None, [{"name": 5}], {"a": 1}])
+def test_an_answer_that_is_none_ends_it_with_the_reason(tmp_path: Path, rows: Any) -> None:
+    async def act(scene: Scene) -> None:
+        scene.session.rows = rows
+        await scene.until(lambda: scene.app.return_value is not None, "the end")
+
+    end = acted(tmp_path, act)
+    assert end.is_lost
+    assert "not understood" in end.reason
+
+
+def test_every_size_has_a_screen(tmp_path: Path) -> None:
+    async def act(scene: Scene) -> None:
+        scene.session.rows = [row(f"/node_{number:03}") for number in range(110)]
+        await scene.until(lambda: len(scene.app.model.rows) == 110, "the rows")
+        await scene.press("end")
+        assert scene.names()[-1] == "/node_109"
+        for width, height in ((20, 5), (1, 1), (200, 60), (80, 24)):
+            await scene.resize(width, height)
+            await scene.press("up", "down", "question_mark", "q")
+        assert scene.names()[-1] == "/node_109"
+        assert max(map(len, scene.lines("table"))) <= 80
+
+    acted(tmp_path, act)

@@ -1,0 +1,146 @@
+from __future__ import annotations
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from play_launch.cli.top.rows import (
+    Mood,
+    Order,
+    Row,
+    Subject,
+    counted,
+    matching,
+    mood,
+    ordered,
+    place_of,
+    rows_of,
+)
+from tests.cli.top.rows import node, row, systems
+
+
+def test_rows_are_read_from_an_answer_whatever_else_is_in_it() -> None:
+    answer = [{"name": "/a", "kind": "process", "state": "running", "cpu_percent": 3, "new": [1]}]
+    assert rows_of(answer) == [row("/a", kind="process", cpu_percent=3.0)]
+
+
+@pytest.mark.parametrize("answer", [None, {}, [1], [{"name": "/a"}], [{"name": None}]])
+def test_what_is_no_list_of_rows_is_an_error(answer: object) -> None:
+    with pytest.raises(ValueError, match=r"Expected|missing"):
+        rows_of(answer)
+
+
+@pytest.mark.parametrize(
+    ("what", "expected"),
+    [
+        (row("/a", "running"), Mood.GOOD),
+        (row("/a", "exited", "process", exit_code=0), Mood.REST),
+        (row("/a", "exited", "process", exit_code=3), Mood.BAD),
+        (row("/a", "exited", "process", signal=11), Mood.BAD),
+        (node("/a", "/c", "crashed"), Mood.BAD),
+        (node("/a", "/c", "unloaded"), Mood.REST),
+        (node("/a", "/c", "loading"), Mood.BUSY),
+        (row("/a", "of a later version"), Mood.BUSY),
+    ],
+)
+def test_a_state_is_judged(what: Row, expected: Mood) -> None:
+    assert mood(what) is expected
+
+
+@pytest.mark.parametrize(
+    ("order", "is_reversed", "names"),
+    [
+        (Order.DECLARED, False, ["/c", "/b", "/d", "/a"]),
+        (Order.DECLARED, True, ["/a", "/d", "/b", "/c"]),
+        (Order.NAME, False, ["/a", "/b", "/c", "/d"]),
+        (Order.NAME, True, ["/d", "/c", "/b", "/a"]),
+        (Order.STATE, False, ["/d", "/b", "/c", "/a"]),
+        (Order.CPU, False, ["/a", "/c", "/b", "/d"]),
+        (Order.CPU, True, ["/c", "/a", "/b", "/d"]),
+        (Order.MEMORY, False, ["/d", "/c", "/b", "/a"]),
+        (Order.RESTARTS, False, ["/b", "/c", "/d", "/a"]),
+        (Order.UPTIME, False, ["/a", "/c", "/b", "/d"]),
+    ],
+)
+def test_what_is_looked_for_comes_first(order: Order, is_reversed: bool, names: list[str]) -> None:
+    rows = [
+        row("/c", cpu_percent=1.0, uptime_s=9.0),
+        row("/b", "starting", restarts=2),
+        row("/d", "gave up", memory_bytes=5),
+        row("/a", "stopped", cpu_percent=80.0, uptime_s=1.0),
+    ]
+    assert [each.name for each in ordered(rows, order, is_reversed=is_reversed)] == names
+
+
+@settings(max_examples=25)
+@given(systems(), st.sampled_from(Order), st.booleans())
+def test_sorting_loses_nothing_and_settles(
+    rows: list[Row], order: Order, is_reversed: bool
+) -> None:
+    once = ordered(rows, order, is_reversed=is_reversed)
+    assert sorted(once, key=lambda each: each.name) == sorted(rows, key=lambda each: each.name)
+    if order is not Order.DECLARED:
+        assert ordered(once, order, is_reversed=is_reversed) == once
+    figures = {Order.CPU: "cpu_percent", Order.MEMORY: "memory_bytes", Order.UPTIME: "uptime_s"}
+    if order in figures:
+        is_known = [getattr(each, figures[order]) is not None for each in once]
+        assert is_known == sorted(is_known, reverse=True)
+
+
+def test_orders_follow_each_other_in_a_circle() -> None:
+    seen = [Order.DECLARED]
+    while (following := seen[-1].next()) is not Order.DECLARED:
+        seen.append(following)
+    assert seen == list(Order)
+
+
+@pytest.mark.parametrize(
+    ("pattern", "names"),
+    [
+        ("", ["/chat", "/talker", "/sensing/Camera"]),
+        ("  ", ["/chat", "/talker", "/sensing/Camera"]),
+        ("CAM", ["/sensing/Camera"]),
+        ("alk", ["/talker"]),
+        ("/sensing/*", ["/sensing/Camera"]),
+        ("camera*", []),
+        ("/chat:", ["/talker"]),
+        ("/chat:*", ["/talker"]),
+        ("[", []),
+        ("nobody", []),
+    ],
+)
+def test_rows_are_chosen_by_name(pattern: str, names: list[str]) -> None:
+    rows = [row("/chat"), node("/talker", "/chat"), row("/sensing/Camera", kind="process")]
+    assert [each.name for each in matching(rows, pattern)] == names
+
+
+@settings(max_examples=25)
+@given(systems(), st.text(max_size=20))
+def test_choosing_keeps_the_order(rows: list[Row], pattern: str) -> None:
+    chosen = matching(rows, pattern)
+    assert chosen == [each for each in rows if each in chosen]
+
+
+@settings(max_examples=25)
+@given(systems(), systems(), st.integers(0, 20), st.integers(-3, 30))
+def test_the_selection_stays_with_its_subject(
+    before: list[Row], after: list[Row], selected: int, place: int
+) -> None:
+    subject = before[selected % len(before)].subject if before else None
+    found = place_of(subject, after, place)
+    if subject in {each.subject for each in after}:
+        assert after[found].subject == subject
+    else:
+        assert 0 <= found < max(len(after), 1)
+
+
+def test_a_system_is_summed_up() -> None:
+    rows = [row("/a"), row("/b", "stopped"), row("/c", "gave up"), row("/d", "starting")]
+    assert counted(rows) == "1 of 4 up, 1 failed, 1 under way, 1 at rest"
+    assert counted([row("/a")]) == "1 of 1 up"
+    assert counted([]) == "0 of 0 up"
+
+
+def test_a_node_is_named_with_its_container() -> None:
+    assert Subject("/chat", "/talker").target == "/chat:/talker"
+    assert Subject(None, "/chat").target == "/chat"

@@ -1,0 +1,417 @@
+"""The installed commands on real sessions: containers, isolated nodes, processes of every kind."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import pty
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+
+from play_launch.control.client import connect_to
+from play_launch.control.place import LINKS, address_of
+from play_launch.control.protocol import LONGEST_REQUEST, encode
+from play_launch.history.session import PastSession
+from play_launch.recording import topics
+from tests.support.replay import COMMAND, Replay, alive, replaying
+from tests.support.waiting import until
+
+SYSTEM = """
+version: 1
+name: robot
+stop: {{ask: 1 s, sigint: 500 ms, sigterm: 500 ms}}
+containers:
+  - name: chat
+    container_type: isolated
+    composable_nodes:
+      - {{package: play_launch_demo, plugin: "play_launch_demo::Talker", name: talker}}
+      - {{package: play_launch_demo, plugin: "play_launch_demo::Talker", name: other}}
+  - name: shared
+    namespace: /sensing
+    composable_nodes:
+      - {{package: play_launch_demo, plugin: "play_launch_demo::Talker", name: camera}}
+nodes:
+  - {{name: sleeper, command: [sleep, "1000"]}}
+  - {{name: deaf, command: ["{python}", "{deaf}"]}}
+"""
+DEAF = """
+import signal, time
+for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+    signal.signal(number, signal.SIG_IGN)
+print("deaf now", flush=True)
+while True:
+    time.sleep(1000)
+"""
+KINDS = ["output", "node", "process"]
+UP = {"/talker": "loaded", "/other": "loaded", "/camera": "loaded"}
+
+
+def ask(*arguments: str, code: int = 0) -> str:
+    """Run a command to its end and return what it prints; it has to end with ``code``."""
+    result = subprocess.run(
+        [str(COMMAND), *arguments], check=False, capture_output=True, text=True, timeout=90
+    )
+    assert result.returncode == code, (arguments, result.stdout, result.stderr)
+    return result.stdout if code == 0 else result.stdout + result.stderr
+
+
+def rows(*names: str) -> dict[str, dict[str, Any]]:
+    found: list[dict[str, Any]] = json.loads(ask("ps", "--json", *names))
+    return {row["name"]: row for row in found}
+
+
+def pids() -> dict[str, Any]:
+    return {name: row["pid"] for name, row in rows().items()}
+
+
+@pytest.fixture(autouse=True)
+def links(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv(LINKS, str(tmp_path / "links"))
+    return tmp_path / "links"
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    deaf = tmp_path / "deaf.py"
+    deaf.write_text(DEAF, encoding="utf-8")
+    path = tmp_path / "robot.yaml"
+    path.write_text(SYSTEM.format(python=sys.executable, deaf=deaf), encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    command = ["mount", "-t", "tmpfs", "-o", "size=8M", "tmpfs", str(folder)]
+    if subprocess.run(command, check=False, capture_output=True).returncode != 0:
+        pytest.skip("mounting needs privileges")
+    yield folder
+    subprocess.run(["umount", str(folder)], check=True)
+
+
+@contextlib.contextmanager
+def running(config: Path, log_dir: Path, *arguments: str) -> Iterator[Replay]:
+    with replaying(config, log_dir, "-q", *arguments) as replay:
+        ask("wait", "--timeout", "60")
+        yield replay
+
+
+def test_what_runs_is_listed(config: Path, tmp_path: Path) -> None:
+    with running(config, tmp_path / "logs"):
+        found = rows()
+        assert list(found) == [
+            "/chat", "/talker", "/other", "/sensing/shared", "/camera", "/sleeper", "/deaf",
+        ]  # fmt: skip
+        kinds = [row["kind"] for row in found.values()]
+        assert (
+            kinds
+            == ["container", "component", "component", "container", "component"] + ["process"] * 2
+        )
+        states = {name: row["state"] for name, row in found.items()}
+        assert {states[name] for name in UP} == {"loaded"}
+        assert {state for name, state in states.items() if name not in UP} == {"running"}
+        assert found["/talker"]["container"] == "/chat"
+        # An isolated node has a process of its own, in the memory of its container.
+        own = found["/talker"]
+        assert own["pid"] not in {None, found["/chat"]["pid"], found["/other"]["pid"]}
+        assert found["/camera"]["pid"] == found["/sensing/shared"]["pid"]
+        assert all(row["uptime_s"] >= 0 for row in found.values())
+        until(lambda: rows("/chat")["/chat"]["cpu_percent"] is not None, "a sample")
+        chat = rows("/chat")["/chat"]
+        assert chat["memory_bytes"] > 1_000_000
+        assert rows("/talker")["/talker"]["memory_bytes"] is None
+        assert list(rows("/sensing/*", "sleeper")) == ["/sensing/shared", "/sleeper"]
+        table = ask("ps").splitlines()
+        assert table[0].split()[:3] == ["NAME", "KIND", "STATE"]
+        assert table[2].startswith("  /talker")
+        assert "did you mean /talker?" in ask("ps", "/talkr", code=2)
+
+
+def test_ps_imports_next_to_nothing(tmp_path: Path) -> None:
+    program = (
+        "import sys\n"
+        "from play_launch.cli.entry import main\n"
+        "try:\n    main()\nexcept SystemExit as end:\n    assert end.code == 1\n"
+        "slow = {'typer', 'rich', 'asyncio', 'msgspec', 'yaml', 'shutil', 'dataclasses',\n"
+        "        'inspect', 'logging', 'subprocess', 'tempfile'}\n"
+        "print(sorted(slow & set(sys.modules)))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program, "ps", "--json"],
+        check=True,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert done.stdout == "[]\n"
+    assert "no session is running" in done.stderr
+
+
+def test_actions_touch_only_what_they_are_about(config: Path, tmp_path: Path) -> None:
+    with running(config, tmp_path / "logs") as replay:
+        before = pids()
+        assert ask("reload", "talker") == "/talker: reloaded\n"
+        assert ask("restart", "/sensing/*") == "/sensing/shared: restarted\n"
+        assert ask("stop", "sleeper") == "/sleeper: stopped\n"
+        ask("wait")
+        after = pids()
+        assert after["/sleeper"] is None
+        changed = {name for name in before if before[name] != after[name]}
+        assert changed == {"/talker", "/sensing/shared", "/camera", "/sleeper"}
+        assert ask("start", "sleeper") == "/sleeper: started\n"
+        assert ask("unload", "/chat:*") == "/talker: unloaded\n/other: unloaded\n"
+        assert {row["state"] for row in rows("/chat:*").values()} == {"unloaded"}
+        assert json.loads(ask("load", "/other", "--json"))[0] == {
+            "name": "/other", "container": "/chat", "done": True, "reason": "",
+        }  # fmt: skip
+        # What was done already is done.
+        assert ask("load", "/other") == "/other: loaded\n"
+        replay.process.send_signal(signal.SIGINT)
+        replay.read_all()
+    actions = [event for event in replay.seen if event["event"] == "action"]
+    assert {event["phase"] for event in actions} == {"requested", "done"}
+    session = PastSession(replay.bag)
+    recorded = [each.event for each in session.events({topics.ACTIONS.name})]
+    assert [event.action for event in recorded][:4] == ["reload", "reload", "restart", "restart"]  # type: ignore[union-attr]
+    first = recorded[0]
+    assert first.targets == ("/chat:/talker",)  # type: ignore[union-attr]
+    assert (first.uid, first.command.split()[-2:]) == (os.geteuid(), ["reload", "talker"])  # type: ignore[union-attr]
+    shown = ask("inspect", str(replay.bag))
+    assert "reload /chat:/talker: asked for by user" in shown
+
+
+def test_what_cannot_be_done_is_refused_with_the_reason(config: Path, tmp_path: Path) -> None:
+    with running(config, tmp_path / "logs"):
+        for arguments, code, words in (
+            (("stop", "/talker"), 2, "is a composable node; use load, unload or reload"),
+            (("reload", "/chat"), 2, "is no composable node"),
+            (("stop", "nobody"), 2, "nothing is called nobody"),
+            (("signal", "NONSENSE", "/chat"), 2, "is no signal"),
+            (("signal", "USR1", "/camera"), 1, "no process of its own"),
+            (("events", "--kind", "nonsense"), 2, "there are no events 'nonsense'"),
+            (("start", "/chat", "--timeout", "-1"), 2, "more than 0"),
+        ):
+            assert words in ask(*arguments, code=code), arguments
+        ask("stop", "chat")
+        assert "start /chat first" in ask("load", "/talker", code=1)
+        assert "its container has stopped" in ask("wait", "/talker", code=1)
+        ask("wait")
+        assert "/chat: started" in ask("start", "chat")
+        ask("wait", "/talker")
+
+
+def test_a_process_that_is_deaf_to_signals_is_stopped_all_the_same(
+    config: Path, tmp_path: Path
+) -> None:
+    with running(config, tmp_path / "logs"):
+        assert "deaf now" in ask("logs", "/deaf")
+        found = psutil.Process(rows("/deaf")["/deaf"]["pid"])
+        assert "not done within 0.2 s: /deaf" in ask("stop", "deaf", "--timeout", "0.2", code=3)
+        assert ask("stop", "deaf") == "/deaf: stopped\n"
+        assert not alive([found])
+        assert rows("/deaf")["/deaf"]["signal"] == signal.SIGKILL
+
+
+@pytest.mark.parametrize(
+    ("done", "code"),
+    [
+        ((), 0),
+        ((("stop", "chat"), ("stop", "deaf"), ("unload", "camera")), 0),
+        ((("signal", "KILL", "sleeper"),), 1),
+        ((("signal", "KILL", "sleeper"), ("stop", "sleeper")), 0),
+        ((("stop", "sleeper"), ("start", "sleeper"), ("signal", "KILL", "sleeper")), 1),
+    ],
+)
+def test_what_a_person_stopped_does_not_count_in_the_exit_code(
+    done: tuple[tuple[str, ...], ...], code: int, config: Path, tmp_path: Path
+) -> None:
+    text = config.read_text(encoding="utf-8").replace("name: robot", "name: robot\nduration: 20 s")
+    config.write_text(text, encoding="utf-8")
+    with running(config, tmp_path / "logs") as replay:
+        for arguments in done:
+            ask(*arguments)
+            if arguments[:2] == ("signal", "KILL"):
+                until(lambda: rows("/sleeper")["/sleeper"]["pid"] is None, "its end")
+        replay.read_all()
+    assert replay.process.returncode == code
+
+
+def test_a_session_of_which_all_was_stopped_goes_on(config: Path, tmp_path: Path) -> None:
+    with running(config, tmp_path / "logs") as replay:
+        ask("stop", "*")
+        assert {row["pid"] for row in rows().values()} == {None}
+        ask("start", "*")
+        ask("wait")
+        replay.process.send_signal(signal.SIGINT)
+        replay.read_all()
+
+
+def test_events_and_logs_are_followed(config: Path, tmp_path: Path) -> None:
+    with running(config, tmp_path / "logs") as replay:
+        past = [json.loads(line) for line in ask("events", "--json").splitlines()]
+        assert {"node", "container", "process", "component"} <= {each["event"] for each in past}
+        assert [each["stamp_ns"] for each in past] == sorted(each["stamp_ns"] for each in past)
+        of_talker = [json.loads(line) for line in ask("events", "--json", "talker").splitlines()]
+        assert of_talker
+        assert {each.get("node", "/talker") for each in of_talker} == {"/talker"}
+        lines = ask("logs", "/camera").splitlines()
+        assert lines
+        assert all("[camera]" in line for line in lines)
+        assert "Hello" not in ask("logs", "--level", "error")
+        assert ask("logs", "--since", "0s", "/deaf") == ""
+        follower = subprocess.Popen(
+            [str(COMMAND), "events", "-f", "--new", "--json"], stdout=subprocess.PIPE, text=True
+        )
+        assert follower.stdout is not None
+        with ended(follower):
+            until(lambda: bool(ask("reload", "/other")) and readable(follower), "an event")
+            # Which of them comes first depends on when it began to follow.
+            assert any(json.loads(line)["event"] == "action" for line in follower.stdout)
+            replay.process.send_signal(signal.SIGINT)
+            replay.read_all()
+            # The end of the session ends it.
+            assert follower.wait(30) == 0
+            follower.stdout.read()
+
+
+@contextlib.contextmanager
+def ended(process: subprocess.Popen[str]) -> Iterator[None]:
+    """Leave no process behind that nobody ends, whatever goes wrong in the block."""
+    with process:
+        try:
+            yield
+        finally:
+            if sys.exc_info()[0] is not None:
+                process.kill()
+
+
+def readable(process: subprocess.Popen[str]) -> bool:
+    import select
+
+    assert process.stdout is not None
+    return bool(select.select([process.stdout], [], [], 0)[0])
+
+
+def test_commands_in_a_terminal(config: Path, tmp_path: Path) -> None:
+    def in_a_terminal(*arguments: str) -> bytes:
+        child, terminal = pty.fork()
+        if child == 0:
+            os.execv(COMMAND, [str(COMMAND), *arguments])
+        said = b""
+        with contextlib.suppress(OSError):  # EIO: it has ended
+            while data := os.read(terminal, 4096):
+                said += data
+        os.close(terminal)
+        assert os.waitpid(child, 0)[1] == 0
+        return said
+
+    with running(config, tmp_path / "logs"):
+        assert b"/sensing/shared  container" in in_a_terminal("ps")
+        assert b"/talker: reloaded" in in_a_terminal("reload", "talker")
+        assert b"/talker loaded" in in_a_terminal("events", "talker")
+
+
+def test_a_killed_supervisor_leaves_a_socket_that_is_recognised(
+    config: Path, tmp_path: Path
+) -> None:
+    with running(config, tmp_path / "logs") as replay:
+        everything = replay.descendants()
+        replay.process.kill()
+        replay.process.wait()
+        until(lambda: not alive(everything), "the end of the nodes")
+    left = list((tmp_path / "logs").glob("*/control.sock"))
+    assert len(left) == 2  # by way of `latest` as well
+    assert "was killed, and left control.sock behind" in ask("ps", code=1)
+    assert "was killed" in ask("ps", "--session", str(tmp_path / "logs" / "latest"), code=1)
+    with running(config, tmp_path / "logs"):
+        assert rows()["/chat"]["state"] == "running"
+
+
+def test_a_full_disk_under_the_session_does_not_keep_anybody_from_operating_it(
+    config: Path, small_disk: Path
+) -> None:
+    with running(config, small_disk):
+        filler = small_disk / "filler"
+        with contextlib.suppress(OSError), filler.open("wb", buffering=0) as file:
+            while file.write(b"x" * 65536):
+                pass
+        assert ask("reload", "talker") == "/talker: reloaded\n"
+        assert ask("stop", "sleeper") == "/sleeper: stopped\n"
+        assert rows("/sleeper")["/sleeper"]["pid"] is None
+        assert ask("logs", "/deaf")
+
+
+def test_bad_clients_do_not_affect_the_run(config: Path, tmp_path: Path) -> None:
+    with running(config, tmp_path / "logs") as replay, contextlib.ExitStack() as open_ones:
+        folder = str((tmp_path / "logs" / "latest").resolve())
+        before = pids()
+        follow = encode({"id": 1, "op": "events", "arguments": {"follow": True, "kinds": KINDS}})
+        for _ in range(50):
+            open_ones.enter_context(connect_to(folder))._connection.sendall(follow)
+        half = b'{"id": 1, "op": "diff", "arguments": {"config": "'
+        half += b"x" * (LONGEST_REQUEST - len(half))
+        for sent in [os.urandom(1000) + b"\n"] * 10 + [half] * 10 + [half + b"xx"] * 10:
+            plain = open_ones.enter_context(socket.socket(socket.AF_UNIX))
+            with address_of(folder) as address:
+                plain.connect(address)
+            with contextlib.suppress(BrokenPipeError, ConnectionResetError):  # it is refused
+                plain.sendall(sent)
+        for _ in range(20):
+            connect_to(folder).close()
+        until(lambda: ask("reload", "talker") == "/talker: reloaded\n", "a reload")
+        after = pids()
+        del before["/talker"], after["/talker"]
+        assert after == before
+        assert psutil.Process(replay.pid).memory_info().rss < 200_000_000
+
+
+def test_of_two_sessions_one_is_chosen(config: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other.yaml"
+    other.write_text(
+        "version: 1\nname: second\nnodes: [{name: sleeper, command: [sleep, '1000']}]\n",
+        encoding="utf-8",
+    )
+    with running(config, tmp_path / "a") as first, replaying(other, tmp_path / "b") as second:
+        ask("wait", "--session", "second", "--timeout", "60")
+        assert "2 sessions are running; choose one with --session" in ask("ps", code=1)
+        for session in ("second", str(second.pid), str(tmp_path / "b" / "latest")):
+            assert "/sleeper" in ask("ps", "--session", session)
+            assert "/chat" not in ask("ps", "--session", session)
+        assert "/chat" in ask("ps", "--session", str(first.pid))
+
+
+def test_parameters_are_read_and_set(config: Path, tmp_path: Path) -> None:
+    with running(config, tmp_path / "logs"):
+        values = json.loads(ask("param", "dump", "talker", "--json"))["/talker"]
+        assert (values["rate"], values["text"]) == (10.0, "Hello World")
+        # The type stays, also where the text looks like another one.
+        for name, text, value in (("text", "true", "true"), ("rate", "20", 20.0)):
+            ask("param", "set", "talker", name, text)
+            found = json.loads(ask("param", "get", "talker", name, "--json"))
+            assert found == {name: value}
+            assert isinstance(found[name], type(value))
+        assert "has no parameter nothing" in ask("param", "get", "talker", "nothing", code=1)
+        assert "and the parameter is a double" in ask(
+            "param", "set", "talker", "rate", "fast", code=1
+        )
+        dumped = ask("param", "dump", "/talker", "/camera")
+        assert "/talker:\n  ros__parameters:" in dumped
+
+
+def test_waiting_for_nodes_in_the_graph(config: Path, tmp_path: Path) -> None:
+    with running(config, tmp_path / "logs"):
+        answer = json.loads(ask("wait", "--for", "ready", "--json"))
+        assert answer["reached"] is True
+        assert "not ready: /sleeper" in ask(
+            "wait", "--for", "ready", "sleeper", "--timeout", "2", code=3
+        )

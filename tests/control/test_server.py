@@ -1,0 +1,413 @@
+"""The server against clients of every kind; the event loop is watched for being blocked."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import select
+import socket
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from play_launch.control.client import ControlClient, NoSessionError, connect, connect_to, running
+from play_launch.control.connection import MOST_AT_ONCE
+from play_launch.control.place import CONTROL_SOCKET, LINKS, registered
+from play_launch.control.protocol import LONGEST_REQUEST, Code, ControlError, decode, encode
+from play_launch.control.server import MOST_CLIENTS, MOST_RECEIVED, About, serving
+from tests.support.waiting import until
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator, Callable
+
+    from play_launch.control.connection import Stream
+    from play_launch.control.place import Peer
+    from play_launch.control.protocol import Request
+
+ABOUT = About(name="robot", session="6c1f", version="0.1.0", started_ns=7)
+
+
+class Session:
+    """Something that can be asked, and counts what is under way."""
+
+    def __init__(self) -> None:
+        self.under_way = 0
+        self.most = 0
+        self.peers: list[Peer] = []
+
+    async def __call__(self, request: Request, peer: Peer, stream: Stream) -> object:
+        self.under_way += 1
+        self.most = max(self.most, self.under_way)
+        self.peers.append(peer)
+        try:
+            return await self._do(request, stream)
+        finally:
+            self.under_way -= 1
+
+    async def _do(self, request: Request, stream: Stream) -> object:
+        match request.operation:
+            case "echo":
+                return dict(request.arguments)
+            case "count":
+                for number in range(request.arguments["to"]):
+                    await stream.send("event", number)
+                return "counted"
+            case "flood":
+                while True:
+                    await stream.send("event", "x" * 1000)
+                    await asyncio.sleep(0)
+            case "wait":
+                await asyncio.Event().wait()
+            case "fail":
+                raise ValueError("of our own")
+            case "large":
+                return "x" * 17_000_000
+        raise ControlError(Code.UNKNOWN_OPERATION, "no")
+
+
+@pytest.fixture(autouse=True)
+def links(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    folder = tmp_path / "links"
+    monkeypatch.setenv(LINKS, str(folder))
+    return folder
+
+
+@contextlib.asynccontextmanager
+async def served(folder: Path) -> AsyncIterator[Session]:
+    folder.mkdir(parents=True, exist_ok=True)
+    session = Session()
+    async with serving(folder, ABOUT, session):
+        yield session
+
+
+def with_server(folder: Path, work: Callable[[Session], Any]) -> Any:
+    """Run a blocking function beside a server."""
+
+    async def main() -> Any:
+        async with served(folder) as session, asyncio.timeout(60):
+            return await asyncio.to_thread(work, session)
+
+    return asyncio.run(main())
+
+
+def test_it_greets_answers_and_is_gone_at_its_end(tmp_path: Path, links: Path) -> None:
+    def talk(session: Session) -> None:
+        with connect() as client:
+            assert (client.hello.name, client.hello.folder) == ("robot", str(tmp_path))
+            assert client.hello.pid == os.getpid()
+            assert client.ask("echo", {"names": ["ä", 1.5]}) == {"names": ["ä", 1.5]}
+            assert session.peers[0][:2] == (os.getpid(), os.geteuid())
+            counted = [
+                message["event"]
+                for message in client.stream("count", {"to": 3})
+                if "event" in message
+            ]
+            assert counted == [0, 1, 2]
+        status = (tmp_path / CONTROL_SOCKET).stat()
+        assert status.st_mode & 0o777 == 0o600
+        assert [link.folder for link in registered()] == [str(tmp_path)]
+
+    with_server(tmp_path, talk)
+    assert not (tmp_path / CONTROL_SOCKET).exists()
+    assert not registered()
+    with pytest.raises(NoSessionError, match="no session is running"):
+        connect()
+
+
+def test_errors_are_errors_and_the_connection_goes_on(tmp_path: Path) -> None:
+    def talk(_: Session) -> None:
+        with connect_to(str(tmp_path)) as client:
+            for operation, code in (
+                ("nonsense", Code.UNKNOWN_OPERATION),
+                ("fail", Code.INTERNAL),
+                ("large", Code.TOO_LONG),
+            ):
+                with pytest.raises(ControlError) as refused:
+                    client.ask(operation)
+                assert refused.value.code == code
+            assert client.ask("echo", {"still": "here"}) == {"still": "here"}
+
+    with_server(tmp_path, talk)
+
+
+@pytest.mark.parametrize(
+    ("sent", "code"),
+    [
+        (b"GET / HTTP/1.1\r\n\r\n", Code.MALFORMED),
+        (b"\0\xff" * 500 + b"\n", Code.MALFORMED),
+        (b"x" * (LONGEST_REQUEST + 1), Code.TOO_LONG),
+        (b'{"id": 1, "op": "ps", "protocol": 99}\n', Code.PROTOCOL),
+    ],
+)
+def test_garbage_is_answered_and_ends_the_connection(
+    sent: bytes, code: str, tmp_path: Path
+) -> None:
+    def talk(_: Session) -> None:
+        with connected(tmp_path) as plain, plain.makefile("rb") as lines:
+            lines.readline()
+            plain.sendall(sent)
+            answer = decode(lines.readline())
+            assert (answer["id"], answer["error"]["code"]) == (None, code)
+            with contextlib.suppress(ConnectionResetError):
+                assert lines.read() == b""
+        with connect() as client:
+            assert client.ask("echo") == {}
+
+    with_server(tmp_path, talk)
+
+
+def test_fifty_clients_at_once(tmp_path: Path) -> None:
+    def talk(session: Session) -> None:
+        clients = [connect_to(str(tmp_path)) for _ in range(50)]
+        for number, client in enumerate(clients):
+            client._connection.sendall(encode({"id": number, "op": "wait"}))
+        for number, client in enumerate(clients):
+            assert client.ask("echo", {"n": number}) == {"n": number}
+        assert session.most >= 50
+        for client in clients:
+            client.close()
+        with connect() as last:
+            while last.ask("echo") == {} and session.under_way > 1:
+                pass
+
+    with_server(tmp_path, talk)
+
+
+def test_more_clients_than_there_may_be_are_refused_and_the_rest_served(tmp_path: Path) -> None:
+    def talk(_: Session) -> None:
+        clients = [connect_to(str(tmp_path)) for _ in range(MOST_CLIENTS)]
+        with pytest.raises(ControlError) as refused:
+            connect_to(str(tmp_path))
+        assert refused.value.code == Code.NOT_ALLOWED
+        assert clients[-1].ask("echo") == {}
+        for client in clients:
+            client.close()
+        with connect_to(str(tmp_path)) as client:
+            assert client.ask("echo") == {}
+
+    with_server(tmp_path, talk)
+
+
+def test_half_lines_of_many_take_no_more_memory_than_there_is_for_all(tmp_path: Path) -> None:
+    half, clients = b"x" * LONGEST_REQUEST, 20
+    fitting = MOST_RECEIVED // LONGEST_REQUEST
+
+    def talk(_: Session) -> None:
+        with contextlib.ExitStack() as opened:
+            found = [opened.enter_context(connected(tmp_path)) for _ in range(clients)]
+            for plain in found:
+                assert plain.recv(10_000).endswith(b"\n")
+                with contextlib.suppress(BrokenPipeError, ConnectionResetError):
+                    plain.sendall(half)
+            # Only who is refused is answered: to the others their line has not ended.
+            until(lambda: len(readable(found)) >= clients - fitting, "refusals")
+            for plain in readable(found):
+                answer = decode(plain.recv(10_000))
+                assert (answer["id"], answer["error"]["code"]) == (None, Code.TOO_MANY)
+            with connect() as client:
+                short = {"x": "y" * 1000}
+                assert client.ask("echo", short) == short
+        long = {"x": "y" * (LONGEST_REQUEST - 1000)}
+        for _number in range(2 * fitting):
+            with connect() as client:
+                assert client.ask("echo", long) == long
+
+    with_server(tmp_path, talk)
+
+
+def readable(found: list[socket.socket]) -> list[socket.socket]:
+    return select.select(found, [], [], 0)[0]
+
+
+def test_a_client_that_never_reads_makes_nothing_grow(tmp_path: Path) -> None:
+    def talk(session: Session) -> None:
+        with connected(tmp_path) as deaf:
+            deaf.sendall(encode({"id": 1, "op": "flood"}))
+            # What it may send and nobody takes: the server stops reading in the end.
+            deaf.setblocking(False)
+            with contextlib.suppress(BlockingIOError):
+                for number in range(100_000):
+                    deaf.sendall(
+                        encode({"id": number, "op": "echo", "arguments": {"x": "y" * 500}})
+                    )
+                pytest.fail("all of it was read")
+            assert session.most <= MOST_AT_ONCE + 1
+            with connect() as client:
+                assert client.ask("echo", {"a": 1}) == {"a": 1}
+
+    with_server(tmp_path, talk)
+
+
+def test_a_client_that_disappears_ends_what_it_asked_for(tmp_path: Path) -> None:
+    def talk(session: Session) -> None:
+        with connect() as other:
+            gone = connect_to(str(tmp_path))
+            gone._connection.sendall(encode({"id": 1, "op": "wait"}))
+            gone._connection.sendall(encode({"id": 2, "op": "flood"}))
+            while session.under_way < 2:
+                other.ask("echo")
+            gone.close()
+            while session.under_way:
+                other.ask("echo")
+
+    with_server(tmp_path, talk)
+
+
+def test_a_request_in_pieces_is_one(tmp_path: Path) -> None:
+    def talk(_: Session) -> None:
+        with connected(tmp_path) as plain, plain.makefile("rb") as lines:
+            lines.readline()
+            for byte in encode({"id": 5, "op": "echo", "arguments": {"a": "é"}}):
+                plain.sendall(bytes([byte]))
+            assert decode(lines.readline()) == {"id": 5, "result": {"a": "é"}}
+
+    with_server(tmp_path, talk)
+
+
+def test_a_folder_with_a_long_path(tmp_path: Path) -> None:
+    folder = tmp_path.joinpath(*["a-folder-with-a-name-of-some-length"] * 8)
+    assert len(str(folder)) > 250
+
+    def talk(_: Session) -> None:
+        with connect_to(str(folder)) as client:
+            assert client.ask("echo") == {}
+        with connect() as client:
+            assert client.hello.folder == str(folder)
+
+    with_server(folder, talk)
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs root to become another user")
+def test_another_user_is_refused_even_where_the_file_lets_everybody_in(tmp_path: Path) -> None:
+    for folder in (tmp_path, *tmp_path.parents):
+        if folder.stat().st_uid == os.geteuid():
+            folder.chmod(folder.stat().st_mode | 0o055)
+
+    def ask_as_nobody(path: str) -> bytes:
+        ours, theirs = os.pipe()
+        child = os.fork()
+        if child == 0:
+            try:
+                os.setgroups([])
+                os.setgid(65534)
+                os.setuid(65534)
+                asking = socket.socket(socket.AF_UNIX)
+                try:
+                    asking.connect(path)
+                    os.write(theirs, asking.recv(10_000))
+                except OSError as error:
+                    os.write(theirs, str(error.errno).encode())
+            finally:
+                os._exit(0)
+        os.close(theirs)
+        with os.fdopen(ours, "rb") as answer:
+            said = answer.read()
+        os.waitpid(child, 0)
+        return said
+
+    def talk(session: Session) -> None:
+        path = os.path.relpath(tmp_path / CONTROL_SOCKET)
+        assert ask_as_nobody(path) == b"13"  # EACCES: the mode of the socket
+        (tmp_path / CONTROL_SOCKET).chmod(0o666)
+        answer = decode(ask_as_nobody(path).strip())
+        assert answer["error"]["code"] == Code.NOT_ALLOWED
+        assert "you are user 65534" in answer["error"]["message"]
+        assert not session.peers
+
+    with_server(tmp_path, talk)
+
+
+def test_the_socket_of_a_dead_supervisor_is_recognised(tmp_path: Path, links: Path) -> None:
+    left = socket.socket(socket.AF_UNIX)
+    left.bind(os.path.relpath(tmp_path / CONTROL_SOCKET))
+    left.close()
+    links.mkdir(mode=0o700)
+    ended = os.fork()
+    if ended == 0:
+        os._exit(0)
+    os.waitpid(ended, 0)
+    (links / str(ended)).symlink_to(tmp_path)
+    with pytest.raises(NoSessionError, match="its supervisor was killed"):
+        connect(str(tmp_path))
+    with pytest.raises(NoSessionError, match=r"no session is running; (.|\n)*was killed"):
+        connect()
+    assert not registered(), "the link of a dead process is removed"
+
+
+def test_of_several_sessions_one_has_to_be_chosen(tmp_path: Path) -> None:
+    async def main() -> None:
+        async with served(tmp_path / "a"), served(tmp_path / "b"):
+            await asyncio.to_thread(talk)
+
+    def talk() -> None:
+        # Both are of this process, so there is one link only: add the other one by hand.
+        links = Path(os.environ[LINKS])
+        (links / "1").symlink_to(tmp_path / "a")
+        with pytest.raises(NoSessionError, match="2 sessions are running; choose one") as refused:
+            connect()
+        assert str(tmp_path / "a") in str(refused.value)
+        for named, folder in ((str(tmp_path / "a"), "a"), ("b", "b"), ("1", "a")):
+            with connect(named) as client:
+                assert client.hello.folder == str(tmp_path / folder)
+        with pytest.raises(NoSessionError, match="2 sessions are called robot"):
+            connect("robot")
+        with pytest.raises(NoSessionError, match="there is no session nothing"):
+            connect("nothing")
+        for client in running():
+            client.close()
+
+    asyncio.run(main())
+
+
+def test_links_of_another_user_are_not_followed(
+    tmp_path: Path, links: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    links.mkdir()
+    (links / "1").symlink_to(tmp_path)
+    assert registered()
+    monkeypatch.setattr(os, "geteuid", lambda: 4711)
+    assert not registered()
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    monkeypatch.undo()
+    monkeypatch.setenv(LINKS, str(tmp_path / "link"))
+    (tmp_path / "link").symlink_to(elsewhere)
+    assert not registered()
+
+
+def test_something_else_on_the_socket_is_no_session(tmp_path: Path) -> None:
+    listening = socket.socket(socket.AF_UNIX)
+    listening.bind(os.path.relpath(tmp_path / CONTROL_SOCKET))
+    listening.listen()
+
+    async def main() -> None:
+        async def talk(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            writer.write(b"220 mail.example.org ESMTP\r\n")
+            await writer.drain()
+            writer.close()
+
+        async with await asyncio.start_unix_server(talk, sock=listening):
+            with pytest.raises(ControlError):
+                await asyncio.to_thread(connect_to, str(tmp_path))
+
+    asyncio.run(main())
+
+
+@contextlib.contextmanager
+def connected(folder: Path) -> Any:
+    plain = socket.socket(socket.AF_UNIX)
+    with plain:
+        plain.settimeout(30)
+        plain.connect(os.path.relpath(folder / CONTROL_SOCKET))
+        yield plain
+
+
+def test_a_client_of_another_version_says_so(tmp_path: Path) -> None:
+    ours, theirs = socket.socketpair()
+    with ours, theirs:
+        theirs.sendall(encode({"hello": {"protocol": 2, "version": "9.0"}}))
+        with pytest.raises(ControlError, match="speaks protocol 2") as refused:
+            ControlClient(ours)
+        assert refused.value.code == Code.PROTOCOL

@@ -1,0 +1,398 @@
+"""Ten staged incidents, of real programs; `explain` names node, cause and place at once."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from play_launch.history.elf_files import read_elf
+from play_launch.history.story import read_story
+from tests.support.mounts import mounted
+from tests.support.replay import COMMAND, replaying
+from tests.support.waiting import until
+
+ROOT = Path(__file__).resolve().parents[2]
+CONTAINER = """version: 1
+composable_node_loading: {{loading_timeout: 0.3 s}}
+containers:
+  - name: box
+    container_type: isolated
+    composable_nodes:
+      - {{package: play_launch_demo, plugin: "play_launch_demo::Listener", name: bystander}}
+      - package: {package}
+        plugin: {plugin}
+        name: {name}
+        on_crash: ignore
+        parameters: {{{parameters}}}
+"""
+PROCESS = """version: 1
+duration: {duration}
+stop: {{ask: 0.2 s, sigint: 0.2 s, sigterm: 0.2 s}}
+nodes:
+  - name: {name}
+    command: {command}
+"""
+CRASHED = ("/victim", "crashed")
+LEAK = """
+import time
+kept = []
+while True:
+    kept.append(bytearray(4 << 20))
+    time.sleep(0.01)
+"""
+
+
+def node(name: str, plugin: str, parameters: str = "", package: str = "play_launch_demo") -> str:
+    return CONTAINER.format(
+        package=package,
+        plugin=f"{package}::{plugin}",
+        name=name,
+        parameters=parameters,
+    )
+
+
+def in_threads(config: str, mode: str) -> str:
+    """The same with nodes that are threads of their container: a crash ends all of it."""
+    config = config.replace("container_type: isolated", f"container_type: {mode}")
+    return config.replace("        on_crash: ignore\n", "")
+
+
+def process(name: str, *command: str, duration: str = "60 s") -> str:
+    """A system that is over with its only process, or then."""
+    return PROCESS.format(duration=duration, name=name, command=json.dumps(command))
+
+
+def explain(bag: Path, *options: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [str(COMMAND), "explain", str(bag), *options],
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+
+
+def story(bag: Path, exit_code: int = 1) -> list[str]:
+    """The first three lines of what a person reads."""
+    result = explain(bag)
+    assert result.returncode == exit_code, result.stdout + result.stderr
+    return result.stdout.splitlines()[:3]
+
+
+def written(folder: Path, config: str) -> Path:
+    file = folder / "robot.yaml"
+    file.write_text(config, encoding="utf-8")
+    return file
+
+
+def recorded(folder: Path, config: str, *wrapping: str) -> Path:
+    """Run a system to its end, as a user runs it."""
+    logs = folder / "logs"
+    command = [*wrapping, str(COMMAND), "replay", str(written(folder, config)), "--quiet"]
+    command += ["--log-dir", str(logs)]
+    subprocess.run(command, check=False, capture_output=True, timeout=90)
+    return logs / "latest" / "session.mcap"
+
+
+def recorded_until(folder: Path, config: str, name: str, state: str) -> Path:
+    """Run it until the node is in that state, and stop it."""
+    with replaying(written(folder, config), folder / "logs") as replay:
+        replay.read_until_states({name: state})
+    return replay.bag
+
+
+def source(text: str) -> str:
+    """``crasher.cpp:31,`` for the line of that file that holds the text."""
+    lines = (ROOT / "fixtures" / "src" / "crasher.cpp").read_text(encoding="utf-8").splitlines()
+    (number,) = (number for number, line in enumerate(lines, 1) if text in line)
+    return f"crasher.cpp:{number},"
+
+
+def check(lines: list[str], *words: str) -> None:
+    text = "\n".join(lines)
+    for word in words:
+        assert word in text, text
+
+
+def test_a_null_pointer_in_a_callback(tmp_path: Path) -> None:
+    bag = recorded_until(tmp_path, node("victim", "Crasher", "how: segv, after: 0.1"), *CRASHED)
+    check(
+        story(bag),
+        "/victim in /box crashed",
+        "a null pointer was used",
+        source("*reinterpret_cast<volatile int*>"),
+        "libplay_launch_demo.so",
+        "robot.yaml:",
+    )
+    (finding,) = json.loads(explain(bag, "--json").stdout)["findings"]
+    texts = [frame["function"] for frame in finding["frames"]]
+    die = next(n for n, text in enumerate(texts) if "::die(" in text)
+    # The call in die(), not the line after it.
+    assert finding["lines"][die]["file"].endswith("crasher.cpp")
+    assert finding["last_lines"] == []
+    assert finding["away"] == [{"who": "/victim", "ns": None}]
+
+
+@pytest.mark.parametrize("mode", ["standard", "mt"])
+def test_a_null_pointer_that_ends_the_whole_container(tmp_path: Path, mode: str) -> None:
+    config = node("victim", "Crasher", "how: segv, after: 0.1")
+    config = in_threads(config, mode)
+    with replaying(written(tmp_path, config), tmp_path / "logs") as replay:
+        replay.read_until(lambda event: event.get("kind") == "exited", "that it died")
+    lines = story(replay.bag)
+    check(lines, "/box died", "a null pointer was used", "in thread 'executor'")
+    check(lines, source("*reinterpret_cast<volatile int*>"), "libplay_launch_demo.so")
+    findings = json.loads(explain(replay.bag, "--json").stdout)["findings"]
+    (finding,) = (each for each in findings if each["who"] == "/box")
+    assert any("::die(" in frame["function"] for frame in finding["frames"])
+    assert "libplay_launch_demo.so" in {each["name"] for each in finding["modules"]}
+    assert {"/victim", "/bystander"} <= set(finding["hit"])
+    (group,) = json.loads(run("crashes", replay.log_dir, "--json").stdout)["crashes"]
+    assert any("die" in place for place in group["signature"]["frames"])
+
+
+def test_an_exception_that_ends_the_whole_container(tmp_path: Path) -> None:
+    config = node("victim", "Crasher", "how: deep_exception, after: 0.1")
+    config = in_threads(config, "standard")
+    with replaying(written(tmp_path, config), tmp_path / "logs") as replay:
+        replay.read_until(lambda event: event.get("kind") == "exited", "that it died")
+    lines = story(replay.bag)
+    check(lines, "/box died", "std::runtime_error", source("throw std::runtime_error(text"))
+
+
+def test_an_exception_that_nobody_caught(tmp_path: Path) -> None:
+    bag = recorded_until(
+        tmp_path, node("victim", "Crasher", "how: deep_exception, after: 0.1"), *CRASHED
+    )
+    lines = story(bag)
+    check(lines, "/victim in /box crashed", "std::runtime_error", "on purpose")
+    check(lines, source("throw std::runtime_error(text"), "play_launch_demo::throw_here")
+    assert "a callback of node /victim threw" in explain(bag).stdout
+
+
+def test_a_memory_leak_up_to_the_limit(tmp_path: Path) -> None:
+    command = ("sh", "-c", 'ulimit -v 200000; exec python3 -uSc "$0"', LEAK)
+    bag = recorded(tmp_path, process("leaker", *command))
+    check(story(bag), "/leaker died", "MemoryError", "it got no more memory", "robot.yaml:5")
+
+
+def test_a_slow_constructor(tmp_path: Path) -> None:
+    bag = recorded_until(
+        tmp_path, node("engine", "SlowConstructor", "seconds: 1.5"), "/engine", "loaded"
+    )
+    check(
+        story(bag),
+        "/engine in /box was slow to construct",
+        "of it on CPU",
+        "play_launch_demo::SlowConstructor",
+        "robot.yaml:",
+    )
+
+
+def test_a_missing_library(tmp_path: Path) -> None:
+    bag = recorded_until(
+        tmp_path,
+        node("gone", "MissingLibrary", package="play_launch_broken"),
+        "/gone",
+        "load failed",
+    )
+    check(
+        story(bag),
+        "/gone in /box failed to load",
+        "a library is missing",
+        "libplay_launch_not_there.so",
+        "package play_launch_broken",
+    )
+
+
+def test_a_parameter_of_the_wrong_type(tmp_path: Path) -> None:
+    bag = recorded_until(tmp_path, node("typed", "Crasher", "after: soon"), "/typed", "load failed")
+    check(
+        story(bag),
+        "/typed in /box failed to load",
+        "a parameter has the wrong type",
+        "'after'",
+        "play_launch_demo::Crasher",
+        "robot.yaml:",
+    )
+
+
+def test_a_node_that_is_deaf_to_its_stop(tmp_path: Path) -> None:
+    command = ("sh", "-c", "trap '' INT TERM; echo deaf; while :; do sleep 0.1; done")
+    bag = recorded(tmp_path, process("deaf", *command, duration="1 s"))
+    check(story(bag), "/deaf did not stop when it was asked to", "SIGKILL", "trap", "robot.yaml:5")
+
+
+LOCKS = """version: 1
+containers:
+  - name: lab
+    container_type: isolated
+    isolation: shared_memory
+    on_crash: ignore
+    composable_nodes:
+      - package: play_launch_demo
+        plugin: play_launch_demo::Locker
+        name: holder
+        parameters: {lock: mutex, hold_from: 1}
+      - package: play_launch_demo
+        plugin: play_launch_demo::Locker
+        name: waiting
+        parameters: {lock: mutex, rate: 1000.0}
+"""
+
+
+def test_a_container_that_a_node_poisoned_when_it_was_killed(tmp_path: Path) -> None:
+    file = tmp_path / "robot.yaml"
+    file.write_text(LOCKS, encoding="utf-8")
+    pids: dict[str, int] = {}
+    held: list[bool] = []
+
+    def is_held(event: dict[str, Any]) -> bool:
+        if event["event"] == "component" and event["kind"] == "loaded":
+            pids[event["full_node_name"]] = event["pid"]
+        held.append("Keeping the lock" in event.get("text", ""))
+        return any(held) and "/holder" in pids
+
+    def is_restarted(event: dict[str, Any]) -> bool:
+        return (event["event"], event.get("kind")) == ("process", "started")
+
+    with replaying(file, tmp_path / "logs") as replay:
+        replay.read_until(is_held, "that the lock is held")
+        os.kill(pids["/holder"], signal.SIGKILL)
+        replay.read_until(is_restarted, "that the container is started again")
+    lines = story(replay.bag)
+    check(lines, "/holder in /lab crashed", "SIGKILL", "play_launch_demo::Locker", "robot.yaml:8")
+    text = explain(replay.bag).stdout
+    assert "/lab was killed: a node died with a lock" in text
+    assert "Also hit: /lab, /waiting" in text
+
+
+def test_a_full_disk(tmp_path: Path) -> None:
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    config = process("mapper", "sh", "-c", f"head -c 2000000 /dev/zero > {disk}/map.pgm")
+    small = mounted(f"mount -t tmpfs -o size=1m tmpfs {disk}")
+    bag = recorded(tmp_path, config, *small)
+    check(story(bag), "/mapper died", "No space left on device", "the disk is full", "map.pgm")
+
+
+def test_a_full_disk_below_the_recording(tmp_path: Path) -> None:
+    disk, kept = tmp_path / "disk", tmp_path / "kept"
+    disk.mkdir()
+    fill = f"head -c 5000000 /dev/zero > {disk}/fill; echo full; sleep 4; rm {disk}/fill; sleep 1"
+    config = written(tmp_path, process("filler", "sh", "-c", fill))
+    small = mounted(f"mount -t tmpfs -o size=1m tmpfs {disk}")
+    run = f'"$0" replay "$1" --log-dir {disk}/logs; cp -r {disk}/logs {kept}'
+    command = [*small, "sh", "-c", run, str(COMMAND), str(config)]
+    subprocess.run(command, check=False, capture_output=True, timeout=90)
+    lines = story(kept / "latest")
+    check(lines, "The recording was interrupted", "No space left on device", "the disk is full")
+    check(lines, str(disk))
+
+
+STARVED = """version: 1
+record: {{sampling: {{period: 200 ms}}, ros: false}}
+nodes:
+  - name: hog
+    command: {hog}
+  - name: camera
+    command: {camera}
+"""
+SPIN = """
+import contextlib, os
+os.sched_setaffinity(0, {{{core}}})
+with contextlib.suppress(OSError):
+    os.nice({nice})
+    # Where sessions have weights of their own, niceness counts only within one.
+    with open("/proc/self/autogroup", "w") as weight:
+        weight.write("{nice}")
+while True:
+    pass
+"""
+
+
+def spinning(core: int, nice: int) -> str:
+    """A program that wants all of a core, and no other one."""
+    return json.dumps([sys.executable, "-Sc", SPIN.format(core=core, nice=nice)])
+
+
+def most_used(recording: Path) -> float:
+    """Percent of a core that one process got, on average."""
+    return max(read_story(recording).samples.mean_cpu().values())
+
+
+@pytest.mark.skipif(not Path("/proc/pressure/cpu").exists(), reason="no pressure stall information")
+def test_what_starves_others_of_cpu_time(tmp_path: Path) -> None:
+    # Both want the same core. Who may (root) gets more of it than others on a busy machine.
+    core = max(os.sched_getaffinity(0))
+    config = STARVED.format(hog=spinning(core, -7), camera=spinning(core, 2))
+    with replaying(written(tmp_path, config), tmp_path / "logs") as replay:
+        recording = replay.log_dir / "latest"
+
+        def is_seen() -> bool:
+            return "starved others of CPU time" in explain(recording).stdout
+
+        replay.read_until(lambda event: event["event"] == "process", "that one is started")
+        try:
+            until(is_seen, "pressure that lasts", limit=90.0)
+        except AssertionError:
+            if most_used(recording) < 40.0:
+                pytest.skip("other programs take so much of the core that none of ours is a hog")
+            raise
+    lines = story(replay.bag)
+    check(lines, "/hog starved others of CPU time", "% of a core for", "/camera (")
+    check(lines, "robot.yaml:4", "sched_setaffinity")
+    (finding,) = json.loads(explain(replay.bag, "--json").stdout)["findings"]
+    assert (finding["who"], finding["hit"]) == ("/hog", ["/camera"])
+
+
+def test_a_session_without_an_incident(tmp_path: Path) -> None:
+    bag = recorded_until(tmp_path, node("talker", "Talker"), "/talker", "loaded")
+    assert story(bag, 0) == [f"Nothing was wrong. {explain(bag).stdout.split('. ', 1)[1].strip()}"]
+    assert json.loads(explain(bag, "--json").stdout)["findings"] == []
+
+
+@pytest.fixture(scope="module")
+def crashed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A session with a crash."""
+    folder = tmp_path_factory.mktemp("crashed")
+    return recorded_until(folder, node("victim", "Crasher", "how: segv, after: 0.1"), *CRASHED)
+
+
+def test_the_libraries_of_the_backtrace_are_recorded(crashed: Path) -> None:
+    (finding,) = json.loads(explain(crashed, "--json").stdout)["findings"]
+    modules = {each["name"]: each for each in finding["modules"]}
+    assert modules.keys() == {frame["library"] for frame in finding["frames"]} - {""}
+    for module in modules.values():
+        elf = read_elf(Path(module["path"]))
+        assert elf is not None
+        assert module["build_id"] == elf.build_id
+
+
+def test_crashes_are_grouped_and_sessions_compared(crashed: Path, tmp_path: Path) -> None:
+    good = recorded_until(tmp_path, node("victim", "Crasher"), "/victim", "loaded")
+    groups = json.loads(run("crashes", crashed.parent, "--json").stdout)["crashes"]
+    assert [(group["count"], group["nodes"]) for group in groups] == [(1, ["/victim"])]
+    worse = run("compare", good, crashed)
+    assert (worse.returncode, worse.stderr) == (1, "")
+    assert f"new crash: {groups[0]['id']} SIGSEGV" in worse.stdout
+    better = run("compare", crashed, good)
+    assert better.returncode == 0
+    assert "gone crash" in better.stdout
+
+
+def run(*arguments: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [str(COMMAND), *map(str, arguments)],
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )

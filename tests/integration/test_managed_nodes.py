@@ -1,0 +1,245 @@
+"""Managed (lifecycle) nodes, native ones and rclpy's, brought up by the installed command."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from rosbags.highlevel import AnyReader
+
+from tests.support.replay import COMMAND, Replay, replaying
+from tests.support.waiting import until
+
+WAIT = ("wait", "--for", "active", "--json")
+MANAGED_KIND = 3
+MANAGED = {"package": "play_launch_demo", "plugin": "play_launch_demo::Managed"}
+RCLPY = """
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.lifecycle import Node, TransitionCallbackReturn
+
+class Managed(Node):
+    def on_configure(self, state):
+        print("configured", flush=True)
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_activate(self, state):
+        super().on_activate(state)
+        print("activated", flush=True)
+        return TransitionCallbackReturn.SUCCESS
+
+rclpy.init()
+executor = SingleThreadedExecutor()
+executor.add_node(Managed("python"))
+executor.spin()
+"""
+
+
+def write(folder: Path, **document: Any) -> Path:
+    config = folder / "config.yaml"
+    document = {"version": 1, "record": {"ros": False}, **document}
+    config.write_text(yaml.safe_dump(document), encoding="utf-8")
+    return config
+
+
+def node(name: str, **more: Any) -> dict[str, Any]:
+    return {**MANAGED, "name": name, "autostart": "activate", **more}
+
+
+def container(*nodes: dict[str, Any], kind: str = "isolated") -> dict[str, Any]:
+    return {"name": "c", "container_type": kind, "composable_nodes": list(nodes)}
+
+
+def read_until(replay: Replay, **wanted: str) -> dict[str, Any]:
+    return replay.read_until(
+        lambda event: all(event.get(key) == value for key, value in wanted.items()), f"{wanted}"
+    )
+
+
+def states(replay: Replay, name: str) -> list[str]:
+    events = (event for event in replay.seen if event["event"] == "managed")
+    return [event["state"] for event in events if event["node"] == name]
+
+
+WAY = ["asked", "configuring", "activating", "active"]
+
+
+def test_native_and_rclpy_nodes_become_active_and_what_waits_for_that_starts(
+    tmp_path: Path,
+) -> None:
+    nodes = [
+        {
+            "name": "last",
+            "command": ["true"],
+            "depends_on": [
+                {"name": name, "condition": "active"} for name in ("one", "python", "watched")
+            ],
+        },
+        {
+            "name": "python",
+            "command": [sys.executable, "-c", RCLPY],
+            "autostart": "activate",
+        },
+        {
+            "name": "helper",
+            "command": [sys.executable, "-c", HELPER],
+            "depends_on": ["watched"],
+        },
+    ]
+    containers = [
+        container(node("one"), node("two", autostart="configure"), {**MANAGED, "name": "watched"})
+    ]
+    config = write(tmp_path, containers=containers, nodes=nodes)
+    with replaying(config, tmp_path / "logs") as replay:
+        read_until(replay, kind="started", name="/last")
+    assert states(replay, "/one")[:4] == WAY
+    assert states(replay, "/python")[:4] == WAY
+    assert states(replay, "/two")[:3] == ["asked", "configuring", "inactive"]
+    assert states(replay, "/watched") == [], "nobody brings it anywhere but its helper"
+    with AnyReader([replay.bag]) as reader:
+        messages: list[Any] = [
+            reader.deserialize(raw, connection.msgtype)
+            for connection, _, raw in reader.messages()
+            if connection.topic == "/play_launch/states"
+        ]
+    managed = [each for each in messages if each.kind == MANAGED_KIND and each.name == "/one"]
+    assert [each.state for each in managed[:4]] == WAY
+    assert managed[0].key == "/c:/one"
+
+
+HELPER = """
+import rclpy
+from lifecycle_msgs.srv import ChangeState
+rclpy.init()
+node = rclpy.create_node("helper")
+client = node.create_client(ChangeState, "/watched/change_state")
+client.wait_for_service()
+for transition in (1, 3):
+    request = ChangeState.Request()
+    request.transition.id = transition
+    future = client.call_async(request)
+    rclpy.spin_until_future_complete(node, future)
+    assert future.result().success
+"""
+
+
+@pytest.mark.parametrize("transition", ["configure", "activate"])
+def test_a_transition_that_fails_is_reported_and_fails_what_waits(
+    tmp_path: Path, transition: str
+) -> None:
+    nodes = [
+        {
+            "name": "late",
+            "command": ["true"],
+            "depends_on": [{"name": "one", "condition": "active"}],
+            "on_exit": "shutdown",
+        }
+    ]
+    containers = [container(node("one", parameters={"fails": transition}))]
+    config = write(tmp_path, containers=containers, nodes=nodes)
+    with replaying(config, tmp_path / "logs") as replay:
+        replay.read_all()
+    assert replay.process.returncode == 1
+    (failed,) = (event for event in replay.seen if event.get("state") == "failed")
+    assert failed["reason"] == f"its transition {transition} failed"
+    (late,) = (event for event in replay.seen if event.get("kind") == "gave_up")
+    assert late["message"] == f"it waited for /one to be active: {failed['reason']}"
+
+
+def test_one_that_takes_too_long(tmp_path: Path) -> None:
+    slow = node("one", parameters={"takes": 600.0}, transition_timeout="4 s")
+    config = write(tmp_path, containers=[container(slow, kind="mt")])
+    with replaying(config, tmp_path / "logs") as replay:
+        failed = read_until(replay, event="managed", state="failed")
+    assert failed["reason"] == "its transition configure took longer than 4 s"
+
+
+def test_one_without_services_is_reported(tmp_path: Path) -> None:
+    talker = {"package": "play_launch_demo", "plugin": "play_launch_demo::Talker", "name": "talker"}
+    talker |= {"autostart": "activate", "transition_timeout": "300 ms"}
+    config = write(tmp_path, containers=[container(talker)])
+    with replaying(config, tmp_path / "logs") as replay:
+        failed = read_until(replay, event="managed", state="failed")
+    assert failed["reason"] == "its lifecycle services did not answer within 0.3 s"
+
+
+def test_it_is_activated_again_after_a_crash(tmp_path: Path) -> None:
+    crasher = {
+        "package": "play_launch_demo",
+        "plugin": "play_launch_demo::Talker",
+        "name": "talker",
+    }
+    config = write(tmp_path, containers=[container(node("one"), crasher)])
+    with replaying(config, tmp_path / "logs") as replay:
+        read_until(replay, event="managed", state="active")
+        loaded = [
+            event
+            for event in replay.seen
+            if event["event"] == "node" and (event["node"], event["state"]) == ("/one", "loaded")
+        ]
+        os.kill(loaded[-1]["pid"], 11)
+        read_until(replay, event="node", node="/one", state="crashed")
+        read_until(replay, event="managed", state="active")
+    assert states(replay, "/one")[:9] == [*WAY, "absent", *WAY]
+
+
+def ask(replay: Replay, *arguments: str, code: int) -> subprocess.CompletedProcess[str]:
+    folder = str((replay.log_dir / "latest").resolve())
+    done = subprocess.run(
+        [COMMAND, *arguments, "--session", folder],
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=90,
+    )
+    assert done.returncode == code, done.stdout + done.stderr
+    return done
+
+
+def test_waiting_ends_when_all_of_them_are_active(tmp_path: Path) -> None:
+    """Those that are brought there, and those that somebody else brings there."""
+    slow = node("slow", parameters={"takes": 0.5})
+    helper: dict[str, Any] = {"name": "helper", "command": [sys.executable, "-c", HELPER]}
+    helper["depends_on"] = [{"name": "slow", "condition": "active"}, "watched"]
+    containers = [container(slow, {**MANAGED, "name": "watched"})]
+    config = write(tmp_path, containers=containers, nodes=[helper])
+    with replaying(config, tmp_path / "logs") as replay:
+        read_until(replay, event="managed", node="/slow", state="asked")
+        until(lambda: answers(replay), "a session that answers")
+        done = json.loads(ask(replay, *WAIT, code=0).stdout)
+        assert done["reached"] is True
+        assert {"/slow", "/watched"} <= set(done["names"])
+        read_until(replay, event="managed", node="/slow", state="active")
+        assert states(replay, "/slow")[:4] == WAY
+
+
+def answers(replay: Replay) -> bool:
+    folder = str((replay.log_dir / "latest").resolve())
+    asked = subprocess.run([COMMAND, "ps", "--session", folder], check=False, capture_output=True)
+    return asked.returncode == 0
+
+
+def test_waiting_for_one_that_nobody_activates(tmp_path: Path) -> None:
+    config = write(tmp_path, containers=[container({**MANAGED, "name": "watched"})])
+    with replaying(config, tmp_path / "logs") as replay:
+        read_until(replay, event="node", node="/watched", state="loaded")
+        until(lambda: answers(replay), "a session that answers")
+        early = ask(replay, *WAIT, "--timeout", "3", code=3)
+        assert json.loads(early.stdout)["missing"] == ["/watched"]
+        subprocess.run([sys.executable, "-c", HELPER], check=True, timeout=90)
+        assert json.loads(ask(replay, *WAIT, code=0).stdout)["missing"] == []
+
+
+def test_waiting_ends_with_the_reason_when_a_transition_fails(tmp_path: Path) -> None:
+    config = write(tmp_path, containers=[container(node("one", parameters={"fails": "activate"}))])
+    with replaying(config, tmp_path / "logs") as replay:
+        read_until(replay, event="node", node="/one", state="loaded")
+        until(lambda: answers(replay), "a session that answers")
+        failed = ask(replay, *WAIT, "--timeout", "60", code=1)
+        assert "/one: its transition activate failed" in failed.stderr

@@ -1,0 +1,167 @@
+"""What waits for what, run as a user runs it: real output, files, topics, services, Ctrl-C."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from tests.support.replay import COMMAND, Replay, alive, replaying
+from tests.support.waiting import until
+
+TALKER = {"package": "play_launch_demo", "plugin": "play_launch_demo::Talker", "name": "talker"}
+LISTENER = {
+    "package": "play_launch_demo",
+    "plugin": "play_launch_demo::Listener",
+    "name": "listener",
+}
+FOREVER = ["sleep", "600"]
+
+
+def write(folder: Path, **document: Any) -> Path:
+    config = folder / "config.yaml"
+    document = {"version": 1, "record": {"ros": False}, **document}
+    config.write_text(yaml.safe_dump(document), encoding="utf-8")
+    return config
+
+
+def index(replay: Replay, **wanted: str) -> int:
+    """Where in the events the first one is that has these values."""
+    for position, event in enumerate(replay.seen):
+        if all(event.get(key) == value for key, value in wanted.items()):
+            return position
+    raise AssertionError(f"there is no {wanted}; the last ones are {replay.seen[-5:]}")
+
+
+def read_until_started(replay: Replay, *names: str) -> None:
+    left = set(names)
+
+    def is_last(event: dict[str, Any]) -> bool:
+        if event.get("kind") == "started":
+            left.discard(event.get("name", event.get("process", "")))
+        return not left
+
+    replay.read_until(is_last, f"the start of {names}")
+
+
+def test_a_chain_of_all_kinds(tmp_path: Path) -> None:
+    containers = [
+        {"name": "c", "composable_nodes": [LISTENER | {"depends_on": ["talker"]}, TALKER]},
+        {"name": "d", "depends_on": [{"topic": "chatter"}]},
+    ]
+    first = "sleep 0.3; echo booting; sleep 0.3; echo ready 7; exec sleep 600"
+    nodes = [
+        {
+            "name": "last",
+            "command": FOREVER,
+            "depends_on": [{"file": "flag"}, {"node": "listener"}, "d", "c"],
+        },
+        {
+            "name": "flags",
+            "command": ["touch", str(tmp_path / "flag")],
+            "depends_on": [
+                {"name": "first", "log": "ready [0-9]$"},
+                {"service": "/c/_container/load_node"},
+            ],
+        },
+        {
+            "name": "after",
+            "command": FOREVER,
+            "depends_on": [{"name": "flags", "condition": "exited"}],
+        },
+        {"name": "first", "command": ["sh", "-c", first]},
+    ]
+    with replaying(
+        write(tmp_path, containers=containers, nodes=nodes), tmp_path / "logs"
+    ) as replay:
+        read_until_started(replay, "/last", "/after")
+        left = replay.descendants()
+        replay.process.send_signal(2)
+        replay.read_all()
+    assert not alive(left)
+    started = {name: index(replay, kind="started", name=name) for name in ("/last", "/flags", "/d")}
+    assert index(replay, event="node", node="/talker", state="loaded") < index(
+        replay, event="node", node="/listener", state="requested"
+    )
+    assert index(replay, event="node", node="/talker", state="loaded") < started["/d"]
+    assert index(replay, event="output", text="ready 7") < started["/flags"] < started["/last"]
+    assert index(replay, event="node", node="/listener", state="loaded") < started["/last"]
+    # What waits is there from the beginning, with what it waits for.
+    waiting = replay.seen[index(replay, kind="waiting", name="/after")]
+    assert waiting["message"] == "waits for /flags to exit with status 0"
+    # Stopped in reverse order.
+    ended = {name: index(replay, kind="exited", name=name) for name in ("/last", "/c", "/d")}
+    assert ended["/last"] < index(replay, kind="stopping", name="/c")
+    assert ended["/last"] < index(replay, kind="stopping", name="/d")
+
+
+def test_rclpy_is_not_imported_without_need(tmp_path: Path) -> None:
+    nodes = [
+        {"name": "one", "command": FOREVER},
+        {"name": "two", "command": FOREVER, "depends_on": ["one", {"file": "/"}]},
+    ]
+    with replaying(write(tmp_path, nodes=nodes), tmp_path / "logs") as replay:
+        read_until_started(replay, "/two")
+        assert "_rclpy" not in Path(f"/proc/{replay.pid}/maps").read_text(encoding="utf-8")
+
+
+def test_the_node_that_watches_the_graph_leaves_when_nothing_waits(tmp_path: Path) -> None:
+    nodes = [
+        {"name": "two", "command": FOREVER, "depends_on": [{"node": "talker"}]},
+    ]
+    containers = [{"name": "c", "composable_nodes": [TALKER | {"start_delay": "500 ms"}]}]
+    config = write(tmp_path, containers=containers, nodes=nodes)
+    with replaying(config, tmp_path / "logs") as replay:
+        read_until_started(replay, "/two")
+        assert "_rclpy" in Path(f"/proc/{replay.pid}/maps").read_text(encoding="utf-8")
+
+        def threads() -> list[str]:
+            tasks = Path(f"/proc/{replay.pid}/task").iterdir()
+            return [(task / "comm").read_text(encoding="utf-8").strip() for task in tasks]
+
+        until(lambda: not any(name.startswith("dds.ev") for name in threads()), "its end")
+
+
+@pytest.mark.parametrize(("otherwise", "code"), [("fail", 1), ("start", 0)])
+def test_what_never_comes(tmp_path: Path, otherwise: str, code: int) -> None:
+    dependency = {"topic": "/nobody", "timeout": "300 ms", "otherwise": otherwise}
+    nodes = [{"name": "late", "command": ["true"], "depends_on": [dependency]}]
+    with replaying(write(tmp_path, nodes=nodes), tmp_path / "logs") as replay:
+        replay.read_all()
+    assert replay.process.returncode == code
+    kinds = [event["kind"] for event in replay.seen if event.get("name") == "/late"]
+    assert kinds == ["waiting", *(["gave_up"] if code else ["started", "exited"])]
+
+
+def test_the_graph_is_printed(tmp_path: Path) -> None:
+    composable_nodes = [TALKER, LISTENER | {"depends_on": ["talker"]}]
+    containers = [{"name": "c", "composable_nodes": composable_nodes}]
+    process = {"name": "p", "command": ["x"], "start_delay": 1, "depends_on": [{"topic": "a"}]}
+    config = write(tmp_path, containers=containers, nodes=[process])
+
+    def check(*options: str) -> str:
+        command = [str(COMMAND), "check", str(config), "--graph", *options]
+        return subprocess.run(command, check=True, capture_output=True, text=True).stdout
+
+    assert check() == (
+        "/c\n  /talker\n  /listener\n      waits for /talker to be loaded\n"
+        "/p\n    waits for a publisher of /a\n    waits 1 s\n"
+    )
+    mermaid = check("--format", "mermaid").splitlines()
+    assert mermaid[0] == "flowchart LR"
+    assert '  u1 -->|"loaded"| u2' in mermaid
+    assert mermaid.count("  end") == 1
+    graph = json.loads(check("--json"))["graph"]
+    assert graph["units"][1] == {"unit": "/c:/talker", "container": "/c", "delay": 0.0}
+    assert graph["dependencies"][0] == {
+        "of": "/c:/listener",
+        "condition": "loaded",
+        "on": "/c:/talker",
+        "subject": None,
+        "timeout": None,
+        "otherwise": "fail",
+    }

@@ -1,0 +1,127 @@
+"""Ordinary nodes, run as a user runs them: prefix, working directory, terminal, output, end."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from rosbags.highlevel import AnyReader
+
+from tests.support.replay import Replay, alive, replaying
+
+FACTS = """
+import os, sys
+print("cwd", os.getcwd())
+print("mark", os.environ.get("MARK"))
+print("tty", os.isatty(0), os.isatty(1), os.isatty(2))
+print("stdin", repr(sys.stdin.read()))
+"""
+
+
+def write(folder: Path, nodes: list[dict[str, Any]], **more: Any) -> Path:
+    config = folder / "config.yaml"
+    document = {"version": 1, "record": {"ros": False}, "nodes": nodes, **more}
+    config.write_text(yaml.safe_dump(document), encoding="utf-8")
+    return config
+
+
+def shown(replay: Replay, process: str) -> list[str]:
+    lines = (event for event in replay.seen if event["event"] == "output")
+    return [event["text"] for event in lines if event["process"] == process]
+
+
+def recorded(bag: Path, process: str) -> list[str]:
+    with AnyReader([bag]) as reader:
+        output = [each for each in reader.connections if each.topic == "/play_launch/output"]
+        lines: list[Any] = [
+            reader.deserialize(raw, connection.msgtype)
+            for connection, _, raw in reader.messages(output)
+        ]
+    return [line.msg for line in lines if line.name == process]
+
+
+def facts(replay: Replay, process: str) -> dict[str, str]:
+    return dict(text.split(" ", 1) for text in shown(replay, process))
+
+
+def test_prefix_directory_and_terminal(tmp_path: Path) -> None:
+    (tmp_path / "here").mkdir()
+    command = [sys.executable, "-c", FACTS]
+    nodes: list[dict[str, Any]] = [
+        {"name": "plain", "command": command},
+        {
+            "name": "special",
+            "command": command,
+            "prefix": "env MARK='two words'",
+            "cwd": "here",
+            "emulate_tty": True,
+        },
+    ]
+    with replaying(write(tmp_path, nodes), tmp_path / "logs") as replay:
+        replay.read_all()
+    assert replay.process.returncode == 0
+    plain, special = facts(replay, "/plain"), facts(replay, "/special")
+    assert plain["cwd"] == str(Path.cwd())
+    assert plain["mark"] == "None"
+    assert plain["tty"] == "False False False"
+    assert special["cwd"] == str(tmp_path / "here")
+    assert special["mark"] == "two words"
+    assert special["tty"] == "False True True"
+    assert plain["stdin"] == special["stdin"] == "''"
+
+
+def test_a_missing_directory_is_named(tmp_path: Path) -> None:
+    nodes = [{"name": "lost", "command": ["true"], "cwd": "nowhere"}]
+    with replaying(write(tmp_path, nodes), tmp_path / "logs") as replay:
+        replay.read_all()
+    assert replay.process.returncode == 1
+    (gave_up,) = (event for event in replay.seen if event.get("kind") == "gave_up")
+    assert f"its working directory is no directory: {tmp_path}/nowhere" in gave_up["message"]
+
+
+def test_a_container_with_a_prefix_loads_its_nodes(tmp_path: Path) -> None:
+    talker = {"package": "play_launch_demo", "plugin": "play_launch_demo::Talker", "name": "talker"}
+    container = {"name": "c", "prefix": "env MARK=set nice -n 5", "composable_nodes": [talker]}
+    config = write(tmp_path, [], containers=[container])
+    with replaying(config, tmp_path / "logs") as replay:
+        loaded = replay.read_until(
+            lambda event: event["event"] == "node" and event["state"] == "loaded", "the node"
+        )
+        environment = Path(f"/proc/{loaded['pid']}/environ").read_bytes().split(b"\0")
+        assert b"MARK=set" in environment
+        left = replay.descendants()
+    assert not alive(left)
+
+
+def test_output_goes_where_it_is_sent(tmp_path: Path) -> None:
+    nodes = [
+        {"name": where, "command": ["sh", "-c", "echo out; echo err >&2"], "output": where}
+        for where in ("screen", "log", "both")
+    ]
+    with replaying(write(tmp_path, nodes), tmp_path / "logs") as replay:
+        replay.read_all()
+    everything = ["err", "out"]
+    assert {where: sorted(shown(replay, f"/{where}")) for where in ("screen", "log", "both")} == {
+        "screen": everything,
+        "log": [],
+        "both": everything,
+    }
+    assert {where: sorted(recorded(replay.bag, f"/{where}")) for where in ("screen", "log")} == {
+        "screen": [],
+        "log": everything,
+    }
+    assert sorted(recorded(replay.bag, "/both")) == everything
+
+
+@pytest.mark.parametrize(("status", "code"), [(0, 0), (7, 1)])
+def test_the_end_of_one_is_that_of_all(tmp_path: Path, status: int, code: int) -> None:
+    nodes = [
+        {"name": "other", "command": ["sleep", "600"]},
+        {"name": "main", "command": ["sh", "-c", f"exit {status}"], "on_exit": "shutdown"},
+    ]
+    with replaying(write(tmp_path, nodes), tmp_path / "logs") as replay:
+        replay.read_all()
+    assert replay.process.returncode == code

@@ -1,0 +1,219 @@
+"""Standard output belongs to play-launch: what libraries in its processes write is not in it."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import pty
+import re
+import signal
+import struct
+import subprocess
+import sys
+import termios
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from tests.recording.reading import messages
+from tests.support.mounts import mounted
+from tests.support.replay import COMMAND
+from tests.support.stock import EXECUTABLE, PACKAGE, install
+
+NOISE = "noise of a library"
+WORDS = f"a library of the supervisor writes: {NOISE}"
+# Python runs it at its start. It stands for a library that writes when it is loaded.
+SITE = """
+import ctypes, sys
+def hook(event, arguments):
+    if event == "import" and arguments[0] == {module!r}:
+        # As C code that was called from Python: the interpreter's lock is held meanwhile.
+        text = {text!r} * {times}
+        ctypes.PyDLL(None).write(1, text, len(text))
+sys.addaudithook(hook)
+"""
+# A participant takes the number of a port whose lock nobody else has. These are held by the process
+# that becomes the supervisor.
+LOCKS = """
+import fcntl, os, sys
+for number in map(int, sys.argv[1].split(",")):
+    lock = os.open(f"/dev/shm/fastrtps_port{number}_el", os.O_CREAT | os.O_RDWR, 0o666)
+    fcntl.flock(lock, fcntl.LOCK_EX)
+    os.set_inheritable(lock, True)
+os.execv(sys.argv[2], sys.argv[2:])
+"""
+PORTS = range(7000, 7003)
+# Waits for a container that never comes, with a participant of the supervisor's own.
+ATTACHING = {
+    "version": 1,
+    "duration": "1 s",
+    "containers": [{"name": "nobody", "container_type": "stock", "attach": True}],
+}
+
+
+def write(folder: Path, document: dict[str, Any]) -> Path:
+    path = folder / "system.yaml"
+    path.write_text(yaml.safe_dump(document, sort_keys=False))
+    return path
+
+
+def noisy(folder: Path, module: str, times: int = 1) -> dict[str, str]:
+    """Return an environment in which that import writes to descriptor 1."""
+    place = folder / "site"
+    place.mkdir()
+    text = f"\x1b[37;1m{NOISE}\x1b[m\n".encode()
+    (place / "sitecustomize.py").write_text(SITE.format(module=module, text=text, times=times))
+    paths = [str(place), *filter(None, [os.environ.get("PYTHONPATH")])]
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
+
+
+def run(command: list[Any], **options: Any) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        command, capture_output=True, text=True, check=False, timeout=120, **options
+    )
+
+
+def replay(config: Path, *arguments: str) -> list[Any]:
+    return [COMMAND, "replay", config, "--log-dir", config.parent / "logs", *arguments]
+
+
+def logged(folder: Path) -> list[str]:
+    """What stands in the log of the only session below a folder."""
+    found = messages(folder / "logs" / "latest" / "session.mcap")
+    return [each.message.msg for each in found if each.topic == "/play_launch/log/all"]
+
+
+def warnings(events: list[dict[str, Any]]) -> list[str]:
+    return [event["message"] for event in events if event["event"] == "log" and event["level"] > 20]
+
+
+@pytest.mark.parametrize("arguments", [[], ["--json"]], ids=["plain", "json"])
+def test_what_a_library_writes_during_a_run_is_in_its_log(
+    tmp_path: Path, arguments: list[str]
+) -> None:
+    config = write(tmp_path, ATTACHING)
+    result = run(replay(config, *arguments), env=noisy(tmp_path, "rclpy"))
+    assert (result.returncode, result.stderr) == (3, "")
+    if arguments:
+        assert WORDS in warnings([json.loads(line) for line in result.stdout.splitlines()])
+    else:
+        assert result.stdout.count(f"[play-launch] {WORDS}\n") == 1
+    assert WORDS in logged(tmp_path)
+
+
+@pytest.mark.parametrize("redirection", [">&-", ">/dev/full", "<&- >&- 2>&-"])
+def test_it_is_in_the_log_of_a_run_without_output_as_well(tmp_path: Path, redirection: str) -> None:
+    config = write(tmp_path, ATTACHING)
+    redirected = ["sh", "-c", f'exec "$@" {redirection}', "sh"]
+    result = run([*redirected, *replay(config)], env=noisy(tmp_path, "rclpy"))
+    assert (result.returncode, result.stdout, result.stderr) == (3, "", "")
+    assert WORDS in logged(tmp_path)
+
+
+def test_a_library_that_writes_without_end_does_not_stop_the_supervisor(tmp_path: Path) -> None:
+    config = write(tmp_path, ATTACHING)
+    environment = noisy(tmp_path, "rclpy", times=20_000)
+    result = run(replay(config, "--json"), env=environment)
+    assert result.returncode == 3
+    found = warnings([json.loads(line) for line in result.stdout.splitlines()])
+    assert 100 < found.count(WORDS) < 20_000
+    assert any("lines may be missing here" in each for each in found)
+
+
+@pytest.mark.parametrize(
+    ("module", "arguments"),
+    [
+        ("play_launch.config", ["check", "CONFIG", "--json"]),
+        ("play_launch.doctor.gather", ["doctor", "--json"]),
+        ("play_launch.graph_daemon.control.takeover", ["daemon", "status", "--json"]),
+        ("play_launch.cli.version", ["version", "--json"]),
+    ],
+    ids=lambda value: value[0] if isinstance(value, list) else "",
+)
+def test_what_a_library_writes_during_a_command_is_on_stderr(
+    tmp_path: Path, module: str, arguments: list[str]
+) -> None:
+    config = str(write(tmp_path, ATTACHING))
+    command = [config if argument == "CONFIG" else argument for argument in arguments]
+    result = run([COMMAND, *command], env=noisy(tmp_path, module))
+    json.loads(result.stdout)
+    assert result.stderr.count(NOISE) == 1
+
+
+def test_the_doctor_understands_a_python_whose_libraries_write(tmp_path: Path) -> None:
+    # By importlib rclpy itself is imported, which is not seen; it imports others.
+    result = run([COMMAND, "doctor", "--json"], env=noisy(tmp_path, "rclpy.context"))
+    found = {each["subject"]: each for each in json.loads(result.stdout)["findings"]}
+    assert result.returncode == 0
+    assert found["middleware"]["says"].startswith("rmw_")
+
+
+def test_errors_of_fast_dds_leave_json_as_it_is(tmp_path: Path) -> None:
+    double = install(tmp_path)
+    box = {
+        "name": "box",
+        "container_type": "stock",
+        "package": PACKAGE,
+        "executable": EXECUTABLE,
+        "composable_nodes": [{"package": "any", "plugin": "any::Node", "name": "one"}],
+    }
+    config = write(tmp_path, {"version": 1, "containers": [box]})
+    locks = [sys.executable, "-c", LOCKS, ",".join(map(str, PORTS))]
+    events = []
+    with subprocess.Popen(
+        mounted("mount -t tmpfs tmpfs /dev/shm", *locks, *replay(config, "--json")),
+        env={**os.environ, **double.environment},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        for line in process.stdout:
+            events.append(json.loads(line))
+            # The participant takes other ports, and everything works.
+            if (events[-1]["event"], events[-1].get("state")) == ("node", "loaded"):
+                process.terminate()
+        stderr = process.stderr.read()
+    assert (process.returncode, stderr) == (128 + signal.SIGTERM, "")
+    assert events[-1]["containers"][0]["loaded"] == 1
+    words = "a library of the supervisor writes: "
+    errors = [each for each in warnings(events) if each.startswith(words)]
+    assert len(errors) == len(PORTS)
+    for error in errors:
+        assert "open_and_lock_file failed" in error
+        assert "\x1b" not in error
+
+
+def test_a_terminal_is_still_known(tmp_path: Path) -> None:
+    master, terminal = pty.openpty()
+    fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("HHHH", 40, 60, 0, 0))
+    environment = {**os.environ, "TERM": "xterm"}
+    for name in ("COLUMNS", "LINES", "NO_COLOR", "FORCE_COLOR"):
+        environment.pop(name, None)
+    with subprocess.Popen(
+        [COMMAND, "doctor"],
+        stdin=subprocess.DEVNULL,
+        stdout=terminal,
+        stderr=subprocess.DEVNULL,
+        env=environment,
+    ):
+        os.close(terminal)
+        seen = b""
+        while more := _read(master):
+            seen += more
+    os.close(master)
+    text = seen.decode()
+    assert "\x1b[32m" in text
+    widths = [len(line) for line in re.sub(r"\x1b\[[0-9;]*m", "", text).splitlines()]
+    assert 50 < max(widths) <= 60
+
+
+def _read(descriptor: int) -> bytes:
+    try:
+        return os.read(descriptor, 65536)
+    except OSError:  # EIO: nobody has the other end any more
+        return b""

@@ -1,0 +1,105 @@
+"""A recorded system starts again without its included files, its variables and its arguments."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+from typing import TYPE_CHECKING
+
+import pytest
+from mcap.reader import make_reader
+
+from play_launch.recording.facts import REDACTED
+from tests.support.replay import COMMAND, replaying
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+MAIN = """version: 1
+include: {file: parts/box.yaml, arguments: {who: "${arg:who}"}}
+environment:
+  ROBOT_TOKEN: ${env:PL_TEST_TOKEN:-none}
+nodes:
+  - command: [sleep, "${env:PL_TEST_SECONDS}"]
+"""
+BOX = """version: 1
+containers:
+  - name: box
+    composable_nodes:
+      - package: play_launch_demo
+        plugin: play_launch_demo::Talker
+        name: ${arg:who}
+        parameters: [talker.yaml]
+"""
+PARAMETERS = "/**:\n  ros__parameters: {period: 0.05}\n"
+SECRET = "a-very-secret-token"
+
+
+def write(robot: Path) -> Path:
+    (robot / "parts").mkdir(parents=True)
+    (robot / "robot.yaml").write_text(MAIN, encoding="utf-8")
+    (robot / "parts" / "box.yaml").write_text(BOX, encoding="utf-8")
+    (robot / "parts" / "talker.yaml").write_text(PARAMETERS, encoding="utf-8")
+    return robot / "robot.yaml"
+
+
+def resolved(bag: Path) -> dict[str, object]:
+    with bag.open("rb") as file:
+        attached = {each.name: each.data for each in make_reader(file).iter_attachments()}
+    assert "includes/0-box.yaml" in attached
+    values = json.loads(attached["resolved_config.json"])
+    assert isinstance(values, dict)
+    return values
+
+
+def test_a_recording_holds_all_that_a_configuration_was_made_of(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot = write(tmp_path / "robot")
+    monkeypatch.setenv("PL_TEST_TOKEN", SECRET)
+    monkeypatch.setenv("PL_TEST_SECONDS", "1000")
+    with replaying(robot, tmp_path / "first", "who:=talker", "--duration", "5s") as first:
+        first.read_until_states({"/talker": "loaded"})
+        first.process.wait()
+    assert SECRET.encode() not in first.bag.read_bytes()
+    then = resolved(first.bag)
+    assert then["taken"] == {
+        "arguments": {"who": "talker"},
+        "variables": {"PL_TEST_TOKEN": REDACTED, "PL_TEST_SECONDS": "1000"},
+        "packages": {},
+    }
+    shutil.rmtree(robot.parent)
+    monkeypatch.delenv("PL_TEST_SECONDS")
+    with replaying(first.bag, tmp_path / "second", "--duration", "5s") as second:
+        second.read_until_states({"/talker": "loaded"})
+        second.process.wait()
+    assert resolved(second.bag) == then
+    with replaying(second.bag, tmp_path / "third", "who:=other", "--duration", "5s") as third:
+        third.read_until_states({"/other": "loaded"})
+
+
+def check(*arguments: object, **environ: str) -> subprocess.CompletedProcess[str]:
+    command = [str(COMMAND), "check", *map(str, arguments)]
+    return subprocess.run(
+        command, env={**os.environ, **environ}, check=False, capture_output=True, text=True
+    )
+
+
+def test_check_takes_arguments_and_says_nothing_secret(tmp_path: Path) -> None:
+    robot = write(tmp_path / "robot")
+    missing = check(robot)
+    assert missing.returncode == 2
+    assert "robot.yaml:2:50: include.arguments.who: the argument who is not given" in missing.stderr
+    assert "robot.yaml:6:22: nodes[0].command[1]: the environment variable" in missing.stderr
+    assert check(robot, "who").returncode == 2
+    values = check(robot, "who:=me", "--json", PL_TEST_SECONDS="1", PL_TEST_TOKEN=SECRET)
+    assert values.returncode == 0, values.stdout
+    assert SECRET not in values.stdout
+    config = json.loads(values.stdout)["config"]
+    assert config["environment"] == {"ROBOT_TOKEN": REDACTED}
+    assert config["containers"][0]["file"].endswith("parts/box.yaml")
+    named = json.loads(check(robot, "who:=1x", "--json", PL_TEST_SECONDS="1").stdout)
+    (problem,) = named["problems"]
+    assert problem["included_from"] == [f"{robot}:2:17"]

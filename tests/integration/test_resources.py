@@ -1,0 +1,301 @@
+"""Processes get from the kernel what `resources` says, and what it refuses is reported."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from play_launch.core.resource_check import HeldResources
+from play_launch.core.resources import IoClass, IoPriority, Scheduler, SchedulerPolicy
+from play_launch.process.resources import held_resources
+from tests.support.replay import COMMAND, Replay, replaying
+from tests.support.waiting import until
+
+CPU = min(os.sched_getaffinity(0))
+NICE = [min(os.getpriority(os.PRIO_PROCESS, 0) + step, 19) for step in range(5)]
+"""Our own nice value, and higher ones, which anybody may have."""
+FIFO = {"scheduler": {"policy": "fifo", "priority": 20}}
+NO_RIGHTS = (
+    "setpriv",
+    "--bounding-set=-sys_nice,-sys_resource,-ipc_lock,-sys_admin",
+    "--inh-caps=-sys_nice,-sys_resource,-ipc_lock,-sys_admin",
+)
+"""Runs a program that the kernel refuses what takes a right."""
+
+
+def may_be_real_time() -> bool:
+    """Whether processes that we start may ask for real-time scheduling."""
+    if (pid := os.fork()) == 0:
+        try:
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(21))
+        except PermissionError:
+            os._exit(1)
+        os._exit(0)
+    return os.waitpid(pid, 0)[1] == 0
+
+
+def node(name: str, **more: Any) -> dict[str, Any]:
+    plugin = "play_launch_demo::Talker"
+    return {"package": "play_launch_demo", "plugin": plugin, "name": name, **more}
+
+
+def container(name: str, *nodes: dict[str, Any], **more: Any) -> dict[str, Any]:
+    return {"name": name, "container_type": "isolated", "composable_nodes": list(nodes), **more}
+
+
+def write(path: Path, **keys: Any) -> Path:
+    environment = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    # YAML holds JSON.
+    path.write_text(json.dumps({"version": 1, "environment": environment, **keys}))
+    return path
+
+
+def pid_of(replay: Replay, name: str) -> int:
+    """Wait until a node is loaded, or a process or container has started."""
+    return int(
+        replay.read_until(
+            lambda event: (
+                (event["event"] == "node" and (event["node"], event["state"]) == (name, "loaded"))
+                or (event["event"], event.get("name"), event.get("kind"))
+                == ("process", name, "ready" if name.startswith("/c_") else "started")
+            ),
+            f"{name}",
+        )["pid"]
+    )
+
+
+def held(pid: int, *limits: str) -> HeldResources:
+    found = held_resources(pid, limits)
+    assert found is not None
+    return found
+
+
+def threads(pid: int) -> dict[int, tuple[str, HeldResources]]:
+    """The threads of a process, with their names; they have resources like processes."""
+    return {
+        int(task.name): ((task / "comm").read_text().strip(), held(int(task.name)))
+        for task in Path("/proc", str(pid), "task").iterdir()
+    }
+
+
+def warnings(replay: Replay) -> list[str]:
+    return [
+        event["message"]
+        for event in replay.seen
+        if event["event"] == "log" and event["level"] >= 30 and "; fix: " in event["message"]
+    ]
+
+
+def test_everything_is_read_back(tmp_path: Path) -> None:
+    config = write(
+        tmp_path / "config.yaml",
+        composable_node_loading={"resources": {"nice": NICE[2]}},
+        containers=[
+            container(
+                "c_shared",
+                node("given", resources={"cpu_affinity": [CPU], "io_priority": "best_effort:1"}),
+                node(
+                    "own", resources={"nice": NICE[3], "rlimits": {"cpu": "1 h", "fsize": "1 GB"}}
+                ),
+                node("last", resources={"scheduler": {"policy": "batch"}}),
+                container_type="isolated_mt",
+                resources={"nice": NICE[1], "oom_score_adj": 210, "rlimits": {"nofile": 4000}},
+            ),
+            container(
+                "c_apart",
+                node("alone", resources={"oom_score_adj": 320, "rlimits": {"as": "8 GiB"}}),
+                isolation="process",
+            ),
+        ],
+        nodes=[
+            {
+                "name": "sleeper",
+                "command": ["sleep", "600"],
+                "resources": {
+                    "nice": NICE[4],
+                    "scheduler": {"policy": "idle"},
+                    "cpu_affinity": str(CPU),
+                    "io_priority": "idle",
+                    "oom_score_adj": 400,
+                    "rlimits": {"nofile": "100:200", "core": 0},
+                },
+            }
+        ],
+    )
+    with replaying(config, tmp_path / "log") as replay:
+        pids: dict[str, int] = {}
+        wanted = {"/given", "/own", "/last", "/alone", "/sleeper", "/c_shared", "/c_apart"}
+
+        def complete(event: dict[str, Any]) -> bool:
+            if event["event"] == "node" and event["state"] == "loaded":
+                pids[event["node"]] = event["pid"]
+            if event["event"] == "process" and event["kind"] == "started":
+                pids[event["name"]] = event["pid"]
+            return pids.keys() >= wanted
+
+        replay.read_until(complete, "all")
+        sleeper = held(pids["/sleeper"], "nofile", "core")
+        assert sleeper.nice == NICE[4]
+        assert sleeper.scheduler == Scheduler(SchedulerPolicy.IDLE)
+        assert sleeper.cpu_affinity == (CPU,)
+        assert sleeper.io_priority == IoPriority(IoClass.IDLE)
+        assert sleeper.oom_score_adj == 400
+        assert sleeper.rlimits == {"nofile": (100, 200), "core": (0, 0)}
+
+        shared = held(pids["/c_shared"], "nofile")
+        assert (shared.nice, shared.oom_score_adj) == (NICE[1], 210)
+        assert shared.rlimits["nofile"] == (4000, 4000)
+
+        # With every thread of the node: those of its executor were started by its first.
+        given = threads(pids["/given"])
+        assert len(given) >= 2
+        for _, each in given.values():
+            assert (each.nice, each.cpu_affinity) == (NICE[2], (CPU,))
+            assert each.io_priority == IoPriority(IoClass.BEST_EFFORT, 1)
+        own = held(pids["/own"], "cpu", "fsize")
+        assert own.nice == NICE[3]
+        assert own.rlimits == {"cpu": (3600, 3600), "fsize": (1e9, 1e9)}
+        last = held(pids["/last"])
+        assert (last.nice, last.scheduler.policy) == (NICE[2], SchedulerPolicy.BATCH)
+        alone = held(pids["/alone"], "as")
+        assert (alone.nice, alone.oom_score_adj) == (NICE[2], 320)
+        assert alone.rlimits["as"] == (8 * 2**30, 8 * 2**30)
+        assert held(pids["/c_apart"]).oom_score_adj != 320
+
+        # A reload and a restart bring the same.
+        os.kill(pids["/own"], signal.SIGKILL)
+        assert held(pid_of(replay, "/own")).nice == NICE[3]
+    assert not warnings(replay)
+
+
+@pytest.mark.skipif(not may_be_real_time(), reason="real-time scheduling takes CAP_SYS_NICE")
+def test_the_container_watches_over_real_time_nodes(tmp_path: Path) -> None:
+    config = write(
+        tmp_path / "config.yaml",
+        containers=[
+            container("c_all", node("calm"), node("urgent", resources=FIFO, depends_on=["calm"]))
+        ],
+    )
+    with replaying(config, tmp_path / "log") as replay:
+        started = replay.read_until(
+            lambda event: event["event"] == "process" and event["kind"] == "started", "the start"
+        )
+        pids = {"/calm": pid_of(replay, "/calm"), "/urgent": pid_of(replay, "/urgent")}
+        assert held(pids["/urgent"]).scheduler == Scheduler(SchedulerPolicy.FIFO, 20)
+        assert held(pids["/calm"]).scheduler == Scheduler(SchedulerPolicy.OTHER)
+
+        def above() -> dict[str, list[Scheduler]]:
+            found: dict[str, list[Scheduler]] = {}
+            for name, each in threads(started["pid"]).values():
+                found.setdefault(name, []).append(each.scheduler)
+            return found
+
+        watching = [Scheduler(SchedulerPolicy.FIFO, 21)]
+        # The monitor, and the donors: also of the node that was there before.
+        found = above()
+        assert [found[name] for name in ("monitor", "calm", "urgent")] == [watching] * 3
+        others = [each for name, some in found.items() if [*some] != watching for each in some]
+        assert others
+        assert set(others) == {Scheduler(SchedulerPolicy.OTHER)}
+
+        os.kill(pids["/calm"], signal.SIGKILL)
+        # Its donor was urgent from the beginning; it is not.
+        assert held(pid_of(replay, "/calm")).scheduler == Scheduler(SchedulerPolicy.OTHER)
+    assert not warnings(replay)
+
+
+@pytest.mark.skipif(shutil.which("setpriv") is None, reason="setpriv is not installed")
+def test_what_is_refused_is_reported_with_the_fix_and_runs_without(tmp_path: Path) -> None:
+    config = write(
+        tmp_path / "config.yaml",
+        containers=[
+            container(
+                "c_all",
+                node("urgent", resources=FIFO),
+                node("first", resources={"nice": -20, "io_priority": "realtime:0"}),
+                resources={"lock_memory": True, "oom_score_adj": -1000},
+            )
+        ],
+        nodes=[
+            {
+                "name": "sleeper",
+                "command": ["sleep", "600"],
+                "resources": {
+                    "rlimits": {"rtprio": 90, "memlock": "unlimited"},
+                    "cpu_affinity": [CPU, 1023],
+                },
+            }
+        ],
+    )
+    lowered = ("prlimit", "--rtprio=0", "--nice=0", "--memlock=65536")
+    with replaying(
+        config, tmp_path / "log", program=(*lowered, *NO_RIGHTS, str(COMMAND))
+    ) as replay:
+        replay.read_until_states({"/urgent": "loaded", "/first": "loaded"})
+        # The other process may have been started last, but not that late.
+        replay.read_until(
+            lambda event: len(warnings(replay)) == 8 or event.get("text", "").endswith(": 50'"),
+            "eight warnings",
+        )
+    told = "\n".join(sorted(warnings(replay)))
+    for pattern in (
+        r"^/urgent: scheduler is other, not fifo 20: .*; fix: LimitRTPRIO=20 .* rtprio 20",
+        r"^/first: nice is -?\d+, not -20: .*; fix: LimitNICE=-20 .* nice -20",
+        r"^/first: io_priority is .*, not realtime:0: .*; fix: AmbientCapabilities=CAP_SYS_NICE",
+        r"^/c_all: its memory is not locked: .*; fix: LimitMEMLOCK=infinity",
+        r"^/c_all: oom_score_adj is -?\d+, not -1000: .*; fix: OOMScoreAdjust=-1000",
+        r"^/sleeper: rlimit rtprio is 0, not 90: .*; fix: LimitRTPRIO=90",
+        r"^/sleeper: rlimit memlock is 65536, not unlimited: .*; fix: LimitMEMLOCK=infinity",
+        rf"^/sleeper: cpu_affinity is {CPU}, not {CPU},1023: ",
+    ):
+        assert len(re.findall(pattern, told, re.MULTILINE)) == 1, (pattern, told)
+    assert len(told.splitlines()) == 8
+
+
+def test_apply_loads_again_whose_resources_changed(tmp_path: Path) -> None:
+    def nodes(**resources: Any) -> list[dict[str, Any]]:
+        box = container("c_box", node("kept"), node("changed", resources=resources))
+        return [box]
+
+    config = write(tmp_path / "before.yaml", containers=nodes(nice=NICE[1]))
+    target = write(tmp_path / "after.yaml", containers=nodes(nice=NICE[2]))
+    with replaying(config, tmp_path / "log") as replay:
+        pids: dict[str, int] = {}
+
+        def loaded(event: dict[str, Any]) -> bool:
+            if event["event"] == "node" and event["state"] == "loaded":
+                pids[event["node"]] = event["pid"]
+            return len(pids) == 2
+
+        replay.read_until(loaded, "both nodes")
+        before = pids["/changed"]
+        session = str((replay.log_dir / "latest").resolve())
+
+        def ask(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+            return subprocess.run(
+                [COMMAND, *arguments, target, "--session", session],
+                check=False,
+                capture_output=True,
+                text=True,
+                timeout=120,
+            )
+
+        # The session can be asked a moment after its first nodes are loaded.
+        until(lambda: bool(ask("diff").stdout), "an answer")
+        diff = ask("diff", "--json")
+        (step,) = json.loads(diff.stdout)["steps"]
+        assert (step["name"], step["action"]) == ("/c_box:/changed", "reload")
+        assert [each["path"] for each in step["changes"]] == ["resources.nice"]
+        assert ask("apply").returncode == 0
+        after = pid_of(replay, "/changed")
+        assert after != before
+        assert held(after).nice == NICE[2]
+        assert held(pids["/kept"]).nice == NICE[0]

@@ -1,0 +1,293 @@
+"""What a launch file starts later: handlers of events, timers, lifecycle states."""
+
+from __future__ import annotations
+
+import pytest
+
+from play_launch.core.managed import Autostart
+from play_launch.launch_files.records import AtExit, Description, Event, StartCondition
+from play_launch.launch_files.ros_launch.evaluate import is_installed
+from tests.launch_files.ros_launch.prefix import Prefix, prefix, processes
+
+__all__ = ["prefix"]
+
+HEAD = """
+from launch import LaunchDescription
+from launch.actions import *
+from launch.event_handlers import *
+from launch.events import matches_action, Shutdown as ShutdownEvent
+from launch.events.process import *
+
+def process(name):
+    return ExecuteProcess(cmd=["true", name])
+
+async def sleep(context):
+    pass
+
+class Stop(ShutdownEvent):
+    pass
+
+everybody = lambda action: True
+g = GroupAction([])
+a, b, c, d, e = (process(name) for name in "abcde")
+"""
+MANAGED = """
+from launch_ros.actions import *
+from launch_ros.event_handlers import OnStateTransition
+from launch_ros.events.lifecycle import ChangeState
+from lifecycle_msgs.msg import Transition
+
+def change(node, transition):
+    return EmitEvent(event=ChangeState(
+        lifecycle_node_matcher=matches_action(node), transition_id=transition))
+
+m = LifecycleNode(package="pkg", executable="talker", name="m", namespace="")
+CONFIGURE, ACTIVATE = Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE
+"""
+
+
+@pytest.fixture
+def evaluated(prefix: Prefix, request: pytest.FixtureRequest) -> Description:
+    lines = ",\n        ".join(request.param)
+    head = HEAD
+    if "m" in request.param:
+        if not is_installed():
+            pytest.skip("ROS's launch_ros is not installed here: managed nodes")
+        head += MANAGED
+    function = "def generate_launch_description():\n    return LaunchDescription([\n        "
+    return prefix.evaluate("a.launch.py", f"{head}\n{function}{lines}])\n")
+
+
+def starts(description: Description) -> dict[str, list[StartCondition]]:
+    """Return the conditions of each process, by its name."""
+    return {each.name or each.command[-1]: each.start for each in processes(description)}
+
+
+def exited(unit: str) -> StartCondition:
+    return StartCondition(event=Event.EXITED, unit=unit)
+
+
+def started(unit: str) -> StartCondition:
+    return StartCondition(event=Event.STARTED, unit=unit)
+
+
+def delay(seconds: float) -> StartCondition:
+    return StartCondition(event=Event.DELAY, seconds=seconds)
+
+
+@pytest.mark.parametrize(
+    ("evaluated", "expected"),
+    [
+        (
+            ["RegisterEventHandler(OnProcessExit(target_action=a, on_exit=[b]))", "a"],
+            {"a": [], "b": [exited("p1")]},
+        ),
+        (
+            [
+                "a",
+                "RegisterEventHandler(OnProcessExit(target_action=a, on_exit=[b]))",
+                "RegisterEventHandler(OnProcessExit(target_action=b, on_exit=[c]))",
+            ],
+            {"a": [], "b": [exited("p1")], "c": [exited("p2")]},
+        ),
+        (
+            ["a", "RegisterEventHandler(OnProcessStart(target_action=a, on_start=[b]))"],
+            {"a": [], "b": [started("p1")]},
+        ),
+        (
+            ["RegisterEventHandler(OnExecutionComplete(target_action=a, on_completion=[b]))", "a"],
+            {"a": [], "b": [exited("p1")]},
+        ),
+        (
+            [
+                "(t := TimerAction(period=2.0, actions=[a]))",
+                "RegisterEventHandler(OnExecutionComplete(target_action=t, on_completion=[b]))",
+            ],
+            # Whoever registers after the timer was started hears nothing of it, as in launch.
+            {"a": [delay(2)]},
+        ),
+        (
+            [
+                "TimerAction(period=2.0, actions=[a, TimerAction(period=3.0, actions=[b])])",
+            ],
+            {"a": [delay(2)], "b": [delay(2), delay(3)]},
+        ),
+        (
+            [
+                "a",
+                (
+                    "RegisterEventHandler(OnProcessExit(target_action=a, on_exit=["
+                    "TimerAction(period=1.0, actions=[b])]))"
+                ),
+            ],
+            {"a": [], "b": [exited("p1"), delay(1)]},
+        ),
+        (
+            [
+                "a",
+                "b",
+                (
+                    "RegisterEventHandler(OnProcessExit(target_action=a, on_exit=["
+                    "RegisterEventHandler(OnProcessExit(target_action=b, on_exit=[c]))]))"
+                ),
+            ],
+            {"a": [], "b": [], "c": [exited("p1"), exited("p2")]},
+        ),
+        (
+            [
+                "a",
+                (
+                    "RegisterEventHandler(OnProcessExit(target_action=a, on_exit=[b, "
+                    "RegisterEventHandler(OnProcessExit(target_action=b, on_exit=[c]))]))"
+                ),
+            ],
+            {"a": [], "b": [exited("p1")], "c": [exited("p2")]},
+        ),
+        (
+            [
+                "RegisterEventHandler(OnExecutionComplete(target_action=g, on_completion=[a]))",
+                "(g)",
+            ],
+            {"a": []},
+        ),
+    ],
+    indirect=["evaluated"],
+)
+def test_processes(evaluated: Description, expected: dict[str, list[StartCondition]]) -> None:
+    assert starts(evaluated) == expected
+    assert evaluated.losses == []
+
+
+@pytest.mark.parametrize(
+    "evaluated",
+    [
+        ["ExecuteProcess(cmd=['true', 'a'], on_exit=[Shutdown(reason='over')])"],
+        ["a", "RegisterEventHandler(OnProcessExit(target_action=a, on_exit=[Shutdown()]))"],
+        ["a", "RegisterEventHandler(OnProcessExit(on_exit=[EmitEvent(event=Stop())]))"],
+    ],
+    indirect=True,
+)
+def test_shutdown_when_a_process_exits(evaluated: Description) -> None:
+    assert [each.on_exit for each in processes(evaluated)] == [AtExit.SHUTDOWN]
+    assert evaluated.losses == []
+
+
+def when(node: str, goal: str, then: str) -> str:
+    handler = f"OnStateTransition(target_lifecycle_node={node}, goal_state={goal!r}"
+    return f"RegisterEventHandler({handler}, entities=[{then}]))"
+
+
+CONFIGURE_AT_START = "OnProcessStart(target_action=m, on_start=[change(m, CONFIGURE)])"
+BOTH = "lifecycle_node_names=['m'], transition_ids=[CONFIGURE, ACTIVATE]"
+
+
+@pytest.mark.parametrize(
+    "evaluated",
+    [
+        [
+            "m",
+            f"RegisterEventHandler({CONFIGURE_AT_START})",
+            when("m", "inactive", "change(m, ACTIVATE)"),
+            when("m", "active", "a"),
+        ],
+        ["m", f"LifecycleTransition({BOTH})", when("m", "active", "a")],
+    ],
+    indirect=True,
+)
+def test_managed_nodes(evaluated: Description) -> None:
+    node, process = processes(evaluated)
+    assert node.is_lifecycle
+    assert node.autostart is Autostart.ACTIVATE
+    assert process.start == [StartCondition(event=Event.STATE, unit=node.id, state="active")]
+    assert evaluated.losses == []
+
+
+@pytest.mark.parametrize(
+    "evaluated", [["m", "a", "change(m, CONFIGURE)"], ["change(m, CONFIGURE)", "m"]], indirect=True
+)
+def test_a_node_that_is_only_configured(evaluated: Description) -> None:
+    assert processes(evaluated)[0].autostart is Autostart.CONFIGURE
+
+
+@pytest.mark.parametrize(
+    ("evaluated", "words"),
+    [
+        (
+            [
+                "a",
+                "RegisterEventHandler(OnProcessIO(target_action=a, on_stdout=lambda event: [b]))",
+            ],
+            "OnProcessIO",
+        ),
+        (["a", "RegisterEventHandler(OnShutdown(on_shutdown=[b]))"], "OnShutdown"),
+        (["a", "Shutdown(reason='over')"], "shuts everything down"),
+        (["a", "TimerAction(period=5.0, actions=[Shutdown()])"], "when 5 s have passed"),
+        (["m", "TimerAction(period=5.0, actions=[change(m, CONFIGURE)])"], "when 5 s have passed"),
+        (["m", "change(m, Transition.TRANSITION_ACTIVATE)"], "not possible when unconfigured"),
+        (
+            [
+                "a",
+                "EmitEvent(event=SignalProcess(signal_number='SIGINT', process_matcher=everybody))",
+            ],
+            "ended by the launch file",
+        ),
+        (
+            [
+                "a",
+                (
+                    "RegisterEventHandler(OnProcessExit(target_action=a, "
+                    "on_exit=lambda event, context: [b] if event.returncode == 0 else []))"
+                ),
+            ],
+            "a function decides",
+        ),
+        (["OpaqueCoroutine(coroutine=sleep)"], "OpaqueCoroutine"),
+        (
+            [
+                "a",
+                "RegisterEventHandler(OnProcessExit(on_exit=lambda event, context: process('x')))",
+            ],
+            "no end of it",
+        ),
+    ],
+    indirect=["evaluated"],
+)
+def test_what_has_no_record_is_reported_with_its_place(evaluated: Description, words: str) -> None:
+    found = [loss for loss in evaluated.losses if words in loss.what]
+    assert found
+    assert all("a.launch.py:" in loss.where for loss in found)
+
+
+@pytest.mark.parametrize(
+    "evaluated",
+    [
+        [
+            "LogInfo(msg='now')",
+            "a",
+            (
+                "RegisterEventHandler(OnProcessExit(target_action=a, on_exit=["
+                "LogInfo(msg='later'), OpaqueFunction(function=lambda context: [b])]))"
+            ),
+        ]
+    ],
+    indirect=True,
+)
+def test_what_is_only_done_later(capfd: pytest.CaptureFixture[str], evaluated: Description) -> None:
+    assert starts(evaluated)["b"] == [exited("p1")]
+    assert all(loss.is_note for loss in evaluated.losses)
+    log, function = (loss.what for loss in evaluated.losses)
+    assert log == "LogInfo when true a has exited"
+    assert function == "OpaqueFunction: it was called by the evaluation, not when true a has exited"
+    errors = capfd.readouterr().err
+    assert "now" in errors
+    assert "later" not in errors
+
+
+@pytest.mark.parametrize(
+    "evaluated",
+    [["a", "RegisterEventHandler(OnProcessExit(target_action=a, on_exit=[GroupAction([b])]))"]],
+    indirect=True,
+)
+def test_the_place_is_that_of_the_action(evaluated: Description) -> None:
+    line = HEAD.lstrip().count("\n", 0, HEAD.lstrip().index("return ExecuteProcess")) + 1
+    assert [each.origin.place.line for each in processes(evaluated)] == [line, line]

@@ -1,0 +1,1 @@
+"""No launch files in XML and YAML."""

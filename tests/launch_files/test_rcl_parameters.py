@@ -1,0 +1,98 @@
+"""Parameter files, read by rcl and by ourselves."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import assume, example, given
+from hypothesis import strategies as st
+
+from play_launch.launch_files.parameter_text import ParameterTextError, read_sections
+from play_launch.launch_files.records import Section
+from play_launch.launch_files.ros_launch.rcl_parameters import RclParameters, RclParametersError
+
+WORDS = (
+    "yes no on off y n Y N true True TRUE tRUE false ~ null Null .inf -.inf .nan 0x1F 010 0o17 "
+    "1e3 1. .5 10:30 2001-01-01 'quoted' \"1\" text 9223372036854775807 1_000"
+)
+SCALARS = st.one_of(
+    st.from_regex(r"[-+]?[0-9_:.xeEoab]{1,6}", fullmatch=True), st.sampled_from(WORDS.split())
+)
+LISTS = st.lists(SCALARS, min_size=1, max_size=3).map(lambda items: f"[{', '.join(items)}]")
+
+
+def by_rcl(path: Path) -> list[Section] | None:
+    reader = RclParameters()
+    try:
+        reader.add_file(path)
+        return list(reader.sections())
+    except RclParametersError:
+        return None
+    finally:
+        reader.close()
+
+
+def by_ourselves(text: str) -> list[Section] | None:
+    try:
+        return read_sections(text)
+    except ParameterTextError:
+        return None
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("parameters") / "p.yaml"
+
+
+@given(st.one_of(SCALARS, LISTS))
+@example("yes")
+@example("010")
+@example("[1, 2]")
+def test_a_value_has_the_same_type(path: Path, value: str) -> None:
+    text = f"/n:\n  ros__parameters:\n    x: {value}\n"
+    path.write_text(text)
+    ours, theirs = by_ourselves(text), by_rcl(path)
+    assume(theirs is not None)
+    assert ours == theirs
+
+
+def test_sections(path: Path) -> None:
+    text = """
+/**: {ros__parameters: {a: 1, deep: {er: [1.5, 2.5]}}}
+n: {ros__parameters: {a: text, b: true}}
+/space: {"*": {ros__parameters: {bytes: [1]}}, m: {ros__parameters: {c: 1}}}
+"""
+    path.write_text(text)
+    found = by_rcl(path)
+    assert found == by_ourselves(text)
+    assert found is not None
+    assert [section.pattern for section in found[:3]] == ["/**", "/n", "/space/*"]
+
+
+def test_rules_are_merged_with_files_in_the_order_of_the_sections(path: Path) -> None:
+    path.write_text("/**: {ros__parameters: {a: 2, b: 3}}\n")
+    reader = RclParameters()
+    reader.add_rule("n:a:=1")
+    reader.add_file(path)
+    reader.add_rule("b:=4")
+    # With another type rcl keeps both, and rclcpp takes the first of its list of types.
+    reader.add_rule("a:=three")
+    found = {each.pattern: {p.name: p.value for p in each.parameters} for each in reader.sections()}
+    reader.close()
+    assert list(found.items()) == [("/n", {"a": 1}), ("/**", {"a": 2, "b": 4})]
+
+
+@pytest.mark.parametrize("rule", ["", "a", ":=1", "n::=1", "a:=[1, 2.5]", "a:={b: 1}"])
+def test_rules_that_rcl_refuses(rule: str) -> None:
+    reader = RclParameters()
+    with pytest.raises(RclParametersError):
+        reader.add_rule(rule)
+    reader.close()
+
+
+def test_a_file_that_is_none(path: Path) -> None:
+    reader = RclParameters()
+    with pytest.raises(RclParametersError, match="opening"):
+        reader.add_file(path.with_name("nowhere.yaml"))
+    reader.close()

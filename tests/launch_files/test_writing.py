@@ -1,0 +1,314 @@
+"""What is written is read back by our own reader as what the records say."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from play_launch.config import ReplayConfig, load_config
+from play_launch.config.model import ParameterType
+from play_launch.core.dependency import Condition, Otherwise
+from play_launch.core.managed import Autostart
+from play_launch.core.restart import OnExit
+from play_launch.launch_files import records
+from play_launch.launch_files.configuration.options import Containers, Options
+from play_launch.launch_files.configuration.write import Written, written
+from play_launch.launch_files.losses import Losses
+from play_launch.launch_files.parameters import evaluate_sources
+from play_launch.launch_files.records import (
+    AtExit,
+    Composable,
+    Description,
+    Event,
+    Origin,
+    ParameterFile,
+    Place,
+    Process,
+    ProgramKind,
+    StartCondition,
+    Unit,
+    Values,
+)
+from tests.launch_files.values import TEXTS, VALUES, shown
+
+NAMES = st.from_regex(r"[a-z][a-z0-9]{0,6}", fullmatch=True)
+TOPICS = st.from_regex(r"[/~]?[a-z]{1,5}(/[a-z]{1,4})?", fullmatch=True).map(
+    lambda text: text.replace("~", "~/")
+)
+NAMESPACES = st.sampled_from(["", "/", "/a", "/a/b"])
+# No value of an environment holds a NUL, no argument is empty of meaning.
+COMMON = {
+    "name": NAMES,
+    "namespace": NAMESPACES,
+    "parameters": st.dictionaries(NAMES, VALUES, max_size=4).map(
+        lambda found: [records.parameter(*pair) for pair in found.items()]
+    ),
+    "remappings": st.lists(st.tuples(TOPICS, TOPICS), max_size=3),
+    "origin": st.builds(Origin, st.builds(Place, st.just("/a b/x.launch.xml"), st.integers(0, 99))),
+}
+PROCESSES = st.builds(
+    Process,
+    package=st.just("p"),
+    executable=NAMES,
+    arguments=st.lists(TEXTS, max_size=3),
+    environment=st.dictionaries(
+        st.from_regex(r"[A-Z]{1,3}", fullmatch=True), TEXTS, max_size=3
+    ).map(lambda found: list(found.items())),
+    prefix=st.lists(NAMES, max_size=2),
+    respawn=st.none() | st.booleans(),
+    respawn_delay=st.none() | st.integers(1, 50).map(float),
+    respawn_max_retries=st.integers(-1, 3),
+    on_exit=st.sampled_from(AtExit),
+    emulate_tty=st.booleans(),
+    **COMMON,
+)
+COMPOSABLES = st.builds(
+    Composable, package=st.just("p"), plugin=st.just("p::C"), container=st.just("/c"), **COMMON
+)
+
+
+def load(made: Written, folder: Path) -> ReplayConfig:
+    path = folder / "written.yaml"
+    path.write_text(made.text, encoding="utf-8")
+    return load_config(path)
+
+
+def write(*units: Unit, folder: Path = Path("/nowhere"), **options: Any) -> Written:
+    return written(Description(units=list(units)), Options(folder=folder, **options), "From x.")
+
+
+def lost(made: Written) -> list[str]:
+    return [f"{each.where}: {each.what}" for each in made.losses if not each.is_note]
+
+
+def firsts(pairs: list[tuple[str, str]]) -> dict[str, str]:
+    found: dict[str, str] = {}
+    for source, target in pairs:
+        found.setdefault(source, target)
+    return found
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(PROCESSES | COMPOSABLES, max_size=6))
+def test_what_is_written_is_read_back(
+    tmp_path_factory: pytest.TempPathFactory, units: list[Unit]
+) -> None:
+    unique = list({unit.full_name: unit for unit in units}.values())
+    host = Process(kind=ProgramKind.CONTAINER, package="rclcpp_components", name="c0")
+    host.executable, host.name = "component_container", "c"
+    unique = [unit for unit in unique if unit.full_name != "/c"]
+    made = write(host, *unique)
+    assert not made.problems
+    assert lost(made) == []
+    config = load(made, tmp_path_factory.getbasetemp())
+    (container,) = config.containers
+    read: dict[str, Any] = {each.full_name: each for each in config.nodes}
+    read |= {each.key.name: each for each in container.composable_nodes}
+    assert read.keys() == {unit.full_name or "" for unit in unique}
+    for unit in unique:
+        found = read[unit.full_name]
+        assert {each.name: shown(each.value) for each in found.parameters} == {
+            each.name: shown(records.typed_value(each)) for each in unit.parameters
+        }
+        assert dict(found.remappings) == firsts(unit.remappings)
+        if isinstance(unit, Composable):
+            assert (found.package, found.plugin) == ("p", "p::C")
+            continue
+        assert (found.package, found.executable) == ("p", unit.executable)
+        assert found.arguments == tuple(unit.arguments)
+        assert dict(found.environment) == dict(unit.environment)
+        assert found.prefix == tuple(unit.prefix)
+        assert found.emulate_tty == unit.emulate_tty
+        if unit.on_exit is AtExit.SHUTDOWN:
+            assert found.on_exit is OnExit.SHUTDOWN
+            continue
+        assert found.on_exit is (OnExit.RESTART if unit.respawn else OnExit.IGNORE)
+        if unit.respawn and unit.respawn_delay:
+            assert found.restart.initial == unit.respawn_delay
+        if unit.respawn and unit.respawn_max_retries >= 0:
+            assert found.restart.max_restarts == unit.respawn_max_retries
+
+
+def params(path: Path, text: str) -> ParameterFile:
+    path.write_text(text, encoding="utf-8")
+    return ParameterFile(str(path))
+
+
+def node(**fields: Any) -> Process:
+    return Process(**{"package": "p", "executable": "e", "name": "n", "namespace": "/a"} | fields)
+
+
+def evaluated(unit: Unit) -> Unit:
+    losses = Losses()
+    evaluate_sources(unit, losses)
+    assert not list(losses)
+    return unit
+
+
+def test_a_file_is_referenced_and_what_differs_is_written(tmp_path: Path) -> None:
+    file = params(tmp_path / "p.yaml", "/**: {ros__parameters: {rate: 1, b: 2.0, c: x}}")
+    values = Values((records.parameter("rate", VALUE_5),), "/a/n")
+    unit = evaluated(node(sources=[file, values]))
+    made = write(unit, folder=tmp_path)
+    assert "p.yaml, {rate: 5}" in made.text.replace("\n      - ", ", ")
+    config = load(made, tmp_path)
+    assert {each.name: each.value.value for each in config.nodes[0].parameters} == {
+        "rate": 5,
+        "b": 2.0,
+        "c": "x",
+    }
+    assert "p.yaml" not in write(unit, folder=tmp_path, inline=True).text
+
+
+VALUE_5 = records.typed_value(records.Parameter("x", ParameterType.INTEGER, 5))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        # Our reader refuses it, or reads something else than rcl.
+        "/**: {ros__parameters: {rate: yes}}",
+        "/**: {ros__parameters: {rate: 010}}",
+        "/**: {ros__parameters: {rate: 0x10, b: [y, n]}}",
+    ],
+)
+def test_a_file_that_we_would_read_otherwise_is_copied(text: str, tmp_path: Path) -> None:
+    unit = evaluated(node(sources=[params(tmp_path / "p.yaml", text)]))
+    made = write(unit, folder=tmp_path)
+    (config,) = load(made, tmp_path).nodes
+    assert {each.name: shown(each.value) for each in config.parameters} == {
+        each.name: shown(records.typed_value(each)) for each in unit.parameters
+    }
+
+
+def test_a_value_that_loses_to_an_earlier_file_stays_lost(tmp_path: Path) -> None:
+    # rcl keeps sections in the order of their first mention: the file's section for all came
+    # second, and holds against the first and the third source.
+    file = params(tmp_path / "p.yaml", "/**: {ros__parameters: {a: 2}}")
+    one, three = (
+        Values((records.parameter("a", records.typed_value(each)),), "/a/n")
+        for each in (
+            records.Parameter("a", ParameterType.INTEGER, 1),
+            records.Parameter("a", ParameterType.INTEGER, 3),
+        )
+    )
+    unit = evaluated(node(sources=[one, file, three]))
+    (config,) = load(write(unit, folder=tmp_path), tmp_path).nodes
+    assert [each.value.value for each in config.parameters] == [2]
+
+
+def test_what_starts_later(tmp_path: Path) -> None:
+    units: list[Unit] = [
+        Process(id="1", package="p", executable="spawner"),
+        Process(id="2", package="p", executable="spawner"),
+        node(
+            id="3",
+            name="later",
+            start=[
+                StartCondition(event=Event.EXITED, unit="2"),
+                StartCondition(event=Event.DELAY, seconds=1.5),
+                StartCondition(event=Event.DELAY, seconds=1.0),
+            ],
+        ),
+        node(id="4", name="managed", is_lifecycle=True, autostart=Autostart.ACTIVATE),
+        node(
+            id="5", name="n5", start=[StartCondition(event=Event.STATE, unit="4", state="active")]
+        ),
+        node(id="6", name="n6", start=[StartCondition(event=Event.STATE, unit="4", state="x")]),
+    ]
+    made = write(*units)
+    assert [each.rpartition(": ")[2] for each in lost(made)] == [
+        "state x of /a/managed cannot be said"
+    ]
+    rules = load(made, tmp_path).start_rules
+    (exited,) = rules["/a/later"].dependencies
+    assert (exited.condition, exited.unit) == (Condition.EXITED, "/[spawner:2]")
+    assert exited.otherwise is Otherwise.START
+    assert rules["/a/later"].delay == 2.5
+    assert rules["/a/n5"].dependencies[0].condition is Condition.ACTIVE
+
+
+def test_containers_can_be_switched(tmp_path: Path) -> None:
+    def container(number: int, program: str) -> Process:
+        return Process(
+            kind=ProgramKind.CONTAINER,
+            package="rclcpp_components",
+            executable=program,
+            name=f"c{number}",
+            remappings=[("a", "b")],
+            parameters=[records.Parameter("use_sim_time", ParameterType.BOOL, value=True)],
+        )
+
+    programs = ("component_container", "component_container", "component_container_mt")
+    units = [container(*pair) for pair in enumerate(programs)]
+    found = {}
+    for choice in Containers:
+        config = load(write(*units, containers=choice), tmp_path)
+        found[choice] = [each.container_type.value for each in config.containers]
+        for each in config.containers:
+            assert each.ros_arguments == ("-p", "use_sim_time:=true", "-r", "a:=b")
+    assert found == {
+        Containers.SAME: ["standard", "standard", "mt"],
+        Containers.ISOLATED: ["isolated", "isolated", "isolated_mt"],
+        Containers.STOCK: ["stock"] * 3,
+    }
+
+
+def test_what_all_have_in_common_is_written_once(tmp_path: Path) -> None:
+    both = [("A", "1"), ("B", "$(x)")]
+    made = write(
+        node(name="one", environment=both), node(name="two", environment=[*both, ("C", "")])
+    )
+    assert len(re.findall("A:", made.text)) == 1
+    config = load(made, tmp_path)
+    assert [dict(each.environment) for each in config.nodes] == [
+        {"A": "1", "B": "$(x)"},
+        {"A": "1", "B": "$(x)", "C": ""},
+    ]
+
+
+def test_a_plain_node_that_hosts_components_is_a_container(tmp_path: Path) -> None:
+    host = node(
+        name="nav2_container", package="rclcpp_components", executable="component_container_mt"
+    )
+    made = write(host, Composable(package="p", plugin="p::C", container="/a/nav2_container"))
+    (container,) = load(made, tmp_path).containers
+    assert len(container.composable_nodes) == 1
+
+
+def test_origins_are_comments(tmp_path: Path) -> None:
+    share = tmp_path / "x" / "y.launch.xml"
+    unit = node(name="x", origin=Origin(Place(str(share), 7), (Place("/z.launch.xml", 1),)))
+    text = write(unit, folder=tmp_path).text
+    assert "  # from x/y.launch.xml:7\n  - name: x\n" in text
+
+
+def test_shell_lines_unset_variables_and_labels(tmp_path: Path) -> None:
+    made = write(
+        Process(
+            kind=ProgramKind.PROCESS, command=["echo $HOME | cat"], shell=True, label="my cat-1"
+        ),
+        Process(kind=ProgramKind.PROCESS, command=["env"], unset=["A"], prefix=["nice"]),
+    )
+    first, second = load(made, tmp_path).nodes
+    assert first.command == ("/bin/sh", "-c", "echo $HOME | cat")
+    assert first.name == "my_cat_1"
+    assert second.prefix == ("env", "-u", "A", "nice")
+
+
+def test_time_outs_for_stopping_hold_for_all(tmp_path: Path) -> None:
+    made = write(
+        node(name="one", sigterm_timeout=7.0, sigkill_timeout=3.5),
+        node(name="two", sigterm_timeout=9.0),
+        node(name="three"),
+    )
+    stop = load(made, tmp_path).stop
+    assert (stop.sigint, stop.sigterm) == (9.0, 3.5)
+    (note,) = [each for each in made.losses if each.is_note]
+    assert "/a/one" in note.where
+    assert "sigterm_timeout of 7 s" in note.what

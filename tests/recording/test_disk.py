@@ -1,0 +1,153 @@
+"""What was synced survives the loss of everything else, and a slow disk delays nobody."""
+
+from __future__ import annotations
+
+import errno
+import os
+import threading
+import time
+from typing import TYPE_CHECKING
+
+import pytest
+
+from play_launch.cdr.log import log_message
+from play_launch.core.events import OutputLine, Stream
+from play_launch.history.bag_reader import BagReader
+from play_launch.recording.bag import McapBagWriter, Rotation
+from play_launch.recording.errors import WriteFailedError
+from play_launch.recording.recorder import Recorder, RecorderLimits
+from play_launch.recording.topics import OUTPUT
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def line(number: int) -> OutputLine:
+    return OutputLine(
+        stamp_ns=number, process="/a", pid=1, stream=Stream.STDOUT, text=f"line {number}"
+    )
+
+
+class SlowDisk:
+    """Stands for ``os.fdatasync``: waits, and remembers how much of the file there was."""
+
+    def __init__(self) -> None:
+        self.sizes: list[int] = []
+        self.begun = threading.Semaphore(0)
+        self.gate = threading.Event()
+
+    def __call__(self, descriptor: int) -> None:
+        self.sizes.append(os.fstat(descriptor).st_size)
+        self.begun.release()
+        self.gate.wait()
+
+
+@pytest.fixture
+def slow_disk(monkeypatch: pytest.MonkeyPatch) -> SlowDisk:
+    disk = SlowDisk()
+    monkeypatch.setattr(os, "fdatasync", disk)
+    return disk
+
+
+def test_what_is_on_the_disk_after_a_sync_is_readable(tmp_path: Path, slow_disk: SlowDisk) -> None:
+    slow_disk.gate.set()
+    writer = McapBagWriter(tmp_path / "x.mcap", sync=1e-3)
+    channel = writer.register(OUTPUT)
+    flushed: list[int] = []
+    for number in range(20):
+        for repeated in range(number + 1):
+            data = log_message(repeated, 20, "/a", f"line {number}", file="stdout")
+            writer.write(channel, data, log_time=number + 1, publish_time=number)
+        writer.flush()
+        flushed.append(writer.bytes_written)
+        if number % 5 == 0:
+            slow_disk.begun.acquire()
+    writer.abandon()
+    whole = writer.path.read_bytes()
+    assert slow_disk.sizes
+    for size in slow_disk.sizes:
+        assert size in {0, *flushed}, "only what was flushed as a whole is synced"
+        copy = tmp_path / "copy.mcap"
+        copy.write_bytes(whole[:size])
+        reader = BagReader(copy)
+        flushes = flushed.index(size) + 1
+        assert sum(1 for _ in reader.messages()) == flushes * (flushes + 1) // 2
+        assert reader.damages == []
+
+
+def test_a_sync_that_takes_long_holds_up_no_line(tmp_path: Path, slow_disk: SlowDisk) -> None:
+    writer = McapBagWriter(tmp_path / "x.mcap", sync=1e-3)
+    recorder = Recorder(writer, limits=RecorderLimits(batch=0, flush=0, lines=100))
+    recorder.publish(line(0))
+    slow_disk.begun.acquire()
+    for number in range(1, 1000):
+        recorder.publish(line(number))
+        while number % 100 == 0 and writer.messages < number - 50:
+            time.sleep(0)  # the recorder's thread, not the disk's, is given its time
+    slow_disk.gate.set()
+    summary = recorder.close()
+    assert (summary.messages, summary.dropped) == (1000, 0)
+
+
+def test_it_is_synced_at_intervals_and_not_when_nothing_is_new(
+    tmp_path: Path, slow_disk: SlowDisk
+) -> None:
+    slow_disk.gate.set()
+    writer = McapBagWriter(tmp_path / "x.mcap", sync=1e6)
+    writer.register(OUTPUT)
+    writer.flush()
+    writer.flush()
+    assert slow_disk.sizes == []
+    writer.close()
+    assert len(slow_disk.sizes) == 1, "a file that is complete is forced to the disk"
+
+
+def test_never_means_when_the_file_is_complete(tmp_path: Path, slow_disk: SlowDisk) -> None:
+    slow_disk.gate.set()
+    writer = McapBagWriter(tmp_path / "x.mcap", rotation=Rotation(size=1))
+    channel = writer.register(OUTPUT)
+    for number in (1, 2):
+        writer.write(channel, b"\0\1\0\0", log_time=number, publish_time=number)
+        writer.flush()
+    writer.close()
+    assert len(slow_disk.sizes) == 3
+
+
+def test_another_file_begins_while_the_last_one_is_forced_to_the_disk(
+    tmp_path: Path, slow_disk: SlowDisk
+) -> None:
+    writer = McapBagWriter(tmp_path / "x.mcap", rotation=Rotation(size=1))
+    channel = writer.register(OUTPUT)
+    writer.write(channel, b"\0\1\0\0", log_time=1, publish_time=1)
+    writer.flush()
+    slow_disk.begun.acquire()
+    writer.write(channel, b"\0\1\0\0", log_time=2, publish_time=2)
+    names = sorted(path.name for path in tmp_path.iterdir())
+    assert names == ["x.mcap.active", "x_1.mcap.active"]
+    slow_disk.gate.set()
+    writer.close()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["x.mcap", "x_1.mcap"]
+
+
+def test_a_disk_that_forgets_is_reported_once_and_at_the_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    asked = threading.Semaphore(0)
+
+    def fail(_descriptor: int) -> None:
+        asked.release()
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    monkeypatch.setattr(os, "fdatasync", fail)
+    writer = McapBagWriter(tmp_path / "x.mcap", sync=1e-3)
+    channel = writer.register(OUTPUT)
+    for number in (1, 2):
+        writer.write(channel, b"\0\1\0\0", log_time=number, publish_time=number)
+        writer.flush()
+        asked.acquire()
+    with pytest.raises(WriteFailedError, match="Input/output error"):
+        writer.close()
+    writer.abandon()
+    (error,) = caplog.records
+    assert "cannot be forced to the disk" in error.getMessage()
+    assert sum(1 for _ in BagReader(tmp_path / "x.mcap.active").messages()) == 2

@@ -1,0 +1,102 @@
+"""A disk that really is full interrupts the recording, and nothing else."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from typing import TYPE_CHECKING
+
+import pytest
+
+from play_launch.config import RecordConfig, RotateConfig
+from play_launch.core.events import LogRecord, OutputLine, Stream
+from play_launch.history.bag_reader import BagReader
+from play_launch.recording.recorder import RecorderLimits
+from play_launch.recording.session import Session, open_session
+from play_launch.recording.topics import LOG_ALL, OUTPUT
+from tests.recording.reading import messages, raw_messages
+from tests.recording.test_opening import description
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+SIZE = 1024 * 1024
+LIMITS = RecorderLimits(batch=0.001, flush=0.001, retry=0.005, longest_retry=0.01)
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system of 1 MiB; needs the right to mount."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    command = ["mount", "-t", "tmpfs", "-o", f"size={SIZE}", "tmpfs", str(folder)]
+    mounted = subprocess.run(command, check=False, capture_output=True)
+    if mounted.returncode != 0:
+        pytest.skip("mounting needs privileges; an injected full disk covers the same path")
+    yield folder
+    subprocess.run(["umount", str(folder)], check=True)
+
+
+def publish(session: Session, first: int, count: int) -> None:
+    for number in range(first, first + count):
+        text = os.urandom(500).hex()
+        session.recorder.publish(
+            OutputLine(stamp_ns=number, process="/a", pid=1, stream=Stream.STDOUT, text=text)
+        )
+
+
+def publish_until_interrupted(session: Session) -> int:
+    """Publish lines from number 0 on; return how many."""
+    count = 0
+    while not session.recorder.error:
+        assert count < 20_000, "the disk does not get full"
+        if session.recorder.waiting < 100:
+            publish(session, count, 50)
+            count += 50
+        os.sched_yield()
+    return count
+
+
+def test_the_run_goes_on_and_what_was_written_stays(small_disk: Path) -> None:
+    session = open_session(description(), log_folder=small_disk, limits=LIMITS)
+    count = publish_until_interrupted(session)
+    summary = session.recorder.close()
+    assert "No space left on device" in summary.error
+    assert summary.path == session.folder.path / "session.mcap.active"
+    assert summary.interruptions >= 1
+    readable = raw_messages(summary.path, OUTPUT.name)
+    assert [message.publish_time for message in readable] == list(range(len(readable)))
+    assert summary.messages == len(readable)
+    assert summary.messages + summary.dropped == count
+    reader = BagReader(summary.path)
+    assert sum(1 for _ in reader.messages()) == len(readable)
+    assert reader.damages == [], "it ends after a whole chunk"
+
+
+@pytest.mark.parametrize("rotate", [RotateConfig(), RotateConfig(size=100_000)])
+def test_it_goes_on_when_there_is_room_again_without_a_gap(
+    small_disk: Path, rotate: RotateConfig
+) -> None:
+    ballast = small_disk / "ballast"
+    ballast.write_bytes(bytes(SIZE - 300_000))
+    session = open_session(
+        description(), log_folder=small_disk, record=RecordConfig(rotate=rotate), limits=LIMITS
+    )
+    count = publish_until_interrupted(session)
+    publish(session, count, 100)
+    session.recorder.publish(LogRecord(stamp_ns=1, level=40, name="n", message="a crash"))
+    ballast.unlink()
+    while session.recorder.error:
+        os.sched_yield()
+    publish(session, count + 100, 10)
+    summary = session.recorder.close()
+    assert (summary.error, summary.dropped) == ("", 0)
+    assert summary.interruptions >= 1
+    assert (summary.parts > 1) == (rotate.size < SIZE)
+    reader = BagReader(session.folder.path)
+    stamps = [message.publish_time for message in reader.messages({OUTPUT.name})]
+    assert stamps == list(range(count + 110))
+    assert (reader.damages, reader.is_complete) == ([], True)
+    read = messages(session.folder.path)
+    assert "a crash" in [one.message.msg for one in read if one.topic == LOG_ALL.name]

@@ -1,0 +1,192 @@
+"""A recording in several files: each can be read alone, all together are the whole."""
+
+from __future__ import annotations
+
+import errno
+import os
+from typing import TYPE_CHECKING
+
+import pytest
+from mcap.records import Attachment, Metadata
+from rosbags.highlevel import AnyReader
+
+from play_launch.cdr.log import log_message
+from play_launch.core.events import ContainerState, ContainerStateChanged, OutputLine, Stream
+from play_launch.recording.bag import McapBagWriter, Rotation
+from play_launch.recording.convert import convert
+from play_launch.recording.mcap_file import MAGIC
+from play_launch.recording.part import part_number, part_path
+from play_launch.recording.recorder import Recorder, RecorderLimits
+from play_launch.recording.topics import OUTPUT, STATES
+from tests.recording.reading import messages, raw_messages, records
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def write_line(writer: McapBagWriter, channel: int, number: int) -> None:
+    data = log_message(number, 20, "/a", f"line {number}", file="stdout")
+    writer.write(channel, data, log_time=number, publish_time=number)
+
+
+def three_parts(folder: Path, *, has_index: bool = False) -> McapBagWriter:
+    """Lines 1 to 6 in three files, and two states in the first one."""
+    writer = McapBagWriter(folder / "session.mcap", rotation=Rotation(size=1), has_index=has_index)
+    writer.attach("config.yaml", "application/yaml", b"a: 1\n", time=5)
+    writer.metadata("play_launch.session", {"id": "1"})
+    states, output = writer.register(STATES), writer.register(OUTPUT)
+    for number, state in enumerate((ContainerState.STARTING, ContainerState.RUNNING)):
+        event = ContainerStateChanged(stamp_ns=number, container="/c", state=state)
+        ((_, data, key),) = convert(event)
+        writer.write(states, data, log_time=1, publish_time=number, key=key)
+    for number in range(1, 7):
+        write_line(writer, output, number)
+        if number in {2, 4}:
+            writer.flush()
+    writer.close()
+    return writer
+
+
+def test_each_file_is_complete_by_itself(tmp_path: Path) -> None:
+    writer = three_parts(tmp_path)
+    assert (writer.path, writer.parts, writer.messages) == (tmp_path, 3, 8)
+    paths = [part_path(tmp_path / "session.mcap", number) for number in range(3)]
+    assert sorted(tmp_path.iterdir()) == sorted(paths)
+    assert writer.bytes_written == sum(path.stat().st_size for path in paths)
+    for number, path in enumerate(paths):
+        lines = [read.message.msg for read in messages(path) if read.topic == OUTPUT.name]
+        assert lines == [f"line {2 * number + 1}", f"line {2 * number + 2}"]
+        states = [read.message.state for read in messages(path) if read.topic == STATES.name]
+        assert states == (["starting", "running"] if number == 0 else ["running"])
+        (attachment,) = [one for one in records(path) if isinstance(one, Attachment)]
+        assert attachment.data == b"a: 1\n"
+        metadata = {one.name: one.metadata for one in records(path) if isinstance(one, Metadata)}
+        assert metadata.pop("play_launch.session") == {"id": "1"}
+        assert metadata == ({"play_launch.part": {"number": str(number)}} if number else {})
+
+
+def test_what_is_repeated_keeps_its_own_stamp_and_not_its_arrival(tmp_path: Path) -> None:
+    three_parts(tmp_path)
+    (state,) = raw_messages(tmp_path / "session_2.mcap", STATES.name)
+    assert state.publish_time == 1
+    assert state.log_time > 10**18, "else the file would seem to begin long before its time"
+
+
+def test_the_folder_is_one_bag_to_others(tmp_path: Path) -> None:
+    three_parts(tmp_path, has_index=True)
+    with AnyReader([tmp_path]) as reader:
+        assert reader.message_count == 10
+        counts = {each.topic: each.msgcount for each in reader.connections}
+        lines = [
+            reader.deserialize(raw, connection.msgtype).msg  # type: ignore[attr-defined]
+            for connection, _, raw in reader.messages()
+            if connection.topic == OUTPUT.name
+        ]
+    assert counts == {OUTPUT.name: 6, STATES.name: 4}
+    assert lines == [f"line {number}" for number in range(1, 7)]
+
+
+def test_a_file_ends_by_time_too(tmp_path: Path) -> None:
+    writer = McapBagWriter(tmp_path / "x.mcap", rotation=Rotation(duration=1e-9))
+    channel = writer.register(OUTPUT)
+    write_line(writer, channel, 1)
+    writer.flush()
+    write_line(writer, channel, 2)
+    writer.close()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["x.mcap", "x_1.mcap"]
+
+
+def test_nothing_new_begins_no_file(tmp_path: Path) -> None:
+    writer = McapBagWriter(tmp_path / "x.mcap", rotation=Rotation(size=1))
+    channel = writer.register(STATES)
+    event = ContainerStateChanged(stamp_ns=1, container="/c", state=ContainerState.RUNNING)
+    ((_, data, key),) = convert(event)
+    writer.write(channel, data, log_time=1, publish_time=1, key=key)
+    for _ in range(5):
+        writer.flush()
+    assert writer.parts == 2
+    writer.close()
+
+
+def test_without_room_for_another_file_it_stays_in_this_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    writer = McapBagWriter(tmp_path / "x.mcap", rotation=Rotation(size=1))
+    channel = writer.register(OUTPUT)
+    (tmp_path / "x_1.mcap.active").write_bytes(b"in the way")
+    for number in range(3):
+        write_line(writer, channel, number)
+        writer.flush()
+    writer.close()
+    assert writer.parts == 1
+    assert len(messages(tmp_path / "x.mcap")) == 3
+    assert (tmp_path / "x_1.mcap.active").read_bytes() == b"in the way"
+    (warning,) = caplog.records
+    assert "the recording stays in" in warning.getMessage()
+
+
+def test_a_disk_that_is_full_when_another_file_begins_leaves_no_half_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    writer = McapBagWriter(tmp_path / "x.mcap", rotation=Rotation(size=1))
+    channel = writer.register(OUTPUT)
+    write_line(writer, channel, 1)
+    really = os.pwrite
+
+    def no_room_at_the_beginning(descriptor: int, data: bytes, at: int) -> int:
+        if at == 0:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return really(descriptor, data, at)
+
+    monkeypatch.setattr(os, "pwrite", no_room_at_the_beginning)
+    writer.flush()
+    assert [path.name for path in tmp_path.iterdir()] == ["x.mcap.active"]
+    writer.close()
+    assert len(messages(tmp_path / "x.mcap")) == 1
+
+
+def test_without_room_for_a_summary_it_goes_on_in_the_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    writer = McapBagWriter(tmp_path / "x.mcap", rotation=Rotation(size=1))
+    channel = writer.register(OUTPUT)
+    write_line(writer, channel, 1)
+    really = os.pwrite
+
+    def no_room_for_a_summary(descriptor: int, data: bytes, at: int) -> int:
+        if bytes(data).endswith(MAGIC):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return really(descriptor, data, at)
+
+    monkeypatch.setattr(os, "pwrite", no_room_for_a_summary)
+    writer.flush()
+    assert [path.name for path in tmp_path.iterdir()] == ["x.mcap.active"]
+    write_line(writer, channel, 2)
+    writer.flush()
+    monkeypatch.undo()
+    writer.close()
+    assert [read.message.msg for read in messages(tmp_path / "x.mcap")] == ["line 1", "line 2"]
+
+
+def test_the_recorder_says_how_many_files_there_are(tmp_path: Path) -> None:
+    writer = McapBagWriter(tmp_path / "session.mcap", rotation=Rotation(size=1))
+    recorder = Recorder(writer, limits=RecorderLimits(batch=0, flush=0))
+    line = OutputLine(stamp_ns=1, process="/a", pid=1, stream=Stream.STDOUT, text="x")
+    recorder.publish(line)
+    summary = recorder.close()
+    assert (summary.path, summary.parts, summary.messages) == (tmp_path, 2, 1)
+
+
+@pytest.mark.parametrize(
+    ("name", "number"),
+    [
+        ("session.mcap", 0),
+        ("session_1.mcap", 1),
+        ("session_12.mcap", 12),
+        ("session_0.mcap", 0),
+        ("session_1.mcap.active", None),
+        ("session", None),
+    ],
+)
+def test_numbers_of_files(name: str, number: int | None) -> None:
+    assert part_number(name) == number

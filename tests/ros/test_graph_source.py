@@ -1,0 +1,78 @@
+"""When somebody looks at the ROS graph, with a stand-in for the thread that has a node."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from functools import partial
+from typing import Any, cast
+
+import pytest
+
+from play_launch.core.dependency import Condition
+from play_launch.ros.graph_source import GraphSource, Wanted
+from play_launch.ros.shared_thread import SharedRosThread
+
+pytestmark = pytest.mark.anyio
+
+TALKER = (Condition.NODE, "/talker")
+SERVICE = (Condition.SERVICE, "/c/load")
+
+
+class StandIn:
+    """All that is wanted is there; it comes and goes when the test lets it."""
+
+    def __init__(self) -> None:
+        self.is_leaving = asyncio.Event()
+        self.may_leave = asyncio.Event()
+        self.times = 0
+
+    @asynccontextmanager
+    async def used(self) -> AsyncIterator[StandIn]:
+        self.times += 1
+        try:
+            yield self
+        finally:
+            self.is_leaving.set()
+            await self.may_leave.wait()
+
+    def listen(self, _on_change: Callable[[], None]) -> Callable[[], None]:
+        return lambda: None
+
+    async def call(self, work: partial[Wanted]) -> Any:
+        return work.keywords["wanted"]
+
+
+async def test_what_is_wanted_while_the_node_leaves_is_looked_for() -> None:
+    ros = StandIn()
+    seen: asyncio.Queue[Wanted] = asyncio.Queue()
+    source = GraphSource(cast(SharedRosThread, ros), seen.put_nowait)
+    source.watch([TALKER])
+    assert await seen.get() == {TALKER}
+    source.watch([])
+    await ros.is_leaving.wait()
+    source.watch([SERVICE])
+    ros.may_leave.set()
+    assert await asyncio.wait_for(seen.get(), 20) == {SERVICE}
+    await source.close()
+    assert ros.times == 2
+
+
+async def test_a_graph_that_cannot_be_looked_at_is_reported_once(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    ros = StandIn()
+    ros.may_leave.set()
+
+    def fail(_there: Wanted) -> None:
+        raise ValueError("no graph")
+
+    source = GraphSource(cast(SharedRosThread, ros), fail)
+    source.watch([TALKER])
+    await ros.is_leaving.wait()
+    await asyncio.sleep(0)
+    await source.close()
+    assert [record.getMessage() for record in caplog.records] == [
+        "the ROS graph cannot be looked at: no graph"
+    ]

@@ -1,0 +1,27 @@
+"""Every test here runs on an event loop, which nothing blocks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+from blockbuster import blockbuster_ctx
+
+
+@pytest.fixture
+def anyio_backend() -> str:
+    return "asyncio"
+
+
+@pytest.fixture(autouse=True)
+def _loop_is_never_blocked() -> Iterator[None]:
+    with blockbuster_ctx("play_launch") as blockbuster:
+        # Popen waits for the exec of its vforked child. The guard of the session answers as fast
+        # as a fork; what it gets is a file in memory.
+        functions = blockbuster.functions
+        functions["os.read"].can_block_in("subprocess.py", "_execute_child")
+        functions["socket.socket.recv"].can_block_in("process/guard.py", "_ask")
+        functions["io.BufferedWriter.write"].can_block_in("process/guard.py", "_file")
+        for name in ("os.stat", "os.access"):
+            functions[name].can_block_in("process/program.py", "check_program")
+        yield
