@@ -19,7 +19,7 @@ from play_launch.fastdds.shared_memory import sweep
 # For `tests.…`; at the end, so that `play_launch` is the installed package.
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 
-pytest_plugins = ["tests.support.participants", "tests.support.turns"]
+pytest_plugins = ["tests.support.turns"]
 
 # Those from 81 to 101 are of the tests in C++, the ports of higher ones are anybody's.
 DOMAINS = range(1, 81)

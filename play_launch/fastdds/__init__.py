@@ -2,7 +2,7 @@
 
 `middleware`: whether a process uses it; `shared_memory`: what killed processes leave of it;
 `profiles`: whether somebody has configured it; `announcement` and `transports`: how our own
-participants are configured. The rest of the program asks here, and does nothing of it with another
-middleware. The container's part is in `main/fastdds.cpp` and
+participants are configured; `waits`: that they come to an end. The rest of the program asks here,
+and does nothing of it with another middleware. The container's part is in `main/fastdds.cpp` and
 `base/fastdds_segments.cpp`.
 """

@@ -15,6 +15,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 
 from play_launch.fastdds.announcement import quick_announcement
+from play_launch.fastdds.waits import end_participants_safely
 from play_launch.ros.graph import GraphEvents
 from play_launch.ros.graph_guard import GraphGuardError
 
@@ -214,6 +215,7 @@ class RosThread:
             signal_handler_options=SignalHandlerOptions.NO,
         )
         self.rmw_implementation = get_rmw_implementation_identifier()
+        end_participants_safely()
         with quick_announcement(os.environ, self.rmw_implementation):
             node = Node(
                 self.name,

@@ -108,7 +108,7 @@ def run(*arguments: object) -> subprocess.CompletedProcess[str]:
         bound_socket,
     ],
 )
-@pytest.mark.timeout(20)
+@pytest.mark.timeout(60)
 def test_what_is_no_recording_is_named(
     tmp_path: Path,
     good: Path,

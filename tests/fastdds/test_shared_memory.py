@@ -83,7 +83,7 @@ def node(name: str) -> tuple[Child, Output]:
 
 async def end(child: Child, number: signal.Signals = signal.SIGKILL) -> None:
     child.signal_group(number)
-    async with asyncio.timeout(20):
+    async with asyncio.timeout(60):
         await child.gone()
 
 

@@ -109,5 +109,5 @@ def test_the_recording_of_a_killed_supervisor_is_recovered(tmp_path: Path) -> No
     assert recovered.reader.attachments.keys() >= {"config.yaml", "host.json"}
     import psutil
 
-    psutil.wait_procs(others, timeout=20)
+    psutil.wait_procs(others, timeout=60)
     assert alive(others) == []

@@ -392,5 +392,5 @@ def test_no_isolated_node_outlives_a_supervisor_that_is_killed(tmp_path: Path) -
         assert len(started) >= 4
         os.kill(replay.pid, signal.SIGKILL)
         replay.process.wait()
-        _, left = psutil.wait_procs(started, timeout=5)
+        _, left = psutil.wait_procs(started, timeout=60)
         assert not left

@@ -88,7 +88,7 @@ def run_and_interrupt(
         time.sleep(after)
         process.send_signal(signum)
         try:
-            output, errors = process.communicate(timeout=30)
+            output, errors = process.communicate(timeout=60)
         except subprocess.TimeoutExpired as expired:
             process.kill()
             output, errors = process.communicate()

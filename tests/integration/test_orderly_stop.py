@@ -50,7 +50,7 @@ def test_two_crashes_of_one_moment_that_shut_down_do_not_hurry(tmp_path: Path) -
         nodes = [psutil.Process(pid) for pid in pids]
         for node in nodes:
             node.send_signal(signal.SIGSEGV)
-        psutil.wait_procs(nodes, timeout=10)
+        psutil.wait_procs(nodes, timeout=60)
         os.kill(run.pid, signal.SIGCONT)
         events = run.read_all()
     assert sum(each.get("state") == "crashed" for each in events if each["event"] == "node") == 2

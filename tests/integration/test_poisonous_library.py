@@ -84,7 +84,7 @@ def for_a_person(tmp_path_factory: pytest.TempPathFactory) -> Iterator[subproces
         yield process
     finally:
         process.terminate()
-        process.communicate(timeout=30)
+        process.communicate(timeout=60)
 
 
 def components(replay: Replay, node: str, kind: str) -> list[dict[str, Any]]:

@@ -247,7 +247,7 @@ nodes:
         assert len(started) >= 3
         os.kill(replay.pid, signal.SIGKILL)
         replay.process.wait()
-        _, left = psutil.wait_procs(started, timeout=5)
+        _, left = psutil.wait_procs(started, timeout=60)
         assert not left
     assert replay.process.returncode == -signal.SIGKILL
     cut = next((tmp_path / "logs").glob("*/session.mcap.active"))

@@ -64,7 +64,7 @@ class Output:
 
     async def wait_line(self, start: str) -> str:
         """Wait for a line on stdout that starts so and give the rest of it."""
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(60):
             while True:
                 for text in self.texts():
                     if text.startswith(start):

@@ -39,7 +39,7 @@ def start(
 
 
 async def finished(child: Child) -> Exit:
-    async with asyncio.timeout(20):
+    async with asyncio.timeout(60):
         end = await child.gone()
     assert not exists(child.pid)
     return end
@@ -355,7 +355,7 @@ async def test_a_child_dies_with_a_killed_parent(guard: Path) -> None:
     loop.add_reader(pidfd, ended.set)
     with parent.holding_session():
         assert parent.send_signal(signal.SIGKILL)
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(60):
             await ended.wait()
         assert not exists(orphan) or not read_stat(orphan).is_alive
     loop.remove_reader(pidfd)

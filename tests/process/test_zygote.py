@@ -63,7 +63,7 @@ def _zygote(session: SessionGuard) -> Iterator[Zygote]:
 
 def process_of(session: SessionGuard) -> psutil.Process:
     """The zygote itself, once it has been linked."""
-    deadline = time.monotonic() + 20
+    deadline = time.monotonic() + 60
     while time.monotonic() < deadline:
         for child in psutil.Process(session.pid).children():
             if child.cmdline()[1:2] == ["--zygote"]:
@@ -73,7 +73,7 @@ def process_of(session: SessionGuard) -> psutil.Process:
 
 
 async def has_ended(process: psutil.Process) -> bool:
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(60):
         while process.is_running():
             await asyncio.sleep(0.005)
     return True
@@ -91,7 +91,7 @@ class Running:
 
     async def offers_its_services(self) -> None:
         """Wait until it has all its threads."""
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(60):
             tasks = Path(f"/proc/{self.child.pid}/task")
             while "manager\n" not in {(each / "comm").read_text() for each in tasks.iterdir()}:
                 await asyncio.sleep(0.01)
@@ -125,13 +125,13 @@ async def running(
                 leaves_by_itself=True,
                 zygote=zygote,
             )
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(60):
             assert await asyncio.get_running_loop().sock_recv(ours, 1), output.texts()
         try:
             yield Running(child, output)
         finally:
             child.send_signal(signal.SIGTERM)
-            async with asyncio.timeout(20):
+            async with asyncio.timeout(60):
                 await child.gone()
 
 
@@ -218,7 +218,7 @@ async def test_output_and_exit_status_are_its_own(session: SessionGuard, zygote:
                 on_output=output,
                 zygote=each,
             )
-            async with asyncio.timeout(20):
+            async with asyncio.timeout(60):
                 end = await child.gone()
             results.append((end, output.texts(), output.texts(Stream.STDERR)))
         assert results[0] == results[1]
@@ -339,7 +339,7 @@ def test_a_zygote_ends_with_a_supervisor_that_is_killed(guard: Path, with_its_gu
     if with_its_guard:
         parent.kill()
     supervisor.communicate()
-    _, left = psutil.wait_procs([process, parent], timeout=5)
+    _, left = psutil.wait_procs([process, parent], timeout=60)
     for each in left:
         each.kill()
     assert not left

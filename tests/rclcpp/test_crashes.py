@@ -161,7 +161,7 @@ def test_a_signal_from_outside(
         crashed = container.event(CRASHED, unique_id=victim.unique_id)
         assert crashed.signal == number
         assert is_gone(victim.pid)
-        probe.collect(String, "/chatter", 5, timeout=30.0)
+        probe.collect(String, "/chatter", 5, timeout=60.0)
         # SIGKILL leaves no time to bring the other threads out of rclcpp's and the DDS's locks.
         may_leak = number is SIGKILL and mode == "isolated_mt"
         assert_cleaned_up(container, crashes=1, may_leak=may_leak)
@@ -181,7 +181,7 @@ def test_a_node_that_shuts_rclcpp_down_ends_alone(
         crasher = container.loaded("Crasher", package=components, parameters=parameters)
         event = container.event(UNLOADED, unique_id=crasher.unique_id)
         assert "ended itself" in event.error_message
-        probe.collect(String, "/chatter", 5, timeout=30.0)
+        probe.collect(String, "/chatter", 5, timeout=60.0)
         assert container.status().crashes == 0
 
 
@@ -199,7 +199,7 @@ def test_a_node_that_shuts_its_context_down_ends_alone(
         # rclcpp cannot be kept from its work there but by an exception.
         container.load("Crasher", package=components, parameters={**how, "in_constructor": True})
         assert "ends alone" in container.event(LOAD_FAILED).error_message
-        probe.collect(String, "/chatter", 5, timeout=30.0)
+        probe.collect(String, "/chatter", 5, timeout=60.0)
         assert container.status().crashes == 0
 
 
@@ -248,7 +248,7 @@ def test_images_go_on_by_pointer_after_crashes(
         container.loaded("ImageSource", package=components, extra_arguments=by_pointer)
         for number in (SIGSEGV, SIGTERM, SIGABRT):
             sink = container.loaded("ImageSink", package=components, extra_arguments=by_pointer)
-            for verdict in probe.collect(String, "/verdict", 5, timeout=30.0):
+            for verdict in probe.collect(String, "/verdict", 5, timeout=60.0):
                 _, made_at, seen_by, seen_at = verdict.data.split()
                 assert (made_at, int(seen_by)) == (seen_at, sink.pid)
             os.kill(sink.pid, number)
@@ -268,5 +268,5 @@ def test_nodes_with_memory_of_their_own(
         assert len({talker.pid, crasher.pid, container.process.pid}) == 3
         crashed = container.event(CRASHED, unique_id=crasher.unique_id)
         assert crashed.signal == SIGSEGV
-        probe.collect(String, "/chatter", 5, timeout=30.0)
+        probe.collect(String, "/chatter", 5, timeout=60.0)
     sweep()  # as the supervisor does: the dead node's participant was its own

@@ -34,7 +34,7 @@ def test_talker_and_listener(spawn: StartContainer, mode: str, probe: Probe) -> 
     talker = container.loaded("composition::Talker", package="composition")
     listener = container.loaded("composition::Listener", package="composition")
     assert (talker.full_node_name, listener.full_node_name) == ("/talker", "/listener")
-    heard = probe.collect(String, "/chatter", 2, timeout=30.0)
+    heard = probe.collect(String, "/chatter", 2, timeout=60.0)
     assert heard[0].data.startswith("Hello World: ")
     if mode.startswith("isolated"):
         assert len({talker.pid, listener.pid, container.process.pid}) == 3

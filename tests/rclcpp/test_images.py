@@ -22,7 +22,7 @@ def test_the_sink_gets_the_very_image(
     by_pointer = {"use_intra_process_comms": True}
     sink = container.loaded("ImageSink", package=components, extra_arguments=by_pointer)
     source = container.loaded("ImageSource", package=components, extra_arguments=by_pointer)
-    for verdict in probe.collect(String, "/verdict", 20, timeout=30.0):
+    for verdict in probe.collect(String, "/verdict", 20, timeout=60.0):
         made_by, made_at, seen_by, seen_at = verdict.data.split()
         assert (int(made_by), int(seen_by)) == (source.pid, sink.pid)
         assert made_at == seen_at

@@ -65,7 +65,7 @@ def test_reasons(spawn: StartContainer, components: str, mode: str, probe: Probe
         reason = failure(container, "Talker", components, extra_arguments={name: "yes"})
         assert f"'{name}' must be a bool" in reason
 
-    probe.collect(String, "/chatter", 5, timeout=30.0)
+    probe.collect(String, "/chatter", 5, timeout=60.0)
     assert container.shut_down() == 0, container.log.read_text()
 
 

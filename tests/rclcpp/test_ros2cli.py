@@ -79,7 +79,7 @@ def test_list_load_unload(spawn: StartContainer, mode: str, probe: Probe) -> Non
         *("-e", "use_intra_process_comms:=true", "-p", "use_sim_time:=false"),
     )
     assert "'/head/ear'" in loaded
-    probe.collect(String, "/chatter", 1, timeout=30.0)
+    probe.collect(String, "/chatter", 1, timeout=60.0)
     probe.spin_until(
         lambda: "[head.ear]: I heard: [Hello World" in container.log.read_text(), 30.0, "the ear"
     )
@@ -126,5 +126,5 @@ def generate_launch_description():
         )
     ros2("launch", path)
     assert set(ros2("component", "list", "/container").split()[1::2]) == {"/talker", "/listener"}
-    probe.collect(String, "/chatter", 1, timeout=30.0)
+    probe.collect(String, "/chatter", 1, timeout=60.0)
     assert container.shut_down() == 0, container.log.read_text()

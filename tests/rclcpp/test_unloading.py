@@ -58,7 +58,7 @@ def test_again_and_again_beside_a_busy_node(
         )
         container.send(ControlUnload(unique_id=node.unique_id))
         container.event(UNLOADED, unique_id=node.unique_id)
-    probe.collect(String, "/chatter", 5, timeout=30.0)
+    probe.collect(String, "/chatter", 5, timeout=60.0)
     assert container.shut_down() == 0, container.log.read_text()
 
 

@@ -27,8 +27,8 @@ LAYERS = (
     {"main"},
 )
 LEVEL = {room: level for level, rooms in enumerate(LAYERS) for room in rooms}
-# Programs of their own, which use nothing but base/.
-APART = {"spawn_guard", "topic_recorder"}
+# Programs and a library of their own, which use nothing but base/.
+APART = {"python_waits", "spawn_guard", "topic_recorder"}
 
 INCLUDE = re.compile(r'^#include "([^"]+)"', re.MULTILINE)
 

@@ -52,7 +52,7 @@ OUTGOING = {
     ControlUnload: UNLOAD,
     ControlShutdown: SHUTDOWN,
 }
-PATIENCE = 20.0
+PATIENCE = 60.0
 """Seconds after which something that should have come is missed."""
 PAUSE = 0.01
 """Seconds between two looks at what has no event; without it, looking takes a processor."""

@@ -32,7 +32,7 @@ def send_message(probe: Probe) -> None:
 
 def send_request(probe: Probe) -> None:
     """Have it throw in a service's callback."""
-    probe.start_call(Trigger, "/die", Trigger.Request(), timeout=30.0)
+    probe.start_call(Trigger, "/die", Trigger.Request(), timeout=60.0)
 
 
 CALLBACKS: dict[str, tuple[float, Callable[[Probe], None] | None]] = {

@@ -13,15 +13,24 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
+from play_launch.fastdds.waits import end_participants_safely
+
 LATCHED = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def begin(arguments: list[str] | None = None) -> Context:
+    """A context whose participants come to an end; `rclpy.init()` alone may hang a test process."""
+    context = Context()
+    rclpy.init(args=arguments, context=context)
+    end_participants_safely()
+    return context
 
 
 class Probe:
     """An rclpy node in a context of its own; every wait is bounded and ends on the event."""
 
     def __init__(self, name: str = "probe") -> None:
-        self._context = Context()
-        rclpy.init(context=self._context)
+        self._context = begin()
         # Sessions of the same domain would ask for its parameters.
         self.node = Node(name, context=self._context, start_parameter_services=False)
         self._executor = SingleThreadedExecutor(context=self._context)
@@ -49,7 +58,7 @@ class Probe:
             # The graph has no event in rclpy, so it is looked at twenty times a second.
             self._executor.spin_once(timeout_sec=min(left, 0.05))
 
-    def call(self, service: Any, name: str, request: Any, timeout: float = 15.0) -> Any:
+    def call(self, service: Any, name: str, request: Any, timeout: float = 60.0) -> Any:
         """Call a service and return its response."""
         client = self.node.create_client(service, name)
         try:
@@ -60,14 +69,14 @@ class Probe:
         finally:
             self.node.destroy_client(client)
 
-    def start_call(self, service: Any, name: str, request: Any, timeout: float = 15.0) -> Any:
+    def start_call(self, service: Any, name: str, request: Any, timeout: float = 60.0) -> Any:
         """Send a request and return its future; the client lives as long as the probe."""
         client = self.node.create_client(service, name)
         self.spin_until(client.service_is_ready, timeout, f"service {name}")
         return client.call_async(request)
 
     def collect(
-        self, message: Any, topic: str, count: int = 1, timeout: float = 15.0, qos: Any = 10
+        self, message: Any, topic: str, count: int = 1, timeout: float = 60.0, qos: Any = 10
     ) -> list[Any]:
         """Return ``count`` messages of a topic."""
         heard: list[Any] = []

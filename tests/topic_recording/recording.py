@@ -21,7 +21,7 @@ from play_launch.recording.schema import message_definition
 from play_launch.recording.topic_requests import TopicRequests
 from play_launch.topic_recording.supervision import TopicRecording
 
-TIMEOUT = 20.0
+TIMEOUT = 60.0
 """Seconds for anything to happen; only a failure takes as long."""
 
 

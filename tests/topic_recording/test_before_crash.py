@@ -145,7 +145,7 @@ def test_the_recorder_ends_with_a_supervisor_that_is_killed(tmp_path: Path) -> N
         assert "topic_recorder" in {each.name() for each in everything}
         replay.process.kill()
         replay.process.wait()
-        psutil.wait_procs(everything, timeout=10)
+        psutil.wait_procs(everything, timeout=60)
         assert not alive(everything)
     sweep()
     cut = next((tmp_path / "log").glob("*/session.mcap.active"))

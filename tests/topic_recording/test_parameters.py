@@ -10,11 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import rclpy
 from mcap.reader import make_reader
 from mcap.records import Channel
 from mcap_ros2.decoder import DecoderFactory
-from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -25,6 +23,7 @@ from play_launch.history.parameters import TOPICS, Parameters
 from play_launch.recording.topics import PARAMETERS
 from play_launch.topic_recording import program
 from tests.recording.reading import records
+from tests.support.ros import begin
 from tests.topic_recording.recording import Recording, recording, until
 
 pytestmark = pytest.mark.anyio
@@ -58,8 +57,7 @@ AS_JSON = {
 @contextmanager
 def node(name: str, parameters: dict[str, Any], *, spins: bool = True) -> Iterator[Node]:
     """A node of another participant; it answers if it spins."""
-    context = Context()
-    rclpy.init(context=context)
+    context = begin()
     made = Node(name, context=context)
     for each, value in parameters.items():
         made.declare_parameter(each, value)
@@ -185,8 +183,7 @@ async def test_a_node_that_never_answers_holds_up_nobody(
 
 async def test_many_nodes_are_all_asked_once(tmp_path: Path) -> None:
     path = tmp_path / "x.mcap"
-    context = Context()
-    rclpy.init(context=context)
+    context = begin()
     executor = SingleThreadedExecutor(context=context)
     nodes = [Node(f"node_{number}", context=context) for number in range(60)]
     for number, each in enumerate(nodes):

@@ -290,7 +290,7 @@ async def test_it_ends_in_order_when_the_supervisor_is_gone(probe: Probe, tmp_pa
         assert child is not None
         assert link is not None
         link.close()
-        async with asyncio.timeout(3):  # it may wait for 5 s at the end of a run
+        async with asyncio.timeout(4.5):  # it may wait for 5 s at the end of a run
             ended = await child.gone()
         gate.set()
     assert str(ended) == "exited with status 0"

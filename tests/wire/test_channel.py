@@ -100,7 +100,7 @@ async def channel(container: Container) -> AsyncIterator[ControlChannel]:
 
 
 async def receive(channel: ControlChannel) -> Incoming:
-    async with asyncio.timeout(20):
+    async with asyncio.timeout(60):
         return await channel.receive()
 
 
@@ -140,7 +140,7 @@ async def test_the_end_comes_after_what_was_said(
 ) -> None:
     await container.say(*(event(number) for number in range(500)))
     container.socket.close()
-    async with asyncio.timeout(20):
+    async with asyncio.timeout(60):
         got = [await channel.receive() for _ in range(500)]
     assert got == [event(number) for number in range(500)]
     with pytest.raises(ChannelClosedError, match=r"closed the control channel$"):
@@ -157,7 +157,7 @@ async def test_sending_to_the_dead_loses_nothing_that_they_said(
     channel.send(Query(query_id=1))
     with pytest.raises(ChannelClosedError, match="gone"):
         channel.send(Query(query_id=2))
-    async with asyncio.timeout(20):
+    async with asyncio.timeout(60):
         assert [await channel.receive() for _ in range(2)] == [event(1), event(2)]
 
 

@@ -17,6 +17,7 @@ from play_launch.install.parameter_file import (
     write_parameter_file,
 )
 from play_launch.ros.parameters import to_parameter_message
+from tests.support.ros import begin
 from tests.wire.peer import from_parameter_message
 from tests.wire.values import FILE_VALUES, TEXT, values
 
@@ -111,15 +112,13 @@ def test_rcl_reads_hard_strings_as_strings(tmp_path: Path) -> None:
 
 def check_with_rcl(directory: Path, drawn: list[ParameterValue]) -> None:
     import rclpy
-    from rclpy.context import Context
     from rclpy.node import Node
 
     wanted = {f"group.p{number}": value for number, value in enumerate(drawn)}
     path = write_parameter_file(
         [ParameterConfig(name, value) for name, value in wanted.items()], directory
     )
-    context = Context()
-    rclpy.init(args=["--ros-args", "--params-file", str(path)], context=context)
+    context = begin(["--ros-args", "--params-file", str(path)])
     try:
         node = Node(
             "parameter_reader",

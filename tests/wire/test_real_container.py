@@ -61,7 +61,7 @@ class Talk:
         self.hello = Hello(version="")
 
     async def hear(self) -> Incoming:
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(60):
             return await self.channel.receive()
 
     async def hear_event(self, kind: ComponentEventKind) -> ComponentEvent:
@@ -71,7 +71,7 @@ class Talk:
         return message
 
     async def exit_code(self) -> int:
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(60):
             return await asyncio.to_thread(self.process.wait)
 
 
@@ -92,7 +92,7 @@ async def talking() -> AsyncIterator[Talk]:
             pair.close_child_end()
             with ControlChannel(pair.ours, container=NAME) as channel:
                 talk = Talk(process, channel)
-                async with asyncio.timeout(20):
+                async with asyncio.timeout(60):
                     talk.hello = await channel.handshake(Hello(version="test"))
                 yield talk
         finally:

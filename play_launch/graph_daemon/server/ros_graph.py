@@ -21,6 +21,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from play_launch.fastdds.announcement import quick_announcement
+from play_launch.fastdds.waits import end_participants_safely
 from play_launch.graph_daemon.contract import GRAPH_METHODS, NODE_PREFIX
 from play_launch.graph_daemon.server.marshal import to_wire
 from play_launch.ros.graph_guard import GraphGuard
@@ -73,6 +74,7 @@ class RosGraph:
         self._stopping = threading.Event()
         self._context = Context()
         rclpy.init(args=[], context=self._context)
+        end_participants_safely()
         try:
             with quick_announcement(os.environ, rmw_implementation()):
                 self._node = Node(
