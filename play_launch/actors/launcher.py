@@ -174,7 +174,7 @@ class NativeLauncher:
             machine=Machine(ros, container, os.environ, _allocator(config)),
             guard=guard,
             policy=_policy(config),
-            parameters=ParameterFiles(config.nodes),
+            parameters=ParameterFiles((*config.containers, *config.nodes)),
             stock=_stock_containers(config),
             uses_fastdds=is_fastdds,
             containers=(each.full_name for each in config.containers if is_own(each)),
@@ -184,7 +184,8 @@ class NativeLauncher:
         """Get ready for what a changed system needs; raises StartError."""
         self._policy = _policy(config)
         self._uses_fastdds = self._uses_fastdds or uses_fastdds(config, os.environ)
-        await asyncio.to_thread(self._parameters.write, config.nodes)
+        members: tuple[ContainerConfig | ProcessConfig, ...] = (*config.containers, *config.nodes)
+        await asyncio.to_thread(self._parameters.write, members)
         if self._machine.allocator is None:
             allocator = await asyncio.to_thread(_allocator, config)
             self._machine = replace(self._machine, allocator=allocator)
@@ -208,7 +209,8 @@ class NativeLauncher:
             assert self._stock is not None
             return self._stock.attach(config)
         try:
-            command = container_command(config, self._machine, ask=self._policy.ask)
+            file = self._parameters.of(config)
+            command = container_command(config, self._machine, file, ask=self._policy.ask)
         except ExecutableNotFoundError as error:
             raise StartError(str(error), permanent=True) from error
         if config.container_type is ContainerType.STOCK:
@@ -296,8 +298,12 @@ class NativeLauncher:
         *,
         control_fd: int | None = None,
     ) -> NativeProcess:
-        # How large a stack is, is laid down when a program is executed.
-        may_fork = control_fd is not None and "stack" not in command.resources.limit_names
+        # How large a stack is, is laid down when a program is executed. What is forked has our cwd.
+        may_fork = (
+            control_fd is not None
+            and command.cwd is None
+            and "stack" not in command.resources.limit_names
+        )
         try:
             # One that is lost is kept: what it has started would end with it.
             if not (self._guards and self._guards[-1].is_alive):

@@ -16,20 +16,29 @@ from play_launch.control.protocol import ControlError
 if TYPE_CHECKING:
     from argparse import ArgumentParser, Namespace
 
+    from play_launch.config.model import ReplayConfig
     from play_launch.control.client import ControlClient
 
 DIFFERS: Final = 1
 _USUAL_LIMIT: Final = 60.0
+_NOWHERE: Final = Path("/launch file")
+"""Where a configuration that is no file stands, so that all paths in it are absolute."""
 
 
 def add_arguments(parser: ArgumentParser, verb: str) -> None:
     """Declare what it takes."""
-    parser.add_argument("config", metavar="CONFIG", help="the YAML file")
     parser.add_argument(
-        "arguments",
-        nargs="*",
-        metavar="NAME:=VALUE",
-        help="arguments of the configuration, which are ${arg:NAME} in there",
+        "target",
+        nargs="+",
+        metavar="CONFIG",
+        help="the YAML file, a launch file of ROS, or a package and a launch file; then "
+        "NAME:=VALUE for its arguments",
+    )
+    parser.add_argument(
+        "--container-type",
+        choices=("same", "isolated", "stock"),
+        default="same",
+        help="of a launch file's containers, as for launch (same)",
     )
     if verb == "apply":
         parser.add_argument(
@@ -79,22 +88,56 @@ def run(client: ControlClient, options: Namespace) -> int:
 
 def _bundled(options: Namespace) -> dict[str, Any]:
     """Read the configuration here: environment and working directory are the user's."""
-    from play_launch.config import ConfigError, load_config  # noqa: PLC0415 - takes its time
+    from play_launch.config import ConfigError  # noqa: PLC0415 - takes its time
     from play_launch.config.bundle import bundled  # noqa: PLC0415
+
+    named = [each for each in options.target if ":=" not in each]
+    try:
+        return bundled(_evaluated(options) if _is_launch_file(named) else _read(options.target))
+    except ConfigError as error:
+        what = "nothing was changed" if options.verb == "apply" else "nothing was compared"
+        fail(f"{' '.join(named)} cannot be used, {what}\n{error.for_people()}")
+
+
+def _is_launch_file(named: list[str]) -> bool:
+    if len(named) != 1:
+        return True
+    from play_launch.launch_files.find import is_launch_file  # noqa: PLC0415 - takes its time
+
+    return is_launch_file(Path(named[0]))
+
+
+def _read(words: list[str]) -> ReplayConfig:
+    from play_launch.config import load_config  # noqa: PLC0415 - takes its time
     from play_launch.config.sources.surroundings import (  # noqa: PLC0415
         Surroundings,
         parse_arguments,
     )
 
     try:
-        given = parse_arguments(options.arguments)
+        given = parse_arguments(words[1:])
     except ValueError as error:
         fail(str(error))
-    try:
-        return bundled(load_config(Path(options.config), Surroundings(arguments=given)))
-    except ConfigError as error:
-        what = "nothing was changed" if options.verb == "apply" else "nothing was compared"
-        fail(f"{options.config} cannot be used, {what}\n{error.for_people()}")
+    return load_config(Path(words[0]), Surroundings(arguments=given))
+
+
+def _evaluated(options: Namespace) -> ReplayConfig:
+    """Make a configuration of a launch file as `launch` does, but without files besides."""
+    from play_launch.cli.target import (  # noqa: PLC0415 - takes its time
+        USUAL_LIMIT,
+        evaluated,
+        report_losses,
+        target_of,
+    )
+    from play_launch.config.load import parse_config  # noqa: PLC0415
+    from play_launch.launch_files.configuration.options import Containers, Options  # noqa: PLC0415
+    from play_launch.launch_files.configuration.write import written  # noqa: PLC0415
+
+    found = target_of(options.target)
+    chosen = Options(containers=Containers(options.container_type), folder=_NOWHERE)
+    made = written(evaluated(found, USUAL_LIMIT), chosen, "")
+    report_losses(made)
+    return parse_config(made.text.encode(), _NOWHERE / f"{found.name}.yaml")
 
 
 def _print_plan(plan: Any, options: Namespace) -> None:

@@ -37,7 +37,10 @@ def hand_over(
     """
     is_refused = strict and made.lost > 0
     if output is not None and not is_refused:
-        _write(made.text, output)
+        for path, content in made.files.items():
+            _make_folder(path.parent)
+            _write(content, path)
+        _write(made.text.encode(), output)
     if as_json:
         say(json.dumps({**_values(made, output), **(more or {})}, ensure_ascii=False))
     else:
@@ -48,17 +51,24 @@ def hand_over(
     raise typer.Exit(ExitCode.USAGE if made.problems or is_refused else ExitCode.OK)
 
 
-def _write(text: str, output: Path) -> None:
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        fail(f"{folder} cannot be made: {error.strerror}")
+
+
+def _write(content: bytes, output: Path) -> None:
     """Write all of it or nothing; what was there before stays until then."""
     if output.exists() and not output.is_file():
         with contextlib.suppress(OSError):
-            output.write_text(text, encoding="utf-8")
+            output.write_bytes(content)
             return
     temporary: str | None = None
     try:
         descriptor, temporary = tempfile.mkstemp(prefix=f".{output.name}-", dir=output.parent)
-        with os.fdopen(descriptor, "w", encoding="utf-8") as file:
-            file.write(text)
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(content)
         mask = os.umask(0)
         os.umask(mask)
         Path(temporary).chmod(0o666 & ~mask)
@@ -73,6 +83,7 @@ def _values(made: Written, output: Path | None) -> dict[str, object]:
     return {
         "output": None if output is None else str(output),
         "config": made.text if output is None else None,
+        "copies": [str(path) for path in made.files],
         "containers": made.containers,
         "composable_nodes": made.composable_nodes,
         "processes": made.processes,

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from play_launch.cli import shared_options as options  # noqa: TC001 - typer evaluates them
 from play_launch.cli.failure import fail
 from play_launch.cli.hand_over import hand_over
 
@@ -18,26 +19,13 @@ def import_system(
             metavar="FILE", help="A record.json or a system_model.yaml.", show_default=False
         ),
     ],
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="CONFIG",
-            help="Where to write the configuration; by default to stdout.",
-            show_default=False,
-        ),
-    ] = None,
+    output: options.Output = None,
     stock: Annotated[
         bool,
         typer.Option("--stock", help="Containers keep their programs, as stock containers."),
     ] = False,
-    strict: Annotated[
-        bool, typer.Option("--strict", help="Exit with 2 if anything could not be carried over.")
-    ] = False,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="One JSON object on stdout, the configuration in it.")
-    ] = False,
+    strict: options.Strict = False,
+    as_json: options.ConfigurationAsJson = False,
 ) -> None:
     """Turn a dump of the program play_launch (Rust) into a configuration.
 

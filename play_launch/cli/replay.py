@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from play_launch.cli import shared_options as options  # noqa: TC001 - typer evaluates them
 from play_launch.cli.bring_up import bring_up
 
 
@@ -27,31 +28,10 @@ def replay(  # noqa: PLR0917 - typer calls it by keywords
             show_default=False,
         ),
     ] = None,
-    log_dir: Annotated[
-        Path | None,
-        typer.Option(
-            help="Where to make the folder of this session; by default what the configuration "
-            "says, else $PLAY_LAUNCH_LOG_DIR, else $ROS_LOG_DIR/play_launch, else "
-            "~/.ros/play_launch.",
-            metavar="DIR",
-            show_default=False,
-        ),
-    ] = None,
-    duration: Annotated[
-        str | None,
-        typer.Option(
-            help="Stop after this time: 10s, 2min, 1h. Without it the system runs until Ctrl-C.",
-            metavar="TIME",
-            show_default=False,
-        ),
-    ] = None,
-    quiet: Annotated[
-        bool, typer.Option("--quiet", "-q", help="Do not show what nodes print; it is recorded.")
-    ] = False,
-    as_json: Annotated[
-        bool,
-        typer.Option("--json", help="Show events as JSON, one object a line, for programs."),
-    ] = False,
+    log_dir: options.LogDir = None,
+    duration: options.Duration = None,
+    quiet: options.Quiet = False,
+    as_json: options.EventsAsJson = False,
     watch: Annotated[
         bool,
         typer.Option(

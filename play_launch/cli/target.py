@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path  # noqa: TC003 - msgspec reads the annotations
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
@@ -16,6 +16,10 @@ if TYPE_CHECKING:
 
     from play_launch.launch_files.configuration.write import Written
     from play_launch.launch_files.records import Argument, Description
+
+
+USUAL_LIMIT: Final = "2min"
+"""How long an evaluation may take; Autoware's largest takes a few seconds."""
 
 
 class Target(Struct, frozen=True):
@@ -47,14 +51,19 @@ def target_of(words: Sequence[str]) -> Target:
         fail(str(error))
 
 
-def evaluated(target: Target, *, only_arguments: bool = False) -> Description:
+def evaluated(target: Target, timeout: str, *, only_arguments: bool = False) -> Description:
     """Return what the launch file describes; mistakes end the process."""
+    from play_launch.config.values import parse_positive_duration  # noqa: PLC0415
     from play_launch.install.ros import NotInstalledError  # noqa: PLC0415
     from play_launch.launch_files.evaluation import evaluate  # noqa: PLC0415
     from play_launch.launch_files.records import LaunchFileError  # noqa: PLC0415
 
     try:
-        return evaluate(target.path, target.arguments, only_arguments=only_arguments)
+        limit = parse_positive_duration(timeout)
+    except ValueError as error:
+        fail(f"--timeout: {error}")
+    try:
+        return evaluate(target.path, target.arguments, limit=limit, only_arguments=only_arguments)
     except (LaunchFileError, NotInstalledError) as error:
         fail(str(error))
     except OSError as error:

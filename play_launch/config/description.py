@@ -14,6 +14,7 @@ if TYPE_CHECKING:
         ContainerConfig,
         ParameterConfig,
         ParameterPayload,
+        ParameterSection,
         ProcessConfig,
         RecordConfig,
         ReplayConfig,
@@ -120,8 +121,11 @@ def _container(container: ContainerConfig) -> dict[str, object]:
         "executable": container.executable,
         "arguments": list(container.arguments),
         "attach": container.attach,
+        "process_parameters": _sections(container.process_parameters),
         "prefix": list(container.prefix),
+        "cwd": None if container.cwd is None else str(container.cwd),
         "output": str(container.output),
+        "on_exit": str(container.on_exit),
         "log_level": container.log_level,
         "environment": dict(container.environment),
         "ros_arguments": list(container.ros_arguments),
@@ -165,6 +169,7 @@ def _process(process: ProcessConfig) -> dict[str, object]:
         "executable": process.executable,
         "arguments": list(process.arguments),
         "parameters": _parameters(process.parameters),
+        "process_parameters": _sections(process.process_parameters),
         "remappings": [list(pair) for pair in process.remappings],
         "environment": dict(process.environment),
         "ros_arguments": list(process.ros_arguments),
@@ -185,6 +190,10 @@ def _restart(limits: RestartLimits) -> dict[str, object]:
         "within": limits.within,
         "backoff": {"initial": limits.initial, "maximum": limits.maximum},
     }
+
+
+def _sections(sections: tuple[ParameterSection, ...]) -> dict[str, object]:
+    return {section.pattern: _parameters(section.parameters) for section in sections}
 
 
 def _parameters(parameters: tuple[ParameterConfig, ...]) -> dict[str, object]:

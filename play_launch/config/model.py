@@ -119,6 +119,17 @@ class ParameterConfig(Struct, frozen=True):
     value: ParameterValue
 
 
+FOR_ALL: Final = "/**"
+"""The pattern that every node matches."""
+
+
+class ParameterSection(Struct, frozen=True):
+    """Parameters for the nodes of a process whose full name matches `pattern`, as `/**`."""
+
+    pattern: str
+    parameters: tuple[ParameterConfig, ...]
+
+
 class StopLimits(Struct, frozen=True):
     """Seconds to wait after asking, after SIGINT and after SIGTERM before going further."""
 
@@ -241,7 +252,9 @@ class ContainerConfig(Struct, frozen=True, kw_only=True):
 
     `environment` holds the variables of the whole system too, `thread_num` is None for
     the container's own choice, `loading_timeout` and `probe_timeout` are seconds. `prefix` stands
-    before the program in the command line. A stock container is `executable` of `package` with
+    before the program in the command line. `process_parameters` are for nodes that are made in its
+    process, not for those that are loaded. `cwd` is an absolute path (None: the supervisor's own),
+    `on_exit` is RESTART or SHUTDOWN. A stock container is `executable` of `package` with
     `arguments`, or, with `attach`, one that somebody else has started. A file gives no other
     container `arguments`; benchmarks do.
     """
@@ -257,8 +270,11 @@ class ContainerConfig(Struct, frozen=True, kw_only=True):
     executable: str = ""
     arguments: tuple[str, ...] = ()
     attach: bool = False
+    process_parameters: tuple[ParameterSection, ...] = ()
     prefix: tuple[str, ...] = ()
+    cwd: Path | None = None
     output: Output = Output.BOTH
+    on_exit: OnExit = OnExit.RESTART
     log_level: str | None = None
     environment: Mapping[str, str] = field(default_factory=_no_environment)
     ros_arguments: tuple[str, ...] = ()
@@ -277,7 +293,8 @@ class ProcessConfig(Struct, frozen=True, kw_only=True):
     An empty `name` or `namespace` keeps the program's own; `full_name` is then a label such as
     `/[listener]`, unique in the configuration. `arguments` is empty where `command` is given.
     `environment` holds the variables of the whole system too. `prefix` stands before the program in
-    the command line, `cwd` is an absolute path (None: the supervisor's own).
+    the command line, `cwd` is an absolute path (None: the supervisor's own). `process_parameters`
+    are for all nodes in the process, in the order in which rcl reads them.
     """
 
     name: str
@@ -288,6 +305,7 @@ class ProcessConfig(Struct, frozen=True, kw_only=True):
     executable: str | None = None
     arguments: tuple[str, ...] = ()
     parameters: tuple[ParameterConfig, ...] = ()
+    process_parameters: tuple[ParameterSection, ...] = ()
     remappings: tuple[tuple[str, str], ...] = ()
     environment: Mapping[str, str] = field(default_factory=_no_environment)
     ros_arguments: tuple[str, ...] = ()

@@ -226,7 +226,8 @@ class ContainerSection(Section):
         "composable_node_descriptions": "composable_nodes",
         "nodes": "composable_nodes",
         "args": "arguments",
-        "parameters": "give parameters to the composable nodes",
+        "parameters": "give parameters to the composable nodes; those of other nodes that are made "
+        "in the process are process_parameters",
         "remappings": "give remappings to the composable nodes",
         "respawn": "containers always come back; see restart.max_restarts",
     }
@@ -241,8 +242,11 @@ class ContainerSection(Section):
     executable: str | None = optional(kinds.EXECUTABLE)
     arguments: list[str] | None = optional(kinds.list_of(kinds.TEXT))
     attach: bool | None = optional(kinds.BOOLEAN)
+    process_parameters: Any = raw()
     prefix: list[str] | None = optional(kinds.PREFIX)
+    cwd: str | None = optional(kinds.FILLED_TEXT)
     output: Output | None = optional(kinds.choice(Output))
+    on_exit: OnExit | None = optional(kinds.choice(OnExit))
     depends_on: Any = raw()
     start_delay: float | None = optional(kinds.DURATION)
     auto_reload_on_crash: bool | None = optional(kinds.BOOLEAN)
@@ -306,6 +310,7 @@ class ProcessSection(Section):
     name: str | None = optional(kinds.OWN_NODE_NAME)
     namespace: str | None = optional(kinds.NAMESPACE)
     parameters: Any = raw()
+    process_parameters: Any = raw()
     remappings: Any = raw()
     arguments: list[str] | None = optional(kinds.list_of(kinds.TEXT))
     ros_arguments: list[str] | None = optional(kinds.ROS_ARGUMENTS)

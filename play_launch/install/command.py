@@ -29,7 +29,11 @@ class ExecutableNotFoundError(Exception):
 
 
 def container_argv(
-    config: ContainerConfig, binary: Path, *, stop_timeout: float | None = None
+    config: ContainerConfig,
+    binary: Path,
+    *,
+    stop_timeout: float | None = None,
+    parameter_file: Path | None = None,
 ) -> tuple[str, ...]:
     """Make the command line of a container.
 
@@ -37,6 +41,7 @@ def container_argv(
         config: The container.
         binary: The program `component_container`.
         stop_timeout: Seconds that it gives its nodes when it stops; None for its own default.
+        parameter_file: A file with parameters for nodes that are made in it.
     """
     argv = [*config.prefix, os.fspath(binary)]
     if config.container_type.is_isolated:
@@ -52,7 +57,7 @@ def container_argv(
     if stop_timeout is not None:
         argv += ["--stop_timeout", f"{stop_timeout:g}"]
     argv += config.arguments
-    return (*argv, *_ros_arguments(config))
+    return (*argv, *_ros_arguments(config, parameter_file=parameter_file))
 
 
 def probe_argv(package: str, plugin: str, binary: Path) -> tuple[str, ...]:
@@ -66,10 +71,12 @@ def probe_argv(package: str, plugin: str, binary: Path) -> tuple[str, ...]:
     return (os.fspath(binary), "--probe", package, plugin)
 
 
-def stock_container_argv(config: ContainerConfig, program: Path) -> tuple[str, ...]:
+def stock_container_argv(
+    config: ContainerConfig, program: Path, parameter_file: Path | None = None
+) -> tuple[str, ...]:
     """Make the command line of a container that is not our own."""
     argv = [*config.prefix, os.fspath(program), *config.arguments]
-    return (*argv, *_ros_arguments(config))
+    return (*argv, *_ros_arguments(config, parameter_file=parameter_file))
 
 
 def process_argv(

@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING
 
 import yaml
 
-from play_launch.config.model import ParameterConfig, ParameterType
+from play_launch.config.model import FOR_ALL, ParameterType, ProcessConfig
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
+
+    from play_launch.config.model import ContainerConfig, ParameterConfig
 
 _SCALARS = {
     ParameterType.BOOL: ParameterType.BOOL,
@@ -35,8 +37,24 @@ class ParameterFileError(Exception):
         self.name = name
 
 
-def parameter_file_text(parameters: Iterable[ParameterConfig]) -> str:
-    """Make a parameter file that gives every node of a process these parameters.
+def parameter_file_of(config: ContainerConfig | ProcessConfig) -> str | None:
+    """Make the parameter file of a process; None where it needs none.
+
+    Where other nodes of the process have parameters, those of the node are for its full name alone,
+    as ROS's launch does it, if its name is given on the command line. Else they are for all.
+
+    Raises:
+        ParameterFileError: As `parameter_file_text`.
+    """
+    sections = [(each.pattern, each.parameters) for each in config.process_parameters]
+    if isinstance(config, ProcessConfig) and config.parameters:
+        is_named = bool(sections and config.name) and config.command is None
+        sections.append((config.full_name if is_named else FOR_ALL, config.parameters))
+    return parameter_file_text(sections) if sections else None
+
+
+def parameter_file_text(sections: Iterable[tuple[str, Iterable[ParameterConfig]]]) -> str:
+    """Make a parameter file of sections: the full name of a node or a pattern, and parameters.
 
     rcl's parser guesses types from the spelling, so each value is spelled as the type it has:
     doubles with a point or an exponent, strings in quotes. Of two values for one name the later
@@ -46,9 +64,16 @@ def parameter_file_text(parameters: Iterable[ParameterConfig]) -> str:
         ParameterFileError: For what such a file cannot express: byte arrays, empty arrays, and
             doubles next to 0 that rcl would read as strings.
     """
-    values = {parameter.name: _node(parameter) for parameter in parameters}
-    pairs = [(_scalar(ParameterType.STRING, name), node) for name, node in values.items()]
-    tree = _mapping("/**", _mapping("ros__parameters", yaml.MappingNode(_MAP, pairs)))
+    values: dict[str, dict[str, yaml.Node]] = {}
+    for pattern, parameters in sections:
+        section = values.setdefault(pattern, {})
+        section.update((each.name, _node(each)) for each in parameters)
+    tree = _mapping(
+        {
+            pattern: _mapping({"ros__parameters": _mapping(section)})
+            for pattern, section in values.items()
+        }
+    )
     return str(yaml.serialize(tree, width=float("inf"), allow_unicode=True))
 
 
@@ -62,14 +87,11 @@ def parameter_text(parameter: ParameterConfig) -> str:
     return text.removesuffix("...\n").strip()
 
 
-def write_parameter_file(parameters: Iterable[ParameterConfig], directory: Path) -> Path:
+def write_parameter_file(text: str, directory: Path) -> Path:
     """Write a parameter file with a name of its own into `directory`; its owner deletes it.
 
-    Raises:
-        ParameterFileError: As `parameter_file_text`.
-        OSError: When it cannot be written.
+    Raises OSError when it cannot be written.
     """
-    text = parameter_file_text(parameters)
     descriptor, name = tempfile.mkstemp(prefix="parameters-", suffix=".yaml", dir=directory)
     with os.fdopen(descriptor, "w", encoding="utf-8") as file:
         file.write(text)
@@ -86,8 +108,9 @@ _TAGS = {
 }
 
 
-def _mapping(key: str, value: yaml.Node) -> yaml.MappingNode:
-    return yaml.MappingNode(_MAP, [(_scalar(ParameterType.STRING, key), value)])
+def _mapping(values: Mapping[str, yaml.Node]) -> yaml.MappingNode:
+    pairs = [(_scalar(ParameterType.STRING, key), value) for key, value in values.items()]
+    return yaml.MappingNode(_MAP, pairs)
 
 
 def _node(parameter: ParameterConfig) -> yaml.Node:

@@ -14,9 +14,11 @@ if TYPE_CHECKING:
 
 
 def evaluate(
-    path: Path, arguments: Mapping[str, str], *, only_arguments: bool = False
+    path: Path, arguments: Mapping[str, str], *, limit: float, only_arguments: bool = False
 ) -> Description:
     """Return what a launch file describes; with `only_arguments` the arguments that it takes.
+
+    `limit` is the seconds that it may take.
 
     Raises:
         LaunchFileError: When it cannot be evaluated, or is in Python and ROS's launch is missing.
@@ -24,7 +26,7 @@ def evaluate(
         OSError: When no process can be started.
     """
     if ros_launch.is_installed():
-        return ros_launch.evaluate(path, arguments, only_arguments=only_arguments)
+        return ros_launch.evaluate(path, arguments, limit=limit, only_arguments=only_arguments)
     from play_launch.launch_files.markup import evaluate as markup  # noqa: PLC0415 - not with ROS
 
-    return markup.evaluate(path, arguments, only_arguments=only_arguments)
+    return markup.evaluate(path, arguments, limit=limit, only_arguments=only_arguments)

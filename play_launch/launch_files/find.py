@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from play_launch.config.sources.surroundings import share_folder
+from play_launch.launch_files.reading import UnreadableError, text_of
 from play_launch.launch_files.records import Failure, LaunchFileError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-_ENDINGS = (".py", ".xml", ".yaml", ".yml", ".launch")
+_LAUNCH_KEY: Final = re.compile(r"^([\"']?)launch\1\s*:", re.MULTILINE)
+ENDINGS: Final = (".py", ".xml", ".yaml", ".yml", ".launch")
 
 
 def find(words: list[str]) -> Path:
@@ -44,6 +47,16 @@ def find(words: list[str]) -> Path:
     return found[0]
 
 
+def is_launch_file(path: Path) -> bool:
+    """Say whether it is one, and no configuration, which may be YAML as well."""
+    if path.suffix not in {".yaml", ".yml"}:
+        return path.name.endswith(ENDINGS)
+    try:
+        return _LAUNCH_KEY.search(text_of(str(path))) is not None
+    except UnreadableError:
+        return False
+
+
 def _named(share: Path, name: str) -> Iterator[Path]:
     for folder, _, files in os.walk(share, followlinks=True):
         if name in files:
@@ -57,7 +70,7 @@ def launch_files(share: Path) -> list[str]:
             name
             for folder, _, files in os.walk(share, followlinks=True)
             for name in files
-            if name.endswith(_ENDINGS) and ("launch" in name or Path(folder).name == "launch")
+            if name.endswith(ENDINGS) and ("launch" in name or Path(folder).name == "launch")
         }
     )
 

@@ -8,12 +8,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from play_launch.config.model import FOR_ALL
 from play_launch.config.resolve.parameter_files import matches
 from play_launch.launch_files.parameter_text import ParameterTextError, read_sections
 from play_launch.launch_files.reading import UnreadableError, text_of
-from play_launch.launch_files.records import FOR_ALL, Section, Values
+from play_launch.launch_files.records import Process, Section, Values
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from play_launch.launch_files.losses import Losses
     from play_launch.launch_files.records import Parameter, ParameterFile, Unit
 
@@ -29,14 +32,27 @@ def evaluate_sources(unit: Unit, losses: Losses) -> None:
         for section in found:
             values = sections.setdefault(section.pattern, {})
             values.update((each.name, each) for each in section.parameters)
+    take_sections(
+        unit, [Section(pattern, tuple(each.values())) for pattern, each in sections.items()]
+    )
+
+
+def take_sections(unit: Unit, sections: Iterable[Section]) -> None:
+    """Give a node, and others in its process, what they get of sections in rcl's order.
+
+    As rclcpp does it: of all sections that are for the node, in their order, the last value.
+    """
     own: dict[str, Parameter] = {}
-    unit.for_others = []
-    for pattern, values in sections.items():
-        if pattern == FOR_ALL or (unit.full_name and matches(pattern, unit.full_name)):
-            own.update(values)
-        elif values:
-            unit.for_others.append(Section(pattern, tuple(values.values())))
+    for_others: list[Section] = []
+    name = unit.full_name
+    for section in sections:
+        if section.pattern == FOR_ALL or (name and matches(section.pattern, name)):
+            own.update({each.name: each for each in section.parameters})
+        if section.pattern != name and section.parameters:
+            for_others.append(section)
     unit.parameters = list(own.values())
+    if isinstance(unit, Process):
+        unit.for_others = for_others
 
 
 def _sections_of(source: ParameterFile, unit: Unit, losses: Losses) -> list[Section]:

@@ -14,13 +14,11 @@ from typing import Final, TypeAlias
 import msgspec
 from msgspec import Struct, field
 
-from play_launch.config.model import ParameterType, ParameterValue
+from play_launch.config.model import FOR_ALL, ParameterType, ParameterValue
 from play_launch.core.managed import Autostart  # noqa: TC001 - msgspec reads the annotations
 
 FORMAT: Final = 1
 """The version of the JSON."""
-FOR_ALL: Final = "/**"
-"""The pattern of a section of parameters that is for every node."""
 
 
 class Place(Struct, frozen=True, omit_defaults=True):
@@ -142,10 +140,9 @@ class _Unit(Struct, kw_only=True, omit_defaults=True):
     `id` is unique in a description. `where` is for reports, and empty for the place of `origin`. An
     empty `name` is the program's own; `namespace` is absolute, or empty for the program's own.
     `sources` are the parameters as the launch file gives them, in order. `parameters` are those
-    that the node itself gets of them, as rcl reads them; `for_others` are those of other nodes in
-    the same process. Remappings are in the order in which they count, the first of each name holds.
-    `autostart` is how far the launch file brings a managed node. It starts when all of `start` has
-    happened, one after the other.
+    that the node itself gets of them, as rcl reads them. Remappings are in the order in which they
+    count, the first of each name holds. `autostart` is how far the launch file brings a managed
+    node. It starts when all of `start` has happened, one after the other.
     """
 
     id: str = ""
@@ -156,7 +153,6 @@ class _Unit(Struct, kw_only=True, omit_defaults=True):
     namespace: str = ""
     sources: list[Source] = field(default_factory=list)
     parameters: list[Parameter] = field(default_factory=list)
-    for_others: list[Section] = field(default_factory=list)
     remappings: list[tuple[str, str]] = field(default_factory=list)
     log_level: str = ""
     is_lifecycle: bool = False
@@ -177,6 +173,9 @@ class _Unit(Struct, kw_only=True, omit_defaults=True):
 class Process(_Unit, kw_only=True, tag="process", omit_defaults=True):
     """A process: an ordinary command, a node, or a container.
 
+    `for_others` is what other nodes in the process get of `sources`, in rcl's order: all sections
+    but that of the node's full name.
+
     It runs `executable` of `package` with `arguments`, or, where `package` is empty, `command` (a
     single line for a shell with `shell`). `ros_arguments` are those beside name, namespace,
     remappings and parameters, without `--ros-args`. `environment` and `unset` are the difference to
@@ -186,6 +185,7 @@ class Process(_Unit, kw_only=True, tag="process", omit_defaults=True):
     """
 
     kind: ProgramKind = ProgramKind.NODE
+    for_others: list[Section] = field(default_factory=list)
     executable: str = ""
     command: list[str] = field(default_factory=list)
     label: str = ""
@@ -240,18 +240,27 @@ class Argument(Struct, frozen=True, omit_defaults=True):
     origin: Origin = Origin()
 
 
+class TemporaryFile(Struct, frozen=True):
+    """A file that something names and that does not stay."""
+
+    path: str
+    content: bytes
+
+
 class Description(Struct, tag="description", omit_defaults=True):
     """An evaluated launch description.
 
     `units` are in the order in which launch starts them. `files` are the launch files that were
     read, the first one first. `arguments` are those that may be given. `losses` are what was found
-    and has no record.
+    and has no record. `temporary` are the files other than those of parameters that units name, by
+    paths at which they are no longer.
     """
 
     units: list[Unit] = field(default_factory=list)
     losses: list[Loss] = field(default_factory=list)
     files: list[str] = field(default_factory=list)
     arguments: list[Argument] = field(default_factory=list)
+    temporary: list[TemporaryFile] = field(default_factory=list)
 
 
 class Failure(Struct, frozen=True, tag="failure", omit_defaults=True):

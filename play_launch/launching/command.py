@@ -63,8 +63,12 @@ class Command(Struct, frozen=True):
         return replace(self, environment={**self.environment, **variables})
 
 
-def container_command(config: ContainerConfig, machine: Machine, *, ask: float) -> Command:
+def container_command(
+    config: ContainerConfig, machine: Machine, parameter_file: Path | None, *, ask: float
+) -> Command:
     """Make the command of a container that we start; ``ask`` is as in `StopLimits`.
+
+    Parameters for nodes that are made in it are in the file, if there are any.
 
     Raises:
         ExecutableNotFoundError: When a stock container's program is not there.
@@ -72,11 +76,13 @@ def container_command(config: ContainerConfig, machine: Machine, *, ask: float) 
     environment = container_environment(config, machine)
     if config.container_type is ContainerType.STOCK:
         program = find_executable(config.package, config.executable, ament_prefixes(environment))
-        argv = stock_container_argv(config, program)
-        return Command(argv, environment, resources=config.resources)
+        argv = stock_container_argv(config, program, parameter_file)
+        return Command(argv, environment, config.cwd, resources=config.resources)
     stop_timeout = ask * _CONTAINER_SHARE
-    argv = container_argv(config, machine.container, stop_timeout=stop_timeout)
-    return Command(argv, environment, resources=config.resources)
+    argv = container_argv(
+        config, machine.container, stop_timeout=stop_timeout, parameter_file=parameter_file
+    )
+    return Command(argv, environment, config.cwd, resources=config.resources)
 
 
 def container_environment(config: ContainerConfig, machine: Machine) -> dict[str, str]:

@@ -10,7 +10,7 @@ from msgspec import Struct
 from play_launch.config.model import ContainerConfig, ContainerType, ProcessConfig
 from play_launch.install.allocator import Allocator, find_allocator
 from play_launch.install.command import ExecutableNotFoundError
-from play_launch.install.parameter_file import ParameterFileError, parameter_file_text
+from play_launch.install.parameter_file import ParameterFileError, parameter_file_of
 from play_launch.launching.command import Command, container_command, process_command
 from play_launch.launching.needs import shares_memory
 from play_launch.wire.channel import CONTROL_FD_VARIABLE
@@ -53,18 +53,22 @@ def allocator_for(config: ReplayConfig) -> Allocator:
 
 def _container(config: ContainerConfig, machine: Machine, ask: float) -> Start:
     try:
-        command = container_command(config, machine, ask=ask)
-    except ExecutableNotFoundError as error:
+        text = parameter_file_of(config)
+        command = container_command(config, machine, _file(text), ask=ask)
+    except (ParameterFileError, ExecutableNotFoundError) as error:
         return Start(config, str(error))
     if config.container_type is not ContainerType.STOCK:
         command = command.with_variables({CONTROL_FD_VARIABLE: DESCRIPTOR})
-    return Start(config, command)
+    return Start(config, command, text)
 
 
 def _process(config: ProcessConfig, machine: Machine) -> Start:
     try:
-        text = parameter_file_text(config.parameters) if config.parameters else None
-        file = None if text is None else PARAMETER_FILE
-        return Start(config, process_command(config, machine, file), text)
+        text = parameter_file_of(config)
+        return Start(config, process_command(config, machine, _file(text)), text)
     except (ParameterFileError, ExecutableNotFoundError, ValueError) as error:
         return Start(config, str(error))
+
+
+def _file(text: str | None) -> Path | None:
+    return None if text is None else PARAMETER_FILE

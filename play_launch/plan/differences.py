@@ -27,7 +27,7 @@ _NEEDS: Final[Mapping[Kind, Mapping[str, Need]]] = {
     # What has to hold before a start is looked at when something is started.
     Kind.SESSION: dict.fromkeys(("stop", "start_rules", "managed"), Need.NOTHING),
     Kind.CONTAINER: dict.fromkeys(
-        ("restart", "loading_timeout", "probe_timeout", "output"), Need.NOTHING
+        ("on_exit", "restart", "loading_timeout", "probe_timeout", "output"), Need.NOTHING
     ),
     Kind.COMPONENT: dict.fromkeys(("on_crash", "restart"), Need.NOTHING),
     Kind.PROCESS: dict.fromkeys(("on_exit", "restart", "output"), Need.NOTHING),

@@ -92,7 +92,7 @@ def test_a_key_that_belongs_elsewhere_says_where() -> None:
 def test_problems_of_the_configuration_stand_before_those_of_parameter_files(
     tmp_path: Path,
 ) -> None:
-    (tmp_path / "a.yaml").write_text("/**: {ros__parameters: {x: []}}\n")
+    (tmp_path / "a.yaml").write_text("/**: {ros__parameters: {x: [[]]}}\n")
     config = tmp_path / "z.yaml"
     config.write_text(
         "version: 1\nnodes:\n  - {command: [x], parameters: [a.yaml], log_level: x}\n"
@@ -103,7 +103,7 @@ def test_problems_of_the_configuration_stand_before_those_of_parameter_files(
 
 
 def test_a_problem_in_a_shared_parameter_file_is_told_once(tmp_path: Path) -> None:
-    (tmp_path / "shared.yaml").write_text("/**: {ros__parameters: {x: []}}\n")
+    (tmp_path / "shared.yaml").write_text("/**: {ros__parameters: {x: [[]]}}\n")
     config = tmp_path / "demo.yaml"
     node = "  - {command: [x], parameters: [shared.yaml]}\n"
     config.write_text("version: 1\nnodes:\n" + 3 * node)

@@ -95,10 +95,12 @@ def test_parameters_are_evaluated_as_rcl_does(tmp_path: Path) -> None:
     ]
     node = {"executable": "e", "package": "p", "name": "n", "namespace": "/a", "cmd": []}
     imported = dumped(tmp_path, node=[{**node, "param_sources": sources}])
-    (parameter,) = loaded(imported, tmp_path).nodes[0].parameters
+    process = loaded(imported, tmp_path).nodes[0]
+    (parameter,) = process.parameters
     # The section for all was mentioned before that for this node.
     assert (parameter.name, parameter.value.value) == ("x", 2)
-    assert lost(imported) == ["node[0] /a/n: 1 parameters that are for /other"]
+    assert [each.pattern for each in process.process_parameters] == ["/**", "/other"]
+    assert lost(imported) == []
 
 
 def test_what_has_no_place_is_reported(tmp_path: Path) -> None:

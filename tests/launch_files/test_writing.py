@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from play_launch.config import ReplayConfig, load_config
-from play_launch.config.model import ParameterType
+from play_launch.config.model import ParameterType, ParameterValue
 from play_launch.core.dependency import Condition, Otherwise
 from play_launch.core.managed import Autostart
 from play_launch.core.restart import OnExit
@@ -31,6 +31,7 @@ from play_launch.launch_files.records import (
     Process,
     ProgramKind,
     StartCondition,
+    TemporaryFile,
     Unit,
     Values,
 )
@@ -251,7 +252,10 @@ def test_containers_can_be_switched(tmp_path: Path) -> None:
         config = load(write(*units, containers=choice), tmp_path)
         found[choice] = [each.container_type.value for each in config.containers]
         for each in config.containers:
-            assert each.ros_arguments == ("-p", "use_sim_time:=true", "-r", "a:=b")
+            assert each.ros_arguments == ("-r", "a:=b")
+            (section,) = each.process_parameters
+            assert section.pattern == each.full_name
+            assert [one.name for one in section.parameters] == ["use_sim_time"]
     assert found == {
         Containers.SAME: ["standard", "standard", "mt"],
         Containers.ISOLATED: ["isolated", "isolated", "isolated_mt"],
@@ -279,6 +283,79 @@ def test_a_plain_node_that_hosts_components_is_a_container(tmp_path: Path) -> No
     made = write(host, Composable(package="p", plugin="p::C", container="/a/nav2_container"))
     (container,) = load(made, tmp_path).containers
     assert len(container.composable_nodes) == 1
+
+
+def test_parameters_for_others_are_named_by_their_file(tmp_path: Path) -> None:
+    text = """
+/a/n: {ros__parameters: {a: 1}}
+/costmap/costmap: {ros__parameters: {width: 3, height: 2}}
+"""
+    file = params(tmp_path / "p.yaml", text)
+    unit = evaluated(node(sources=[file, Values((records.parameter("rate", VALUE_5),), "/a/n")]))
+    made = write(unit, folder=tmp_path)
+    assert made.text.count("p.yaml") == 2
+    assert not lost(made)
+    (config,) = load(made, tmp_path).nodes
+    assert {each.name: each.value.value for each in config.parameters} == {"a": 1, "rate": 5}
+    assert [each.pattern for each in config.process_parameters] == ["/a/n", "/costmap/costmap"]
+    inline = load(write(unit, folder=tmp_path, inline=True), tmp_path).nodes[0]
+    assert [each.pattern for each in inline.process_parameters] == ["/costmap/costmap"]
+
+
+def place(made: Written) -> None:
+    for path, content in made.files.items():
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(content)
+
+
+def test_temporary_files_and_long_texts_stand_beside(tmp_path: Path) -> None:
+    text = "/**: {ros__parameters: {rate: 1, b: 2.0}}"
+    robot = records.parameter(
+        "robot_description", ParameterValue(ParameterType.STRING, "<robot>\n" * 500)
+    )
+    model = TemporaryFile("/tmp/x/urdf_a1b2c3d4.urdf", b"\xff<robot/>")
+    sources: list[records.Source] = [ParameterFile("/tmp/x/tmpq1w2e3r4", text), Values((robot,))]
+    units = [
+        evaluated(node(name="one", sources=list(sources))),
+        evaluated(node(name="two", sources=list(sources), arguments=[f"-file={model.path}", "x"])),
+    ]
+    description = Description(units=list(units), temporary=[model])
+    options = Options(folder=tmp_path, files=tmp_path / "robot.files")
+    made = written(description, options, "From x.")
+    assert not lost(made)
+    assert not made.problems
+    # Both nodes get the same.
+    assert sorted(each.name for each in made.files) == ["one.yaml", "one_2.yaml", "urdf.urdf"]
+    place(made)
+    first, second = load(made, tmp_path).nodes
+    assert len(made.text) < 1000
+    for each in (first, second):
+        assert {one.name: one.value.value for one in each.parameters} == {
+            "rate": 1,
+            "b": 2.0,
+            "robot_description": "<robot>\n" * 500,
+        }
+    copy = Path(second.arguments[0].removeprefix("-file="))
+    assert copy.read_bytes() == model.content
+    # Where no files are to be, values are written, and the rest is reported.
+    inline = written(description, Options(folder=tmp_path), "From x.")
+    assert not inline.files
+    assert "it names a temporary file" in lost(inline)[0]
+    assert load(inline, tmp_path).nodes[0].parameters
+
+
+def test_the_end_and_the_folder_of_a_container(tmp_path: Path) -> None:
+    unit = node(
+        package="rclcpp_components",
+        executable="component_container",
+        kind=ProgramKind.CONTAINER,
+        on_exit=AtExit.SHUTDOWN,
+        cwd="/tmp",
+    )
+    made = write(unit)
+    assert not lost(made)
+    (container,) = load(made, tmp_path).containers
+    assert (container.on_exit, container.cwd) == (OnExit.SHUTDOWN, Path("/tmp"))
 
 
 def test_origins_are_comments(tmp_path: Path) -> None:

@@ -40,7 +40,7 @@ def test_a_message_keeps_value_and_type(value: ParameterValue, name: str) -> Non
 
 
 def through_yaml(parameters: list[ParameterConfig]) -> dict[str, Any]:
-    text = parameter_file_text(parameters)
+    text = parameter_file_text([("/**", parameters)])
     loaded: dict[str, Any] = yaml.safe_load(text)["/**"]["ros__parameters"]
     return loaded
 
@@ -68,7 +68,7 @@ def test_a_file_keeps_value_and_type_for_yaml(value: ParameterValue, name: str) 
     ],
 )
 def test_a_double_looks_like_one(value: float, spelling: str) -> None:
-    text = parameter_file_text([parameter(ParameterType.DOUBLE, value)])
+    text = parameter_file_text([("/**", [parameter(ParameterType.DOUBLE, value)])])
     assert text.endswith(f'"p": {spelling}\n')
 
 
@@ -88,7 +88,7 @@ def test_a_later_value_wins() -> None:
 )
 def test_what_a_file_cannot_say_is_refused(kind: ParameterType, value: Any, text: str) -> None:
     with pytest.raises(ParameterFileError, match=rf"camera\.gain: .*{text}"):
-        parameter_file_text([parameter(kind, value, "camera.gain")])
+        parameter_file_text([("/**", [parameter(kind, value, "camera.gain")])])
 
 
 HARD_STRINGS = [
@@ -115,9 +115,8 @@ def check_with_rcl(directory: Path, drawn: list[ParameterValue]) -> None:
     from rclpy.node import Node
 
     wanted = {f"group.p{number}": value for number, value in enumerate(drawn)}
-    path = write_parameter_file(
-        [ParameterConfig(name, value) for name, value in wanted.items()], directory
-    )
+    parameters = [ParameterConfig(name, value) for name, value in wanted.items()]
+    path = write_parameter_file(parameter_file_text([("/**", parameters)]), directory)
     context = begin(["--ros-args", "--params-file", str(path)])
     try:
         node = Node(

@@ -21,6 +21,7 @@ from play_launch.actors.resource_report import report_shortfalls
 from play_launch.core.events import ContainerState, ProcessEventKind
 from play_launch.core.lifecycle import Patience
 from play_launch.core.member import MemberInput
+from play_launch.core.restart import OnExit
 from play_launch.wire.channel import ChannelClosedError, ControlError, VersionMismatchError
 from play_launch.wire.messages import Hello, Incoming, Shutdown, Status
 
@@ -168,6 +169,14 @@ class ContainerMember(Member):
     def _death_of(self, exit_: Exit) -> Death:
         lived = None if self._ready_at is None else self._loop.time() - self._ready_at
         return death_of_container(exit_, self._killed_because, lived)
+
+    def _die(self, death: Death) -> None:
+        was_stopped = self.state is ContainerState.STOPPING
+        ends_all = self._config.on_exit is OnExit.SHUTDOWN and not was_stopped
+        # Another start would only be in the way of the end.
+        super()._die(replace(death, permanent=True) if ends_all and not death.by_itself else death)
+        if ends_all:
+            self._stop.request(reason=f"{self.name} has ended")
 
     def _cannot_start(self, error: StartError) -> Death:
         return Death(str(error), permanent=error.permanent)

@@ -29,6 +29,7 @@ EVERYTHING: Final = "everything"
 MEMBERS: Final = "members"
 COMPONENTS: Final = "components"
 NODES: Final = "nodes"
+LAUNCH_FILE: Final = "launch file"
 
 _ANYTHING: Final = Value(WORDS)
 _SIGNALS: Final = Value(WORDS, ("HUP", "INT", "QUIT", "KILL", "USR1", "USR2", "TERM", "CONT"))
@@ -108,6 +109,8 @@ def _value(action: Any, verb: str) -> Value:
             return Value(_NAMED_BY.get(verb, EVERYTHING))
         case "node" | "nodes" if not action.option_strings:
             return Value(NODES)
+        case "target":
+            return Value(LAUNCH_FILE)
         case "session":
             return Value(SESSIONS)
         case "signal":
@@ -133,7 +136,8 @@ def _from_typer(command: Any) -> Command:
             value = Value(FOLDERS) if parameter.metavar == "DIR" else value
             options.append(Option(names, None if bool in known else value, parameter.help or ""))
         else:
-            positionals.append(value)
+            is_target = (parameter.metavar or "").startswith("(PKG FILE")
+            positionals.append(Value(LAUNCH_FILE) if is_target else value)
             is_endless = parameter.nargs == -1
     below = getattr(command, "commands", {})
     verbs = {name: partial(_from_typer, each) for name, each in below.items()}

@@ -9,7 +9,8 @@ _play_launch() {
     case $answer in
     files) compopt -o bashdefault -o default ;;
     folders) compopt -o dirnames ;;
-    words$'\n'*) mapfile -t COMPREPLY <<<"${answer#*$'\n'}" ;;
+    parts$'\n'*) compopt -o nospace ;;&
+    parts$'\n'* | words$'\n'*) mapfile -t COMPREPLY <<<"${answer#*$'\n'}" ;;
     esac
 }
 complete -F _play_launch play-launch

@@ -10,7 +10,7 @@ function __play_launch_complete
             __fish_complete_path (commandline -ct)
         case folders
             __fish_complete_directories (commandline -ct)
-        case words
+        case words parts
             printf '%s\n' $answer[2..]
     end
 end

@@ -10,14 +10,16 @@ _play_launch() {
     case $answer[1] in
     files) _files ;;
     folders) _files -/ ;;
-    words)
+    words | parts)
         local line
+        local -a more
+        [[ $answer[1] == parts ]] && more=(-S '')
         for line in "${(@)answer[2,-1]}"; do
             values+=("${line%%$'\t'*}")
             shown+=("${line/$'\t'/  -- }")
         done
         # What matches was decided already, patterns among it.
-        compadd -U -l -d shown -a values
+        compadd -U -l $more -d shown -a values
         ;;
     esac
 }

@@ -39,6 +39,14 @@ _PARAMETERS: Final = About(
     "Parameters: a mapping, or a list of mappings and parameter files, of which later ones win.",
     ({"rate": 10.0}, ["params/common.yaml", {"rate": 20.0}]),
 )
+_PROCESS_PARAMETERS: Final = About(
+    "Parameters for all nodes of the process, by their full names or patterns: parameter files, "
+    "and mappings of such names to parameters, of which later ones win.",
+    (
+        {"/local_costmap/local_costmap": {"width": 3}},
+        ["params/nav2.yaml", {"/**": {"use_sim_time": True}}],
+    ),
+)
 _REMAPPINGS: Final = About(
     "Remappings of topics and services: a mapping, or a list of from:=to.",
     ({"chatter": "/sensing/chatter"}, ["image:=~/image"]),
@@ -62,6 +70,9 @@ _ISOLATION: Final = "How isolated nodes become processes: auto, shared_memory or
 _CORE_DUMPS: Final = "Whether isolated nodes that crash dump core."
 _PREFIX: Final = About(
     "Words before the program in the command line, split as a shell does.", ("gdb -ex run --args",)
+)
+_CWD: Final = About(
+    "Working directory; a relative path starts at the folder of this file.", ("data",)
 )
 _OUTPUT: Final = About("Where what it writes goes: screen, log or both. By default both.", ("log",))
 _DEPENDS_ON: Final = About(
@@ -259,7 +270,13 @@ TEXTS: Final[Mapping[str, Mapping[str, About]]] = {
         "depends_on": _DEPENDS_ON,
         "start_delay": _START_DELAY,
         "prefix": _PREFIX,
+        "cwd": _CWD,
         "output": _OUTPUT,
+        "on_exit": About(
+            "What follows when it ends by itself: restart or shutdown. By default restart.",
+            ("shutdown",),
+        ),
+        "process_parameters": _PROCESS_PARAMETERS,
         "attach": About("Whether a stock container was started by somebody else.", (True,)),
         "auto_reload_on_crash": About(f"{_AUTO_RELOAD} {_DEFAULT_OF_ALL}", (True,)),
         "on_crash": About(f"{_ON_CRASH} {_DEFAULT_OF_ALL}", ("reload",)),
@@ -304,6 +321,7 @@ TEXTS: Final[Mapping[str, Mapping[str, About]]] = {
         "name": About(f"{_NAME} With command only a label.", ("listener",)),
         "namespace": _NAMESPACE,
         "parameters": _PARAMETERS,
+        "process_parameters": _PROCESS_PARAMETERS,
         "remappings": _REMAPPINGS,
         "arguments": About("Strings for the executable; not with command.", (["--fast"],)),
         "ros_arguments": _ROS_ARGUMENTS,
@@ -313,9 +331,7 @@ TEXTS: Final[Mapping[str, Mapping[str, About]]] = {
         "prefix": _PREFIX,
         "autostart": _AUTOSTART,
         "transition_timeout": _TRANSITION_TIMEOUT,
-        "cwd": About(
-            "Working directory; a relative path starts at the folder of this file.", ("data",)
-        ),
+        "cwd": _CWD,
         "emulate_tty": About("Whether its output goes to a terminal. By default false.", (True,)),
         "output": _OUTPUT,
         "on_exit": About(

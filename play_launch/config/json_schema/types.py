@@ -66,6 +66,7 @@ _SHAPES: Final[Mapping[str, JsonSchema]] = {
 }
 _SCALAR: Final[JsonSchema] = {"type": ["string", "number", "boolean"]}
 _PARAMETERS: Final[JsonSchema] = {"type": "object"}
+_SECTIONS: Final[JsonSchema] = {"type": "object", "additionalProperties": _PARAMETERS}
 _ENTRY_OR_LIST: Final[JsonSchema] = {
     "anyOf": [
         {"type": "string"},
@@ -88,6 +89,12 @@ RAW: Final[Mapping[str, JsonSchema]] = {
         "anyOf": [
             _PARAMETERS,
             {"type": "array", "items": {"anyOf": [{"type": "string"}, _PARAMETERS]}},
+        ]
+    },
+    "process_parameters": {
+        "anyOf": [
+            _SECTIONS,
+            {"type": "array", "items": {"anyOf": [{"type": "string"}, _SECTIONS]}},
         ]
     },
     "extra_arguments": {"anyOf": [_PARAMETERS, {"type": "array", "items": _PARAMETERS}]},

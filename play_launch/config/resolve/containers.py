@@ -11,12 +11,15 @@ from msgspec.structs import replace
 from play_launch.config.model import ContainerConfig, ContainerType, Output
 from play_launch.config.resolve.nodes import resolve_composable_node
 from play_launch.config.resolve.policy import ISOLATED_KEYS, refuse, refuse_unread
+from play_launch.config.resolve.process_parameters import resolve_process_parameters
 from play_launch.config.resolve.resources import Process, refined_resources
 from play_launch.config.schema import ContainerSection
+from play_launch.config.source import path_from
 from play_launch.config.validation import items_of, validate_mapping
 from play_launch.config.values import join_full_name, resolve_environment
 from play_launch.config.yaml.tree import Mapping
 from play_launch.core.resources import Resources
+from play_launch.core.restart import OnExit
 
 if TYPE_CHECKING:
     from play_launch.config.model import ComposableNodeConfig
@@ -36,8 +39,11 @@ _FOR_STARTING: Final = (
     "environment",
     "log_level",
     "ros_arguments",
+    "process_parameters",
     "prefix",
+    "cwd",
     "output",
+    "on_exit",
     "resources",
 )
 """Keys that say how a container is started; one that runs already reads none of them."""
@@ -50,6 +56,7 @@ def resolve_container(at: At, shared: Shared, policy: Policy) -> ContainerConfig
         return None
     shared.names.declare(at)
     variables = resolve_environment(at.value("environment"))
+    sections = resolve_process_parameters(at.value("process_parameters"), shared.files)
     if section is None:
         _composable_nodes(at, shared, policy, "", None)
         return None
@@ -63,6 +70,9 @@ def resolve_container(at: At, shared: Shared, policy: Policy) -> ContainerConfig
         policy = replace(policy, thread_num=None)
         why = f"is for container_type mt and isolated_mt, this container is {kind}"
         refuse(("thread_num",), why, at)
+    if section.on_exit is OnExit.IGNORE:
+        fix = "for a container that does not come back: restart: {max_restarts: 0}"
+        at.blame("on_exit").problem(f"containers have restart and shutdown; {fix}")
     stock = _stock_program(section, kind, at)
     process = Process.PROGRAM if kind is ContainerType.STOCK else Process.CONTAINER
     shared.start_rules.declare(full_name, at, section.start_delay)
@@ -78,8 +88,11 @@ def resolve_container(at: At, shared: Shared, policy: Policy) -> ContainerConfig
         executable=stock.executable,
         arguments=stock.arguments,
         attach=stock.attach,
+        process_parameters=sections,
         prefix=tuple(section.prefix or ()),
+        cwd=None if section.cwd is None else path_from(at.blame("cwd"), section.cwd),
         output=section.output or Output.BOTH,
+        on_exit=section.on_exit or OnExit.RESTART,
         log_level=section.log_level,
         environment=MappingProxyType({**shared.environment, **variables}),
         ros_arguments=tuple(section.ros_arguments or ()),

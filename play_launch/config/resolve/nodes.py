@@ -12,6 +12,7 @@ from msgspec import Struct
 from play_launch.config.model import ComposableNodeConfig, Output, ProcessConfig
 from play_launch.config.resolve.parameters import resolve_parameters
 from play_launch.config.resolve.policy import refined_restart, refuse_unread
+from play_launch.config.resolve.process_parameters import resolve_process_parameters
 from play_launch.config.resolve.remappings import resolve_remappings
 from play_launch.config.resolve.resources import (
     Process,
@@ -168,6 +169,7 @@ def resolve_process(at: At, shared: Shared) -> ProcessConfig | None:
     full_name = shared.names.declare(at)
     variables = resolve_environment(at.value("environment"))
     parameters = resolve_parameters(at.value("parameters"), full_name=full_name, files=shared.files)
+    sections = resolve_process_parameters(at.value("process_parameters"), shared.files)
     remappings = resolve_remappings(at.value("remappings"))
     if section is None:
         return None
@@ -192,6 +194,7 @@ def resolve_process(at: At, shared: Shared) -> ProcessConfig | None:
         executable=section.executable,
         arguments=tuple(section.arguments or ()),
         parameters=parameters,
+        process_parameters=sections,
         remappings=remappings,
         environment=MappingProxyType({**shared.environment, **variables}),
         ros_arguments=tuple(section.ros_arguments or ()),

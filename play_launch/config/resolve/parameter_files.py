@@ -8,11 +8,11 @@ order of the file.
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
-from play_launch.config.model import SourceFile
+from play_launch.config.model import FOR_ALL, SourceFile
 from play_launch.config.problems import excerpt
 from play_launch.config.resolve.parameters import flatten
 from play_launch.config.source import Refused, decode, path_from, read_bytes
@@ -29,14 +29,19 @@ if TYPE_CHECKING:
     from play_launch.config.yaml.tree import Node
 
 _PARAMETERS = "ros__parameters"
-_PATTERN = re.compile(r"(?:/(?:\*\*|\*|[A-Za-z_][A-Za-z0-9_]*))+", re.ASCII)
-_FOR_ALL = "/**"
+PATTERN: Final = re.compile(r"(?:/(?:\*\*|\*|[A-Za-z_][A-Za-z0-9_]*))+", re.ASCII)
 
 
 class _Section(Struct):
     pattern: str
     at: At
-    values: dict[str, ParameterValue] | None = None  # flattened when a node asks for it
+    values: dict[str, ParameterValue] | None = None
+
+    def flat(self) -> dict[str, ParameterValue]:
+        """Return its parameters; mistakes in them are reported to the first that asks."""
+        if self.values is None:
+            self.values = flatten(self.at, is_file=True)
+        return self.values
 
 
 class ParameterFiles:
@@ -60,9 +65,26 @@ class ParameterFiles:
 
     def select(self, at: At, path: str, full_name: str | None) -> dict[str, ParameterValue]:
         """Return what the file at `path`, which stands there, holds for the node `full_name`."""
+        values: dict[str, ParameterValue] = {}
+        for section in self._sections_of(at, path):
+            if section.pattern != FOR_ALL and full_name is None:
+                at.problem(
+                    f"{path_from(at, path)} has the section {excerpt(section.pattern)}, and "
+                    "without a name it is not known whether that is this node; give the node a name"
+                )
+                break
+            if full_name is None or matches(section.pattern, full_name):
+                values.update(section.flat())
+        return values
+
+    def sections(self, at: At, path: str) -> list[tuple[str, dict[str, ParameterValue]]]:
+        """Return all that the file at `path` holds: patterns of nodes, and their parameters."""
+        return [(each.pattern, each.flat()) for each in self._sections_of(at, path)]
+
+    def _sections_of(self, at: At, path: str) -> list[_Section]:
         if not path.strip() or "\x00" in path:
             at.problem("expected the path of a parameter file")
-            return {}
+            return []
         file = path_from(at, path)
         if file not in self._sections:
             self._sections[file] = self._read(file)
@@ -72,20 +94,8 @@ class ParameterFiles:
                 self._report.add(sections.place, "(file)", sections.message)
             else:
                 at.problem(f"the parameter file {file}: {sections.message}")
-            return {}
-        values: dict[str, ParameterValue] = {}
-        for section in sections:
-            if section.pattern != _FOR_ALL and full_name is None:
-                at.problem(
-                    f"{file} has the section {excerpt(section.pattern)}, and without a name it is "
-                    "not known whether that is this node; give the node a name"
-                )
-                break
-            if full_name is None or matches(section.pattern, full_name):
-                if section.values is None:
-                    section.values = flatten(section.at)
-                values.update(section.values)
-        return values
+            return []
+        return sections
 
     def _read(self, file: Path) -> list[_Section] | Refused:
         content = self._read_bytes(file)
@@ -115,7 +125,7 @@ def _collect(at: At, pattern: str, into: list[tuple[str, At]]) -> None:
     for entry, value in at.entries():
         if entry.key == _PARAMETERS:
             if not pattern:
-                message = f'{_PARAMETERS} needs a node name above it, or "{_FOR_ALL}" for all'
+                message = f'{_PARAMETERS} needs a node name above it, or "{FOR_ALL}" for all'
                 value.problem(message, entry.place)
             elif isinstance(value.node, Mapping):
                 into.append((pattern, value))
@@ -123,7 +133,7 @@ def _collect(at: At, pattern: str, into: list[tuple[str, At]]) -> None:
                 value.expected("parameter names and values")
             continue
         below = f"{pattern}/{entry.key.removeprefix('/')}"
-        if not _PATTERN.fullmatch(below):
+        if not PATTERN.fullmatch(below):
             message = f"{excerpt(entry.key)} is neither {_PARAMETERS} nor the name of a node"
             value.problem(message, entry.place)
         elif isinstance(value.node, Mapping):

@@ -16,7 +16,7 @@ from play_launch.config.yaml.tree import Mapping, Scalar, Sequence, describe_nod
 if TYPE_CHECKING:
     from play_launch.config.problems import Place
     from play_launch.config.resolve.parameter_files import ParameterFiles
-    from play_launch.config.yaml.tree import At
+    from play_launch.config.yaml.tree import At, Node
 
 _KEY_OF_PARAMETER_FILES = "ros__parameters"
 _SMALLEST_INTEGER = -(2**63)
@@ -83,15 +83,23 @@ def resolve_parameters(
     return tuple(ParameterConfig(name, value) for name, value in values.items())
 
 
-def flatten(at: At) -> dict[str, ParameterValue]:
-    """Return the parameters in a mapping, the names of nested ones joined with dots."""
+def flatten(at: At, *, is_file: bool = False) -> dict[str, ParameterValue]:
+    """Return the parameters in a mapping, the names of nested ones joined with dots.
+
+    With `is_file`, those of a parameter file, in which rcl skips empty lists.
+    """
     values: dict[str, ParameterValue] = {}
-    _flatten_into(at, "", values, {})
+    _flatten_into(at, "", values, {}, is_file=is_file)
     return values
 
 
 def _flatten_into(
-    at: At, prefix: str, values: dict[str, ParameterValue], places: dict[str, Place]
+    at: At,
+    prefix: str,
+    values: dict[str, ParameterValue],
+    places: dict[str, Place],
+    *,
+    is_file: bool,
 ) -> None:
     for entry, value in at.entries():
         name = prefix + entry.key
@@ -101,15 +109,21 @@ def _flatten_into(
             message = f"{_KEY_OF_PARAMETER_FILES} belongs into parameter files, above the names"
             value.problem(f"{message}; write the names here directly", entry.place)
         elif isinstance(value.node, Mapping):
-            _flatten_into(value, name + ".", values, places)
+            _flatten_into(value, name + ".", values, places, is_file=is_file)
         elif name in places:
             message = f"the parameter {name} is given twice, first at {places[name]}"
             value.problem(message, entry.place)
         else:
             places[name] = entry.place
+            if is_file and _is_empty_list(value.node):
+                continue
             typed = _parameter_value(value)
             if typed is not None:
                 values[name] = typed
+
+
+def _is_empty_list(node: Node) -> bool:
+    return isinstance(node, Sequence) and not node.items and node.array_tag is None
 
 
 def _parameter_value(at: At) -> ParameterValue | None:

@@ -27,7 +27,7 @@ _BY_NAME: Final = {
     "composable_nodes": "composable node",
     "nodes": "node",
 }
-_SOURCES: Final = frozenset({"parameters", "extra_arguments"})
+_SOURCES: Final = frozenset({"parameters", "process_parameters", "extra_arguments"})
 
 
 def merge(base: Mapping, over: At) -> Mapping:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from play_launch.config.model import ParameterType
 from play_launch.config.values import check_node_name, check_topic
-from play_launch.launch_files.configuration.container_parameters import as_arguments
 from play_launch.launch_files.configuration.options import Containers
+from play_launch.launch_files.configuration.process_parameters import add_parameters, add_sections
 from play_launch.launch_files.configuration.sources import values_of
 from play_launch.launch_files.configuration.yaml_text import Commented
 from play_launch.launch_files.records import AtExit, ProgramKind, typed_value
@@ -54,7 +54,7 @@ class Members:
     def container(self, unit: Process) -> dict[str, Any]:
         """Return the entry of a container, without its nodes."""
         entry = self._begin(unit)
-        values = values_of(unit, self._losses)
+        values = values_of(unit, unit.parameters, self._losses)
         arguments = list(unit.arguments)
         kind = _TYPES.get(unit.executable) if unit.package == "rclcpp_components" else None
         if kind is None or self._options.containers is Containers.STOCK:
@@ -83,20 +83,28 @@ class Members:
                     entry[_THREADS] = threads.value
             if arguments:
                 self._lost(unit, f"arguments that its container has no use for: {arguments}")
-        extra = as_arguments(unit, values, self._losses)
+        add_sections(entry, unit, values, self._sources, self._losses)
+        extra: list[str] = []
         for source, target in self._remappings(unit):
             extra += ["-r", f"{source}:={target}"]
         self._add_common(entry, unit, extra)
         if unit.respawn_delay:
             entry["restart"] = {"backoff": _backoff(unit.respawn_delay)}
-        self._refuse_for_container(unit)
+        if unit.on_exit is AtExit.SHUTDOWN:
+            entry["on_exit"] = "shutdown"
+        if unit.cwd:
+            entry["cwd"] = unit.cwd
+        if unit.emulate_tty:
+            self._losses.note(unit.described, "its output goes to no terminal (emulate_tty)")
         return entry
 
     def composable(self, unit: Composable) -> dict[str, Any]:
         """Return the entry of a composable node."""
         entry = self._begin(unit)
         entry |= {"package": unit.package, "plugin": unit.plugin}
-        self._add_parameters(entry, unit)
+        values = values_of(unit, unit.parameters, self._losses)
+        if written := self._sources.written(unit, values):
+            entry["parameters"] = written
         if remappings := dict(self._remappings(unit)):
             entry["remappings"] = remappings
         if unit.extra_arguments:
@@ -128,7 +136,7 @@ class Members:
         else:
             self._lost(unit, "has neither a package nor a command, so nothing can be started")
             return None
-        self._add_parameters(entry, unit)
+        add_parameters(entry, unit, self._sources, self._losses)
         extra: list[str] = []
         remappings = dict(self._remappings(unit, extra))
         if remappings:
@@ -153,13 +161,6 @@ class Members:
         return Commented(
             named, f"from {where}{f':{place.line}' if place.line else ''}" * bool(where)
         )
-
-    def _add_parameters(self, entry: dict[str, Any], unit: Unit) -> None:
-        if written := self._sources.written(unit, values_of(unit, self._losses)):
-            entry["parameters"] = written
-        for section in unit.for_others:
-            count = len(section.parameters)
-            self._lost(unit, f"{count} parameters that are for {section.pattern}")
 
     def _add_common(
         self,
@@ -211,19 +212,6 @@ class Members:
             restart["backoff"] = _backoff(unit.respawn_delay)
         if restart:
             entry["restart"] = restart
-
-    def _refuse_for_container(self, unit: Process) -> None:
-        if unit.on_exit is AtExit.SHUTDOWN:
-            self._lost(unit, "the system is not stopped when this container ends; it comes back")
-        if unit.cwd:
-            self._lost(
-                unit, f"its working directory {unit.cwd}: containers have that of the system"
-            )
-        if unit.emulate_tty:
-            self._losses.note(unit.described, "its output goes to no terminal (emulate_tty)")
-        for section in unit.for_others:
-            count = len(section.parameters)
-            self._lost(unit, f"{count} parameters that are for {section.pattern}")
 
     def _ros_arguments(self, unit: Process) -> list[str]:
         """Return the arguments for ROS, without the marks that are put around them here."""

@@ -2,30 +2,48 @@
 
 from __future__ import annotations
 
+from enum import Enum, auto
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
+from play_launch.config.model import FOR_ALL, ParameterConfig, ParameterType
 from play_launch.config.problems import Place, Report
 from play_launch.config.resolve.parameter_files import ParameterFiles
+from play_launch.config.source import Refused, read_bytes
 from play_launch.config.yaml.scalars import ScalarKind
 from play_launch.config.yaml.tree import At, Scalar
+from play_launch.install.parameter_file import parameter_file_text
 from play_launch.launch_files.configuration.yaml_text import Verbatim
-from play_launch.launch_files.records import ParameterFile, typed_value
+from play_launch.launch_files.records import Composable, ParameterFile, typed_value
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from play_launch.config.model import ParameterValue
+    from play_launch.launch_files.configuration.copies import Copies
     from play_launch.launch_files.configuration.options import Options
     from play_launch.launch_files.configuration.paths import Paths
     from play_launch.launch_files.losses import Losses
-    from play_launch.launch_files.records import Unit
+    from play_launch.launch_files.records import Parameter, Unit
 
 Values = dict[str, "ParameterValue"]
 
+_LONG: Final = 1000
+"""Characters of a text that stands in a file of its own, such as the description of a robot."""
 
-def values_of(unit: Unit, losses: Losses) -> Values:
-    """Return the evaluated parameters of a unit."""
+
+class _Use(Enum):
+    """What of a file is read."""
+
+    NAMED = auto()
+    UNNAMED = auto()
+    ALL = auto()
+
+
+def values_of(unit: Unit, parameters: Iterable[Parameter], losses: Losses) -> Values:
+    """Return the values of evaluated parameters of a unit."""
     found: Values = {}
-    for each in unit.parameters:
+    for each in parameters:
         try:
             value = typed_value(each)
         except ValueError:
@@ -43,49 +61,143 @@ class ParameterSources:
 
     A file is referenced when our own reader finds in it what the node got of it, and at least as
     much as stands in the node's entry besides. So what `replay` gives the node is what it got,
-    whatever the sources are.
+    whatever the sources are. Temporary files are referenced as copies, where there may be any.
     """
 
-    def __init__(self, options: Options, paths: Paths) -> None:
+    def __init__(self, options: Options, paths: Paths, copies: Copies | None) -> None:
         self._inline = options.inline
         self._paths = paths
+        self._copies = copies
         self._report = Report()
-        self._files = ParameterFiles(self._report)
-        self._unusable: set[tuple[str, bool]] = set()
+        self._texts: dict[Path, bytes] = {}
+        self._files = ParameterFiles(self._report, self._content)
+        self._unusable: set[tuple[str, _Use]] = set()
 
     def written(self, unit: Unit, values: Values) -> Any:
         """Return what stands at `parameters`; empty where there is nothing to say."""
-        paths: list[str] = []
+        files: list[ParameterFile] = []
         base: Values = {}
-        for source in () if self._inline else unit.sources:
-            if isinstance(source, ParameterFile) and source.text is None and source.path:
-                found = self._read(source.path, unit.full_name or None)
-                if found and source.path not in paths:
-                    paths.append(source.path)
-                    base.update(found)
+        for source in self._usable(unit):
+            found = self._read(source, unit.full_name or None)
+            if found:
+                files.append(source)
+                base.update(found)
         overrides = {
-            name: value for name, value in values.items() if not _same(base.get(name), value)
+            name: value for name, value in values.items() if not same(base.get(name), value)
         }
         kept = len(values) - len(overrides)
-        if not paths or not base.keys() <= values.keys() or kept < max(1, len(overrides)):
-            return dict(values)
-        references: list[Any] = [Verbatim(self._paths.value(path)) for path in paths]
+        if not files or not base.keys() <= values.keys() or kept < max(1, len(overrides)):
+            files, overrides = [], dict(values)
+        references: list[Any] = [self._reference(unit, source) for source in files]
+        references += self._set_apart(unit, overrides)
+        if not references:
+            return overrides
         return [*references, overrides] if overrides else references
 
-    def _read(self, path: str, full_name: str | None) -> Values:
-        if (path, full_name is None) in self._unusable:
+    def sections(self, unit: Unit, sections: dict[str, Values]) -> Any:
+        """Return what stands at `process_parameters`; empty where there is nothing to say.
+
+        A section for the node itself in a file does no harm: its `parameters` come later.
+        """
+        files: list[ParameterFile] = []
+        base: dict[str, Values] = {}
+        for source in self._usable(unit):
+            found = self._read_sections(source)
+            if found:
+                files.append(source)
+                for pattern, values in found:
+                    base.setdefault(pattern, {}).update(values)
+        if unit.full_name not in sections:
+            base.pop(unit.full_name, None)
+        overrides = {
+            pattern: {
+                name: value
+                for name, value in values.items()
+                if not same(base.get(pattern, {}).get(name), value)
+            }
+            for pattern, values in sections.items()
+        }
+        overrides = {pattern: values for pattern, values in overrides.items() if values}
+        count = sum(map(len, overrides.values()))
+        kept = sum(map(len, sections.values())) - count
+        fits = list(dict.fromkeys((*base, *sections))) == list(sections) and all(
+            values.keys() <= sections[pattern].keys() for pattern, values in base.items()
+        )
+        if not files or not fits or kept < max(1, count):
+            return sections
+        references: list[Any] = [self._reference(unit, source) for source in files]
+        return [*references, overrides] if overrides else references
+
+    def _usable(self, unit: Unit) -> Iterable[ParameterFile]:
+        """Return the parameter files of a unit that can be named, each once."""
+        if self._inline:
+            return []
+        files = (each for each in unit.sources if isinstance(each, ParameterFile) and each.path)
+        has_copies = self._copies is not None
+        return dict.fromkeys(each for each in files if each.text is None or has_copies)
+
+    def _reference(self, unit: Unit, source: ParameterFile) -> Verbatim:
+        if source.text is None:
+            return Verbatim(self._paths.value(source.path))
+        return self._copy(unit, source.text)
+
+    def _copy(self, unit: Unit, text: str) -> Verbatim:
+        assert self._copies is not None
+        program = unit.plugin if isinstance(unit, Composable) else unit.executable
+        name = f"{unit.name or program.rpartition('::')[2] or 'parameters'}.yaml"
+        return Verbatim(self._paths.value(self._copies.add(name, text.encode())))
+
+    def _set_apart(self, unit: Unit, values: Values) -> list[Verbatim]:
+        """Take texts that are too long to be read in between out of `values`, into a file."""
+        if self._copies is None:
+            return []
+        long = {
+            name: value
+            for name, value in values.items()
+            if value.type is ParameterType.STRING and len(str(value.value)) >= _LONG
+        }
+        if not long:
+            return []
+        for name in long:
+            del values[name]
+        parameters = [ParameterConfig(name, value) for name, value in long.items()]
+        return [self._copy(unit, parameter_file_text([(FOR_ALL, parameters)]))]
+
+    def _content(self, path: Path) -> bytes | Refused:
+        return self._texts[path] if path in self._texts else read_bytes(path)
+
+    def _at(self, source: ParameterFile) -> At:
+        if source.text is not None:
+            self._texts[Path(source.path)] = source.text.encode()
+        start = Place(str(Path(source.path)), 1, 1)
+        scalar = Scalar(start, ScalarKind.STRING, source.path, source.path, plain=False)
+        return At(scalar, "", self._report)
+
+    def _read(self, source: ParameterFile, full_name: str | None) -> Values:
+        use = _Use.UNNAMED if full_name is None else _Use.NAMED
+        if not self._unusable.isdisjoint({(source.path, use), (source.path, _Use.ALL)}):
             return {}
         before = len(self._report)
-        start = Place(str(Path(path)), 1, 1)
-        at = At(Scalar(start, ScalarKind.STRING, path, path, plain=False), "", self._report)
-        found = self._files.select(at, path, full_name)
-        if len(self._report) > before:
-            # Our reader refuses something that rcl takes, such as `yes`.
-            self._unusable.add((path, full_name is None))
-            return {}
-        return found
+        found = self._files.select(self._at(source), source.path, full_name)
+        return found if self._is_fine(source, use, before) else {}
+
+    def _read_sections(self, source: ParameterFile) -> list[tuple[str, Values]]:
+        if not self._unusable.isdisjoint({(source.path, _Use.NAMED), (source.path, _Use.ALL)}):
+            return []
+        before = len(self._report)
+        found = [each for each in self._files.sections(self._at(source), source.path) if each[1]]
+        return found if self._is_fine(source, _Use.ALL, before) else []
+
+    def _is_fine(self, source: ParameterFile, use: _Use, before: int) -> bool:
+        """Say whether our reader takes it; each mistake in a file is reported only once."""
+        if len(self._report) == before:
+            return True
+        # It refuses something that rcl takes, such as `yes`.
+        self._unusable.add((source.path, use))
+        return False
 
 
-def _same(one: ParameterValue | None, other: ParameterValue) -> bool:
+def same(one: ParameterValue | None, other: ParameterValue) -> bool:
+    """Say whether two values are the same for a node."""
     # By text, because NaN is not NaN and 0.0 is -0.0.
     return one is not None and one.type is other.type and repr(one.value) == repr(other.value)

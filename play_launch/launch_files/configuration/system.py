@@ -11,26 +11,24 @@ from play_launch.launch_files.configuration.members import Members
 from play_launch.launch_files.configuration.order import add_order
 from play_launch.launch_files.configuration.paths import Paths
 from play_launch.launch_files.configuration.sources import ParameterSources
+from play_launch.launch_files.configuration.temporary import with_copies
 from play_launch.launch_files.records import Composable, Process, ProgramKind
 
 if TYPE_CHECKING:
+    from play_launch.launch_files.configuration.copies import Copies
     from play_launch.launch_files.configuration.options import Options
     from play_launch.launch_files.losses import Losses
     from play_launch.launch_files.records import Description, Unit
 
 
-def configuration_of(description: Description, options: Options, losses: Losses) -> dict[str, Any]:
+def configuration_of(
+    description: Description, options: Options, copies: Copies | None, losses: Losses
+) -> dict[str, Any]:
     """Return the configuration; what it does not say is reported."""
+    description = with_copies(description, copies, losses)
     paths = Paths(options.folder)
-    members = Members(
-        options,
-        paths,
-        ParameterSources(
-            options,
-            paths,
-        ),
-        losses,
-    )
+    sources = ParameterSources(options, paths, copies)
+    members = Members(options, paths, sources, losses)
     return _Builder(_once(description.units, losses), members, losses).built()
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from typing import TYPE_CHECKING, Any, Final
 
@@ -57,6 +58,8 @@ class Context(Struct):
     find_share: Callable[[str], Path | None] = share_folder
     only_arguments: bool = False
     """Whether arguments are looked for only, so that what fails is passed over."""
+    deadline: float = math.inf
+    """When programs have to be done, by the monotonic clock."""
     given: frozenset[str] = frozenset()
     """Names of the arguments of the command line."""
     _scopes: list[tuple[dict[str, Any], dict[str, str]]] = field(default_factory=list)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import os
+import time
 from typing import TYPE_CHECKING
 
 from play_launch.launch_files.markup.actions import include_file, visit
@@ -22,11 +24,13 @@ def evaluate(
     arguments: Mapping[str, str],
     environ: Mapping[str, str] | None = None,
     *,
+    limit: float = math.inf,
     only_arguments: bool = False,
 ) -> Description:
     """Return what a launch file describes; programs of `$(command ...)` are run, nothing else is.
 
-    With `only_arguments`, what needs an argument that is not given is passed over.
+    `limit` is the seconds after which they are ended; with 0 none is run. With `only_arguments`,
+    what needs an argument that is not given is passed over.
 
     Raises:
         LaunchFileError: For the first mistake, with file, line and the chain of includes.
@@ -34,6 +38,7 @@ def evaluate(
     file = os.path.abspath(path)  # noqa: PTH100 - links stay as they are
     context = beginning(arguments, file, environ)
     context.only_arguments = only_arguments
+    context.deadline = time.monotonic() + limit
     try:
         include_file(file, context)
         # Timers, as if all fired in the order in which they were set: their scopes have ended.

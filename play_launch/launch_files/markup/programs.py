@@ -7,6 +7,7 @@ import re
 import shlex
 from typing import TYPE_CHECKING, Any
 
+from play_launch.config.model import FOR_ALL
 from play_launch.launch_files.markup import given_parameters
 from play_launch.launch_files.markup.command_line import words_of
 from play_launch.launch_files.markup.namespaces import joined
@@ -14,7 +15,6 @@ from play_launch.launch_files.markup.trouble import Trouble
 from play_launch.launch_files.markup.typing_rules import coerced, condition, truth
 from play_launch.launch_files.parameters import evaluate_sources
 from play_launch.launch_files.records import (
-    FOR_ALL,
     AtExit,
     Composable,
     ParameterFile,

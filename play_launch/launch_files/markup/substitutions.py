@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import math
+import os
 import re
 import shlex
 import shutil
+import signal
 import subprocess
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -118,6 +121,9 @@ def _command(context: Context, arguments: list[str]) -> str:
     on_stderr = arguments[1] if len(arguments) == 2 else "fail"
     if on_stderr not in ("fail", "ignore", "warn", "capture"):
         raise Trouble(f"{on_stderr} is none of fail, ignore, warn and capture")
+    limit = min(COMMAND_LIMIT, context.deadline - time.monotonic())
+    if limit <= 0:
+        raise Trouble(f"there is no time left to run {arguments[0]!r}")
     try:
         process = subprocess.Popen(
             shlex.split(arguments[0]),
@@ -126,16 +132,18 @@ def _command(context: Context, arguments: list[str]) -> str:
             stderr=subprocess.STDOUT if on_stderr == "capture" else subprocess.PIPE,
             text=True,
             env=context.environment,
+            start_new_session=True,
         )
     except (OSError, ValueError, IndexError) as error:
         raise Trouble(f"{arguments[0]!r} cannot be run: {error}") from error
     try:
-        written, complaints = process.communicate(timeout=COMMAND_LIMIT)
+        written, complaints = process.communicate(timeout=limit)
     except subprocess.TimeoutExpired as error:
-        _kill(process)
-        raise Trouble(f"{arguments[0]!r} takes longer than {COMMAND_LIMIT:.0f} s") from error
+        raise Trouble(f"{arguments[0]!r} takes longer than {limit:.0f} s") from error
     except ValueError as error:
         raise Trouble(f"{arguments[0]!r} writes no UTF-8") from error
+    finally:
+        _end(process)
     said = (complaints or "").strip()
     if process.returncode != 0:
         raise Trouble(f"{arguments[0]!r} exited with {process.returncode}: {said[-500:]}")
@@ -144,15 +152,11 @@ def _command(context: Context, arguments: list[str]) -> str:
     return written
 
 
-def _kill(process: subprocess.Popen[str]) -> None:
-    """End a program with all that it has started and that still is below it."""
-    import psutil  # noqa: PLC0415 - for what hangs only
-
-    below = psutil.Process(process.pid).children(recursive=True)
-    process.kill()
-    for each in below:
-        with contextlib.suppress(psutil.NoSuchProcess):
-            each.kill()
+def _end(process: subprocess.Popen[str]) -> None:
+    """End what is left of a program and of what it has started in its session's group."""
+    with contextlib.suppress(ProcessLookupError):
+        # Until it is waited for, or while others are in it, the number is that group's.
+        os.killpg(process.pid, signal.SIGKILL)
     process.wait()
 
 

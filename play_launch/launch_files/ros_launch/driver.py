@@ -128,6 +128,6 @@ def _evaluate(job: Job, places: Places) -> Description:
         visitor.visit(launch.LaunchDescription([included]))
         context._pop_locals()  # noqa: SLF001
         happenings.run()
-    scene.report_temporary()
+    scene.take_temporary()
     scene.description.files = list(places.files)
     return scene.description

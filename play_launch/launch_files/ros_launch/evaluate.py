@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 
     from play_launch.process.exit import Exit
 
-LIMIT: Final = 120.0
-"""Seconds that an evaluation may take; Autoware's largest takes a few."""
 _GRACE: Final = 5.0
 """Seconds beyond the limit in which the process may still say where it hangs."""
 _END_LIMIT: Final = 5.0
@@ -46,7 +44,7 @@ def evaluate(
     path: Path,
     arguments: Mapping[str, str],
     *,
-    limit: float = LIMIT,
+    limit: float,
     only_arguments: bool = False,
     is_faster: bool = True,
 ) -> Description:

@@ -9,14 +9,8 @@ from launch.conditions import evaluate_condition_expression
 from launch.utilities import normalize_to_list_of_substitutions, perform_substitutions
 from launch_ros.actions import ComposableNodeContainer, LifecycleNode, Node
 
-from play_launch.config.resolve.parameter_files import matches
-from play_launch.launch_files.records import (
-    FOR_ALL,
-    Parameter,
-    Process,
-    ProgramKind,
-    Values,
-)
+from play_launch.launch_files.parameters import take_sections
+from play_launch.launch_files.records import Process, ProgramKind, Values
 from play_launch.launch_files.ros_launch.rcl_parameters import RclParameters, RclParametersError
 
 if TYPE_CHECKING:
@@ -156,7 +150,7 @@ def _read_added(scene: Scene, process: Process, added: list[str]) -> None:
                 _read_remapping(process, value)
             else:
                 _read_parameters(scene, process, reader, word, value)
-        _take_parameters(process, reader)
+        take_sections(process, reader.sections())
     finally:
         reader.close()
 
@@ -200,18 +194,3 @@ def _values(text: str, *, is_file: bool) -> list[Source]:
         return [Values(section.parameters, section.pattern) for section in reader.sections()]
     finally:
         reader.close()
-
-
-def _take_parameters(process: Process, reader: RclParameters) -> None:
-    """Give the process what its node, and others in it, get of everything that was read.
-
-    As rclcpp does it: of all sections that are for the node, in their order, the last value.
-    """
-    own: dict[str, Parameter] = {}
-    for section in reader.sections():
-        name = process.full_name
-        if section.pattern == FOR_ALL or (name and matches(section.pattern, name)):
-            own.update({each.name: each for each in section.parameters})
-        elif section.parameters:
-            process.for_others.append(section)
-    process.parameters = list(own.values())

@@ -10,8 +10,8 @@ import base64
 import ctypes
 from typing import TYPE_CHECKING, Any, Final
 
-from play_launch.config.model import ParameterType, ParameterValue
-from play_launch.launch_files.records import FOR_ALL, Parameter, Section, parameter
+from play_launch.config.model import FOR_ALL, ParameterType, ParameterValue
+from play_launch.launch_files.records import Parameter, Section, parameter
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

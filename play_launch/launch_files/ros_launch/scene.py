@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from play_launch.launch_files.reading import LARGEST
 from play_launch.launch_files.records import (
     Argument,
     Description,
@@ -13,6 +14,7 @@ from play_launch.launch_files.records import (
     Loss,
     ParameterFile,
     Process,
+    TemporaryFile,
 )
 from play_launch.launch_files.ros_launch.causes import Causes
 
@@ -113,13 +115,29 @@ class Scene:
             return ParameterFile(str(file), file.read_text(encoding="utf-8"))
         return ParameterFile(str(file))
 
-    def report_temporary(self) -> None:
-        """Report the units that name a temporary file other than one of parameters."""
+    def take_temporary(self) -> None:
+        """Keep the temporary files that units name, other than those of parameters."""
+        found = sorted((path for path in self.temporary.rglob("*") if _can_be_kept(path)), key=str)
+        kept: dict[str, None] = {}
         for unit in self.description.units:
             texts = [str(each.value) for each in unit.parameters]
             if isinstance(unit, Process):
                 texts += [*unit.command, *unit.arguments, *unit.ros_arguments, *unit.prefix]
                 texts += [unit.cwd, *(value for _, value in unit.environment)]
             for text in texts:
+                if str(self.temporary) not in text:
+                    continue
+                named = [str(path) for path in found if str(path) in text]
+                kept |= dict.fromkeys(named)
+                for name in sorted(named, key=len, reverse=True):
+                    text = text.replace(name, "")  # noqa: PLW2901 - what is left of it
                 if str(self.temporary) in text:
                     self.lost(unit, f"it names a temporary file, which does not stay: {text}")
+        self.description.temporary = [TemporaryFile(path, Path(path).read_bytes()) for path in kept]
+
+
+def _can_be_kept(path: Path) -> bool:
+    try:
+        return path.is_file() and path.stat().st_size <= LARGEST and os.access(path, os.R_OK)
+    except OSError:
+        return False

@@ -15,7 +15,7 @@ import pytest
 from play_launch.launch_files.records import LaunchFileError
 from play_launch.launch_files.ros_launch.evaluate import evaluate
 from play_launch.launch_files.ros_launch.temporary import temporary_folder
-from tests.launch_files.ros_launch.prefix import Prefix, needs_launch, prefix, processes
+from tests.launch_files.ros_launch.prefix import LIMIT, Prefix, needs_launch, prefix, processes
 from tests.support.waiting import until
 
 __all__ = ["prefix"]
@@ -232,7 +232,7 @@ def test_a_file_that_is_not_there(prefix: Prefix) -> None:
     error = prefix.error("a.launch.xml", text)
     assert error == "a.launch.xml:2: No such file or directory: /nowhere/b.launch.xml"
     with pytest.raises(LaunchFileError, match=r"^/nowhere/a.launch.py: No such file or directory"):
-        evaluate(Path("/nowhere/a.launch.py"), {})
+        evaluate(Path("/nowhere/a.launch.py"), {}, limit=LIMIT)
 
 
 @needs_launch
@@ -317,7 +317,7 @@ def test_the_evaluation_ends_with_who_asked(prefix: Prefix, tmp_path: Path) -> N
     program = (
         "from pathlib import Path\n"
         "from play_launch.launch_files.ros_launch.evaluate import evaluate\n"
-        f"evaluate(Path({str(path)!r}), {{}})\n"
+        f"evaluate(Path({str(path)!r}), {{}}, limit=1000)\n"
     )
     asking = subprocess.Popen([sys.executable, "-c", program], env=os.environ)
     until(lambda: pid_file.exists() and pid_file.read_text().endswith("."), "the evaluation")
@@ -329,7 +329,7 @@ def test_the_evaluation_ends_with_who_asked(prefix: Prefix, tmp_path: Path) -> N
     (left,) = (tmp_path / "temporary").iterdir()
     os.utime(left, (0, 0))
     with pytest.raises(LaunchFileError):
-        evaluate(Path("/nowhere.launch.py"), {})
+        evaluate(Path("/nowhere.launch.py"), {}, limit=LIMIT)
     assert list((tmp_path / "temporary").iterdir()) == []
 
 
@@ -385,7 +385,7 @@ def generate_launch_description():
 """)
     assert prefix.error("a.launch.py", text).startswith("a.launch.py: it holds what is not UTF-8")
     with pytest.raises(LaunchFileError, match="not UTF-8"):
-        evaluate(Path("/tmp/\udcff.launch.py"), {})
+        evaluate(Path("/tmp/\udcff.launch.py"), {}, limit=LIMIT)
 
 
 def test_a_file_that_closes_its_output(prefix: Prefix) -> None:

@@ -225,12 +225,19 @@ def test_temporary_parameter_files_keep_their_text(prefix: Prefix) -> None:
     assert "a: 7" in source.text
 
 
-def test_a_temporary_file_that_is_an_argument_is_reported(prefix: Prefix) -> None:
+def test_a_temporary_file_that_is_an_argument_is_kept(prefix: Prefix) -> None:
     text = python(
-        "Node(package='pkg', executable='talker', arguments=[made.name])",
-        before="import tempfile\nmade = tempfile.NamedTemporaryFile(delete=False)\n",
+        "Node(package='pkg', executable='talker', arguments=[made.name, folder + '/none'])",
+        before=(
+            "import tempfile\nmade = tempfile.NamedTemporaryFile(delete=False)\n"
+            "made.write(b'x'); made.close(); folder = tempfile.mkdtemp()\n"
+        ),
     )
-    (loss,) = prefix.evaluate("a.launch.py", text).losses
+    found = prefix.evaluate("a.launch.py", text)
+    (talker,) = processes(found)
+    (file,) = found.temporary
+    assert (file.path, file.content) == (talker.arguments[0], b"x")
+    (loss,) = found.losses
     assert "temporary file" in loss.what
     assert loss.where.startswith(f"{prefix.folder}/a.launch.py:")
 

@@ -1,0 +1,112 @@
+"""Nodes that a process or a container makes itself get their parameters, from a launch file on."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.support.replay import COMMAND, Replay, replaying
+from tests.support.waiting import until
+
+PARAMETERS = """
+/**: {ros__parameters: {everywhere: true}}
+/server: {ros__parameters: {a: 1}}
+/costmap/costmap: {ros__parameters: {width: 3}}
+/talker: {ros__parameters: {rate: 5.0}}
+"""
+LAUNCH_FILE = """
+<launch>
+  <node pkg="two_nodes" exec="server" name="server" namespace="/" args="$(dirname)/seen">
+    <param from="$(dirname)/p.yaml"/>
+    <param name="b" value="own"/>
+  </node>
+  <node_container pkg="rclcpp_components" exec="component_container" name="box" namespace="">
+    <param from="$(dirname)/p.yaml"/>
+    <composable_node pkg="play_launch_demo" plugin="play_launch_demo::Talker" name="talker">
+      <extra_arg name="forward_global_arguments" value="true"/>
+    </composable_node>
+  </node_container>
+</launch>
+"""
+SERVER = f"""#!{sys.executable}
+import json, os, signal, sys
+import rclpy
+from rclpy.node import Node
+rclpy.init()
+options = dict(automatically_declare_parameters_from_overrides=True, start_parameter_services=False)
+renamed = ["--ros-args", "-r", "__node:=costmap", "-r", "__ns:=/costmap"]
+nodes = [Node("any", **options), Node("costmap", cli_args=renamed, **options)]
+seen = {{
+    node.get_fully_qualified_name(): {{
+        name: node.get_parameter(name).value for name in node._parameters if "." not in name
+    }}
+    for node in nodes
+}}
+with open(sys.argv[1] + ".part", "w") as file:
+    json.dump(seen, file)
+os.rename(sys.argv[1] + ".part", sys.argv[1])
+signal.pause()
+"""
+
+
+def command(replay: Replay, *words: str | Path, code: int = 0) -> str:
+    done = subprocess.run(
+        [COMMAND, *words, "--session", str((replay.log_dir / "latest").resolve())],
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert done.returncode == code, done
+    return done.stdout
+
+
+def test_costmaps_of_a_launch_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    program = tmp_path / "prefix" / "lib" / "two_nodes" / "server"
+    program.parent.mkdir(parents=True)
+    program.write_text(SERVER, encoding="utf-8")
+    program.chmod(0o755)
+    index = tmp_path / "prefix/share/ament_index/resource_index/packages"
+    index.mkdir(parents=True)
+    (index / "two_nodes").touch()
+    both = filter(None, [str(tmp_path / "prefix"), os.environ.get("AMENT_PREFIX_PATH")])
+    monkeypatch.setenv("AMENT_PREFIX_PATH", os.pathsep.join(both))
+    launch_file = tmp_path / "robot.launch.xml"
+    launch_file.write_text(LAUNCH_FILE.lstrip("\n"), encoding="utf-8")
+    (tmp_path / "p.yaml").write_text(PARAMETERS, encoding="utf-8")
+    robot = tmp_path / "robot.yaml"
+    dumped = subprocess.run(
+        [COMMAND, "dump", launch_file, "-o", robot, "--strict"],
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert dumped.returncode == 0, dumped.stderr
+    assert robot.read_text(encoding="utf-8").count("p.yaml") == 3
+    with replaying(robot, tmp_path / "log") as replay:
+        replay.read_until_states({"/talker": "loaded"})
+        until((tmp_path / "seen").exists, "what the nodes have got")
+        seen = json.loads((tmp_path / "seen").read_text(encoding="utf-8"))
+        for values in seen.values():
+            for of_rclpy in ("use_sim_time", "start_type_description_service"):
+                values.pop(of_rclpy, None)
+        assert seen == {
+            "/server": {"everywhere": True, "a": 1, "b": "own"},
+            "/costmap/costmap": {"everywhere": True, "width": 3},
+        }
+        until(lambda: command(replay, "ps") != "", "a session that answers")
+        assert json.loads(command(replay, "param", "get", "/talker", "rate", "--json")) == {
+            "rate": 5.0
+        }
+        assert command(replay, "diff", launch_file) == "nothing differs\n"
+        changed = PARAMETERS.replace("width: 3", "width: 4")
+        (tmp_path / "p.yaml").write_text(changed, encoding="utf-8")
+        shown = command(replay, "diff", launch_file, code=1)
+        assert "/server (process): restart" in shown
+        assert "process_parameters./costmap/costmap.width.value: 3 -> 4" in shown
