@@ -11,6 +11,7 @@ import socket
 
 from play_launch.graph_daemon.contract import DOMAIN_VARIABLE, WARM, DaemonAddress
 from play_launch.graph_daemon.server.daemon import Daemon
+from play_launch.graph_daemon.server.time_slice import ask_for_short_turns
 
 
 def main() -> None:
@@ -22,6 +23,8 @@ def main() -> None:
     parser.add_argument("--idle-timeout", type=float, required=True, help="seconds; 0 for never")
     options = parser.parse_args()
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s")
+    # Before there are other threads.
+    ask_for_short_turns()
     address = DaemonAddress(options.domain)
     os.environ[DOMAIN_VARIABLE] = str(address.domain)
     daemon = Daemon(address, idle_timeout=options.idle_timeout)
