@@ -61,9 +61,20 @@ class Inbox:
         if self._timer is not None:
             self._timer.cancel()
 
+    def lateness(self) -> float:
+        """Give the seconds since when `on_time` is due; 0 if it is not.
+
+        More than the loop itself is late by, and nobody is going to call it.
+        """
+        due = self._due()
+        return 0.0 if due is None or self._is_closed else max(0.0, self._loop.time() - due)
+
+    def _due(self) -> float | None:
+        return min((at for at in self._deadlines() if at is not None), default=None)
+
     def _set_timer(self) -> None:
         """See to it that `on_time` is called in time; too early does no harm."""
-        due = min((at for at in self._deadlines() if at is not None), default=None)
+        due = self._due()
         if due is None or self._is_closed:
             return
         if self._timer is not None:

@@ -23,13 +23,14 @@ from play_launch.actors.inbox import Inbox
 from play_launch.actors.ports import StartError
 from play_launch.actors.process_reports import ProcessReports
 from play_launch.actors.restarter import Restarter
+from play_launch.actors.sources import Source, Sources
 from play_launch.actors.turn import StartTurn
 from play_launch.core.events import REPORTED_LOGGER, ContainerState, ProcessEventKind
 from play_launch.core.member import MemberAction, MemberInput, MemberRecord, step
 from play_launch.core.restart import GiveUp
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable, Iterator
+    from collections.abc import Callable, Iterator
 
     from anyio.abc import TaskGroup
 
@@ -44,6 +45,9 @@ _reported = logging.getLogger(REPORTED_LOGGER)
 
 KILL_LIMIT: Final = 5.0
 """Seconds from SIGKILL to the end of a process; one in an uninterruptible system call lives on."""
+
+LATE: Final = 5.0
+"""Seconds after which what is due counts as forgotten."""
 
 _AT_REST: Final = frozenset({ContainerState.STOPPED, ContainerState.GAVE_UP})
 
@@ -70,7 +74,7 @@ class Member:
         self._turn = turn or StartTurn()
         self._record = MemberRecord()
         self._inbox = Inbox(deadlines=self._deadlines, on_time=self._on_time, on_error=self._fail)
-        self._tasks: TaskGroup | None = None
+        self._sources = Sources(lambda error: self.deliver(partial(self._fail, error)))
         self._queue_scope: anyio.CancelScope | None = None
         self._rests = asyncio.Event()
         self._rests.set()
@@ -80,6 +84,7 @@ class Member:
         self._stop_reason = ""
         # Of the latest process; it stays until nothing of it is left.
         self._process: ManagedProcess | None = None
+        self._companion = Source()
         self._nothing_left = asyncio.Event()
         self._nothing_left.set()
         self._has_ended = False
@@ -110,6 +115,13 @@ class Member:
         await self._rests.wait()
         return not self._is_stuck
 
+    def ailment(self) -> str:
+        """Say what nobody does for it that has to be done; empty: it is looked after."""
+        if self._process is not None and not self._companion.runs and not self._is_stuck:
+            return f"nobody waits for the end of its process {self._process.pid}"
+        late = self._inbox.lateness()
+        return f"what was due {late:.0f} s ago is not done" if late > LATE else ""
+
     def post(self, said: MemberInput, reason: str = "") -> None:
         """Hand over an input, with its reason where one is to be reported."""
         self.deliver(partial(self._apply, said, reason))
@@ -130,7 +142,7 @@ class Member:
 
         What takes time runs in ``tasks``. When these are cancelled, no process is left behind.
         """
-        self._tasks = tasks
+        self._sources.run_in(tasks)
         self._begin_sources()
         if not self._stop.requested.is_set():
             self.post(MemberInput.START)
@@ -221,7 +233,7 @@ class Member:
                 if said is not MemberInput.RESTART_DUE:
                     self._restarter.forget()
                 self._queue_scope = anyio.CancelScope()
-                self._source(partial(self._queue, self._queue_scope))
+                self._sources.begin(partial(self._queue, self._queue_scope))
             case MemberAction.SPAWN:
                 self._start()
             case MemberAction.BEGIN:
@@ -294,7 +306,7 @@ class Member:
             return
         self._process = process
         self._nothing_left.clear()
-        self._source(partial(self._accompany, process))
+        self._companion = self._sources.begin(partial(self._accompany, process))
         self._reports.started(process, self._restarter.total)
         self._started()
 
@@ -410,7 +422,7 @@ class Member:
         if not self._has_ended:
             self._publish(ProcessEventKind.STOPPING, reason)
         self._stopped = asyncio.Event()
-        self._source(partial(self._stop_in_order, self._process, ask, self._stopped))
+        self._sources.begin(partial(self._stop_in_order, self._process, ask, self._stopped))
 
     async def _stop_in_order(
         self, process: ManagedProcess, ask: Callable[[], bool] | None, stopped: asyncio.Event
@@ -434,14 +446,3 @@ class Member:
 
     def _publish(self, kind: ProcessEventKind, message: str) -> None:
         self._reports.publish(kind, self._restarter.total, message=message)
-
-    def _source(self, work: Callable[[], Awaitable[None]]) -> None:
-        """Begin a task that hands over what happens; what it raises is the member's failure."""
-        assert self._tasks is not None
-        self._tasks.start_soon(self._or_fail, work)
-
-    async def _or_fail(self, work: Callable[[], Awaitable[None]]) -> None:
-        try:
-            await work()
-        except Exception as error:  # noqa: BLE001 - others are not to pay for it
-            self.deliver(partial(self._fail, error))

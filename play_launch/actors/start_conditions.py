@@ -52,7 +52,7 @@ class StartConditions:
         self._managed = ManagedNodes(
             publisher, self._look_again, lambda name, hear: self._ros().managed_node(name, hear)
         )
-        self.order = StartOrder(look=self._look, watch=self._world.watch, report=self._report_wait)
+        self.order = StartOrder(look=self.look, watch=self._world.watch, report=self._report_wait)
         self.use(config)
         publisher.add_sink(self._world)
         publisher.add_sink(self._managed)
@@ -98,11 +98,12 @@ class StartConditions:
         self.order.close()
         await self._world.close()
 
-    # Its parts need each other.
-
-    def _look(self, dependency: Dependency) -> Look:
+    def look(self, dependency: Dependency) -> Look:
+        """Say how a condition stands."""
         assert self._units is not None
         return self._units.look(dependency)
+
+    # Its parts need each other.
 
     def _report_wait(self, unit: str, text: str) -> None:
         assert self._units is not None

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import anyio
 from msgspec import Struct
 
+from play_launch.actors.arrivals import Arrivals
 from play_launch.actors.container.limits import LIMITS, Limits
 from play_launch.actors.launcher import NativeLauncher
 from play_launch.actors.members import Members
@@ -83,6 +84,9 @@ class System:
             conditions=self._conditions,
         )
         self._conditions.attach(self._members)
+        self._arrivals = Arrivals(self._members, publisher, self._conditions.look)
+        self._coming_at_end: tuple[str, ...] | None = None
+        self._has_begun = False
         self._launcher = launcher
         self._parameters = parameters
         self._applying: Applying | None = None
@@ -123,6 +127,25 @@ class System:
     def is_stopping(self) -> bool:
         """Whether its end was asked for."""
         return self._stop.requested.is_set()
+
+    @property
+    def is_changing(self) -> bool:
+        """Whether another configuration is being applied."""
+        return self._applying is not None and not self._applying.idle.is_set()
+
+    @property
+    def coming(self) -> tuple[str, ...]:
+        """Units that have neither been up nor failed for good, as it was when its end began."""
+        if self._coming_at_end is not None:
+            return self._coming_at_end
+        if not self._has_begun:
+            return tuple(self._members.names)
+        return self._arrivals.coming(self.config.managed.get)
+
+    def ailment(self) -> str:
+        """Say which member is not looked after any more, and why; empty: all are."""
+        ailments = ((member.name, member.ailment()) for member in self._members.all)
+        return next((f"{name}: {ailment}" for name, ailment in ailments if ailment), "")
 
     def state_of(self, member: str) -> ContainerState:
         """State of a container or executable; KeyError for an unknown name."""
@@ -191,10 +214,12 @@ class System:
             async with anyio.create_task_group() as tasks:
                 await self._conditions.begin(tasks)
                 self._members.begin(tasks)
+                self._has_begun = True
                 tasks.start_soon(self._end_with_members)
                 if not await _happens_before(self._stop.requested, until):
                     reason = f"its duration of {self._config.duration:g} s is over"
                     self._stop.request(reason=reason)
+                self._coming_at_end = self.coming
                 _log.info("stopping: %s", self._stop.reason)
                 # None is added any more, or it would not start.
                 await self._conditions.stop_in_reverse(self._members, self._stop)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from msgspec.structs import replace
 
 from play_launch.cli.failure import fail
+from play_launch.systemd.notification import claim
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 
     from play_launch.cli.watch import Watched
     from play_launch.config import ReplayConfig
+    from play_launch.systemd.notification import ServiceManager
 
 
 def bring_up(
@@ -28,8 +30,13 @@ def bring_up(
     quiet: bool = False,
     as_json: bool = False,
     watch: bool = False,
+    manager: ServiceManager | None = None,
 ) -> int:
-    """Run a system until its end and return the exit code; mistakes end the process."""
+    """Run a system until its end and return the exit code; mistakes end the process.
+
+    ``manager`` is who started us as a service, if the environment does not name it any more.
+    """
+    manager = manager or claim(os.environ)
     if watch and is_recording(config):
         fail(f"--watch: {config} is a recording, which nobody edits; leave --watch out")
     loaded = _load(config, duration, arguments)
@@ -50,6 +57,7 @@ def bring_up(
                 quiet=quiet,
                 keeps_duration=duration is not None,
                 watched=_watched(config, arguments) if watch else None,
+                manager=manager,
             ),
         )
     except (RecordingError, NotInstalledError) as error:

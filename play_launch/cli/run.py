@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from play_launch.core.events import EventSink, LogRecord, RunEvent
     from play_launch.core.view import SystemView
     from play_launch.recording.recorder import Recorder, RecordingSummary
+    from play_launch.systemd.notification import ServiceManager
 
 _HEAD_START: Final = 1.0
 """Seconds in which the system has the machine for its start."""
@@ -61,6 +62,8 @@ class RunOptions(Struct, frozen=True):
     """Whether the command line gave the duration, which no other configuration changes then."""
     watched: Watched | None = None
     """What is applied whenever it changes."""
+    manager: ServiceManager | None = None
+    """Who started us as a service and wants to hear how it goes."""
 
 
 class RunSink:
@@ -117,7 +120,7 @@ def run(config: ReplayConfig, options: RunOptions) -> int:
         finally:
             display.close()
             recording = session.recorder.close()
-    _report(outcome, recording, options)
+    _sum_up(outcome, recording, options)
     return outcome.exit_code
 
 
@@ -143,6 +146,8 @@ async def _until_the_end(
     with library_output_logged(), signals.delivered_to(stop.request):
         publisher = Publisher(sink)
         async with (
+            # To the very end: the watchdog is to be fed while the others come to theirs.
+            _beside(_report(options.manager, publisher, stop, system)),
             _beside(_sample(config, publisher, folder)),
             _beside(_look_after_sessions(config, publisher, folder.parent)),
             _beside(_record_topics(config, session, publisher, stop, snapshots=snapshots)),
@@ -171,6 +176,19 @@ async def _beside(work: Coroutine[None, None, None]) -> AsyncIterator[None]:
     finally:
         task.cancel()
         await asyncio.gather(task, return_exceptions=True)
+
+
+async def _report(
+    manager: ServiceManager | None,
+    publisher: Publisher,
+    stop: StopRequests,
+    system: asyncio.Future[System],
+) -> None:
+    if manager is None:
+        return
+    from play_launch.systemd.report import ServiceReport  # noqa: PLC0415 - for services only
+
+    await ServiceReport(manager, publisher, stop, system).run()
 
 
 async def _sample(config: ReplayConfig, publisher: Publisher, folder: Path) -> None:
@@ -300,7 +318,7 @@ def _say(text: str) -> None:
         sys.stdout.flush()
 
 
-def _report(outcome: Outcome, recording: RecordingSummary, options: RunOptions) -> None:
+def _sum_up(outcome: Outcome, recording: RecordingSummary, options: RunOptions) -> None:
     from play_launch.cli.show.summary import print_summary, summary_object  # noqa: PLC0415
 
     if options.as_json:

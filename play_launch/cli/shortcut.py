@@ -7,6 +7,7 @@ then says the same as ever.
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -65,8 +66,11 @@ def run_plainly(arguments: Sequence[str]) -> int | None:
 
         return find_mistakes(**parameters)
     from play_launch.actors import head_start  # noqa: PLC0415 - before all that takes its time
+    from play_launch.systemd.notification import claim  # noqa: PLC0415 - as above
 
+    # Whatever is started from here on has no business with it.
+    manager = claim(os.environ)
     head_start.begin(parameters["config"])
     from play_launch.cli.bring_up import bring_up  # noqa: PLC0415
 
-    return bring_up(**parameters)
+    return bring_up(**parameters, manager=manager)

@@ -16,6 +16,7 @@ VERBS: Final = (
     "init",
     "schema",
     "import",
+    "systemd-unit",
     *SESSION_VERBS,
     "info",
     "inspect",

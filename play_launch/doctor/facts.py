@@ -6,7 +6,10 @@ Sizes are bytes; None means that it could not be found out.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from enum import Enum, auto
 from typing import TYPE_CHECKING
+
+from play_launch.doctor.surroundings import Surroundings
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -66,9 +69,29 @@ class KernelFacts:
     has_pidfd: bool
     proc_problem: str = ""
     """Why ``/proc`` does not show us."""
-    cgroup: str = ""
-    """Folder of our own control group, version 2; empty where there is none."""
-    cgroup_is_writable: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GroupFacts:
+    """Control groups, version 2."""
+
+    folder: str = ""
+    """That of our own group; empty where it is not mounted."""
+    controllers: tuple[str, ...] = ()
+    """Those that groups below it can have."""
+    is_delegated: bool = False
+    """Whether we may make groups below it."""
+
+
+class KeySupport(Enum):
+    """What there is of protection keys for memory (x86: PKU)."""
+
+    NO_CPU = auto()
+    NO_KERNEL = auto()
+    """The CPU has them, and the kernel does not let programs use them."""
+    REFUSED = auto()
+    """Both have them, and the kernel gives us none."""
+    USABLE = auto()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,6 +115,8 @@ class LimitFacts:
     """Highest real-time priority."""
     nice: Limit
     """20 less the lowest nice value."""
+    real_time_share: float | None = None
+    """Of a second, the part that real-time threads may take; None: all of it, or not known."""
     may_schedule: bool
     """CAP_SYS_NICE: neither of the two counts."""
     may_lock_memory: bool
@@ -147,6 +172,9 @@ class MachineFacts:
     ros: RosFacts
     container: ContainerFacts
     kernel: KernelFacts
+    groups: GroupFacts = GroupFacts()
+    keys: KeySupport = KeySupport.NO_CPU
+    surroundings: Surroundings = Surroundings.LOGIN
     limits: LimitFacts
     shared_memory: SharedMemoryFacts
     network: NetworkFacts

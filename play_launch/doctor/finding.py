@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
+
+_MEBIBYTE: Final = 1024**2
+_GIBIBYTE: Final = 1024**3
 
 
 class Level(StrEnum):
@@ -39,9 +42,9 @@ class Finding:
     fix: str = ""
 
 
-def ok(subject: str, says: str) -> Finding:
-    """All is well."""
-    return Finding(subject, Level.OK, says)
+def ok(subject: str, says: str, fix: str = "") -> Finding:
+    """All is well; ``fix`` is how there would be more of it, where that may matter."""
+    return Finding(subject, Level.OK, says, fix=fix)
 
 
 def warn(subject: str, says: str, impact: str, fix: str) -> Finding:
@@ -57,3 +60,12 @@ def fail(subject: str, says: str, impact: str, fix: str) -> Finding:
 def can_run(findings: Iterable[Finding]) -> bool:
     """Whether a system can be brought up."""
     return all(finding.level is not Level.FAIL for finding in findings)
+
+
+def size_text(size: int | None) -> str:
+    """Write a number of bytes; None is unlimited."""
+    if size is None:
+        return "unlimited"
+    if size >= _GIBIBYTE:
+        return f"{size / _GIBIBYTE:.1f} GiB"
+    return f"{size / _MEBIBYTE:.0f} MiB"

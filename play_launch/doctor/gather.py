@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import platform
-import re
 import resource
 import shutil
 import socket
@@ -28,6 +27,12 @@ from play_launch.doctor.facts import (
     RecordingFacts,
     RosFacts,
     SharedMemoryFacts,
+)
+from play_launch.doctor.gather_kernel import (
+    key_support,
+    own_group,
+    real_time_share,
+    surroundings,
 )
 from play_launch.fastdds.shared_memory import SHARED_MEMORY, count_files
 from play_launch.install.command import ExecutableNotFoundError, find_executable
@@ -101,6 +106,9 @@ def gather() -> MachineFacts:
         ros=ros,
         container=container,
         kernel=_kernel(),
+        groups=own_group(),
+        keys=key_support(),
+        surroundings=surroundings(),
         limits=_limits(),
         shared_memory=_shared_memory(),
         network=_network(os.environ),
@@ -197,21 +205,7 @@ def _kernel() -> KernelFacts:
     with suppress(OSError, AttributeError):
         os.close(os.pidfd_open(os.getpid()))
         has_pidfd = True
-    cgroup, is_writable = "", False
-    with suppress(OSError):
-        # One line `0::/path` for version 2; the others are of version 1.
-        match = re.search(r"^0::(.*)$", Path("/proc/self/cgroup").read_text(), re.MULTILINE)
-        folder = Path("/sys/fs/cgroup") / match[1].lstrip("/") if match else None
-        if folder is not None and (folder / "cgroup.procs").is_file():
-            cgroup = str(folder)
-            is_writable = os.access(folder, os.W_OK) and os.access(folder / "cgroup.procs", os.W_OK)
-    return KernelFacts(
-        release=platform.release(),
-        has_pidfd=has_pidfd,
-        proc_problem=proc_problem(),
-        cgroup=cgroup,
-        cgroup_is_writable=is_writable,
-    )
+    return KernelFacts(release=platform.release(), has_pidfd=has_pidfd, proc_problem=proc_problem())
 
 
 def _limits() -> LimitFacts:
@@ -223,6 +217,7 @@ def _limits() -> LimitFacts:
         address_space=_limit(resource.RLIMIT_AS),
         rtprio=_limit(resource.RLIMIT_RTPRIO),
         nice=_limit(resource.RLIMIT_NICE),
+        real_time_share=real_time_share(),
         may_schedule=has_capability(Capability.SYS_NICE),
         may_lock_memory=has_capability(Capability.IPC_LOCK),
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from play_launch.doctor.judge_rights import judge_rights
 from play_launch.doctor.judge_ros import judge_container, judge_python, judge_ros
 from play_launch.doctor.judge_system import (
     judge_kernel,
@@ -26,6 +27,7 @@ def judge(facts: MachineFacts) -> list[Finding]:
         *judge_container(facts.container, facts.python.packages.get("play-launch-py", "")),
         *judge_kernel(facts.kernel),
         *judge_limits(facts.limits),
+        *judge_rights(facts),
         *judge_shared_memory(facts.shared_memory, facts.ros.rmw_in_use),
         *judge_network(facts.network, facts.ros.rmw_in_use),
         *judge_recording(facts.recording),

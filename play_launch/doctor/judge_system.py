@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from play_launch.core.domain import LARGEST_DOMAIN
-from play_launch.core.resources import nice_limit
-from play_launch.doctor.finding import Finding, fail, ok, warn
+from play_launch.doctor.finding import Finding, fail, ok, size_text, warn
 from play_launch.fastdds.middleware import is_fastdds
 from play_launch.process.machine import (
     ADDRESS_SPACE_FIX,
@@ -49,16 +48,10 @@ _DDS_PORT: Final = 7400
 _PORTS_PER_DOMAIN: Final = 250
 _PORTS_USED: Final = 118
 """By 54 participants of one domain, which is what fits below the ports of Linux in domain 101."""
-_MEBIBYTE: Final = 1024**2
-_HIGHEST_PRIORITY: Final = 99
-_ALLOW: Final = (
-    'Limit{limit}={unit} in the systemd unit, or "<user> - {item} {value}" in '
-    "/etc/security/limits.conf"
-)
 
 
 def judge_kernel(facts: KernelFacts) -> list[Finding]:
-    """Judge the kernel and control groups."""
+    """Judge the kernel."""
     if not facts.has_pidfd:
         return [
             fail(
@@ -68,7 +61,7 @@ def judge_kernel(facts: KernelFacts) -> list[Finding]:
                 "use Linux 5.3 or newer, where nothing (seccomp) forbids pidfd_open",
             )
         ]
-    findings = [ok("kernel", f"Linux {facts.release}"), ok("control groups", _cgroup(facts))]
+    findings = [ok("kernel", f"Linux {facts.release}")]
     if facts.proc_problem:
         findings.append(fail("/proc", facts.proc_problem, "nothing can be started", PROC_FIX))
     else:
@@ -99,8 +92,7 @@ def judge_limits(facts: LimitFacts) -> list[Finding]:
         says = "off; a crash is recorded with its backtrace all the same (ulimit -c unlimited)"
         findings.append(ok("core dumps", says))
     else:
-        findings.append(ok("core dumps", f"up to {_size(facts.core.soft)}"))
-    findings += [_real_time(facts), _nice_values(facts), _locked_memory(facts)]
+        findings.append(ok("core dumps", f"up to {size_text(facts.core.soft)}"))
     return findings
 
 
@@ -127,7 +119,7 @@ def judge_shared_memory(facts: SharedMemoryFacts, rmw: str = "") -> list[Finding
                 "mount -t tmpfs tmpfs /dev/shm; in docker: --ipc=private --shm-size 1g",
             )
         ]
-    says = f"{SHARED_MEMORY} has {_size(facts.total)}, {_size(facts.free)} of it free"
+    says = f"{SHARED_MEMORY} has {size_text(facts.total)}, {size_text(facts.free)} of it free"
     if facts.free < ENOUGH_SHARED_MEMORY:
         findings = [
             warn(
@@ -173,12 +165,12 @@ def judge_recording(facts: RecordingFacts) -> list[Finding]:
         return [
             warn(
                 "recordings",
-                f"{facts.folder}, {_size(facts.free)} free",
+                f"{facts.folder}, {size_text(facts.free)} free",
                 "a long run fills it; its recording ends then, the run goes on",
                 "make room, or set PLAY_LAUNCH_LOG_DIR",
             )
         ]
-    room = "" if facts.free is None else f", {_size(facts.free)} free"
+    room = "" if facts.free is None else f", {size_text(facts.free)} free"
     return [ok("recordings", f"{facts.folder}{room}")]
 
 
@@ -192,54 +184,8 @@ def _address_space(limit: Limit) -> Finding:
         ENOUGH_ADDRESS_SPACE,
         "nodes cannot allocate memory, and fail with std::bad_alloc",
         ADDRESS_SPACE_FIX,
-        write=_size,
+        write=size_text,
     )
-
-
-def _real_time(facts: LimitFacts) -> Finding:
-    subject = "real-time"
-    if facts.may_schedule:
-        return ok(subject, f"priorities up to {_HIGHEST_PRIORITY} (CAP_SYS_NICE)")
-    highest = facts.rtprio.soft
-    if highest == 0:
-        return ok(
-            subject,
-            "no priorities: scheduler policies fifo and rr are refused "
-            f"({_ALLOW.format(limit='RTPRIO', unit=99, item='rtprio', value=99)})",
-        )
-    return ok(subject, f"priorities up to {_HIGHEST_PRIORITY if highest is None else highest}")
-
-
-def _nice_values(facts: LimitFacts) -> Finding:
-    subject = "nice values"
-    limit = facts.nice.soft
-    lowest = -20 if facts.may_schedule or limit is None else nice_limit(limit)
-    if lowest > 0:
-        return ok(
-            subject,
-            "none below that of play-launch "
-            f"({_ALLOW.format(limit='NICE', unit=-20, item='nice', value=-20)})",
-        )
-    return ok(subject, f"down to {lowest}")
-
-
-def _locked_memory(facts: LimitFacts) -> Finding:
-    subject = "locked memory"
-    if facts.may_lock_memory:
-        return ok(subject, "unlimited (CAP_IPC_LOCK)")
-    says = _size(facts.memlock.soft)
-    if facts.memlock.soft is not None:
-        allow = _ALLOW.format(limit="MEMLOCK", unit="infinity", item="memlock", value="unlimited")
-        says += f"; lock_memory and mlockall() need more ({allow})"
-    return ok(subject, says)
-
-
-def _cgroup(facts: KernelFacts) -> str:
-    if not facts.cgroup:
-        says = "version 2 is not mounted"
-    else:
-        says = f"version 2, {facts.cgroup}, {'' if facts.cgroup_is_writable else 'not '}ours"
-    return f"{says}; not needed: processes are kept together by their sessions"
 
 
 def _loopback(facts: NetworkFacts) -> Finding:
@@ -334,11 +280,3 @@ def _at_least(
         return ok(subject, "unlimited" if limit.soft is None else write(limit.soft))
     hard = "unlimited" if limit.hard is None else write(limit.hard)
     return warn(subject, f"{write(limit.soft)} (at most {hard})", impact, fix)
-
-
-def _size(size: int | None) -> str:
-    if size is None:
-        return "unlimited"
-    if size >= 1024 * _MEBIBYTE:
-        return f"{size / 1024 / _MEBIBYTE:.1f} GiB"
-    return f"{size / _MEBIBYTE:.0f} MiB"

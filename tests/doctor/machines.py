@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from play_launch.doctor.facts import (
     ContainerFacts,
+    GroupFacts,
     KernelFacts,
+    KeySupport,
     Limit,
     LimitFacts,
     MachineFacts,
@@ -32,7 +34,12 @@ CONTAINER = ContainerFacts(
     mechanism="shared_memory",
     allocator="/usr/lib/libmimalloc.so.2",
 )
-KERNEL = KernelFacts(release="6.8.0", has_pidfd=True, cgroup="/x", cgroup_is_writable=True)
+KERNEL = KernelFacts(release="6.8.0", has_pidfd=True)
+GROUPS = GroupFacts(
+    folder="/sys/fs/cgroup/robot",
+    controllers=("cpuset", "cpu", "io", "memory", "hugetlb", "pids"),
+    is_delegated=True,
+)
 UNLIMITED = Limit(soft=None, hard=None)
 LIMITS = LimitFacts(
     nofile=UNLIMITED,
@@ -55,6 +62,8 @@ MACHINE = MachineFacts(
     ros=ROS,
     container=CONTAINER,
     kernel=KERNEL,
+    groups=GROUPS,
+    keys=KeySupport.USABLE,
     limits=LIMITS,
     shared_memory=SHARED_MEMORY,
     network=NETWORK,

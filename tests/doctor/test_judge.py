@@ -7,12 +7,14 @@ from typing import Any
 
 import pytest
 
-from play_launch.doctor.facts import Limit, MachineFacts
+from play_launch.doctor.facts import KeySupport, Limit, MachineFacts
 from play_launch.doctor.finding import Finding, Level, can_run
 from play_launch.doctor.judge import judge
+from play_launch.doctor.surroundings import Surroundings
 
 from .machines import (
     CONTAINER,
+    GROUPS,
     KERNEL,
     LIMITS,
     MACHINE,
@@ -53,6 +55,10 @@ def container(**changes: Any) -> MachineFacts:
 
 def kernel(**changes: Any) -> MachineFacts:
     return replace(MACHINE, kernel=replace(KERNEL, **changes))
+
+
+def groups(**changes: Any) -> MachineFacts:
+    return replace(MACHINE, groups=replace(GROUPS, **changes))
 
 
 def limits(**changes: Any) -> MachineFacts:
@@ -131,8 +137,16 @@ CASES: list[tuple[MachineFacts, str, Level, str]] = [
     (container(allocator=""), "allocator", WARN, "cmeel-mimalloc"),
     (container(allocator="", allocator_problem="it is a text"), "allocator", WARN, "it is a text"),
     (kernel(has_pidfd=False), "kernel", FAIL, "5.3 or newer"),
-    (kernel(cgroup=""), "control groups", OK, "not mounted"),
-    (kernel(cgroup_is_writable=False), "control groups", OK, "not ours"),
+    (groups(folder=""), "control groups", OK, "systemd.unified_cgroup_hierarchy=1"),
+    (groups(is_delegated=False), "control groups", OK, "systemd-run --user --scope"),
+    (groups(is_delegated=False), "control groups", OK, "as a system service: Delegate=yes"),
+    (groups(controllers=()), "control groups", OK, "cgroup_no_v1=all"),
+    (groups(controllers=("cpu", "pids")), "control groups", OK, "without cpuset, io, memory"),
+    (replace(MACHINE, keys=KeySupport.NO_CPU), "protection keys", OK, "no pku"),
+    (replace(MACHINE, keys=KeySupport.NO_KERNEL), "protection keys", OK, "nopku"),
+    (replace(MACHINE, keys=KeySupport.REFUSED), "protection keys", OK, "seccomp"),
+    (limits(real_time_share=0.0), "real-time", OK, "sysctl kernel.sched_rt_runtime_us"),
+    (limits(real_time_share=0.95), "real-time", OK, "up to 99, 95 % of the time"),
     (kernel(proc_problem="/proc is not mounted"), "/proc", FAIL, "mount -t proc"),
     (limits(address_space=Limit(soft=512 << 20, hard=None)), "address space", FAIL, "512 MiB"),
     (limits(address_space=Limit(soft=2 << 30, hard=None)), "address space", WARN, "2.0 GiB"),
@@ -195,7 +209,40 @@ def test_one_fact_makes_one_finding(
     finding = of(facts, subject)
     assert finding.level is level
     assert word in f"{finding.says} | {finding.impact} | {finding.fix}"
-    assert bool(finding.impact) is bool(finding.fix) is (level is not OK)
+    assert bool(finding.impact) is (level is not OK)
+    assert finding.fix or level is OK
     others = [each for each in judge(facts) if each.subject != subject and each.level is not OK]
     assert not others
     assert can_run(judge(facts)) is (level is not FAIL)
+
+
+LACKING = replace(
+    groups(is_delegated=False), limits=replace(LIMITS, rtprio=NONE, nice=NONE, memlock=SMALL)
+)
+COMMANDS = {
+    Surroundings.SYSTEM_SERVICE: (
+        "Delegate=yes",
+        "LimitRTPRIO=99",
+        "LimitNICE=-20",
+        "LimitMEMLOCK",
+    ),
+    Surroundings.USER_SERVICE: ("Delegate=yes", *["systemctl edit user@.service"] * 3),
+    Surroundings.DOCKER: ("writable-cgroups=true", "SYS_NICE --ulimit rtprio", "SYS_NICE", "-1:-1"),
+    Surroundings.PODMAN: ("unmask=/sys/fs/cgroup", "podman run --cap-add", "SYS_NICE", "memlock"),
+}
+
+
+@pytest.mark.parametrize("started_by", COMMANDS)
+def test_rights_are_had_by_the_command_for_what_started_it(started_by: Surroundings) -> None:
+    facts = replace(LACKING, surroundings=started_by)
+    subjects = ("control groups", "real-time", "nice values", "locked memory")
+    for subject, command in zip(subjects, COMMANDS[started_by], strict=True):
+        finding = of(facts, subject)
+        assert command in finding.fix
+        assert "\n" not in finding.fix, "nothing is said about what it was not started by"
+        assert finding.level is OK
+
+
+def test_a_user_s_manager_is_asked_for_more_controllers() -> None:
+    facts = replace(groups(controllers=("cpu",)), surroundings=Surroundings.USER_SERVICE)
+    assert "Delegate=cpu cpuset io memory pids" in of(facts, "control groups").fix

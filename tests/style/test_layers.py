@@ -17,7 +17,7 @@ LAYERS = (
     {"launching"},
     {"actors", "graph_daemon", "history", "ros2cli_patch", "topic_recording"},
     {"control", "launch_files"},
-    {"reporting", "doctor", "archive", "exporting", "importing"},
+    {"reporting", "doctor", "archive", "exporting", "importing", "systemd"},
     {"cli"},
 )
 LEVEL = {name: level for level, names in enumerate(LAYERS) for name in names}

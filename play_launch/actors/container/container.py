@@ -149,7 +149,7 @@ class ContainerMember(Member):
     # What a container has to say as a member.
 
     def _begin_sources(self) -> None:
-        self._source(self.nodes.suspects.run)
+        self._sources.begin(self.nodes.suspects.run)
 
     def _spawn(self) -> ManagedProcess:
         self._hello = None
@@ -164,7 +164,7 @@ class ContainerMember(Member):
         # One that somebody else starts may come at any time, and a debugger may take any time.
         may_be_late = self._config.attach or self._config.prefix
         self._hello_due = None if may_be_late else self._loop.time() + self._limits.hello
-        self._source(partial(self._listen, self._link, self._said_everything))
+        self._sources.begin(partial(self._listen, self._link, self._said_everything))
 
     def _death_of(self, exit_: Exit) -> Death:
         lived = None if self._ready_at is None else self._loop.time() - self._ready_at

@@ -1,0 +1,144 @@
+"""``play-launch systemd-unit``: a unit by which systemd runs a system."""
+
+from __future__ import annotations
+
+import os
+import pwd
+import shutil
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from play_launch.cli.failure import fail
+from play_launch.cli.show.terminal import say
+from play_launch.cli.target import complain
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from play_launch.config import ReplayConfig
+    from play_launch.systemd.environment import Carried
+
+_COMMAND = "play-launch"
+
+
+def systemd_unit(
+    config: Annotated[
+        Path, typer.Argument(metavar="CONFIG", help="The YAML file.", show_default=False)
+    ],
+    arguments: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[NAME:=VALUE]...",
+            help="Arguments of the configuration, which are ${arg:NAME} in there.",
+            show_default=False,
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FILE",
+            help="Where to write the unit; by default to stdout.",
+            show_default=False,
+        ),
+    ] = None,
+    for_user: Annotated[
+        bool,
+        typer.Option("--user", help="For your own manager (systemctl --user), not the system's."),
+    ] = False,
+    log_dir: Annotated[
+        Path | None, typer.Option(help="As of replay.", metavar="DIR", show_default=False)
+    ] = None,
+) -> None:
+    """Write a unit by which systemd starts a system, watches over it and stops it.
+
+    Run it as the user, in the folder and in the shell in which `play-launch replay CONFIG` works:
+    the unit has this user, this folder, and what the shell says about ROS. Comments in it say why
+    each line is there.
+    """
+    from play_launch.systemd.unit import Service, unit_text  # noqa: PLC0415
+
+    loaded = _loaded(config.absolute(), arguments or ())
+    service = Service(
+        config=loaded,
+        program=_program(),
+        folder=Path.cwd(),
+        user="" if for_user else _user(),
+        environment=_environment(loaded),
+        arguments=tuple(arguments or ()),
+        log_dir=None if log_dir is None else log_dir.absolute(),
+    )
+    _require_plain(service.program, service.config.source, service.folder)
+    text = unit_text(service)
+    for name in (*service.environment.secrets, *service.environment.impossible):
+        complain(f"note: the variable {name} is not in the unit; a comment in there says why")
+    if output is None:
+        say(text.rstrip("\n"))
+        return
+    try:
+        output.write_text(text, encoding="utf-8")
+    except OSError as error:
+        fail(f"{output} cannot be written: {error.strerror}")
+    say(f"{output} is written; the comment at its top says how to install it")
+
+
+def _loaded(path: Path, arguments: Sequence[str]) -> ReplayConfig:
+    from play_launch.config import ConfigError, load_config  # noqa: PLC0415
+    from play_launch.config.sources.surroundings import (  # noqa: PLC0415
+        Surroundings,
+        parse_arguments,
+    )
+
+    try:
+        return load_config(path, Surroundings(arguments=parse_arguments(arguments)))
+    except ValueError as error:
+        fail(str(error))
+    except ConfigError as error:
+        fail(f"{path} cannot be used, no unit was written\n{error.for_people()}")
+
+
+def _program() -> Path:
+    """Find the command by which this was started."""
+    started = Path(sys.argv[0])
+    if started.name == _COMMAND and started.is_file():
+        return started.absolute()
+    beside = Path(sys.executable).with_name(_COMMAND)
+    found = str(beside) if beside.is_file() else shutil.which(_COMMAND)
+    if found is None:
+        fail("the command play-launch is not in PATH; install play-launch-py as a package")
+    return Path(found).absolute()
+
+
+def _user() -> str:
+    try:
+        return pwd.getpwuid(os.getuid()).pw_name
+    except KeyError:
+        return str(os.getuid())
+
+
+def _environment(config: ReplayConfig) -> Carried:
+    from play_launch.install.environment import caller_environment  # noqa: PLC0415
+    from play_launch.install.ros import (  # noqa: PLC0415
+        MixedInstallationError,
+        NotInstalledError,
+        ros_installation,
+    )
+    from play_launch.systemd.environment import carried  # noqa: PLC0415
+
+    try:
+        environ = caller_environment(os.environ, ros_installation())
+    except (NotInstalledError, MixedInstallationError) as error:
+        fail(str(error))
+    return carried(environ, config.taken.variables)
+
+
+def _require_plain(*paths: Path) -> None:
+    from play_launch.systemd.quoting import is_acceptable  # noqa: PLC0415
+
+    for path in paths:
+        if not is_acceptable(str(path)) or any(each in str(path) for each in "\n\t\\\"'"):
+            fail(f"{str(path)!r}: systemd takes no such path; use one without quotes, backslashes")

@@ -1,0 +1,1 @@
+"""Running as a service of systemd: units are written, and the service manager hears how it goes."""
