@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import math
 from typing import TYPE_CHECKING, Final, assert_never
 
 import anyio
@@ -201,7 +200,16 @@ class ManagedNodes:
                 assert_never(action)
 
     async def _converse(self, unit: str, node: _Managed, scope: anyio.CancelScope) -> None:
-        """Ask one life of a node for its state, and then for one transition after the other."""
+        """Talk to one life of a node until it leaves; who cannot be talked to has failed."""
+        with scope:
+            try:
+                await self._talk(unit, node, scope)
+            except Exception as error:  # noqa: BLE001 - the others are not to pay for it
+                _log.warning("%s cannot be talked to: %s", node.config.name, error)
+                self._apply(unit, ManagedInput.REFUSED, str(error))
+
+    async def _talk(self, unit: str, node: _Managed, scope: anyio.CancelScope) -> None:
+        """Ask for its state, and then for one transition after the other."""
         known: ManagedInput | None = None
 
         def hear(state: int) -> None:
@@ -211,36 +219,45 @@ class ManagedNodes:
                 known = said
                 self._apply(unit, said, f"it is in the state {said.removeprefix('is_')}")
 
+        def see(state: int) -> None:
+            # A transition that failed leads back to where it began, which is no news.
+            if _INPUT_OF_STATE.get(state) is not known:
+                hear(state)
+
         limit = node.config.timeout
-        with scope:
-            try:
-                async with self._open_client(node.config.name, hear) as client:
-                    with anyio.move_on_after(limit) as asking:
-                        hear(await client.state())
-                    if asking.cancelled_caught:
-                        reason = f"its lifecycle services did not answer within {limit:g} s"
-                        self._apply(unit, ManagedInput.OVERDUE, reason)
-                    looks = iter(_LOOKS_AGAIN)
-                    while True:
-                        with anyio.move_on_after(next(looks, math.inf)) as pausing:
-                            action = await node.to_do.get()
-                        if pausing.cancelled_caught:
-                            with anyio.move_on_after(limit):
-                                state = await client.state()
-                                if _INPUT_OF_STATE.get(state) is not known:
-                                    hear(state)
-                            continue
-                        transition, leads_to = _TRANSITIONS[action]
-                        with anyio.move_on_after(limit) as changing:
-                            if await client.change(transition):
-                                known = leads_to
-                                self._apply(unit, leads_to)
-                            else:
-                                reason = f"its transition {action} failed"
-                                self._apply(unit, ManagedInput.REFUSED, reason)
-                        if changing.cancelled_caught:
-                            reason = f"its transition {action} took longer than {limit:g} s"
-                            self._apply(unit, ManagedInput.OVERDUE, reason)
-            except Exception as error:  # noqa: BLE001 - the others are not to pay for it
-                _log.warning("%s cannot be talked to: %s", node.config.name, error)
-                self._apply(unit, ManagedInput.REFUSED, str(error))
+        async with self._open_client(node.config.name, hear) as client:
+            with anyio.move_on_after(limit) as asking:
+                hear(await client.state())
+            if asking.cancelled_caught:
+                reason = f"its lifecycle services did not answer within {limit:g} s"
+                self._apply(unit, ManagedInput.OVERDUE, reason)
+            while True:
+                action = await _next_action(node, client, see)
+                said, reason = await _change(client, action, limit)
+                if said is _TRANSITIONS[action][1]:
+                    known = said
+                self._apply(unit, said, reason)
+
+
+async def _next_action(
+    node: _Managed, client: ManagedNode, on_state: Callable[[int], None]
+) -> ManagedAction:
+    """Give what is to be done next; look at a node that is left to itself a few times."""
+    for pause in _LOOKS_AGAIN:
+        with anyio.move_on_after(pause):
+            return await node.to_do.get()
+        with anyio.move_on_after(node.config.timeout):
+            on_state(await client.state())
+    return await node.to_do.get()
+
+
+async def _change(
+    client: ManagedNode, action: ManagedAction, limit: float
+) -> tuple[ManagedInput, str]:
+    """Ask for a transition and give it ``limit`` seconds; give what came of it, and why."""
+    transition, leads_to = _TRANSITIONS[action]
+    with anyio.move_on_after(limit):
+        if await client.change(transition):
+            return leads_to, ""
+        return ManagedInput.REFUSED, f"its transition {action} failed"
+    return ManagedInput.OVERDUE, f"its transition {action} took longer than {limit:g} s"

@@ -6,7 +6,7 @@ import json
 import sys
 from typing import TYPE_CHECKING, Any, Final
 
-from play_launch.cli.operate import OK, add_names
+from play_launch.cli.operate import OK, add_names, seconds
 from play_launch.cli.show.terminal import printable
 from play_launch.control.protocol import ControlError
 
@@ -45,7 +45,7 @@ def add_arguments(parser: ArgumentParser, verb: str) -> None:
     add_names(parser, _WHAT[verb])
     parser.add_argument(
         "--timeout",
-        type=float,
+        type=seconds,
         default=_USUAL_LIMIT,
         metavar="S",
         help=f"seconds until it has to be done ({_USUAL_LIMIT:g}); it goes on after that",

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from play_launch.cli.failure import fail
-from play_launch.cli.operate import FAILED, OK
+from play_launch.cli.operate import FAILED, OK, seconds
 from play_launch.cli.show.plan_text import outcome_line, plan_lines
 from play_launch.cli.show.terminal import is_terminal, printable, wants_colour
 from play_launch.control.protocol import ControlError
@@ -43,7 +43,7 @@ def add_arguments(parser: ArgumentParser, verb: str) -> None:
     if verb == "apply":
         parser.add_argument(
             "--timeout",
-            type=float,
+            type=seconds,
             default=_USUAL_LIMIT,
             metavar="S",
             help=f"seconds for each step ({_USUAL_LIMIT:g})",

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from play_launch.control.client import ControlClient
 
-_LEVELS: Final = {"debug": 10, "info": 20, "warn": 30, "error": 40, "fatal": 50}
+LEVELS: Final = {"debug": 10, "info": 20, "warn": 30, "error": 40, "fatal": 50}
 _CLOCK: Final = re.compile(r"(\d{1,2}):(\d\d)(?::(\d\d))?")
 
 
@@ -29,9 +29,7 @@ def add_arguments(parser: ArgumentParser, verb: str) -> None:  # noqa: ARG001 - 
     parser.add_argument(
         "--since", metavar="TIME", help="only the last 30s, 5min; or from 14:03 on, of the clock"
     )
-    parser.add_argument(
-        "--level", choices=tuple(_LEVELS), help="only lines of this level and above"
-    )
+    parser.add_argument("--level", choices=tuple(LEVELS), help="only lines of this level and above")
 
 
 def run(client: ControlClient, options: Namespace) -> int:
@@ -39,7 +37,7 @@ def run(client: ControlClient, options: Namespace) -> int:
     since_ns = since(options.since, time.time()) if options.since else 0
     kinds = ["output"] if options.names else ["output", "log"]
     arguments = {"names": options.names, "kinds": kinds, "follow": options.follow}
-    is_wanted = _by_level(_LEVELS[options.level]) if options.level else _anything
+    is_wanted = _by_level(LEVELS[options.level]) if options.level else _anything
     for message in client.stream("events", arguments):
         if "result" in message:
             break

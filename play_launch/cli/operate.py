@@ -9,7 +9,8 @@ from __future__ import annotations
 import os
 import sys
 import time
-from argparse import ArgumentParser, HelpFormatter, Namespace
+from argparse import ArgumentParser, ArgumentTypeError, HelpFormatter, Namespace
+from contextlib import suppress
 from importlib import import_module
 from typing import TYPE_CHECKING, Final, Protocol, cast
 
@@ -30,6 +31,7 @@ FAILED: Final = 1
 USAGE: Final = 2
 NOT_IN_TIME: Final = 3
 _POLL: Final = 0.05
+_LONGEST_LIMIT: Final = 1e6
 _EXIT_CODES: Final = {
     Code.BAD_ARGUMENTS: USAGE,
     Code.UNKNOWN_NAME: USAGE,
@@ -118,6 +120,16 @@ def parser_of(name: str) -> ArgumentParser:
     )
     parser.add_argument("--json", action="store_true", help="for programs")
     return parser
+
+
+def seconds(text: str) -> float:
+    """Read a time limit of a command line; raises ArgumentTypeError."""
+    with suppress(ValueError):
+        value = float(text)
+        # What is longer does not fit into a time limit of the kernel's.
+        if 0 < value <= _LONGEST_LIMIT:
+            return value
+    raise ArgumentTypeError(f"{text!r} is no number of seconds, more than 0, up to a million")
 
 
 def add_names(parser: ArgumentParser, what: str, *, optional: bool = False) -> None:

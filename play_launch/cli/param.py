@@ -7,7 +7,7 @@ import sys
 from argparse import SUPPRESS
 from typing import TYPE_CHECKING, Any, Final
 
-from play_launch.cli.operate import FAILED, OK
+from play_launch.cli.operate import FAILED, OK, seconds
 from play_launch.control.protocol import Code, ControlError
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ def add_arguments(parser: ArgumentParser, verb: str) -> None:  # noqa: ARG001 - 
         # Also behind the words of the operation.
         each.add_argument("--session", default=SUPPRESS, help=SUPPRESS)
         each.add_argument("--json", action="store_true", default=SUPPRESS, help="for programs")
-        each.add_argument("--timeout", type=float, default=_LIMIT, metavar="S", help="of a call")
+        each.add_argument("--timeout", type=seconds, default=_LIMIT, metavar="S", help="of a call")
 
 
 def run(client: ControlClient, options: Namespace) -> int:

@@ -12,9 +12,11 @@ from typing import TYPE_CHECKING
 from play_launch.cli.applied_config import as_started, attach_applied
 from play_launch.control.changes import Changes
 from play_launch.control.operations import Operations
+from play_launch.control.parameter_names import ParameterNames
 from play_launch.control.place import Peer
 from play_launch.control.protocol import ControlError
 from play_launch.control.server import About, serving
+from play_launch.recording import topics
 from play_launch.recording.versions import OURSELVES, installed_versions
 
 if TYPE_CHECKING:
@@ -62,6 +64,10 @@ async def serve_control(
         on_begin=partial(attach_applied, session.recorder.topic_requests),
         on_end=adopt,
     )
+    names = ParameterNames(
+        system, operations.chosen, partial(session.recorder.latest, topics.PARAMETERS)
+    )
+    operations.add("parameters", names.give)
     operations.add("diff", changes.diff)
     operations.add("apply", changes.apply)
     versions = await asyncio.to_thread(installed_versions, [OURSELVES])

@@ -7,7 +7,7 @@ import sys
 import time
 from typing import TYPE_CHECKING, Any, Final
 
-from play_launch.cli.operate import NOT_IN_TIME, OK, add_names
+from play_launch.cli.operate import NOT_IN_TIME, OK, add_names, seconds
 
 if TYPE_CHECKING:
     from argparse import ArgumentParser, Namespace
@@ -40,7 +40,7 @@ def add_arguments(parser: ArgumentParser, verb: str) -> None:  # noqa: ARG001 - 
     )
     parser.add_argument(
         "--timeout",
-        type=float,
+        type=seconds,
         default=_USUAL_LIMIT,
         metavar="S",
         help=f"seconds, for a session to begin as well ({_USUAL_LIMIT:g})",

@@ -7,7 +7,7 @@ import select
 import socket
 import time
 from contextlib import ExitStack
-from typing import Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from play_launch.control.place import Link, address_of, peer_of, registered
 from play_launch.control.protocol import (
@@ -19,13 +19,16 @@ from play_launch.control.protocol import (
     request_line,
 )
 
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
 USUAL_LIMIT: Final = 0.15
 """Seconds: somebody has pressed a key, and looks at the screen."""
 _PIECE: Final = 256 * 1024
 
 
 class Seen(NamedTuple):
-    """A session: its pid, its folder, its name and the rows of ``ps``."""
+    """A session: its pid, its folder, its name and the rows that it answered with."""
 
     pid: int
     folder: str
@@ -56,14 +59,20 @@ class _Asked:
         return bool(data) and self.seen is None
 
 
-def glance(limit: float = USUAL_LIMIT) -> list[Seen]:
-    """Look at all sessions of this user; those that do not answer within the seconds are left out.
+def glance(
+    operation: str = "ps", names: Sequence[str] = (), *, limit: float = USUAL_LIMIT
+) -> list[Seen]:
+    """Ask all sessions of this user for the rows of ``ps``, or of another operation on names.
 
-    Whatever goes wrong with one of them means that it is left out, too.
+    Those that do not answer within the seconds are left out, as is one with which anything goes
+    wrong.
     """
+    request = Request(1, operation, {"names": list(names)})
     deadline = time.monotonic() + limit
     with ExitStack() as opened:
-        asked = [found for link in registered() if (found := _ask(link, opened)) is not None]
+        asked = [
+            found for link in registered() if (found := _ask(link, request, opened)) is not None
+        ]
         waiting = {each.connection.fileno(): each for each in asked}
         poll = select.poll()
         for number in waiting:
@@ -76,7 +85,7 @@ def glance(limit: float = USUAL_LIMIT) -> list[Seen]:
     return [each.seen for each in asked if each.seen is not None]
 
 
-def _ask(link: Link, opened: ExitStack) -> _Asked | None:
+def _ask(link: Link, request: Request, opened: ExitStack) -> _Asked | None:
     connection = opened.enter_context(socket.socket(socket.AF_UNIX))
     connection.setblocking(False)
     try:
@@ -84,7 +93,7 @@ def _ask(link: Link, opened: ExitStack) -> _Asked | None:
             connection.connect(address)
         if os.geteuid() != 0 and peer_of(connection).uid not in {0, os.geteuid()}:
             return None
-        connection.sendall(request_line(Request(1, "ps", {})))
+        connection.sendall(request_line(request))
     except OSError:
         return None
     return _Asked(link, connection)

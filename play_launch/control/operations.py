@@ -102,7 +102,7 @@ class Operations:
         wanted = names_argument(arguments)
         if not wanted:
             return rows
-        found = {str(target) for target in self._chosen(wanted)}
+        found = {str(target) for target in self.chosen(wanted)}
         return [row for row in rows if _key(row) in found]
 
     async def _events(self, arguments: dict[str, Any], _peer: Peer, stream: Stream) -> object:
@@ -112,7 +112,7 @@ class Operations:
                 Code.BAD_ARGUMENTS,
                 f"there are no events {min(wrong)!r:.80}; there are: {', '.join(sorted(KINDS))}",
             )
-        follower = Follower(selection_of(kinds, self._chosen(names) if names else None))
+        follower = Follower(selection_of(kinds, self.chosen(names) if names else None))
         follows = flag_argument(arguments, "follow")
         past = [] if flag_argument(arguments, "only_new") else self._feed.recent()
         with self._feed.followed_by(follower.take):
@@ -138,7 +138,8 @@ class Operations:
             "seconds": snapshot.seconds,
         }
 
-    def _chosen(self, wanted: Sequence[str]) -> list[Target]:
+    def chosen(self, wanted: Sequence[str]) -> list[Target]:
+        """Find what names and patterns mean; raises ControlError."""
         view = self._publisher.view
         return chosen(wanted, [*members_of(view, self._system.processes), *nodes_of(view)])
 

@@ -43,7 +43,7 @@ class BagWriter(Protocol):
     :class:`~play_launch.recording.errors.WriteFailedError`. What it was given is not lost then:
     after :meth:`flush` has worked again, everything is in the bag. Until then nothing but
     :meth:`has_room`, :meth:`flush`, :meth:`close` and :meth:`abandon` may follow. A writer belongs
-    to one thread at a time.
+    to one thread at a time, but for :meth:`latest`.
     """
 
     @property
@@ -78,6 +78,9 @@ class BagWriter(Protocol):
 
         When it fails, nothing of the chunk is in the bag: it is to be appended again.
         """
+
+    def latest(self, channel: int, key: str) -> bytes | None:
+        """Give the latest message with a key, or of a node; None: there is none. In any thread."""
 
     def attach(self, name: str, media_type: str, data: bytes, *, time: int) -> None:
         """Put a file of its own into the bag."""
@@ -197,6 +200,10 @@ class McapBagWriter:
         with contextlib.suppress(OSError, struct.error, CdrError):
             self._latched.note_chunk(chunk, self._topics)
         self._committed()
+
+    def latest(self, channel: int, key: str) -> bytes | None:
+        """See :class:`BagWriter`."""
+        return self._latched.latest(channel, key)
 
     def attach(self, name: str, media_type: str, data: bytes, *, time: int) -> None:
         """Put a file of its own into the bag."""

@@ -64,6 +64,11 @@ class Latched:
         """Take a message in place of the last one with this key."""
         self._by_key[channel, key] = Repeated(channel, data, publish_time)
 
+    def latest(self, channel: int, key: str) -> bytes | None:
+        """Give the latest message with a key, or of a node; from any thread."""
+        found = self._by_key.get((channel, key))
+        return None if found is None else found.data
+
     def note_chunk(self, chunk: TopicChunk, topics: dict[int, Topic]) -> None:
         """Take the messages of latched topics in a chunk; may raise ``OSError``, ``CdrError``."""
         for part in chunk.parts:

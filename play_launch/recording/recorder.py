@@ -131,6 +131,11 @@ class Recorder:
         """Why the recording takes no data at the moment, or never again; else empty."""
         return self._error
 
+    def latest(self, topic: Topic, key: str) -> bytes | None:
+        """Give the latest message of a topic of ROS with a key, or of a node; in any thread."""
+        channel = self.topic_requests.channel_of(topic)
+        return self._writer.latest(channel, key) if channel else None
+
     def publish(self, event: RunEvent) -> None:
         """Take one event; its time of arrival becomes the ``log_time``."""
         is_first = self._queue.put(event)

@@ -63,6 +63,10 @@ class TopicRequests:
         topic = Topic(name, type_name, offered=offered_qos_profiles)
         self._ask(lambda writer: answer(self._channel(writer, topic)), lambda: answer(0))
 
+    def channel_of(self, topic: Topic) -> int:
+        """Give the channel of a topic that was announced, else 0; in any thread."""
+        return self._channels.get((topic.name, topic.type_name), 0)
+
     def append_chunk(self, chunk: TopicChunk, done: Callable[[], None]) -> None:
         """Write a chunk and close its file; ``done`` is called in every case."""
 

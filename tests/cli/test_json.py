@@ -10,21 +10,15 @@ from pathlib import Path
 from play_launch.cli.completion.commands import Command, program
 from play_launch.cli.session_verbs import SESSION_VERBS
 from tests.support.replay import COMMAND, replaying
+from tests.support.scenes import TALKER_AND_SLEEPER
 from tests.support.waiting import until
 
 CHANGES_ONLY = {"daemon patch", "daemon run", "daemon start", "daemon stop", "daemon unpatch"}
 WRITES_A_FILE = {"completion", "export", "init", "layout", "recover", "report", "schema"}
 """Or prints what is none of ours: a script, the layout of another tool, a schema."""
-SYSTEM = """
-version: 1
+SYSTEM = f"""{TALKER_AND_SLEEPER}
 record:
-  before_crash: {topics: [/chatter], seconds: 5 s}
-containers:
-  - name: chat
-    composable_nodes:
-      - {package: play_launch_demo, plugin: "play_launch_demo::Talker", name: talker}
-nodes:
-  - {name: sleeper, command: [sleep, "1000"]}
+  before_crash: {{topics: [/chatter], seconds: 5 s}}
 """
 
 

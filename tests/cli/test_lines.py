@@ -5,6 +5,8 @@ import pytest
 from play_launch.cli.show.lines import Line, line_of
 from play_launch.cli.show.text_styles import format_lines
 from play_launch.core.events import (
+    ActionEvent,
+    ActionPhase,
     ContainerState,
     LogRecord,
     ManagedNodeChanged,
@@ -153,3 +155,18 @@ def test_what_waits_says_for_what() -> None:
     assert text(waiting) == "20 /c /c/n0 waits for /d to be loaded"
     held = container("/c", ContainerState.STARTING, reason="waits for a publisher of /scan")
     assert text(held) == "20 /c waits for a publisher of /scan"
+
+
+def test_an_action_on_the_whole_system_has_no_names() -> None:
+    asked = ActionEvent(
+        stamp_ns=START,
+        number=1,
+        action="apply",
+        phase=ActionPhase.REQUESTED,
+        targets=(),
+        uid=7,
+        pid=8,
+        command="",
+        reason="a.yaml",
+    )
+    assert text(asked) == "20 play-launch apply (a.yaml): asked for by user 7, pid 8"

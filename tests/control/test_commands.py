@@ -200,6 +200,8 @@ def test_what_cannot_be_done_is_refused_with_the_reason(config: Path, tmp_path: 
             (("signal", "USR1", "/camera"), 1, "no process of its own"),
             (("events", "--kind", "nonsense"), 2, "there are no events 'nonsense'"),
             (("start", "/chat", "--timeout", "-1"), 2, "more than 0"),
+            (("wait", "--timeout", "nan"), 2, "more than 0"),
+            (("param", "get", "/talker", "rate", "--timeout", "1e300"), 2, "more than 0"),
         ):
             assert words in ask(*arguments, code=code), arguments
         ask("stop", "chat")
@@ -415,3 +417,13 @@ def test_waiting_for_nodes_in_the_graph(config: Path, tmp_path: Path) -> None:
         assert "not ready: /sleeper" in ask(
             "wait", "--for", "ready", "sleeper", "--timeout", "2", code=3
         )
+
+
+def test_parameters_are_offered_that_nobody_configured(config: Path, tmp_path: Path) -> None:
+    def offered(line: str) -> set[str]:
+        return set(ask("completion", "--answer", "fish", f"play-launch {line}").splitlines()[1:])
+
+    with running(config, tmp_path / "logs"):
+        until(lambda: offered("param get talker ") >= {"rate", "text"}, "the node's answer")
+        assert offered("param set /talker ra") == {"rate"}
+        assert offered("param get /sleeper ") == set()

@@ -93,6 +93,9 @@ class StubWriter:
     def append_chunk(self, chunk: TopicChunk) -> None:
         raise NotImplementedError
 
+    def latest(self, channel: int, key: str) -> bytes | None:
+        raise NotImplementedError
+
     def attach(self, name: str, media_type: str, data: bytes, *, time: int) -> None:
         raise NotImplementedError
 

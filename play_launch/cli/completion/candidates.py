@@ -85,8 +85,13 @@ def place_of(words: Sequence[str], current: str, program: Command) -> Place | No
     return None if value is None else Place(value, current, "", tuple(given), (), session)
 
 
-def candidates(place: Place, look: Callable[[], Iterable[Seen]]) -> list[Candidate]:
-    """Give what fits, and begins with what is typed; ``look`` sees the running sessions."""
+def candidates(
+    place: Place, look: Callable[[str, Sequence[str]], Iterable[Seen]]
+) -> list[Candidate]:
+    """Give what fits, and begins with what is typed.
+
+    ``look`` asks the running sessions for an operation on names.
+    """
     kind = place.value.kind
     if kind == _OPTIONS:
         return [
@@ -98,10 +103,15 @@ def candidates(place: Place, look: Callable[[], Iterable[Seen]]) -> list[Candida
     if kind == commands.WORDS:
         found = [Candidate(word) for word in place.value.words if word.startswith(place.typed)]
     elif kind == commands.SESSIONS:
-        found = [each for each in _sessions(look()) if each.word.startswith(place.typed)]
+        asked = look("ps", ())
+        found = [each for each in _sessions(asked) if each.word.startswith(place.typed)]
+    elif kind == commands.PARAMETERS:
+        found = list(_parameters(place, look("parameters", place.given[:1])))
     else:
         is_pattern = kind != commands.NODES
-        rows = [row for seen in look() if _is_meant(seen, place.session) for row in seen.rows]
+        rows = [
+            row for seen in look("ps", ()) if _is_meant(seen, place.session) for row in seen.rows
+        ]
         wanted = [row for row in rows if row["kind"] in _KINDS[kind]]
         found = list(_names(place.typed, wanted, place.given, with_patterns=is_pattern))
     return [each._replace(word=place.before + each.word) for each in found]
@@ -130,6 +140,13 @@ def _sessions(seen: Iterable[Seen]) -> Iterator[Candidate]:
         if names[each.name] == 1:
             yield Candidate(each.name, each.folder)
         yield Candidate(str(each.pid), f"{each.name}, {each.folder}")
+
+
+def _parameters(place: Place, asked: Iterable[Seen]) -> Iterator[Candidate]:
+    rows = [row for seen in asked if _is_meant(seen, place.session) for row in seen.rows]
+    for name in dict.fromkeys(name for row in rows for name in row["parameters"]):
+        if name.startswith(place.typed) and name not in place.given[1:]:
+            yield Candidate(name)
 
 
 def _names(

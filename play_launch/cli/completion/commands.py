@@ -30,6 +30,8 @@ MEMBERS: Final = "members"
 COMPONENTS: Final = "components"
 NODES: Final = "nodes"
 LAUNCH_FILE: Final = "launch file"
+PARAMETERS: Final = "parameters"
+"""Of the node that stands before."""
 
 _ANYTHING: Final = Value(WORDS)
 _SIGNALS: Final = Value(WORDS, ("HUP", "INT", "QUIT", "KILL", "USR1", "USR2", "TERM", "CONT"))
@@ -102,6 +104,8 @@ def _from_argparse(parser: ArgumentParser, verb: str) -> Command:
 def _value(action: Any, verb: str) -> Value:
     if action.choices:
         return Value(WORDS, tuple(map(str, action.choices)))
+    if words := _known_words(action.metavar):
+        return Value(WORDS, words)
     if action.metavar == "FILE":
         return Value(FILES)
     match action.dest:
@@ -111,6 +115,8 @@ def _value(action: Any, verb: str) -> Value:
             return Value(NODES)
         case "target":
             return Value(LAUNCH_FILE)
+        case "parameter" | "parameters":
+            return Value(PARAMETERS)
         case "session":
             return Value(SESSIONS)
         case "signal":
@@ -118,6 +124,28 @@ def _value(action: Any, verb: str) -> Value:
         case "config" | "svg":
             return Value(FILES)
     return _ANYTHING
+
+
+def _known_words(metavar: str | None) -> tuple[str, ...]:
+    """Give the words that can stand where help has this one; none where anything can."""
+    match metavar:
+        case "KIND":
+            from play_launch.control.selection import KINDS  # noqa: PLC0415 - only for this
+
+            return tuple(sorted(KINDS))
+        case "LEVEL":
+            from play_launch.cli.logs import LEVELS  # noqa: PLC0415 - as above
+
+            return tuple(LEVELS)
+        case "FORMAT":
+            from play_launch.cli.export import FORMATS  # noqa: PLC0415 - as above
+
+            return FORMATS
+        case "TOOL":
+            from play_launch.cli.layout import TOOLS  # noqa: PLC0415 - as above
+
+            return TOOLS
+    return ()
 
 
 def _from_typer(command: Any) -> Command:
@@ -130,7 +158,8 @@ def _from_typer(command: Any) -> Command:
     types = get_type_hints(unwrap(command.callback)) if command.callback else {}
     for parameter in command.params:
         known = _plain_types(types.get(parameter.name))
-        value = _typed(known)
+        words = _known_words(parameter.metavar)
+        value = Value(WORDS, words) if words else _typed(known)
         if parameter.param_type_name == "option":
             names = (*parameter.opts, *parameter.secondary_opts)
             value = Value(FOLDERS) if parameter.metavar == "DIR" else value

@@ -78,7 +78,7 @@ def _action_line(event: ActionEvent) -> Line | None:
     names = ", ".join(event.targets[:_MOST_TARGETS])
     if more := event.targets[_MOST_TARGETS:]:
         names += f" and {len(more)} more"
-    what = f"{event.action} {names}"
+    what = f"{event.action} {names}".rstrip()
     match event.phase:
         case ActionPhase.REQUESTED:
             besides = f" ({event.reason})" if event.reason else ""

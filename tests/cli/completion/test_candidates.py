@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import subprocess
+from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from typing import Any
 
@@ -34,12 +35,17 @@ ROWS = [
 SEEN = [Seen(11, "/logs/one-robot", "robot", ROWS), Seen(12, "/logs/two", "second", [])]
 
 
-def offered(line: str, seen: list[Seen] | None = None) -> list[str]:
+def look(operation: str, names: Sequence[str]) -> list[Seen]:
+    if operation == "ps":
+        return SEEN
+    known = [{"name": "/talker", "parameters": ["rate", "text", "use_sim_time"]}]
+    return [Seen(11, "/logs/one-robot", "robot", known if names == ("/talker",) else [])]
+
+
+def offered(line: str) -> list[str]:
     read = read_line(line)
     place = place_of(read.words[1:], read.current, program())
-    if place is None:
-        return []
-    return [each.word for each in candidates(place, lambda: SEEN if seen is None else seen)]
+    return [] if place is None else [each.word for each in candidates(place, look)]
 
 
 @pytest.mark.parametrize(
@@ -67,6 +73,16 @@ def offered(line: str, seen: list[Seen] | None = None) -> list[str]:
         ("ps '/sensing/*r", ["/sensing/front/camera", "/sensing/front/lidar", "/sensing/driver"]),
         ("ps /*cam", ["/sensing/front/camera"]),
         ("param dump /sensing/front/", ["/sensing/front/camera", "/sensing/front/lidar"]),
+        ("param get /talker ", ["rate", "text", "use_sim_time"]),
+        ("param get --timeout 3 /talker rate ", ["text", "use_sim_time"]),
+        ("param set /talker ra", ["rate"]),
+        ("param set /talker rate ", []),
+        ("param get /chat ", []),
+        ("param get --session second /talker ", []),
+        ("events --kind co", ["component", "container"]),
+        ("inspect --level=w", ["--level=warn"]),
+        ("export --format pe", ["perfetto"]),
+        ("layout ", ["foxglove", "plotjuggler"]),
         ("signal US", ["USR1", "USR2"]),
         ("signal USR1 /ch", ["/chat"]),
         ("ps --session ", ["robot", "11", "second", "12"]),
@@ -140,6 +156,6 @@ def test_whatever_stands_before_what_is_offered_continues_it(words: list[str], l
     place = place_of(words, last, program())
     if place is None or place.value.kind in {"files", "folders"}:
         return
-    found = [each.word for each in candidates(place, lambda: SEEN)]
+    found = [each.word for each in candidates(place, look)]
     assert len(found) == len(set(found))
     assert all(each.startswith(last) or fnmatchcase(each, f"{last}*") for each in found)

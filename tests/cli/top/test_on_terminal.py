@@ -18,19 +18,10 @@ import pytest
 
 from play_launch.control.place import LINKS
 from tests.support.replay import COMMAND, Replay, replaying
+from tests.support.scenes import TALKER_AND_SLEEPER
 from tests.support.terminal import Terminal, on_terminal
 from tests.support.waiting import until
 
-ROBOT = """
-version: 1
-name: robot
-containers:
-  - name: chat
-    composable_nodes:
-      - {package: play_launch_demo, plugin: "play_launch_demo::Talker", name: talker}
-nodes:
-  - {name: sleeper, command: [sleep, "1000"]}
-"""
 SMALL = """
 version: 1
 name: small
@@ -74,7 +65,7 @@ def links(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 @pytest.fixture(scope="module")
 def robot(tmp_path_factory: pytest.TempPathFactory, links: None) -> Iterator[Replay]:
     folder = tmp_path_factory.mktemp("robot")
-    with running(write(folder / "robot.yaml", ROBOT), folder / "logs") as replay:
+    with running(write(folder / "robot.yaml", TALKER_AND_SLEEPER), folder / "logs") as replay:
         yield replay
 
 
