@@ -13,8 +13,10 @@ from typing import TYPE_CHECKING, Final
 from msgspec.structs import replace
 
 from play_launch.actors import head_start
+from play_launch.actors.groups import Groups
 from play_launch.actors.parameter_files import ParameterFiles
 from play_launch.actors.ports import StartError
+from play_launch.cgroups.base import GroupError
 from play_launch.config.model import ContainerType
 from play_launch.core.ament_index import ament_prefixes
 from play_launch.fastdds.shared_memory import sweep_shared_memory
@@ -62,6 +64,7 @@ if TYPE_CHECKING:
 
     from play_launch.actors.ports import ControlLink, ManagedProcess
     from play_launch.actors.stock.starter import StockContainers
+    from play_launch.cgroups.group import Group
     from play_launch.config.model import (
         ComposableNodeConfig,
         ContainerConfig,
@@ -151,6 +154,7 @@ class NativeLauncher:
         self._policy = policy
         self._parameters = parameters
         self._cleaning = asyncio.Lock()
+        self.groups = Groups()
         self._hello = Hello(
             version=_version(),
             pid=os.getpid(),
@@ -164,13 +168,14 @@ class NativeLauncher:
         Raises:
             NotInstalledError: When ROS or a program of ours is not there.
             MixedInstallationError: When ROS is there twice.
+            GroupError: When there are no control groups, which are required.
         """
         ros = ros_installation()
         container, guard = component_container(), spawn_guard()
         is_fastdds = uses_fastdds(config, os.environ)
         if is_fastdds:
             _complain_of_shared_memory(config)
-        return cls(
+        launcher = cls(
             machine=Machine(ros, container, os.environ, _allocator(config)),
             guard=guard,
             policy=_policy(config),
@@ -179,6 +184,8 @@ class NativeLauncher:
             uses_fastdds=is_fastdds,
             containers=(each.full_name for each in config.containers if is_own(each)),
         )
+        launcher.groups.begin(config)
+        return launcher
 
     async def prepare(self, config: ReplayConfig) -> None:
         """Get ready for what a changed system needs; raises StartError."""
@@ -189,6 +196,10 @@ class NativeLauncher:
         if self._machine.allocator is None:
             allocator = await asyncio.to_thread(_allocator, config)
             self._machine = replace(self._machine, allocator=allocator)
+        try:
+            await asyncio.to_thread(self.groups.begin, config)
+        except GroupError as error:
+            raise StartError(str(error), permanent=True) from error
         try:
             if self._stock is None:
                 self._stock = await asyncio.to_thread(_stock_containers, config)
@@ -213,9 +224,10 @@ class NativeLauncher:
             command = container_command(config, self._machine, file, ask=self._policy.ask)
         except ExecutableNotFoundError as error:
             raise StartError(str(error), permanent=True) from error
+        group, entry = self.groups.of_container(config)
         if config.container_type is ContainerType.STOCK:
             assert self._stock is not None
-            process = self._spawn(command, on_output)
+            process = self._spawn(command, on_output, group, entry)
             return process, self._stock.talk_to(config, process)
         try:
             pair = control_pair()
@@ -224,7 +236,7 @@ class NativeLauncher:
         with ExitStack() as opened:
             opened.callback(pair.close)
             command = command.with_variables(pair.environment)
-            process = self._spawn(command, on_output, control_fd=pair.child_fd)
+            process = self._spawn(command, on_output, group, entry, control_fd=pair.child_fd)
             pair.close_child_end()
             opened.pop_all()
         self._started(config)
@@ -263,7 +275,7 @@ class NativeLauncher:
             command = process_command(config, self._machine, self._parameters.of(config))
         except (ExecutableNotFoundError, ValueError) as error:
             raise StartError(str(error), permanent=True) from error
-        return self._spawn(command, on_output)
+        return self._spawn(command, on_output, *self.groups.of_process(config))
 
     async def clean_up(self) -> None:
         """Remove the shared memory that killed processes left behind, where Fast DDS is in use."""
@@ -286,6 +298,7 @@ class NativeLauncher:
         self._end_zygotes()
         for guard in self._guards:
             await asyncio.to_thread(guard.close)
+        await asyncio.to_thread(self.groups.end)
         if self._stock is not None and self._stock.is_open:
             await asyncio.to_thread(self._stock.close)
             # As long as we took part ourselves, we held what dead containers had left.
@@ -295,6 +308,8 @@ class NativeLauncher:
         self,
         command: Command,
         on_output: OutputCallback,
+        group: Group | None = None,
+        entry: tuple[str, ...] = (),
         *,
         control_fd: int | None = None,
     ) -> NativeProcess:
@@ -321,7 +336,8 @@ class NativeLauncher:
                 # Our containers end in order when their control channel does.
                 leaves_by_itself=control_fd is not None,
                 zygote=self._zygote(command) if may_fork else None,
-                settings=command.resources.settings(),
+                settings=(*entry, *command.resources.settings()),
+                group=group,
             )
         except SpawnError as error:
             raise StartError(str(error), permanent=error.errno not in _PASSING) from error

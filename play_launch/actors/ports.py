@@ -20,6 +20,7 @@ if TYPE_CHECKING:
         ProcessConfig,
         ReplayConfig,
     )
+    from play_launch.core.node_key import NodeKey
     from play_launch.process.exit import Exit
     from play_launch.process.lines import OutputCallback
     from play_launch.wire.messages import Hello, Incoming, Outgoing
@@ -148,8 +149,29 @@ class RosAccess(Protocol):
         """Give a client of a managed node; ``on_state`` gets every state that it enters."""
 
 
+class NodeGroups(Protocol):
+    """The control groups of nodes that are processes of their own."""
+
+    def enter(self, config: ComposableNodeConfig, attempt: int) -> tuple[str, ...]:
+        """Make the group of a node that is about to be loaded.
+
+        Returns:
+            What its process asks of the kernel to be born in it; nothing where there are none.
+
+        Raises:
+            StartError: When it has to have one, and cannot.
+        """
+
+    def leave(self, key: NodeKey, attempt: int) -> str:
+        """Kill what a node left whose process has ended; says why the kernel killed it, if so."""
+
+
 class Launcher(Protocol):
     """Starts processes; a start takes about a millisecond and does not wait for anything."""
+
+    @property
+    def groups(self) -> NodeGroups:
+        """The control groups of nodes."""
 
     def hello(self) -> Hello:
         """Say who we are."""

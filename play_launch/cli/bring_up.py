@@ -44,6 +44,7 @@ def bring_up(
     _require_ros()
     _require_log_folder(loaded)
     _require_time_zone()
+    from play_launch.cgroups.base import GroupError  # noqa: PLC0415
     from play_launch.cli.run import RunOptions, run  # noqa: PLC0415
     from play_launch.install.ros import NotInstalledError  # noqa: PLC0415
     from play_launch.recording.errors import RecordingError  # noqa: PLC0415
@@ -60,7 +61,7 @@ def bring_up(
                 manager=manager,
             ),
         )
-    except (RecordingError, NotInstalledError) as error:
+    except (RecordingError, NotInstalledError, GroupError) as error:
         fail(str(error))
 
 

@@ -51,6 +51,7 @@ def describe(config: ReplayConfig) -> dict[str, object]:
             "sigterm": config.stop.sigterm,
         },
         "record": _record(config.record),
+        "cgroups": config.cgroups.described(),
         "containers": [_container(one) for one in config.containers],
         "nodes": [_process(one) for one in config.nodes],
         "start_rules": {unit: _start_rule(rule) for unit, rule in config.start_rules.items()},

@@ -7,6 +7,12 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from pydantic_core import core_schema
 
+from play_launch.config.group_values import (
+    parse_base_path,
+    parse_cpu_max,
+    parse_memory,
+    parse_pids_max,
+)
 from play_launch.config.problems import excerpt
 from play_launch.config.resource_values import (
     LIMIT_FORMS,
@@ -210,6 +216,11 @@ SAMPLING_PERIOD: Final = _parsed(_or_never(_parse_sampling_period), shape="durat
 SIZE: Final = _parsed(parse_size, shape="size")
 SIZE_OR_NEVER: Final = _parsed(_or_never(parse_size), shape="size or never")
 CPUS: Final = _parsed(parse_cpus, shape="cpus")
+CPU_MAX: Final = _parsed(parse_cpu_max, shape="cpu_max")
+WEIGHT: Final = integer(1, 10_000)
+PIDS_MAX: Final = _parsed(parse_pids_max, shape="count or max")
+MEMORY_LIMIT: Final = _parsed(parse_memory, shape="size or max")
+GROUP_PATH: Final = _parsed(parse_base_path, shape="group_path")
 IO_PRIORITY: Final = _parsed(parse_io_priority, shape="io_priority")
 LOG_LEVEL: Final = _parsed(_parse_log_level, choices=LOG_LEVELS, upper_case=True)
 TEXT: Final = _text(_check_text)

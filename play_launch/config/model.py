@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 from msgspec import Struct, field
 
 from play_launch.core.crash import OnCrash
+from play_launch.core.group_limits import GroupPolicy
 from play_launch.core.resources import Resources
 from play_launch.core.restart import OnExit, RestartLimits
 
@@ -363,6 +364,7 @@ class ReplayConfig(Struct, frozen=True, kw_only=True):
     environment: Mapping[str, str] = field(default_factory=_no_environment)
     stop: StopLimits = StopLimits()
     record: RecordConfig = RecordConfig()
+    cgroups: GroupPolicy = GroupPolicy()
     containers: tuple[ContainerConfig, ...] = ()
     nodes: tuple[ProcessConfig, ...] = ()
     start_rules: Mapping[str, StartRule] = field(default_factory=_no_rules)

@@ -22,6 +22,7 @@ from play_launch.core.restart import OnExit
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from play_launch.core.group_limits import CpuMax
     from play_launch.core.resources import IoPriority
 
 
@@ -100,6 +101,12 @@ class ResourcesSection(Section):
         "limits": "rlimits",
         "ulimit": "rlimits",
         "ulimits": "rlimits",
+        "cpuset_cpus": "cpuset",
+        "cpu_quota": "cpu_max",
+        "cpu_shares": "cpu_weight",
+        "pids_limit": "pids_max",
+        "memory_limit": "memory_max",
+        "memory": "memory_max",
     }
 
     nice: int | None = optional(kinds.integer(-20, 19))
@@ -109,6 +116,46 @@ class ResourcesSection(Section):
     oom_score_adj: int | None = optional(kinds.integer(-1000, 1000))
     lock_memory: bool | None = optional(kinds.BOOLEAN)
     rlimits: Section | None = nested(RlimitsSection)
+    cpu_max: CpuMax | None = optional(kinds.CPU_MAX)
+    cpu_weight: int | None = optional(kinds.WEIGHT)
+    cpuset: tuple[int, ...] | None = optional(kinds.CPUS)
+    io_weight: int | None = optional(kinds.WEIGHT)
+    pids_max: float | None = optional(kinds.PIDS_MAX)
+    memory_high: float | None = optional(kinds.MEMORY_LIMIT)
+    memory_max: float | None = optional(kinds.MEMORY_LIMIT)
+
+
+class GroupLimitsSection(Section):
+    """Limits of control groups: `defaults` and entries of `per_node` of `cgroups`."""
+
+    advice: ClassVar[Mapping[str, str]] = {
+        "cpus": "cpuset",
+        "cpu_quota": "cpu_max",
+        "cpu_shares": "cpu_weight",
+        "pids_limit": "pids_max",
+        "memory_limit": "memory_max",
+    }
+
+    cpu_max: CpuMax | None = optional(kinds.CPU_MAX)
+    cpu_weight: int | None = optional(kinds.WEIGHT)
+    cpuset: tuple[int, ...] | None = optional(kinds.CPUS)
+    io_weight: int | None = optional(kinds.WEIGHT)
+    pids_max: float | None = optional(kinds.PIDS_MAX)
+    memory_high: float | None = optional(kinds.MEMORY_LIMIT)
+    memory_max: float | None = optional(kinds.MEMORY_LIMIT)
+    cpuset_cpus: tuple[int, ...] | None = optional(kinds.CPUS)
+
+
+class CgroupsSection(Section):
+    """`composable_node_loading.cgroups`: whether there are control groups, and where."""
+
+    advice: ClassVar[Mapping[str, str]] = {"path": "base_path", "nodes": "per_node"}
+
+    enabled: bool | None = optional(kinds.BOOLEAN)
+    required: bool | None = optional(kinds.BOOLEAN)
+    base_path: str | None = optional(kinds.GROUP_PATH)
+    defaults: GroupLimitsSection | None = nested(GroupLimitsSection)
+    per_node: Any = raw()
 
 
 class RotateSection(Section):
@@ -165,6 +212,7 @@ class LoadingSection(Section):
     loading_timeout: float | None = optional(kinds.POSITIVE_DURATION)
     probe_timeout: float | None = optional(kinds.POSITIVE_DURATION)
     resources: ResourcesSection | None = nested(ResourcesSection)
+    cgroups: CgroupsSection | None = nested(CgroupsSection)
     restart: RestartSection | None = nested(RestartSection)
 
 
@@ -216,6 +264,10 @@ _SAME_FOR_ALL = {
     "nice": "resources: {nice: ...}",
     "cpu_affinity": "resources: {cpu_affinity: ...}",
     "rlimits": "resources: {rlimits: ...}",
+    "cpu_max": "resources: {cpu_max: ...}",
+    "cpuset": "resources: {cpuset: ...}",
+    "memory_max": "resources: {memory_max: ...}",
+    "cgroups": "resources: {cpu_max: ...}; cgroups belongs into composable_node_loading",
 }
 
 

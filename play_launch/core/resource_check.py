@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
+from play_launch.core.cpu_list import cpu_text
 from play_launch.core.resources import (
     IoPriority,
     ResourceLimit,
     Resources,
     Scheduler,
-    cpu_text,
     limit_text,
     nice_limit,
 )

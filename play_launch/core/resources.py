@@ -1,7 +1,8 @@
 """What a process asks of the kernel for itself: scheduling, CPUs, limits.
 
 All of it is inherited by the threads and processes that it starts. `Resources.settings` is what
-``container_native/src/base/resource_setting.hpp`` reads.
+``container_native/src/base/resource_setting.hpp`` reads. What its control group limits is written
+by the supervisor, see `play_launch.cgroups`.
 """
 
 from __future__ import annotations
@@ -13,8 +14,10 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
+from play_launch.core.group_limits import NO_LIMITS, GroupLimits
+
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterator
 
 _UNLIMITED: Final = 2**64 - 1
 _IO_CLASS_SHIFT: Final = 13
@@ -115,6 +118,7 @@ class Resources(Struct, frozen=True, kw_only=True):
     oom_score_adj: int | None = None
     lock_memory: bool = False
     rlimits: tuple[ResourceLimit, ...] = ()
+    group: GroupLimits = NO_LIMITS
 
     def __bool__(self) -> bool:
         """Whether anything is asked for."""
@@ -126,7 +130,7 @@ class Resources(Struct, frozen=True, kw_only=True):
         return tuple(limit.name for limit in self.rlimits)
 
     def settings(self) -> tuple[str, ...]:
-        """Write all but `lock_memory` for the process, in the order in which they are applied.
+        """Write all but `lock_memory` and `group`, in the order in which they are applied.
 
         Limits come first: they decide what of the others is allowed.
         """
@@ -164,7 +168,8 @@ class Resources(Struct, frozen=True, kw_only=True):
             }
             or None,
         }
-        return {name: value for name, value in given.items() if value is not None}
+        own = {name: value for name, value in given.items() if value is not None}
+        return own | self.group.described()
 
 
 NO_RESOURCES: Final = Resources()
@@ -178,17 +183,6 @@ def nice_limit(nice: int) -> int:
 def limit_text(limit: float) -> int | str:
     """Write a limit for people and JSON."""
     return "unlimited" if math.isinf(limit) else int(limit)
-
-
-def cpu_text(cpus: Iterable[int]) -> str:
-    """Write numbers of CPUs as the kernel does: ``0-3,6``."""
-    ranges: list[tuple[int, int]] = []
-    for cpu in sorted(cpus):
-        if ranges and cpu == ranges[-1][1] + 1:
-            ranges[-1] = (ranges[-1][0], cpu)
-        else:
-            ranges.append((cpu, cpu))
-    return ",".join(str(low) if low == high else f"{low}-{high}" for low, high in ranges)
 
 
 def _kernel_limit(limit: float) -> int:

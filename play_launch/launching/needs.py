@@ -8,9 +8,10 @@ from play_launch.config.model import ContainerType, Isolation
 from play_launch.fastdds.middleware import asks_for_fastdds
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
 
     from play_launch.config.model import ContainerConfig, ReplayConfig
+    from play_launch.core.group_limits import GroupLimits
 
 
 def is_own(container: ContainerConfig) -> bool:
@@ -49,3 +50,18 @@ def participants(config: ReplayConfig) -> int:
         if each.container_type.is_isolated and not shares_memory(each)
     )
     return processes + sum(len(each.composable_nodes) for each in apart)
+
+
+def group_limits(config: ReplayConfig) -> Iterator[GroupLimits]:
+    """Give what control groups are to limit, of all that is started here."""
+    for container in config.containers:
+        yield container.resources.group
+        yield from (node.resources.group for node in container.composable_nodes)
+    yield from (process.resources.group for process in config.nodes)
+
+
+def wants_groups(config: ReplayConfig) -> bool:
+    """Whether processes are to have control groups."""
+    if config.cgroups.enabled is not None:
+        return config.cgroups.enabled
+    return any(group_limits(config))

@@ -10,8 +10,10 @@ import subprocess
 import threading
 import tty
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from play_launch.cgroups.deaths import why_killed
 from play_launch.core.events import Stream
 from play_launch.process.exit import Exit
 from play_launch.process.guard import Ourselves, Parent, SessionGuard
@@ -19,12 +21,18 @@ from play_launch.process.identity import ProcessIdentity, ProcessStat, read_stat
 from play_launch.process.lines import LineReader, OutputCallback
 from play_launch.process.machine import explained
 from play_launch.process.program import SpawnError, check_program
-from play_launch.process.session import session_members, signal_each, wait_all_ended
+from play_launch.process.session import (
+    group_members,
+    session_members,
+    signal_each,
+    wait_all_ended,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
+    from play_launch.cgroups.group import Group
     from play_launch.process.zygote import Zygote
 
 OUTPUT_GRACE = 0.5
@@ -53,11 +61,15 @@ class Child:
         pidfd: int,
         readers: Sequence[LineReader],
         parent: Parent,
+        *,
+        group: Group | None = None,
     ) -> None:
         self.argv = tuple(argv)
         self.identity = identity
         self._pidfd = pidfd
         self._parent = parent
+        self._group = group
+        self._was_killed = False
         self._readers = tuple(readers)
         self._loop = asyncio.get_running_loop()
         self._exit: Exit | None = None
@@ -119,6 +131,7 @@ class Child:
         # As long as nobody waited for the leader, the kernel gives its number to no other group.
         if self._pidfd < 0:
             return False
+        self._was_killed = self._was_killed or number is signal.SIGKILL
         try:
             os.killpg(self.pid, number)
         except ProcessLookupError:
@@ -128,11 +141,23 @@ class Child:
         return True
 
     async def members(self) -> list[ProcessStat]:
-        """The other living processes of its session and group; none once it is gone."""
+        """The other living processes of its session and group; none once it is gone.
+
+        In a control group of its own, those in there: also what has a session of its own by now.
+        """
         if self._pidfd < 0:
             return []
+        if self._group is not None and self._group.holds(self.pid):
+            return group_members(self._group, self.pid)
         found = await session_members(self.pid)
         return found if self._pidfd >= 0 else []
+
+    def kill_all(self) -> bool:
+        """Kill it and its whole session at once; False where it has no control group for that."""
+        if self._pidfd < 0 or self._group is None or not self._group.holds(self.pid):
+            return False
+        self._was_killed = True
+        return self._group.kill()
 
     @contextmanager
     def holding_session(self) -> Iterator[None]:
@@ -155,12 +180,17 @@ class Child:
             ended = self._parent.ended(self.pid)
             if ended is None:
                 return  # not yet: the pidfd stays readable and calls again
-            self._exit = explained(ended)
+            self._exit = self._explained(ended)
         except ChildProcessError:
             self._exit = Exit.lost()
         self._loop.remove_reader(self._pidfd)
         self._exited.set()
         self._finishing = self._loop.create_task(self._finish())
+
+    def _explained(self, ended: Exit) -> Exit:
+        if self._group is not None and ended.signal == signal.SIGKILL and not self._was_killed:
+            return replace(ended, hint=why_killed(self._group))
+        return explained(ended)
 
     async def _finish(self) -> None:
         assert self._exit is not None
@@ -169,6 +199,8 @@ class Child:
             await self._kill_rest()
         finally:
             self._reap()
+            if self._group is not None:
+                self._group.remove()
             try:
                 async with asyncio.timeout(OUTPUT_GRACE):
                     for reader in self._readers:
@@ -186,6 +218,7 @@ class Child:
                 self._gone.set_result(self._exit)
 
     async def _kill_rest(self) -> None:
+        self.kill_all()
         self.signal_group(signal.SIGKILL)
         # Whoever forks while we look is found in the next round.
         for _ in range(_STRAGGLER_ROUNDS):
@@ -226,6 +259,7 @@ def spawn(
     zygote: Zygote | None = None,
     emulate_tty: bool = False,
     settings: Sequence[str] = (),
+    group: Group | None = None,
 ) -> Child:
     """Start a program in a session of its own; about a millisecond, on the loop's thread.
 
@@ -242,6 +276,8 @@ def spawn(
         leaves_by_itself: Whether it ends by itself when we are gone, see `SessionGuard.spawn`.
         zygote: Who is forked for it; only with a `SessionGuard`.
         settings: What it asks of the kernel, see `SessionGuard.spawn`; only with that.
+        group: The control group that it enters by one of the settings: it is killed and removed
+            with what is left in it.
         emulate_tty: Whether it writes to terminals, one for each stream, instead of pipes.
 
     Raises:
@@ -305,6 +341,7 @@ def spawn(
         if on_output is not None
         else [],
         parent,
+        group=group,
     )
 
 

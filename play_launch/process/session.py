@@ -17,11 +17,14 @@ from play_launch.process.identity import (
     ProcessIdentity,
     ProcessStat,
     list_processes,
+    read_stat,
 )
 
 if TYPE_CHECKING:
     import signal
     from collections.abc import Iterable, Sequence
+
+    from play_launch.cgroups.group import Group
 
 
 class _Scans:
@@ -62,6 +65,19 @@ async def session_members(leader: int) -> list[ProcessStat]:
         for stat in await scans.table()
         if leader in (stat.session, stat.group) and stat.pid != leader and stat.is_alive
     ]
+
+
+def group_members(group: Group, leader: int) -> list[ProcessStat]:
+    """Find what lives in a control group, besides the leader: nobody leaves it unasked."""
+    members = []
+    for pid in group.processes():
+        try:
+            stat = read_stat(pid)
+        except NoSuchProcessError:
+            continue
+        if pid != leader and stat.is_alive:
+            members.append(stat)
+    return members
 
 
 def signal_each(processes: Iterable[ProcessIdentity], number: signal.Signals) -> None:

@@ -138,6 +138,8 @@ async def stop(
 
 
 def _signal_session(child: Child, members: list[ProcessStat], number: signal.Signals) -> None:
+    if number is signal.SIGKILL and child.kill_all():
+        return
     child.signal_group(number)
     # A shell with job control puts its jobs into groups of their own. Nobody gets it twice: to
     # many programs a second SIGINT means something else.

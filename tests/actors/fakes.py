@@ -47,7 +47,7 @@ from play_launch.wire.messages import (
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from play_launch.actors.ports import StartError
+    from play_launch.actors.ports import NodeGroups, StartError
     from play_launch.process.lines import OutputCallback
 
 
@@ -299,6 +299,16 @@ def found_good(name: str, process: FakeProcess, on_output: OutputCallback) -> No
     found(process, on_output)
 
 
+class NoGroups:
+    """Nodes have no control groups."""
+
+    def enter(self, config: ComposableNodeConfig, attempt: int) -> tuple[str, ...]:
+        return ()
+
+    def leave(self, key: NodeKey, attempt: int) -> str:
+        return ""
+
+
 @dataclass
 class FakeLauncher:
     """Starts fakes; the n-th start of a container takes the n-th of its makers, then the last."""
@@ -318,6 +328,7 @@ class FakeLauncher:
     cleaned: int = 0
     cleaned_before_a_start: list[int] = field(default_factory=list)
     closed: bool = False
+    groups: NodeGroups = field(default_factory=NoGroups)
 
     def hello(self) -> Hello:
         return Hello(version="1")

@@ -60,6 +60,7 @@ SECTIONS: dict[str, type[Section]] = {
     "Top level": schema.DocumentSection,
     "stop": schema.StopSection,
     "composable_node_loading": schema.LoadingSection,
+    "cgroups": schema.CgroupsSection,
     "containers": schema.ContainerSection,
     "composable_nodes": schema.ComposableNodeSection,
     "nodes": schema.ProcessSection,

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from play_launch.config.resource_values import LIMIT_FORMS, parse_cpus
+from play_launch.core.cpu_list import cpu_text
 from play_launch.core.resource_check import HeldResources, shortfalls
 from play_launch.core.resources import (
     IoClass,
@@ -20,7 +21,6 @@ from play_launch.core.resources import (
     Resources,
     Scheduler,
     SchedulerPolicy,
-    cpu_text,
     nice_limit,
 )
 from play_launch.process.resources import held_resources

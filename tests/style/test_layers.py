@@ -12,7 +12,7 @@ PACKAGE = Path(__file__).resolve().parents[2] / "play_launch"
 # From the bottom up. A package may import those of lower layers, never its neighbours.
 LAYERS = (
     {"cdr", "core"},
-    {"config", "fastdds"},
+    {"cgroups", "config", "fastdds"},
     {"wire", "install", "process", "recording", "ros", "sampling", "plan"},
     {"launching"},
     {"actors", "graph_daemon", "history", "ros2cli_patch", "topic_recording"},

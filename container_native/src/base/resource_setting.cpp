@@ -31,6 +31,7 @@ constexpr std::array kForms{
     Form{"cpu_affinity", Kind::cpu_affinity, 0},
     Form{"nice", Kind::nice, 1},
     Form{"scheduler", Kind::scheduler, 2},
+    Form{"cgroup", Kind::cgroup, 0},
 };
 constexpr std::size_t kMostDigits = 24;
 constexpr int kIoPriorityOfProcess = 1;  // IOPRIO_WHO_PROCESS, which the C library does not define
@@ -89,16 +90,31 @@ int set_limit(int resource, rlim_t soft, rlim_t hard) noexcept {
   return error;
 }
 
-int write_number(const char* file, std::int64_t number) noexcept {
-  std::array<char, kMostDigits> digits{};
-  const auto written = std::to_chars(digits.data(), digits.data() + digits.size(), number);
-  const int fd = ::open(file, O_WRONLY | O_CLOEXEC);
+/// `text` into the file that is open as `fd`, which is closed.
+int write_all(int fd, std::string_view text) noexcept {
   if (fd < 0) {
     return errno;
   }
-  const auto size = static_cast<std::size_t>(written.ptr - digits.data());
-  const int error = ::write(fd, digits.data(), size) < 0 ? errno : 0;
+  const int error = ::write(fd, text.data(), text.size()) < 0 ? errno : 0;
   ::close(fd);
+  return error;
+}
+
+int write_number(const char* file, std::int64_t number) noexcept {
+  std::array<char, kMostDigits> digits{};
+  const auto written = std::to_chars(digits.data(), digits.data() + digits.size(), number);
+  const auto size = static_cast<std::size_t>(written.ptr - digits.data());
+  return write_all(::open(file, O_WRONLY | O_CLOEXEC), {digits.data(), size});
+}
+
+/// The calling process, with all its threads; 0 stands for it.
+int enter_group(const char* folder) noexcept {
+  const int group = ::open(folder, O_RDONLY | O_DIRECTORY | O_CLOEXEC);
+  if (group < 0) {
+    return errno;
+  }
+  const int error = write_all(::openat(group, "cgroup.procs", O_WRONLY | O_CLOEXEC), "0");
+  ::close(group);
   return error;
 }
 
@@ -120,6 +136,8 @@ int ask_kernel(const ResourceSetting& setting) noexcept {
       parameter.sched_priority = static_cast<int>(numbers[1]);
       return result(::sched_setscheduler(0, static_cast<int>(numbers[0]), &parameter));
     }
+    case Kind::cgroup:
+      return enter_group(setting.folder.c_str());
   }
   return EINVAL;
 }
@@ -147,6 +165,10 @@ std::optional<ResourceSetting> parse_resource_setting(std::string_view text) {
   setting.kind = form->kind;
   if (form->kind == Kind::cpu_affinity) {
     return read_cpus(text, setting.cpus) ? std::optional(setting) : std::nullopt;
+  }
+  if (form->kind == Kind::cgroup) {
+    setting.folder = text;
+    return text.starts_with('/') ? std::optional(setting) : std::nullopt;
   }
   for (std::size_t i = 0; i < form->numbers; ++i) {
     const auto number = any_number_in(take_word(text));

@@ -21,12 +21,14 @@ namespace play_launch {
 ///   cpu_affinity CPU...
 ///   nice NUMBER
 ///   scheduler POLICY PRIORITY      see sched_setscheduler(2)
+///   cgroup FOLDER                  of a control group to enter, its absolute path
 struct ResourceSetting {
-  enum class Kind { rlimit, oom_score_adj, io_priority, cpu_affinity, nice, scheduler };
+  enum class Kind { rlimit, oom_score_adj, io_priority, cpu_affinity, nice, scheduler, cgroup };
 
   Kind kind = Kind::nice;
   std::array<std::uint64_t, 3> numbers{};  // negative ones in two's complement
   cpu_set_t cpus{};                        // of cpu_affinity
+  std::string folder;                      // of cgroup
 };
 
 /// Nothing when the text is none.

@@ -22,9 +22,12 @@ void test_texts() {
   CHECK(limit && limit->numbers[1] == 100 && limit->numbers[2] == RLIM_INFINITY);
   const auto cpus = parse_resource_setting("cpu_affinity 0 1023");
   CHECK(cpus && CPU_COUNT(&cpus->cpus) == 2 && CPU_ISSET(1023, &cpus->cpus));
+  const auto group = parse_resource_setting("cgroup /sys/fs/a b/c");
+  CHECK(group && group->kind == Kind::cgroup && group->folder == "/sys/fs/a b/c");
   for (const char* const text :
-       {"", "nice", "nice five", "nice 5 6", "scheduler 1", "cpu_affinity", "cpu_affinity 1024",
-        "cpu_affinity -1", "rlimit 7 100", "rlimit 7 100 18446744073709551616", "niceness 5"}) {
+       {"", "cgroup", "cgroup a", "nice", "nice five", "nice 5 6", "scheduler 1", "cpu_affinity",
+        "cpu_affinity 1024", "cpu_affinity -1", "rlimit 7 100", "rlimit 7 100 18446744073709551616",
+        "niceness 5"}) {
     CHECK(!parse_resource_setting(text));
   }
   CHECK(
@@ -36,6 +39,8 @@ void test_refusals_are_errors() {
   CHECK(apply(*parse_resource_setting("nice 19")) == 0);
   CHECK(own_urgency().nice == 19);
   CHECK(apply(*parse_resource_setting("scheduler 99 0")) == EINVAL);
+  CHECK(apply(*parse_resource_setting("cgroup /no/such/group")) == ENOENT);
+  CHECK(apply(*parse_resource_setting("cgroup /tmp")) == ENOENT);
   CHECK(apply(*parse_resource_setting("rlimit 7 200 200")) == 0);
   // A soft limit is never above the hard one: as near as it may be.
   CHECK(apply(*parse_resource_setting("rlimit 7 300 100")) == EINVAL);

@@ -87,6 +87,7 @@ class ContainerMember(Member):
             silence=limits.silence,
             deliver=self.deliver,
             order=order,
+            groups=launcher.groups,
             probes=probes,
         )
         self._watch = ContainerWatch(self.name, clock=self._loop.time, limits=limits.watch)

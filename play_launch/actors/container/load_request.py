@@ -14,8 +14,11 @@ _SEVERITIES: Final = {"debug": 10, "info": 20, "warn": 30, "error": 40, "fatal":
 """``rcl_interfaces/Log``."""
 
 
-def load_request(config: ComposableNodeConfig, attempt: int) -> Load:
-    """Make the request; names that were not given stay empty, so the component keeps its own."""
+def load_request(config: ComposableNodeConfig, attempt: int, entry: tuple[str, ...] = ()) -> Load:
+    """Make the request; names that were not given stay empty, so the component keeps its own.
+
+    `entry` is how its process enters its control group.
+    """
     return Load(
         attempt=attempt,
         package_name=config.package,
@@ -26,6 +29,6 @@ def load_request(config: ComposableNodeConfig, attempt: int) -> Load:
         remap_rules=remap_rules(config.remappings),
         parameters=config.parameters,
         extra_arguments=config.extra_arguments,
-        resources=config.resources.settings(),
+        resources=(*entry, *config.resources.settings()),
         lock_memory=config.resources.lock_memory,
     )

@@ -14,14 +14,12 @@ from typing import TYPE_CHECKING, Final, assert_never
 from msgspec.structs import replace
 
 from play_launch.actors.container.load_request import load_request
-from play_launch.actors.container.node_facts import (
-    NOTHING,
-    Facts,
-)
+from play_launch.actors.container.node_facts import NOTHING, Facts
 from play_launch.actors.container.node_reports import MirroredNode, NodeReports
 from play_launch.actors.container.node_words import words_of
 from play_launch.actors.container.questions import Questions
 from play_launch.actors.container.suspect_nodes import SuspectNodes
+from play_launch.actors.ports import StartError
 from play_launch.actors.restarter import CrashFollower
 from play_launch.core.crash import Ignore, Shutdown, StopContainer
 from play_launch.core.events import REPORTED_LOGGER, ComponentEvent, NodeState
@@ -33,14 +31,7 @@ from play_launch.core.questions import Asked
 from play_launch.core.restart import GiveUp, Restart
 from play_launch.wire.channel import ControlError
 from play_launch.wire.codec import EncodeError
-from play_launch.wire.messages import (
-    Accepted,
-    Cancel,
-    Outgoing,
-    Rejected,
-    Status,
-    Unload,
-)
+from play_launch.wire.messages import Accepted, Cancel, Outgoing, Rejected, Status, Unload
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -48,7 +39,7 @@ if TYPE_CHECKING:
     from play_launch.actors.container.attempts import AttemptNumbers
     from play_launch.actors.container.library_probes import LibraryProbes
     from play_launch.actors.order import StartOrder
-    from play_launch.actors.ports import Escalation
+    from play_launch.actors.ports import Escalation, NodeGroups
     from play_launch.actors.publisher import Publisher
     from play_launch.config.model import ComposableNodeConfig, ContainerConfig
     from play_launch.core.lifecycle import Patience
@@ -64,6 +55,7 @@ _ALONE_LIMIT: Final = 60.0
 """Seconds for which a load can keep others waiting that have to be alone."""
 
 _UNDER_WAY: Final = frozenset({NodeState.REQUESTED, NodeState.LOADING})
+_ENDED: Final = frozenset({NodeState.UNLOADED, NodeState.CRASHED, NodeState.LOAD_FAILED})
 _GONE: Final = frozenset({NodeState.UNLOADED, NodeState.CRASHED})
 """States of a node that nobody wants, in which its container has nothing of it."""
 
@@ -84,6 +76,7 @@ class ContainerNodes:
         silence: float,
         deliver: Callable[[Callable[[], None]], None],
         order: StartOrder,
+        groups: NodeGroups,
         probes: LibraryProbes | None = None,
     ) -> None:
         """Know the declared nodes; ``attempts`` and ``probes`` are shared by all containers.
@@ -101,6 +94,7 @@ class ContainerNodes:
         self._jitter = jitter
         self._deliver = deliver
         self._order = order
+        self._groups = groups
         self._send: Callable[[Outgoing], None] | None = None
         self._stopping = False
         self._lost_loading: list[NodeKey] = []
@@ -332,6 +326,9 @@ class ContainerNodes:
         over = before.state in _UNDER_WAY and record.state not in _UNDER_WAY
         if over and said is not NodeInput.CONTAINER_LOST:
             self.suspects.survived(node.key)
+        if has_changed and record.state in _ENDED:
+            why = self._groups.leave(node.key, before.attempt)
+            facts = replace(facts, reason=why or facts.reason)
         if has_changed and record.state is NodeState.CRASHED:
             node.crashes += 1
         if NodeAction.SEND_LOAD in result.actions and record.is_reload:
@@ -372,8 +369,14 @@ class ContainerNodes:
                 assert_never(action)
 
     def _send_load(self, node: MirroredNode, reason: str) -> None:
+        attempt = node.record.attempt
+        try:
+            entry = self._groups.enter(node.config, attempt)
+        except StartError as error:
+            self._apply(node, NodeInput.REJECTED, Facts(attempt=attempt, reason=str(error)))
+            return
         self._reports.state(node, Facts(reason=reason))
-        self._request(load_request(node.config, node.record.attempt), node)
+        self._request(load_request(node.config, attempt, entry), node)
 
     def _request(self, message: Outgoing, node: MirroredNode | None = None) -> None:
         if self._send is None:

@@ -96,9 +96,34 @@ _LOADING_TIMEOUT: Final = "Duration after which a node that is still loading is 
 _PROBE_TIMEOUT: Final = "Longest duration for which a scratch process may load a library."
 
 _RESOURCES: Final = About(
-    "What its process asks of the kernel: scheduling, CPUs, I/O priority, limits.",
+    "What its process asks of the kernel: scheduling, CPUs, I/O priority, limits, control group.",
     ({"nice": 5}, {"scheduler": {"policy": "fifo", "priority": 50}, "cpu_affinity": [2, 3]}),
 )
+
+_GROUP_LIMITS: Final = {
+    "cpu_max": About(
+        "CPU time of its control group: a share of one CPU, a quota and a period in microseconds, "
+        "or max.",
+        ("50 %", "200 %", "5000 10000"),
+    ),
+    "cpu_weight": About(
+        "Share of the CPU time where several control groups want it, 1 to 10000; others have 100.",
+        (200,),
+    ),
+    "cpuset": About("CPUs of its control group.", ("0-3", [2, 3])),
+    "io_weight": About(
+        "Share of the disk accesses where several control groups want them, 1 to 10000.", (50,)
+    ),
+    "pids_max": About("Processes and threads in its control group, or max.", (64,)),
+    "memory_high": About(
+        "Memory from which on its control group is slowed down; not for a node that shares memory.",
+        ("400 MB",),
+    ),
+    "memory_max": About(
+        "Memory at which its control group is killed; not for a node that shares memory.",
+        ("512 MB", "max"),
+    ),
+}
 
 TEXTS: Final[Mapping[str, Mapping[str, About]]] = {
     "DocumentSection": {
@@ -205,6 +230,10 @@ TEXTS: Final[Mapping[str, Mapping[str, About]]] = {
         "loading_timeout": About(f"{_LOADING_TIMEOUT} By default 10 s.", ("10 s",)),
         "probe_timeout": About(f"{_PROBE_TIMEOUT} By default 60 s.", ("60 s",)),
         "resources": About("Defaults for the resources of isolated nodes.", ({"nice": 5},)),
+        "cgroups": About(
+            "Control groups (cgroup v2): whether there are any, where, and limits of nodes.",
+            ({"enabled": True}, {"base_path": "/sys/fs/cgroup/play_launch", "required": True}),
+        ),
         "restart": _RESTART,
     },
     "ResourcesSection": {
@@ -229,6 +258,30 @@ TEXTS: Final[Mapping[str, Mapping[str, About]]] = {
         "rlimits": About(
             "Limits of setrlimit(2): one value, or soft:hard.",
             ({"nofile": 65536, "core": "unlimited"}, {"nofile": "1024:65536"}),
+        ),
+        **_GROUP_LIMITS,
+    },
+    "GroupLimitsSection": {
+        **_GROUP_LIMITS,
+        "cpuset_cpus": About("Another name of cpuset.", ("0-3",)),
+    },
+    "CgroupsSection": {
+        "enabled": About(
+            "Whether processes have control groups. By default where limits are asked for.", (True,)
+        ),
+        "required": About(
+            "Whether nothing starts without its control group and its limits. By default false.",
+            (True,),
+        ),
+        "base_path": About(
+            "Control group below which those of the session are made. By default auto: the one "
+            "that play-launch runs in, where that is delegated.",
+            ("auto", "/sys/fs/cgroup/play_launch"),
+        ),
+        "defaults": About("Limits of isolated nodes.", ({"cpu_weight": 100},)),
+        "per_node": About(
+            "Limits by the name, or full name, of isolated nodes.",
+            ({"pointcloud_filter": {"cpu_max": "50000 100000", "cpuset_cpus": "0-3"}},),
         ),
     },
     "SchedulerSection": {

@@ -56,6 +56,16 @@ _SHAPES: Final[Mapping[str, JsonSchema]] = {
             _SUBSTITUTION,
         ]
     },
+    "max": {"const": "max"},
+    "cpu_max": {
+        "anyOf": [
+            {"type": "string", "pattern": r"^\s*([0-9.]+\s*%|max|(max|[0-9]+)\s+[0-9]+)\s*$"},
+            _SUBSTITUTION,
+        ]
+    },
+    "group_path": {
+        "anyOf": [{"const": "auto"}, {"type": "string", "pattern": "^/"}, _SUBSTITUTION]
+    },
     "io_priority": {
         "anyOf": [
             {"type": "string", "pattern": r"^(idle|(best_effort|realtime)(:[0-7])?)$"},
@@ -112,6 +122,10 @@ RAW: Final[Mapping[str, JsonSchema]] = {
                 },
             },
         ]
+    },
+    "per_node": {
+        "type": "object",
+        "additionalProperties": {"$ref": "#/definitions/grouplimits"},
     },
     "include": {"anyOf": [*_ENTRY_OR_LIST["anyOf"], {"type": "array", "items": _ENTRY_OR_LIST}]},
     "remove": {"anyOf": [{"const": True}, _KEYS]},

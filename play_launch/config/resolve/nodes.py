@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 
     from play_launch.config.model import ContainerType
     from play_launch.config.problems import Place
+    from play_launch.config.resolve.cgroups import GroupRules
     from play_launch.config.resolve.order import StartRules
     from play_launch.config.resolve.parameter_files import ParameterFiles
     from play_launch.config.resolve.policy import Policy
@@ -109,6 +110,7 @@ class Shared(Struct, frozen=True):
     environment: Variables[str, str]
     start_rules: StartRules
     names: NodeNames
+    groups: GroupRules
 
 
 def resolve_composable_node(
@@ -137,7 +139,8 @@ def resolve_composable_node(
     if kind is None or kind.is_isolated:
         process = node_process(policy.isolation)
         refuse_inherited(policy.resources, at, process)
-        resources = refined_resources(policy.resources, section.resources, at, process)
+        resources = shared.groups.of_node(policy.resources, section.name or "", full_name, process)
+        resources = refined_resources(resources, section.resources, at, process)
     namespace = section.namespace or ""
     key = NodeKey(container, full_name or shared.names.label(container, namespace, section.plugin))
     shared.start_rules.declare(str(key), at, section.start_delay)

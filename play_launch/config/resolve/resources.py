@@ -8,13 +8,19 @@ from typing import TYPE_CHECKING, Any, Final
 from msgspec.structs import replace
 
 from play_launch.config.model import Isolation
+from play_launch.core.group_limits import LIMIT_KEYS
 from play_launch.core.resources import Resources, Scheduler
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from play_launch.config.schema import ResourcesSection, SchedulerSection
+    from play_launch.config.schema import (
+        GroupLimitsSection,
+        ResourcesSection,
+        SchedulerSection,
+    )
     from play_launch.config.yaml.tree import At
+    from play_launch.core.group_limits import GroupLimits
 
 KEY: Final = "resources"
 _RLIMITS: Final = "rlimits"
@@ -22,6 +28,10 @@ _SHARED_LIMIT: Final = "the limit is about memory or descriptors that it shares 
 _EXEC: Final = (
     "a lock on memory does not survive the start of a program; have the program call mlockall(), "
     "which rlimits: {memlock: unlimited} allows"
+)
+_SHARED_MEMORY: Final = (
+    "the kernel accounts the memory of a node that shares it to its container; give it to the "
+    "container, or use isolation: process"
 )
 _CORE_DUMPS: Final = "the key core_dumps of the container says that"
 
@@ -45,6 +55,8 @@ _IMPOSSIBLE: Final[Mapping[Process, Mapping[str, str]]] = {
         "lock_memory": "it shares the memory of its container; give it to the container",
         "oom_score_adj": "the kernel has one for all processes that share memory; give it to the "
         "container",
+        "memory_high": _SHARED_MEMORY,
+        "memory_max": _SHARED_MEMORY,
         "rlimits.core": _CORE_DUMPS,
         **{
             f"{_RLIMITS}.{name}": f"{_SHARED_LIMIT}; give it to the container"
@@ -67,7 +79,7 @@ def refined_resources(
     """Return `base` with what `section` says instead, which is the key `resources` at `at`."""
     if section is not None:
         where = at.blame(KEY)
-        if _refuse(where, process):
+        if refuse(where, process):
             return base
         base = replace(base, **_given(base, section, where))
     return base
@@ -79,11 +91,11 @@ def refuse_inherited(resources: Resources, at: At, process: Process) -> None:
     inherited = (resources.described().keys() | limits) - _keys(at.value(KEY))
     for name, why in _IMPOSSIBLE[process].items():
         if name in inherited:
-            at.problem(f"{name} of composable_node_loading.resources cannot hold for it: {why}")
+            at.problem(f"{name} of composable_node_loading cannot hold for it: {why}")
 
 
-def _refuse(at: At, process: Process) -> bool:
-    """Report what such a process cannot have; whether there was any."""
+def refuse(at: At, process: Process) -> bool:
+    """Report what stands there that such a process cannot have; whether there was any."""
     limits = at.value(_RLIMITS)
     refused = False
     for name, why in _IMPOSSIBLE[process].items():
@@ -107,7 +119,8 @@ def _keys(at: At | None) -> set[str]:
 
 
 def _given(base: Resources, section: ResourcesSection, at: At) -> dict[str, Any]:
-    given = section.given
+    given = {key: value for key, value in section.given.items() if key not in LIMIT_KEYS}
+    given["group"] = refined_limits(base.group, section)
     if section.scheduler is not None:
         given["scheduler"] = scheduler = _scheduler(section.scheduler, at)
         if scheduler.policy.is_real_time and section.nice is not None:
@@ -116,6 +129,17 @@ def _given(base: Resources, section: ResourcesSection, at: At) -> dict[str, Any]
         limits = {limit.name: limit for limit in (*base.rlimits, *section.rlimits.given.values())}
         given[_RLIMITS] = tuple(limits[name] for name in sorted(limits))
     return given
+
+
+def refined_limits(
+    base: GroupLimits, section: ResourcesSection | GroupLimitsSection
+) -> GroupLimits:
+    """Return `base` with what `section` says instead."""
+    given = section.given
+    if "cpuset_cpus" in given:
+        given["cpuset"] = given["cpuset_cpus"]
+    limits = {key: value for key, value in given.items() if key in LIMIT_KEYS}
+    return replace(base, **limits) if limits else base
 
 
 def _scheduler(section: SchedulerSection, at: At) -> Scheduler:

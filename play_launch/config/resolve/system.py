@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from msgspec.structs import replace
 
 from play_launch.config.model import ContainerType, ReplayConfig, StopLimits
+from play_launch.config.resolve.cgroups import GroupRules
 from play_launch.config.resolve.containers import resolve_container
 from play_launch.config.resolve.nodes import NodeNames, Shared, resolve_process
 from play_launch.config.resolve.order import StartRules
@@ -51,9 +52,11 @@ def resolve_document(
     environment = resolve_environment(at.value("environment"))
     names = NodeNames()
     start_rules = StartRules(names.__contains__)
-    shared = Shared(ParameterFiles(report, read), environment, start_rules, names)
     given = None if document is None else document.composable_node_loading
-    containers = _containers(at, shared, given or LoadingSection())
+    loading = given or LoadingSection()
+    groups = GroupRules(loading.cgroups, at.blame(_LOADING).value("cgroups"))
+    shared = Shared(ParameterFiles(report, read), environment, start_rules, names, groups)
+    containers = _containers(at, shared, loading)
     nodes = _processes(at, shared)
     rules = start_rules.resolved(containers, nodes)
     _refuse_nothing(at)
@@ -74,6 +77,7 @@ def resolve_document(
         environment=MappingProxyType(environment),
         stop=replace(StopLimits(), **stop),
         record=resolve_record(document.record),
+        cgroups=groups.policy,
         containers=containers,
         nodes=nodes,
         start_rules=MappingProxyType(rules),
@@ -85,12 +89,14 @@ def _containers(at: At, shared: Shared, loading: LoadingSection) -> tuple[Contai
     at_loading = at.blame(_LOADING)
     policy = Policy().refined(loading, at_loading)
     process = node_process(policy.isolation)
-    resources = refined_resources(policy.resources, loading.resources, at_loading, process)
+    resources = shared.groups.defaults(policy.resources, process)
+    resources = refined_resources(resources, loading.resources, at_loading, process)
     policy = replace(policy, resources=resources)
     items = items_of(at.value("containers"), "containers")
     resolved = [resolve_container(item, shared, policy) for item in items]
     complete = tuple(one for one in resolved if one is not None)
     if len(complete) == len(resolved):
+        shared.groups.refuse_unused()
         _refuse_unread(at_loading, loading, {one.container_type for one in complete})
     return complete
 

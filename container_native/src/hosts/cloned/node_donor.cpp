@@ -53,6 +53,7 @@ void NodeDonor::donate() noexcept {
   options.core_dumps = core_dumps_;
   options.urgency = resources_.urgency;
   options.resources = resources_.settings;
+  options.group = &group_;
   options.dies_abruptly = hit(Failpoint::abrupt_deaths);
   end_ = isolation::run_in_child(program_, slot_, options);
   if (end_.pid == 0) {

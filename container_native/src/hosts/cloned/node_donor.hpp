@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <string>
 
+#include "base/unique_fd.hpp"
 #include "hosts/cloned/lock_watch.hpp"
 #include "hosts/cloned/node_program.hpp"
 #include "hosts/isolated/node_resources.hpp"
@@ -55,6 +56,7 @@ class NodeDonor {
   LockWatch& lock_watch_;
   const bool core_dumps_;
   const NodeResources resources_;
+  UniqueFd group_{resources_.open_group()};
   const WatchUrgency& watch_urgency_;
 
   isolation::CrashSlot slot_;

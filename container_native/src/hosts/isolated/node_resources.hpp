@@ -1,9 +1,12 @@
 #pragma once
 
+#include <fcntl.h>
+
 #include <atomic>
 #include <vector>
 
 #include "base/resource_setting.hpp"
+#include "base/unique_fd.hpp"
 #include "base/urgency.hpp"
 #include "components/load_request.hpp"
 
@@ -18,6 +21,17 @@ struct NodeResources {
 
   std::vector<ResourceSetting> settings;
   Urgency urgency;
+
+  /// The control group among the settings, open for a process to be born in; none, or it is not
+  /// there.
+  UniqueFd open_group() const {
+    for (const ResourceSetting& setting : settings) {
+      if (setting.kind == ResourceSetting::Kind::cgroup) {
+        return UniqueFd(::open(setting.folder.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC));
+      }
+    }
+    return UniqueFd();
+  }
 };
 
 /// How urgently the threads of the container run that report on its nodes and clean up after them:

@@ -31,6 +31,7 @@ struct Launch {
   AlternateStack& alternate_stack;
   std::array<char, 16> name{};
   pid_t container;
+  Birth birth{};
 };
 
 constexpr int kExitOrphaned = 125;
@@ -74,7 +75,12 @@ void enter(const Launch& launch) noexcept {
     assume(0, *record.options.urgency);
   }
   for (const ResourceSetting& setting : record.options.resources) {
-    apply(setting);  // who asked for it looks what holds
+    if (setting.kind != ResourceSetting::Kind::cgroup || !launch.birth.in_group) {
+      apply(setting);  // who asked for it looks what holds
+    }
+  }
+  if (record.options.group != nullptr) {
+    record.options.group->reset();  // the descriptor is the container's as well
   }
   launch.alternate_stack.use();
   install_crash_handlers();
@@ -174,7 +180,10 @@ ChildEnd run_in_child(ChildProgram& program, CrashSlot& slot,
   Launch launch{record, registration, alternate_stack, {}, ::getpid()};
   std::copy_n(options.name.data(), std::min(options.name.size(), launch.name.size() - 1),
               launch.name.data());
-  return clone_and_wait(run_program, &launch, before_reaping);
+  if (options.group != nullptr) {
+    launch.birth.group = options.group->get();
+  }
+  return clone_and_wait(run_program, &launch, before_reaping, &launch.birth);
 }
 
 bool send_signal(CrashSlot& slot, int signal) noexcept {

@@ -1,5 +1,5 @@
-// The system call clone with a new process that goes on on its parent's stack. It cannot be made
-// through a function that returns: the child would return into its parent's frames.
+// The system calls clone and clone3 with a new process that goes on on its parent's stack. They
+// cannot be made through a function that returns: the child would return into its parent's frames.
 //
 // CLONE_VFORK would keep the parent away from the stack as well, but in a sleep that nothing
 // interrupts: it counts into the load average, and neither debuggers nor a stop (Ctrl-Z) get to the
@@ -21,8 +21,7 @@ static_assert((WEXITED | WNOWAIT | __WALL) == 0x41000004 && P_PID == 1 && EINTR 
 // The child begins below the return address that the parent will need when it goes on. Its frames
 // have no caller: debuggers and the search for an exception's handler end there.
 #if defined(__x86_64__)
-static_assert(SYS_clone == 56 && SYS_waitid == 247 && SYS_sched_yield == 24 &&
-              SYS_exit_group == 231);
+static_assert(SYS_waitid == 247 && SYS_sched_yield == 24 && SYS_exit_group == 231);
 asm(R"(
     .text
     .p2align 4
@@ -32,12 +31,12 @@ asm(R"(
 play_launch_clone_on_own_stack:
     .cfi_startproc
     endbr64
-    mov %rsi, %r9           # entry; a system call changes rax, rcx and r11 only
-    mov %rdx, %r8           # argument; where a child's TLS would be, but for the flag
-    xor %esi, %esi          # the child's stack: this one
-    xor %edx, %edx
+    mov %rdi, %rax          # number
+    mov %rsi, %rdi
+    mov %rdx, %rsi          # of clone: the child's stack, which is this one
+    mov %rcx, %r9           # entry; a system call changes rax, rcx and r11 only
+    xor %edx, %edx          # argument is in r8, where a child's TLS would be, but for the flag
     xor %r10d, %r10d
-    mov $56, %eax           # clone
     syscall
     test %rax, %rax
     jz 5f
@@ -80,8 +79,7 @@ play_launch_clone_on_own_stack:
     .size play_launch_clone_on_own_stack, . - play_launch_clone_on_own_stack
 )");
 #elif defined(__aarch64__)
-static_assert(SYS_clone == 220 && SYS_waitid == 95 && SYS_sched_yield == 124 &&
-              SYS_exit_group == 94);
+static_assert(SYS_waitid == 95 && SYS_sched_yield == 124 && SYS_exit_group == 94);
 asm(R"(
     .text
     .p2align 4
@@ -91,13 +89,14 @@ asm(R"(
 play_launch_clone_on_own_stack:
     .cfi_startproc
     hint #34                // bti c
-    mov x9, x1              // entry; a system call changes x0 only
-    mov x10, x2             // argument
-    mov x1, xzr             // the child's stack: this one
+    mov x8, x0              // number
+    mov x9, x3              // entry; a system call changes x0 only
+    mov x10, x4             // argument
+    mov x0, x1
+    mov x1, x2              // of clone: the child's stack, which is this one
     mov x2, xzr
     mov x3, xzr
     mov x4, xzr
-    mov x8, #220            // clone
     svc #0
     cbz x0, 5f
     tbnz x0, #63, 4f

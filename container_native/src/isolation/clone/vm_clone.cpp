@@ -3,10 +3,12 @@
 #include <linux/sched.h>
 #include <pthread.h>
 #include <signal.h>
+#include <sys/syscall.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
 #include <cerrno>
+#include <cstdint>
 
 #include "base/urgency.hpp"
 #include "isolation/clone/clone_syscall.hpp"
@@ -17,8 +19,8 @@
 namespace play_launch::isolation {
 namespace {
 
-// By clone() and not by clone3(), which container runtimes' filters often forbid, and of which
-// nothing is used that clone() lacks.
+// By clone() and not by clone3(), which container runtimes' filters often forbid, but for a child
+// that is born in another control group, which clone() cannot do.
 //
 // No signal at its death: whoever has to know waits already, and it is out of reach
 // for a wait() that some library in the container calls for any child. No CLONE_FS: a node's
@@ -45,6 +47,24 @@ int start_child(void* argument) {
   return status;
 }
 
+/// The process's pid once it has ended, or a negative errno.
+long make_process(Start& start, Birth* birth) noexcept {
+  if (birth != nullptr && birth->group >= 0) {
+    clone_args arguments{};
+    arguments.flags = kFlags | CLONE_INTO_CGROUP;
+    arguments.cgroup = static_cast<std::uint64_t>(birth->group);
+    birth->in_group = true;
+    const long pid =
+        play_launch_clone_on_own_stack(SYS_clone3, reinterpret_cast<unsigned long>(&arguments),
+                                       sizeof arguments, start_child, &start);
+    if (pid > 0) {
+      return pid;
+    }
+    birth->in_group = false;
+  }
+  return play_launch_clone_on_own_stack(SYS_clone, kFlags, 0, start_child, &start);
+}
+
 /// Once per address space, the C library installs the handler by which pthread_cancel() works. A
 /// process that comes later and never got it dies of that signal.
 void install_cancel_handler() {
@@ -62,11 +82,12 @@ void install_cancel_handler() {
 
 }  // namespace
 
-ChildEnd clone_and_wait(CloneEntry entry, void* argument, void (*before_reaping)(void*)) noexcept {
+ChildEnd clone_and_wait(CloneEntry entry, void* argument, void (*before_reaping)(void*),
+                        Birth* birth) noexcept {
   const DonorState donor;
   Start start{entry, argument, donor};
   ChildEnd end;
-  const long pid = play_launch_clone_on_own_stack(kFlags, start_child, &start);
+  const long pid = make_process(start, birth);
   if (pid < 0) {
     end.error = static_cast<int>(-pid);
     return end;

@@ -8,6 +8,12 @@ namespace play_launch::isolation {
 /// signal that it then dies of.
 using CloneEntry = int (*)(void* argument);
 
+/// Where a process is born.
+struct Birth {
+  int group = -1;         // descriptor of a control group's folder; -1: that of its parent
+  bool in_group = false;  // for the child: it is in there. Else it was refused
+};
+
 /// Runs entry(argument) in a new process that shares this one's memory and file descriptors, and
 /// returns when that process is dead and reaped. The calling thread, the donor, waits meanwhile
 /// without touching memory: the process runs on its stack and with its thread-local storage, which
@@ -23,8 +29,8 @@ using CloneEntry = int (*)(void* argument);
 ///
 /// Never throws, never allocates. An exception that leaves `entry` ends the child in
 /// std::terminate, with the stack still as it was at the throw.
-ChildEnd clone_and_wait(CloneEntry entry, void* argument,
-                        void (*before_reaping)(void*) = nullptr) noexcept;
+ChildEnd clone_and_wait(CloneEntry entry, void* argument, void (*before_reaping)(void*) = nullptr,
+                        Birth* birth = nullptr) noexcept;
 
 /// Whether a child of the calling thread did not return, so that the thread must not end like
 /// others.

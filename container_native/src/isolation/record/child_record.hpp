@@ -12,6 +12,7 @@
 #include <string_view>
 
 #include "base/resource_setting.hpp"
+#include "base/unique_fd.hpp"
 #include "base/urgency.hpp"
 #include "isolation/record/child_threads.hpp"
 #include "isolation/record/crash_slot.hpp"
@@ -78,6 +79,9 @@ struct ChildOptions {
   std::optional<Urgency> urgency = std::nullopt;
   /// What else it asks of the kernel for itself, before run(). Must outlive the child.
   std::span<const ResourceSetting> resources = {};
+  /// The control group that it is born in, which is one of the resources; closed as soon as it is
+  /// there. Null, or none: it enters by itself. Must outlive the child.
+  UniqueFd* group = nullptr;
   /// Nobody minds should it hang until its time limit: living_children() leaves it out.
   bool expendable = false;
 };

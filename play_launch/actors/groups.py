@@ -1,0 +1,109 @@
+"""Control groups for the members and nodes of a configuration."""
+
+from __future__ import annotations
+
+import logging
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from play_launch.actors.ports import StartError
+from play_launch.cgroups.base import GroupError
+from play_launch.cgroups.names import SessionName
+from play_launch.cgroups.session import SessionGroups, needed_controllers
+from play_launch.launching.needs import group_limits, shares_memory, wants_groups
+from play_launch.process.identity import ProcessIdentity, read_stat
+
+if TYPE_CHECKING:
+    from play_launch.cgroups.group import Group
+    from play_launch.config.model import (
+        ComposableNodeConfig,
+        ContainerConfig,
+        ProcessConfig,
+        ReplayConfig,
+    )
+    from play_launch.core.node_key import NodeKey
+
+STALLING_PERCENT: Final = 20
+"""Of a CPU. A node that gets less is throttled for most of each period."""
+
+_log = logging.getLogger(__name__)
+
+
+class Groups:
+    """Asks `SessionGroups` for them, and logs what is not as it should be."""
+
+    def __init__(self) -> None:
+        """Be the groups of the session of this process; there are none yet."""
+        pid = os.getpid()
+        name = SessionName(Path("/proc/self/ns/pid").stat().st_ino, pid, read_stat(pid).start_time)
+        self._groups = SessionGroups(
+            name, lambda pid, start_time: ProcessIdentity(pid, start_time).is_alive()
+        )
+        self._warned: set[str] = set()
+
+    def begin(self, config: ReplayConfig) -> None:
+        """Have groups, if the configuration asks for any; raises GroupError where it has to."""
+        if wants_groups(config):
+            self._groups.begin(config.cgroups, needed_controllers(group_limits(config)))
+            self._warn_of_stalls(config)
+
+    def _warn_of_stalls(self, config: ReplayConfig) -> None:
+        for container in filter(shares_memory, config.containers):
+            for node in container.composable_nodes:
+                limit = node.resources.group.cpu_max
+                name = node.declared_full_name
+                if limit and limit.percent < STALLING_PERCENT and name not in self._warned:
+                    self._warned.add(name)
+                    _log.warning(
+                        "%s: cpu_max gives it %.3g %% of a CPU: while it is held back it keeps the "
+                        "locks that it shares with the other nodes of %s (allocator, middleware), "
+                        "which wait for up to %.0f ms; fix: a shorter period such as "
+                        '"1000 10000", cpu_weight instead, or a container of its own',
+                        name,
+                        limit.percent,
+                        container.full_name,
+                        (limit.period - limit.quota) / 1000,
+                    )
+
+    def of_container(self, config: ContainerConfig) -> tuple[Group | None, tuple[str, ...]]:
+        """Make that of a container; gives it and what its process asks for. Raises StartError."""
+        has_nodes = config.container_type.is_isolated
+        return self._member(config, has_nodes=has_nodes)
+
+    def of_process(self, config: ProcessConfig) -> tuple[Group | None, tuple[str, ...]]:
+        """Make that of a process, likewise."""
+        return self._member(config, has_nodes=False)
+
+    def _member(
+        self, config: ContainerConfig | ProcessConfig, *, has_nodes: bool
+    ) -> tuple[Group | None, tuple[str, ...]]:
+        try:
+            made = self._groups.member(
+                config.full_name, config.resources.group, has_nodes=has_nodes
+            )
+        except GroupError as error:
+            raise StartError(str(error), permanent=True) from error
+        return (None, ()) if made is None else (made[0], (made[1],))
+
+    def enter(self, config: ComposableNodeConfig, attempt: int) -> tuple[str, ...]:
+        """Make that of a node; gives what its process asks for. Raises StartError."""
+        try:
+            entry = self._groups.node(
+                config.key.container, config.key.name, attempt, config.resources.group
+            )
+        except GroupError as error:
+            raise StartError(str(error), permanent=True) from error
+        return () if entry is None else (entry,)
+
+    def leave(self, key: NodeKey, attempt: int) -> str:
+        """Kill what a node has left, whose process has ended.
+
+        Returns:
+            Why the kernel killed it; empty: it did not.
+        """
+        return self._groups.leave(key.container, key.name, attempt)
+
+    def end(self) -> None:
+        """Remove them all, with what is left in them; blocks for a moment."""
+        self._groups.end()

@@ -1,0 +1,137 @@
+"""Below which group those of a session are made: facts about this machine, and the decision."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct
+
+from play_launch.cgroups.names import SUPERVISOR
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+_TYPE: Final = "cgroup2"
+_OCTAL: Final = re.compile(r"\\([0-7]{3})")
+_SYSTEMD: Final = "/run/systemd/system"
+_DELEGATED: Final = ("user.delegate", "trusted.delegate")
+"""Attributes by which systemd marks what it delegates."""
+SCOPE_FIX: Final = (
+    "start it by systemd-run --user --scope -p Delegate=yes play-launch ..., or Delegate=yes in "
+    "its systemd unit"
+)
+_ROOT_FIX: Final = (
+    "start it by systemd-run --scope -p Delegate=yes play-launch ..., Delegate=yes in its systemd "
+    "unit, or a base_path such as /sys/fs/cgroup/play_launch"
+)
+_READ_ONLY_FIX: Final = (
+    "docker run --security-opt writable-cgroups=true (Docker 28 or newer), podman run "
+    "--security-opt unmask=/sys/fs/cgroup, or --privileged"
+)
+_MOUNT_FIX: Final = (
+    "mount -t cgroup2 none /sys/fs/cgroup, or boot with systemd.unified_cgroup_hierarchy=1"
+)
+
+
+class GroupError(Exception):
+    """There are no control groups, or one lacks what was asked for; says why and the fix."""
+
+
+class Hierarchy(Struct, frozen=True):
+    """The hierarchy of version 2 as this process sees it, and the group that it is in itself."""
+
+    mount: Path
+    own: Path
+
+
+class OwnGroup(Struct, frozen=True, kw_only=True):
+    """What decides whether the group that we are in may be used."""
+
+    is_writable: bool
+    is_read_only: bool
+    """The file system itself is."""
+    is_top: bool
+    """Nothing is above it, as far as this process sees."""
+    is_root_user: bool
+    has_systemd: bool
+    is_marked: bool
+    """systemd says that it is delegated."""
+
+
+def hierarchy(mountinfo: str, cgroup: str) -> Hierarchy | None:
+    """Find it in ``/proc/self/mountinfo`` and ``/proc/self/cgroup``; None: there is none."""
+    own = next((line[3:] for line in cgroup.splitlines() if line.startswith("0::")), None)
+    if own is None:
+        return None
+    for root, mount in _mounts(mountinfo.splitlines()):
+        inside = PurePosixPath(own)
+        if inside.is_relative_to(root):
+            return Hierarchy(Path(mount), Path(mount) / inside.relative_to(root))
+    return None
+
+
+def _mounts(lines: Iterable[str]) -> Iterable[tuple[str, str]]:
+    for line in lines:
+        before, _, after = line.partition(" - ")
+        fields = before.split(" ")
+        if after.split(" ")[0] == _TYPE and len(fields) > 4:
+            yield _plain(fields[3]), _plain(fields[4])
+
+
+def _plain(text: str) -> str:
+    return _OCTAL.sub(lambda found: chr(int(found[1], 8)), text)
+
+
+def own_hierarchy() -> Hierarchy:
+    """Find it on this machine; raises GroupError."""
+    try:
+        found = hierarchy(
+            Path("/proc/self/mountinfo").read_text(encoding="utf-8", errors="surrogateescape"),
+            Path("/proc/self/cgroup").read_text(encoding="utf-8", errors="surrogateescape"),
+        )
+    except OSError as error:
+        raise GroupError(f"there are no control groups: {error}; fix: {_MOUNT_FIX}") from None
+    if found is None:
+        raise GroupError(f"no hierarchy of cgroup v2 is mounted; fix: {_MOUNT_FIX}")
+    return found
+
+
+def facts_of(group: Path, mount: Path) -> OwnGroup:
+    """Look at a group that we may be in."""
+    try:
+        is_read_only = bool(os.statvfs(group).f_flag & os.ST_RDONLY)
+        marks = set(os.listxattr(group))
+    except OSError:
+        is_read_only, marks = False, set()
+    return OwnGroup(
+        is_writable=all(
+            os.access(each, os.W_OK)
+            for each in (group, group / "cgroup.procs", group / "cgroup.subtree_control")
+        ),
+        is_read_only=is_read_only,
+        is_top=group == mount,
+        is_root_user=os.geteuid() == 0,
+        has_systemd=Path(_SYSTEMD).is_dir(),
+        is_marked=any(each in marks for each in _DELEGATED),
+    )
+
+
+def own_base(own: Path) -> Path:
+    """Give the group to look at: the one that we are in, without the leaf we may be in already."""
+    return own.parent if own.name == SUPERVISOR else own
+
+
+def obstacle(group: Path, facts: OwnGroup) -> str:
+    """Say why a group that was found by itself cannot be used, and the fix; empty: it can."""
+    if facts.is_read_only:
+        return f"{group} is read-only; fix: {_READ_ONLY_FIX}"
+    if not facts.is_writable:
+        fix = _ROOT_FIX if facts.is_root_user else SCOPE_FIX
+        return f"the control group {group} is not delegated to this user; fix: {fix}"
+    if facts.is_root_user and facts.has_systemd and not (facts.is_top or facts.is_marked):
+        # systemd rearranges what it has not given away.
+        return f"the control group {group} is systemd's own, not delegated; fix: {_ROOT_FIX}"
+    return ""

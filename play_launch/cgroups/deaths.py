@@ -1,0 +1,47 @@
+"""Why the kernel killed a process: its group's count of what happened for want of memory."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from play_launch.core.group_limits import NO_LIMIT
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from play_launch.cgroups.group import Group
+
+_EVENTS: Final = "memory.events"
+_UNITS: Final = (
+    *(("GiB", 2**30), ("MiB", 2**20), ("KiB", 2**10)),
+    *(("GB", 10**9), ("MB", 10**6), ("kB", 10**3), ("B", 1)),
+)
+
+
+def why_killed(group: Group) -> str:
+    """Say that somebody in a group was killed for want of memory; empty: nobody was."""
+    return memory_reason(group.numbers(_EVENTS), group.limits.memory_max)
+
+
+def memory_reason(events: Mapping[str, int], limit: float | None) -> str:
+    """Put the numbers of ``memory.events`` into words.
+
+    Args:
+        events: They count since the group was made.
+        limit: Its own memory.max in bytes; None and infinity: none.
+    """
+    if not events.get("oom_kill"):
+        return ""
+    if not events.get("oom") or limit in {None, NO_LIMIT}:
+        return (
+            "killed by the kernel: out of memory, not by a limit of its own control group but of "
+            "one above, or of the machine"
+        )
+    assert limit is not None
+    return f"killed by the kernel: memory.max {_size(limit)} of its control group"
+
+
+def _size(number: float) -> str:
+    """Write a size in the unit that people gave it in, most likely."""
+    whole = [f"{number / size:.0f} {unit}" for unit, size in _UNITS if number % size == 0]
+    return min(whole, key=len)

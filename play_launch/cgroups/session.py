@@ -1,0 +1,270 @@
+"""The groups of one session, from the first process to the last."""
+
+from __future__ import annotations
+
+import logging
+import os
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from play_launch.cgroups.base import (
+    GroupError,
+    Hierarchy,
+    facts_of,
+    obstacle,
+    own_base,
+    own_hierarchy,
+)
+from play_launch.cgroups.deaths import why_killed
+from play_launch.cgroups.group import Group
+from play_launch.cgroups.names import (
+    CONTAINER,
+    SUPERVISOR,
+    SessionName,
+    group_name,
+    node_group_name,
+)
+from play_launch.cgroups.refusals import no_entry, no_group
+from play_launch.cgroups.sweep import sweep
+from play_launch.core.group_limits import NO_LIMITS
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from play_launch.core.group_limits import GroupLimits, GroupPolicy
+
+_END_LIMIT: Final = 2.0
+"""Seconds for what is left of a session to die."""
+_MOVES: Final = 20
+"""Times to look for processes that were started while others were moved."""
+
+_log = logging.getLogger(__name__)
+
+
+class SessionGroups:
+    """Makes the groups of members and nodes; there are none until `begin`.
+
+    What the kernel refuses is logged once. Where groups are required, it raises GroupError.
+    """
+
+    def __init__(self, name: SessionName, lives: Callable[[int, int], bool]) -> None:
+        """Know the session; `lives` says whether a process of that pid and start time does."""
+        self._name = name
+        self._lives = lives
+        self._session: Group | None = None
+        self._base = Path()
+        self._top = Path()
+        self._found: frozenset[str] = frozenset()
+        self._is_open = False
+        self._moved = False
+        self._made: tuple[Path, ...] = ()
+        self._policy: GroupPolicy | None = None
+        self._reported: set[str] = set()
+        self._limits: dict[int, GroupLimits] = {}
+        """Of the nodes that have a group, by their attempts."""
+
+    @property
+    def is_on(self) -> bool:
+        """Whether processes get groups."""
+        return self._session is not None
+
+    def begin(self, policy: GroupPolicy, controllers: Iterable[str]) -> None:
+        """Find the base, sweep it, and make the group of the session; raises GroupError.
+
+        Args:
+            policy: What the configuration says.
+            controllers: What its limits need.
+        """
+        if self._session is not None:
+            return
+        self._policy = policy
+        try:
+            self._find(policy)
+            self._open(frozenset(controllers))
+        except GroupError as error:
+            self.end()
+            self._report(f"processes run without control groups: {error}")
+
+    def _find(self, policy: GroupPolicy) -> None:
+        seen = own_hierarchy()
+        if policy.base_path is None:
+            self._base = self._top = own_base(seen.own)
+            if why := obstacle(self._base, facts_of(self._base, seen.mount)):
+                raise GroupError(why)
+        else:
+            self._base, self._top = policy.base_path, seen.mount
+            self._made = _make_base(self._base, seen)
+        self._found = Group(self._base).enabled
+        self._is_open = True
+        swept = sweep(self._base, self._name.namespace, self._lives)
+        if swept:
+            _log.info("removed the control groups of %d dead sessions", len(swept))
+        _check_entry(self._base, seen.own)
+
+    def _open(self, controllers: frozenset[str]) -> None:
+        if controllers - self._found and self._policy and self._policy.base_path is None:
+            self._make_room()
+        session = Group(self._base / str(self._name))
+        session.make()
+        self._session = session
+        self._enable(session, controllers)
+
+    def _make_room(self) -> None:
+        """Move who is in our own group into a leaf: a group with controllers has no processes."""
+        base = Group(self._base)
+        if not (self._base / "cgroup.type").exists():
+            return  # the root of all groups may have them
+        leaf = Group(self._base / SUPERVISOR)
+        leaf.make()
+        try:
+            for _ in range(_MOVES):
+                pids = base.residents()
+                if not pids:
+                    break
+                leaf.move_here(pids)
+                self._moved = True
+        except OSError as error:
+            raise GroupError(no_group(leaf.path, error)) from None
+
+    def member(
+        self, full_name: str, limits: GroupLimits, *, has_nodes: bool = False
+    ) -> tuple[Group, str] | None:
+        """Make the group of a member and the leaf of its process; None without groups.
+
+        Returns:
+            The group, and what its process asks of the kernel to be born in it.
+        """
+        if self._session is None:
+            return None
+        group = Group(self._session.path / group_name(full_name), limits)
+        group.kill()
+        group.remove()  # of its predecessor
+        self._make(full_name, group)
+        if not has_nodes:
+            return group, _entry(group)
+        leaf = Group(group.path / CONTAINER)
+        self._make(full_name, leaf)
+        return group, _entry(leaf)
+
+    def node(self, container: str, full_name: str, attempt: int, limits: GroupLimits) -> str | None:
+        """Make the group of a node of an isolated container; None without groups.
+
+        Returns:
+            What its process asks of the kernel to be born in it.
+        """
+        group = self._of_node(container, full_name, attempt, limits)
+        if group is None:
+            return None
+        self._limits[attempt] = limits
+        self._make(full_name, group)
+        return _entry(group)
+
+    def leave(self, container: str, full_name: str, attempt: int) -> str:
+        """Kill what a node left whose process has ended, and say why it was killed if it was."""
+        group = self._of_node(container, full_name, attempt, self._limits.pop(attempt, NO_LIMITS))
+        if group is None or not group.path.is_dir():
+            return ""
+        reason = why_killed(group)
+        group.kill()
+        group.remove()  # where somebody still dies in it, it goes with the container's
+        return reason
+
+    def _of_node(
+        self, container: str, full_name: str, attempt: int, limits: GroupLimits
+    ) -> Group | None:
+        if self._session is None:
+            return None
+        above = self._session.path / group_name(container)
+        # The container may have been started before there were groups.
+        if not (above / CONTAINER).is_dir():
+            return None
+        return Group(above / node_group_name(full_name, attempt), limits)
+
+    def _make(self, full_name: str, group: Group) -> None:
+        try:
+            self._enable(Group(group.path.parent), group.limits.controllers())
+            group.make()
+        except GroupError as error:
+            self._report(f"{full_name}: {error}")
+            return
+        for problem in group.limit():
+            self._report(f"{full_name}: {problem}")
+
+    def _enable(self, group: Group, controllers: Iterable[str]) -> None:
+        for problem in group.enable(controllers, top=self._top):
+            self._report(problem)
+
+    def _report(self, problem: str) -> None:
+        if self._policy is not None and self._policy.required:
+            raise GroupError(problem)
+        if problem not in self._reported:
+            self._reported.add(problem)
+            _log.warning("%s", problem)
+
+    def end(self) -> None:
+        """Remove the groups with whatever is left in them; blocks for a moment."""
+        session, self._session = self._session, None
+        if session is not None:
+            if session.processes():
+                session.kill()
+                session.wait_empty(_END_LIMIT)
+            if not session.remove():
+                _log.warning("the control group %s is left: its processes do not die", session.path)
+        if self._is_open:
+            self._is_open = False
+            self._leave_as_found()
+
+    def _leave_as_found(self) -> None:
+        """Undo what was done to the base, unless another session needs it."""
+        base = Group(self._base)
+        try:
+            names = [each.name for each in self._base.iterdir() if each.is_dir()]
+        except OSError:
+            return
+        if any(SessionName.parsed(name) for name in names):
+            return
+        base.disable(base.enabled - self._found)
+        if self._moved and not base.enabled:
+            leaf = Group(self._base / SUPERVISOR)
+            with suppress(OSError):
+                base.move_here(leaf.processes())
+            leaf.remove()
+        for folder in self._made:
+            with suppress(OSError):  # somebody else uses it by now
+                folder.rmdir()
+
+
+def needed_controllers(limits: Iterable[GroupLimits]) -> frozenset[str]:
+    """Name the controllers that these limits need."""
+    return frozenset().union(*(each.controllers() for each in limits))
+
+
+def _entry(group: Group) -> str:
+    return f"cgroup {group.path}"
+
+
+def _make_base(base: Path, seen: Hierarchy) -> tuple[Path, ...]:
+    """Make the group of that path; gives what was not there, from below. Raises GroupError."""
+    if not base.is_relative_to(seen.mount):
+        raise GroupError(
+            f"{base} is not in the hierarchy of cgroup v2, which is mounted at {seen.mount}; "
+            "fix: a base_path below that, or base_path: auto"
+        )
+    missing = tuple(each for each in (base, *base.parents) if not each.exists())
+    try:
+        base.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise GroupError(no_group(base, error)) from None
+    return missing
+
+
+def _check_entry(base: Path, own: Path) -> None:
+    """See to it that processes of ours may enter groups below the base; raises GroupError.
+
+    The kernel asks for write access to the nearest group above both where they are and where they
+    are to go.
+    """
+    above = Path(os.path.commonpath([base, own]))
+    if not os.access(above / "cgroup.procs", os.W_OK):
+        raise GroupError(no_entry(base, above))

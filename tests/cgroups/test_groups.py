@@ -1,0 +1,298 @@
+"""Groups of the real hierarchy: made, entered, killed, swept and removed."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from play_launch.cgroups.base import GroupError
+from play_launch.cgroups.group import Group
+from play_launch.cgroups.names import SUPERVISOR, SessionName
+from play_launch.cgroups.session import SessionGroups
+from play_launch.core.group_limits import NO_LIMITS, CpuMax, GroupLimits, GroupPolicy
+from play_launch.process.identity import ProcessIdentity, read_stat
+from tests.support.control_groups import group_of
+
+NOBODY = 65534
+TRIALS = 50
+
+
+def lives(pid: int, start_time: int) -> bool:
+    return ProcessIdentity(pid, start_time).is_alive()
+
+
+def session_groups() -> SessionGroups:
+    """Those of a session whose supervisor is this process."""
+    namespace = Path("/proc/self/ns/pid").stat().st_ino
+    return SessionGroups(
+        SessionName(namespace, os.getpid(), read_stat(os.getpid()).start_time), lives
+    )
+
+
+def begun(base: Path, **policy: bool) -> SessionGroups:
+    groups = session_groups()
+    groups.begin(GroupPolicy(enabled=True, base_path=base, **policy), ())
+    assert groups.is_on
+    return groups
+
+
+def born(entry: str, *command: str) -> subprocess.Popen[str]:
+    """Start a program as the guard does: it enters its group before it is executed."""
+    script = 'echo 0 > "$0"/cgroup.procs && exec "$@"'
+    return subprocess.Popen(
+        ["sh", "-c", script, entry.removeprefix("cgroup "), *command],
+        stdout=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
+def below(base: Path) -> list[str]:
+    return sorted(each.name for each in base.iterdir() if each.is_dir())
+
+
+def test_a_session_from_begin_to_end(base: Path) -> None:
+    groups = begun(base)
+    made = groups.member("/arm/driver", NO_LIMITS)
+    assert made is not None
+    group, entry = made
+    with born(entry, "sh", "-c", "setsid sleep 600 & echo; wait") as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        assert group_of(process.pid).endswith("/arm:driver")
+        assert group.holds(process.pid)
+        assert not group.holds(os.getpid())
+        assert process.pid in group.processes()
+        assert len(group.processes()) == 2
+        assert not group.remove()
+        assert group.kill()
+        assert group.wait_empty(60)
+        assert process.wait() == -signal.SIGKILL
+    assert group.remove()
+    groups.end()
+    assert not below(base)
+
+
+def test_an_isolated_container_and_its_nodes_are_in_leaves(base: Path) -> None:
+    groups = begun(base)
+    made = groups.member("/box", NO_LIMITS, has_nodes=True)
+    assert made is not None
+    box, entry = made
+    first = groups.node("/box", "/a", 1, NO_LIMITS)
+    again = groups.node("/box", "/a", 2, NO_LIMITS)
+    assert first
+    assert again
+    with born(entry, "sleep", "600") as container, born(first, "sleep", "600") as node:
+        container_group, node_group = Group(box.path / "container"), Group(box.path / "a.1")
+        assert below(box.path) == ["a.1", "a.2", "container"]
+        until_in(container_group, container)
+        until_in(node_group, node)
+        # What a node leaves is killed when its process has ended, and nothing else is.
+        assert groups.leave("/box", "/a", 1) == ""
+        assert node.wait() == -signal.SIGKILL
+        assert node_group.wait_empty(60)
+        assert container.poll() is None
+        assert sorted(box.processes()) == [container.pid]
+        groups.end()
+        assert container.wait() == -signal.SIGKILL
+    assert not below(base)
+
+
+def until_in(group: Group, process: subprocess.Popen[str]) -> None:
+    """Wait until a process that is about to enter a group is in there."""
+    while process.pid not in group.residents():
+        assert process.poll() is None
+        os.sched_yield()
+
+
+def test_limits_that_the_kernel_has_not_are_reported_once(
+    base: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    there = Group(base).path.joinpath("cgroup.controllers").read_text().split()
+    if {"cpu", "memory"} & set(there):
+        pytest.skip("this machine has the controllers; the guest tests what they do")
+    limits = GroupLimits(cpu_max=CpuMax(50_000), memory_max=1e6)
+    groups = begun(base)
+    for name in ("/a", "/b"):
+        made = groups.member(name, limits)
+        assert made is not None
+        with born(made[1], "true") as process:
+            assert process.wait() == 0
+    groups.end()
+    said = sorted(record.message for record in caplog.records)
+    assert len(said) == 2
+    assert said[0].startswith("cpu_max and cpu_weight cannot hold: the controller cpu is not")
+    assert said[1].startswith("memory_high and memory_max cannot hold: the controller memory")
+    assert all("; fix: " in text for text in said)
+    with pytest.raises(GroupError, match="cpu_max and cpu_weight cannot hold"):
+        begun(base, required=True).member("/a", limits)
+
+
+@pytest.mark.parametrize(
+    ("path", "why"),
+    [
+        ("/tmp/no_group", "is not in the hierarchy of cgroup v2"),
+        ("cgroup.procs/x", "cannot be made: Not a directory"),
+    ],
+)
+def test_a_base_that_is_none(
+    base: Path, path: str, why: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    policy = GroupPolicy(enabled=True, base_path=base / path)
+    groups = session_groups()
+    groups.begin(policy, ())
+    assert not groups.is_on
+    assert groups.member("/a", NO_LIMITS) is None
+    groups.end()
+    (record,) = caplog.records
+    assert record.message.startswith("processes run without control groups: ")
+    assert why in record.message
+    assert "; fix: " in record.message
+    with pytest.raises(GroupError, match=why):
+        session_groups().begin(GroupPolicy(enabled=True, base_path=base / path, required=True), ())
+
+
+@pytest.mark.parametrize("moment", ["in its group", "before"])
+def test_killed_supervisors_are_swept(base: Path, moment: str) -> None:
+    for _ in range(TRIALS // 2):
+        read_end, write_end = os.pipe()
+        supervisor = os.fork()
+        if supervisor == 0:
+            with forked():
+                groups = begun(base)
+                made = groups.member("/driver", NO_LIMITS)
+                groups.member("/box", NO_LIMITS, has_nodes=True)
+                groups.node("/box", "/a", 1, NO_LIMITS)
+                assert made is not None
+                process = born(made[1], "sleep", "600")
+                if moment == "in its group":
+                    until_in(made[0], process)
+                os.write(write_end, b"%d" % process.pid)
+                signal.pause()
+        os.close(write_end)
+        pid = int(os.read(read_end, 20))
+        os.close(read_end)
+        start_time = read_stat(pid).start_time
+        os.kill(supervisor, signal.SIGKILL)
+        os.waitpid(supervisor, 0)
+        if moment == "before":  # it may be on its way into the group, as when a guard ends it
+            os.kill(pid, signal.SIGKILL)
+        assert len(below(base)) == 1
+        groups = begun(base)
+        assert len(below(base)) == 1, "the dead one is swept, ours is there"
+        groups.end()
+        assert not below(base)
+        if moment == "in its group":
+            assert not ProcessIdentity(pid, start_time).is_alive()
+
+
+@contextmanager
+def forked() -> Iterator[None]:
+    """End a forked process with what is done in it, without the test's own end."""
+    status = 1
+    try:
+        yield
+        status = 0
+    except BaseException:  # noqa: BLE001 - nothing may get out
+        traceback.print_exc(file=sys.__stderr__)
+    finally:
+        os._exit(status)
+
+
+def in_a_fork(work: Callable[[], None]) -> None:
+    """Do something in a process of its own, which may lose its rights."""
+    pid = os.fork()
+    if pid == 0:
+        with forked():
+            work()
+    assert os.waitpid(pid, 0)[1] == 0
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root becomes another user")
+def test_an_ordinary_user_in_a_delegated_group(base: Path) -> None:
+    """As in a scope that systemd made with Delegate=yes."""
+    scope = Group(base / "user.scope")
+    scope.make()
+    for path in (scope.path, *(scope.path / f"cgroup.{each}" for each in ("procs", "threads"))):
+        os.chown(path, NOBODY, NOBODY)
+    os.chown(scope.path / "cgroup.subtree_control", NOBODY, NOBODY)
+
+    def inside() -> None:
+        scope.move_here([0])
+        os.setresuid(NOBODY, NOBODY, NOBODY)
+        groups = session_groups()
+        groups.begin(GroupPolicy(enabled=True, required=True), ())
+        made = groups.member("/driver", NO_LIMITS)
+        assert made is not None
+        with born(made[1], "sleep", "600") as process:
+            until_in(made[0], process)
+            groups.end()
+            assert process.wait() == -signal.SIGKILL
+        assert below(scope.path) == []
+
+    def outside() -> None:
+        os.setresuid(NOBODY, NOBODY, NOBODY)
+        groups = session_groups()
+        with pytest.raises(GroupError, match=r"not delegated to this user; fix: .* --user --scope"):
+            groups.begin(GroupPolicy(enabled=True, required=True), ())
+        with pytest.raises(GroupError, match="the nearest group above them and play-launch"):
+            groups.begin(GroupPolicy(enabled=True, base_path=scope.path, required=True), ())
+        with pytest.raises(GroupError, match="cannot be made: Permission denied"):
+            groups.begin(GroupPolicy(enabled=True, base_path=base / "other", required=True), ())
+
+    in_a_fork(inside)
+    in_a_fork(outside)
+    assert below(base) == ["user.scope"]
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="takes the right to move processes")
+def test_who_is_in_the_base_makes_room_for_controllers(base: Path) -> None:
+    """With a controller of memory below it, a group must not have processes of its own."""
+    there = (base / "cgroup.controllers").read_text().split()
+    parent = Group(base.parent)
+    if not (base.parent / "cgroup.controllers").read_text().split():
+        pytest.skip("no controller is there")
+    controller = next(iter((base.parent / "cgroup.controllers").read_text().split()))
+    before = parent.enabled
+    if not there and list(parent.enable([controller], top=parent.path)):
+        pytest.skip(f"{controller} cannot be enabled")
+    scope = Group(base / "a.scope")
+    scope.make()
+    if controller not in Group(base).enabled:
+        assert not list(Group(base).enable([controller], top=base))
+
+    def supervise() -> None:
+        scope.move_here([0])
+        neighbour = subprocess.Popen(["sleep", "600"])
+        groups = session_groups()
+        groups.begin(GroupPolicy(enabled=True, required=True), [controller])
+        assert group_of(os.getpid()).endswith(f"/a.scope/{SUPERVISOR}")
+        assert group_of(neighbour.pid) == group_of(os.getpid())
+        assert controller in scope.enabled
+        # A second session in the same scope finds the same base.
+        made = groups.member("/driver", NO_LIMITS)
+        assert made is not None
+        with born(made[1], "sleep", "600") as process:
+            until_in(made[0], process)
+            groups.end()
+            process.wait()
+        # Everything is as it was.
+        assert below(scope.path) == []
+        assert group_of(os.getpid()).endswith("/a.scope")
+        neighbour.kill()
+        neighbour.wait()
+
+    try:
+        in_a_fork(supervise)
+    finally:
+        scope.remove()
+        Group(base).disable([controller])
+        parent.disable({controller} - before)

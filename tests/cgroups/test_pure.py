@@ -1,0 +1,167 @@
+"""Names, the choice of the base, and what is said of refusals."""
+
+from __future__ import annotations
+
+import errno
+import re
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from play_launch.cgroups.base import OwnGroup, hierarchy, obstacle, own_base
+from play_launch.cgroups.deaths import memory_reason
+from play_launch.cgroups.names import SUPERVISOR, SessionName, group_name, node_group_name
+from play_launch.cgroups.refusals import fewer_cpus, no_controller, no_entry, no_group, no_limit
+from play_launch.cgroups.sweep import dead_sessions
+from play_launch.core.cpu_list import cpu_text, cpus_in
+from play_launch.core.group_limits import GroupLimits
+
+numbers = st.integers(1, 2**40)
+sessions = st.builds(SessionName, numbers, numbers, numbers)
+full_names = st.lists(st.text(min_size=1, max_size=60), min_size=1, max_size=5).map(
+    lambda parts: "/" + "/".join(part.replace("/", "_") for part in parts)
+)
+
+
+@given(sessions)
+def test_sessions_are_read_as_they_are_written(name: SessionName) -> None:
+    assert SessionName.parsed(str(name)) == name
+    assert SessionName.parsed(f"{name}x") is None
+
+
+@given(full_names, full_names, st.integers(1, 99))
+def test_no_two_members_share_a_group(one: str, other: str, attempt: int) -> None:
+    name = node_group_name(one, attempt)
+    assert (group_name(one) == group_name(other)) == (one.lstrip("/") == other.lstrip("/"))
+    assert len(name.encode()) < 255
+    assert re.fullmatch(r"[\x21-\x7e]+", name)
+    assert "/" not in name
+    # The files of the kernel have a word after the dot.
+    assert not re.fullmatch(r"[a-z]+\.[a-z.]+", name)
+    assert group_name(one) not in {".", ".."}
+
+
+@given(st.sets(st.integers(0, 1023)))
+def test_cpus_are_read_as_they_are_written(cpus: set[int]) -> None:
+    assert cpus_in(cpu_text(cpus)) == cpus
+
+
+@given(st.lists(sessions, max_size=6), st.sets(st.integers(0, 5)), st.integers(0, 5))
+def test_only_dead_sessions_of_this_namespace_are_swept(
+    names: list[SessionName], alive: set[int], which: int
+) -> None:
+    ours = names[which].namespace if which < len(names) else 1
+    living = {(each.pid, each.start_time) for i, each in enumerate(names) if i in alive}
+    found = dead_sessions(
+        [*map(str, names), "system.slice", SUPERVISOR],
+        ours,
+        lambda pid, start: (pid, start) in living,
+    )
+    assert set(found) == {
+        str(each)
+        for each in names
+        if each.namespace == ours and (each.pid, each.start_time) not in living
+    }
+
+
+MOUNTS = """\
+24 1 0:22 / /sys/fs/cgroup ro,nosuid - tmpfs tmpfs ro,mode=755
+25 24 0:23 / /sys/fs/cgroup/unified\\040two rw,nosuid shared:5 - cgroup2 cgroup2 rw
+26 24 0:24 / /sys/fs/cgroup/systemd rw - cgroup cgroup rw,name=systemd
+"""
+
+
+def test_the_hierarchy_is_found() -> None:
+    mount = Path("/sys/fs/cgroup/unified two")
+    found = hierarchy(MOUNTS, "4:memory:/x\n0::/user.slice/a.scope\n")
+    assert found is not None
+    assert (found.mount, found.own) == (mount, mount / "user.slice/a.scope")
+    # A part of it, as containers have it.
+    bound = MOUNTS.replace("0:23 /", "0:23 /user.slice")
+    found = hierarchy(bound, "0::/user.slice/a.scope\n")
+    assert found is not None
+    assert (found.mount, found.own) == (mount, mount / "a.scope")
+    assert hierarchy(bound, "0::/elsewhere\n") is None
+    assert hierarchy(MOUNTS, "4:memory:/x\n") is None
+    assert hierarchy("", "0::/\n") is None
+
+
+def test_who_is_in_the_leaf_already_uses_the_group_above() -> None:
+    assert own_base(Path("/m/a.scope") / SUPERVISOR) == Path("/m/a.scope")
+    assert own_base(Path("/m/a.scope")) == Path("/m/a.scope")
+
+
+facts = st.builds(
+    OwnGroup,
+    is_writable=st.booleans(),
+    is_read_only=st.booleans(),
+    is_top=st.booleans(),
+    is_root_user=st.booleans(),
+    has_systemd=st.booleans(),
+    is_marked=st.booleans(),
+)
+
+
+@given(facts)
+def test_a_group_is_used_where_it_was_given_to_us(found: OwnGroup) -> None:
+    said = obstacle(Path("/m/g"), found)
+    is_systemds = found.is_root_user and found.has_systemd and not found.is_top
+    is_ours = found.is_marked or not is_systemds
+    assert (said == "") == (found.is_writable and not found.is_read_only and is_ours)
+    assert not said or re.search(r"^(the control group )?/m/g is .*; fix: \S", said)
+    # Without any right, systemd-run of the user's own manager is the fix.
+    if not (found.is_writable or found.is_root_user or found.is_read_only):
+        assert "systemd-run --user --scope -p Delegate=yes" in said
+
+
+ERRORS = sorted(errno.errorcode)
+
+
+@pytest.mark.parametrize("number", ERRORS)
+def test_every_refusal_has_its_fix_or_its_reason(number: int) -> None:
+    error = OSError(number, "")
+    group = Path("/m/g")
+    said = [no_group(group, error), no_limit("cpu.max", "5 6", error)]
+    said += [no_controller(each, group, error) for each in ("cpu", "memory", "hugetlb")]
+    for text in said:
+        assert text.strip() == text
+        assert ": " in text
+    assert all("; fix: " in text for text in said[:2])
+
+
+def test_refusals_name_what_does_not_hold() -> None:
+    group = Path("/m/g")
+    missing = no_controller("cpuset", group, None)
+    assert missing.startswith("cpuset cannot hold: the controller cpuset is not available in /m/g")
+    assert "Delegate=cpu cpuset io memory pids" in missing
+    busy = no_controller("memory", group, OSError(errno.EBUSY, ""))
+    assert busy.startswith("memory_high and memory_max cannot hold")
+    assert "which has processes; fix: start it by systemd-run" in busy
+    assert "CONFIG_RT_GROUP_SCHED" in no_controller("cpu", group, OSError(errno.EINVAL, ""))
+    assert "CONFIG_BLK_CGROUP_IOCOST" in no_limit("io.weight", "5", OSError(errno.ENOENT, ""))
+    assert fewer_cpus("0-7", "0-1").endswith("there are 0-1; fix: name those")
+    assert "/m/cgroup.procs" in no_entry(group, group.parent)
+
+
+@given(
+    st.dictionaries(st.sampled_from(["oom", "oom_kill", "max", "high"]), st.integers(0, 5)),
+    st.none() | st.integers(1, 2**50),
+)
+def test_a_kill_for_memory_is_reported_as_such(events: dict[str, int], limit: int | None) -> None:
+    said = memory_reason(events, limit)
+    assert bool(said) == (events.get("oom_kill", 0) > 0)
+    assert ("memory.max" in said) == bool(said and events.get("oom") and limit)
+
+
+def test_sizes_are_written_as_people_do() -> None:
+    killed = {"oom": 1, "oom_kill": 1}
+    assert memory_reason(killed, 512 * 10**6).endswith("memory.max 512 MB of its control group")
+    assert memory_reason(killed, 2**30).endswith("memory.max 1 GiB of its control group")
+
+
+@given(st.builds(GroupLimits, cpu_weight=st.none() | numbers, pids_max=st.none() | numbers))
+def test_files_and_controllers_belong_together(limits: GroupLimits) -> None:
+    assert {file.partition(".")[0] for file in limits.files()} == limits.controllers()
+    assert bool(limits) == bool(limits.files()) == bool(limits.described())

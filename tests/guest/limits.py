@@ -1,0 +1,167 @@
+"""Limits of control groups hold; run by `cases/cgroups`, in a machine that has the controllers."""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from play_launch.cgroups.base import GroupError
+from play_launch.cgroups.deaths import why_killed
+from play_launch.cgroups.group import Group
+from play_launch.cgroups.names import SUPERVISOR, SessionName
+from play_launch.cgroups.session import SessionGroups
+from play_launch.core.group_limits import CpuMax, GroupLimits, GroupPolicy
+from play_launch.process.identity import read_stat
+
+TOP = Path("/sys/fs/cgroup")
+BASE = TOP / "robot" / "inner"
+ALL = ("cpu", "cpuset", "memory", "pids")
+SPIN = "while :; do :; done"
+FILL = "import os; os.write(1, b'.'); data = b'x' * (200 << 20); os.write(1, b'!')"
+FORK = "for i in 1 2 3 4 5 6 7 8; do sleep 600 & done; wait"
+
+messages: list[str] = []
+
+
+class Collector(logging.Handler):
+    def emit(self, record: logging.LogRecord) -> None:
+        messages.append(record.getMessage())
+
+
+def session() -> SessionGroups:
+    me = read_stat(os.getpid())
+    namespace = Path("/proc/self/ns/pid").stat().st_ino
+    return SessionGroups(SessionName(namespace, me.pid, me.start_time), lambda *_: True)
+
+
+def started(
+    groups: SessionGroups, name: str, limits: GroupLimits, *command: str
+) -> tuple[Group, subprocess.Popen[bytes]]:
+    made = groups.member(name, limits)
+    assert made is not None
+    script = 'echo 0 > "$0"/cgroup.procs && exec "$@"'
+    folder = made[1].removeprefix("cgroup ")
+    return made[0], subprocess.Popen(["sh", "-c", script, folder, *command], stdout=-1)
+
+
+def share(group: Group) -> float:
+    """Percent of a CPU that a group uses in the next seconds."""
+    then, began = group.numbers("cpu.stat")["usage_usec"], time.monotonic()
+    time.sleep(3)
+    used = group.numbers("cpu.stat")["usage_usec"] - then
+    return used / 1e4 / (time.monotonic() - began)
+
+
+def limits_hold() -> None:
+    groups = session()
+    groups.begin(GroupPolicy(base_path=BASE, required=True), ALL)
+    half, spinning = started(
+        groups, "/half", GroupLimits(cpu_max=CpuMax(50_000), cpuset=(1,)), "sh", "-c", SPIN
+    )
+    _, forking = started(groups, "/forking", GroupLimits(pids_max=5), "sh", "-c", FORK)
+    # Whoever runs this machine may have no time for it, and then its processes have none either.
+    used = 0.0
+    for _ in range(10):
+        used = share(half)
+        print(f"cpu_max 50 %: {used:.1f} %")
+        assert used < 55
+        if used > 45:
+            break
+    assert used > 45
+    assert half.numbers("cpu.stat")["nr_throttled"] > 0
+    status = Path(f"/proc/{spinning.pid}/status").read_text()
+    assert "Cpus_allowed_list:\t1\n" in status
+    crowd = Group(BASE / half.path.parent.name / "forking")
+    assert crowd.numbers("pids.events")["max"] > 0
+    assert len(crowd.processes()) <= 5
+
+    full, filling = started(
+        groups, "/full", GroupLimits(memory_max=64 << 20), sys.executable, "-S", "-c", FILL
+    )
+    assert filling.communicate()[0] == b"."
+    assert filling.returncode == -signal.SIGKILL
+    said = why_killed(full)
+    print(said)
+    assert said == "killed by the kernel: memory.max 64 MiB of its control group"
+    groups.end()
+    assert spinning.wait() == forking.wait() == -signal.SIGKILL
+    assert not BASE.parent.exists()
+
+
+def cpus_that_are_not_there_are_left_out() -> None:
+    groups = session()
+    groups.begin(GroupPolicy(base_path=BASE), ["cpuset"])
+    messages.clear()
+    group, process = started(groups, "/wide", GroupLimits(cpuset=tuple(range(8))), "sleep", "600")
+    (said,) = messages
+    print(said)
+    assert said == (
+        "/wide: cpuset 0-7 has CPUs that this machine, or the group above, has not: "
+        "there are 0-1; fix: name those"
+    )
+    assert (group.path / "cpuset.cpus").read_text() == "0-1\n"
+    groups.end()
+    process.wait()
+
+
+def who_is_in_the_base_makes_room() -> None:
+    """As in a Docker container or a scope, where everything is in the group that is delegated."""
+    scope = Group(TOP / "a.scope")
+    scope.make()
+    list(Group(TOP).enable(ALL, top=TOP))
+    scope.move_here([os.getpid()])
+    neighbour = subprocess.Popen(["sleep", "600"])
+    groups = session()
+    groups.begin(GroupPolicy(required=True), ALL)
+    assert sorted(scope.enabled) == sorted(ALL)
+    leaf = Group(scope.path / SUPERVISOR)
+    assert sorted(leaf.residents()) == sorted([os.getpid(), neighbour.pid])
+    _, process = started(groups, "/a", GroupLimits(cpu_weight=50), "sleep", "600")
+    groups.end()
+    assert process.wait() == -signal.SIGKILL
+    assert not scope.enabled
+    assert sorted(scope.residents()) == sorted([os.getpid(), neighbour.pid])
+    assert not leaf.path.exists()
+    neighbour.kill()
+    neighbour.wait()
+    Group(TOP).move_here([os.getpid()])
+    assert scope.remove()
+
+
+def a_base_with_processes_is_refused() -> None:
+    base = Group(TOP / "busy")
+    base.make()
+    with subprocess.Popen(["sleep", "600"]) as process:
+        base.move_here([process.pid])
+        said = ""
+        try:
+            session().begin(GroupPolicy(base_path=base.path, required=True), ["memory"])
+        except GroupError as error:
+            said = str(error)
+        print(said)
+        assert "which has processes; fix: " in said
+        process.kill()
+    base.path.rmdir()
+
+
+def main() -> None:
+    logging.getLogger("play_launch").addHandler(Collector())
+    tests: tuple[Callable[[], None], ...] = (
+        limits_hold,
+        cpus_that_are_not_there_are_left_out,
+        who_is_in_the_base_makes_room,
+        a_base_with_processes_is_refused,
+    )
+    for test in tests:
+        test()
+        print(f"{test.__name__}: passed", flush=True)
+
+
+if __name__ == "__main__":
+    main()

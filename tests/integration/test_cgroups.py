@@ -1,0 +1,146 @@
+"""A system whose processes are born in control groups, and leaves none."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.support.control_groups import control_group, group_of
+from tests.support.replay import COMMAND, Replay, replaying
+from tests.support.waiting import until
+
+
+@pytest.fixture
+def base() -> Iterator[Path]:
+    with control_group() as path:
+        yield path
+
+
+def node(name: str, **more: Any) -> dict[str, Any]:
+    plugin = "play_launch_demo::Talker"
+    return {"package": "play_launch_demo", "plugin": plugin, "name": name, **more}
+
+
+def write(path: Path, base: Path, *, cgroups: dict[str, Any] | None = None, **keys: Any) -> Path:
+    loading = {"container_type": "isolated", "cgroups": {"base_path": str(base), **(cgroups or {})}}
+    environment = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    path.write_text(
+        json.dumps(
+            {
+                "version": 1,
+                "environment": environment,
+                "composable_node_loading": loading,
+                **keys,
+            }
+        )
+    )
+    return path
+
+
+SYSTEM: dict[str, Any] = {
+    "containers": [
+        {"name": "shared", "composable_nodes": [node("a"), node("b")]},
+        {"name": "apart", "isolation": "process", "composable_nodes": [node("c")]},
+        {"name": "together", "container_type": "standard", "composable_nodes": [node("d")]},
+    ],
+    # Its child is in a session of its own, where nothing but the group is known of it.
+    "nodes": [{"name": "shell", "command": ["sh", "-c", "setsid sleep 600 & wait"]}],
+}
+
+
+def pids_of_all(replay: Replay) -> dict[str, int]:
+    """Wait until all is there."""
+    pids: dict[str, int] = {}
+
+    def complete(event: dict[str, Any]) -> bool:
+        if event["event"] == "node" and event["state"] == "loaded":
+            pids[event["node"]] = event["pid"]
+        if event["event"] == "process" and event["kind"] == "started":
+            pids[event["name"]] = event["pid"]
+        return len(pids) == 8
+
+    replay.read_until(complete, "all")
+    return pids
+
+
+def sessions(base: Path) -> list[Path]:
+    return [each for each in base.iterdir() if each.is_dir()]
+
+
+def test_everybody_is_born_in_a_leaf_and_nothing_is_left(base: Path, tmp_path: Path) -> None:
+    config = write(tmp_path / "a.yaml", base, cgroups={"enabled": True}, **SYSTEM)
+    with replaying(config, tmp_path / "log") as replay:
+        pids = pids_of_all(replay)
+        (session,) = sessions(base)
+        inside = {
+            name: group_of(pid).partition(f"{session.name}/")[2] for name, pid in pids.items()
+        }
+        # The number of the attempt follows the name of a node.
+        assert {name: group.rstrip("0123456789") for name, group in inside.items()} == {
+            "/shared": "shared/container",
+            "/a": "shared/a.",
+            "/b": "shared/b.",
+            "/apart": "apart/container",
+            "/c": "apart/c.",
+            "/together": "together",
+            "/d": "together",
+            "/shell": "shell",
+        }
+        # A node that comes back is born in a group of its own, and the old one goes.
+        os.kill(pids["/a"], signal.SIGKILL)
+        again = replay.read_until(
+            lambda event: (
+                event["event"] == "node" and (event["node"], event["state"]) == ("/a", "loaded")
+            ),
+            "a reload",
+        )["pid"]
+        first, second = inside["/a"], group_of(again).partition(f"{session.name}/")[2]
+        assert second != first
+        assert second.startswith("shared/a.")
+        until(lambda: not (session / first).exists(), what="the group of the dead node is removed")
+        assert group_of(pids["/shared"]).endswith("shared/container")
+        sleeper = [pid for pid in pids_in(session / "shell") if pid != pids["/shell"]]
+        assert len(sleeper) == 1
+    assert not sessions(base)
+    assert not Path(f"/proc/{sleeper[0]}").exists()
+
+
+def pids_in(group: Path) -> list[int]:
+    return [int(pid) for pid in (group / "cgroup.procs").read_text().split()]
+
+
+def test_a_killed_supervisor_is_swept_by_the_next(base: Path, tmp_path: Path) -> None:
+    config = write(tmp_path / "a.yaml", base, cgroups={"enabled": True}, **SYSTEM)
+    with replaying(config, tmp_path / "log") as replay:
+        pids_of_all(replay)
+        os.kill(replay.pid, signal.SIGKILL)
+        replay.process.wait()
+    (left,) = sessions(base)
+    with replaying(config, tmp_path / "log") as replay:
+        pids_of_all(replay)
+        (session,) = sessions(base)
+        assert session != left
+    assert not sessions(base)
+
+
+def test_required_groups_that_there_are_not_end_the_run(tmp_path: Path) -> None:
+    config = write(
+        tmp_path / "a.yaml", tmp_path, cgroups={"enabled": True, "required": True}, **SYSTEM
+    )
+    ended = subprocess.run(
+        [COMMAND, "replay", config, "--log-dir", tmp_path / "log"],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert ended.returncode == 2
+    assert "is not in the hierarchy of cgroup v2" in ended.stderr or "no hierarchy" in ended.stderr
+    assert "; fix: " in ended.stderr
