@@ -68,6 +68,8 @@ def inspect(  # noqa: PLR0917 - options, by name
 ) -> None:
     """Show what happened: starts, loads, crashes with their backtraces, restarts, output and log.
 
+    So are changes of parameters, and with --level debug the parameters that nodes answered with.
+
     Times are seconds after the start. It reads damaged and unfinished recordings (.active) as far
     as that is possible, and then exits with 3; with 2 when the file is not a recording, else 0.
     """

@@ -10,11 +10,13 @@ from play_launch.cli.show.durations import duration
 from play_launch.history.findings import Finding, Kind, Quantity, Trend
 from play_launch.history.frames import plain_function
 from play_launch.history.known_causes import BY_NAME, known_by
+from play_launch.history.parameters import is_of_the_node, shortened
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from play_launch.history.findings import Away, Place
+    from play_launch.history.parameters import Changed, ParametersOfALife
     from play_launch.history.session import PastSession
 
 _SECOND: Final = 1_000_000_000
@@ -28,6 +30,10 @@ _BRIEF: Final = 50_000_000
 """Nanoseconds in a state that are not worth a sentence, if it were fewer."""
 _FRAMES: Final = 12
 """Frames of a backtrace that are shown."""
+_CHANGES: Final = 3
+"""Changes of parameters that are shown, the latest ones."""
+_LONGEST_VALUE: Final = 40
+"""Characters of a parameter's value."""
 
 _HAPPENED: Final = {
     Kind.CRASHED: "crashed",
@@ -91,6 +97,8 @@ def details(finding: Finding) -> Iterator[str]:
         yield f"Before, it was {state} for {duration(finding.at_ns - finding.since_ns)}."
     if finding.kind is not Kind.STARVED:
         yield from (f"Before, {trend}." for trend in map(_trend, finding.before) if trend)
+    if finding.parameters:
+        yield from _parameters(finding.parameters, finding.at_ns)
     if finding.hit and finding.kind is not Kind.STARVED:  # its cause names them
         yield f"Also hit: {_names(finding.hit)}."
     if finding.done:
@@ -167,6 +175,26 @@ def _number(value: float, quantity: Quantity) -> str:
     if quantity not in _BYTES:
         return f"{value:.0f}"
     return f"{value / 1e9:.2f} GB" if value >= 1e9 else f"{value / 1e6:.1f} MB"
+
+
+def _parameters(known: ParametersOfALife, at_ns: int) -> Iterator[str]:
+    for each in known.changes[-_CHANGES:]:
+        yield f"Its {change(each)} {_precisely(max(0, at_ns - each.at_ns))} before."
+    own = [f"{name} {_value(value)}" for name, value in known.values if is_of_the_node(name)]
+    if own:
+        yield f"Its parameters: {_names(own)}."
+
+
+def change(changed: Changed) -> str:
+    """Say what happened to a parameter: ``parameter gain changed from 1.0 to 2.5``."""
+    if changed.after is None:
+        return f"parameter {changed.name} was deleted"
+    since = "" if changed.before is None else f" from {_value(changed.before)}"
+    return f"parameter {changed.name} changed{since} to {_value(changed.after)}"
+
+
+def _value(value: str) -> str:
+    return shortened(value, _LONGEST_VALUE)
 
 
 def _away(finding: Finding) -> str:

@@ -9,21 +9,26 @@ from datetime import datetime
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+import msgspec
+
 from play_launch.cli.failure import fail
 from play_launch.cli.show.json_style import encode
 from play_launch.cli.show.lines import Line, line_of
 from play_launch.cli.show.streams import let_go_of
 from play_launch.cli.show.terminal import printable
+from play_launch.cli.story_words import change
 from play_launch.cli.sum_up import DAMAGED, report_damage
 from play_launch.config.values import parse_duration
 from play_launch.core.event_object import event_object, names_of
 from play_launch.core.events import (
     ComponentEvent,
     ComponentEventKind,
-    RunEvent,
 )
 from play_launch.core.exit_code import ExitCode
 from play_launch.history.bag_reader import NotARecordingError
+from play_launch.history.events import UnreadableEventError
+from play_launch.history.parameters import TOPICS as PARAMETER_TOPICS
+from play_launch.history.parameters import Parameters, Said, shortened
 from play_launch.history.session import PastSession
 from play_launch.recording import topics
 from play_launch.recording.console_format import DEBUG, ERROR, FATAL, INFO, WARN
@@ -32,6 +37,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
+    from play_launch.history.bag_reader import Message
     from play_launch.history.session import Happened
 
 _AROUND: Final = 5.0
@@ -59,13 +65,19 @@ def show_timeline(file: Path, chosen: Filter, *, as_json: bool) -> int:
         fail(f"--level {chosen.level}: use one of {', '.join(_LEVELS)}")
     if chosen.around is not None and (chosen.since, chosen.until) != (None, None):
         fail("--around already says since when and until when")
-    session = PastSession(file)
+    session, parameters = PastSession(file), Parameters()
     window: Window | None = None
     try:
-        for happened in session.events(_TOPICS):
+        for message in session.reader.messages(_TOPICS | PARAMETER_TOPICS):
             window = window or _window(chosen, session.started_ns)
-            if happened.log_time in window and _concerns(happened.event, chosen.names):
-                for line in _shown(happened, session.started_ns, least, as_json=as_json):
+            happened = _happened(message, session, parameters)
+            if (
+                happened is not None
+                and message.log_time in window
+                and _concerns(happened, chosen.names)
+            ):
+                since = (message.log_time - session.started_ns) / 1e9
+                for line in _shown(happened, message.log_time, since, least, as_json=as_json):
                     sys.stdout.write(f"{line}\n")
         sys.stdout.flush()
     except NotARecordingError as error:
@@ -112,23 +124,53 @@ def _moment(option: str, text: str, started_ns: int) -> float:
         fail(f"{option} {text}: {error}")
 
 
-def _concerns(event: RunEvent, patterns: tuple[str, ...]) -> bool:
+def _happened(
+    message: Message, session: PastSession, parameters: Parameters
+) -> Happened | Said | None:
+    if message.topic.name not in PARAMETER_TOPICS:
+        return session.take(message)
+    try:
+        return parameters.take(message) or None
+    except UnreadableEventError as error:
+        session.note_damage(message, error)
+        return None
+
+
+def _concerns(happened: Happened | Said, patterns: tuple[str, ...]) -> bool:
     if not patterns:
         return True
-    return any(fnmatchcase(name, pattern) for name in names_of(event) for pattern in patterns)
+    names = [happened.node] if isinstance(happened, Said) else names_of(happened.event)
+    return any(fnmatchcase(name, pattern) for name in names for pattern in patterns)
 
 
-def _shown(happened: Happened, started_ns: int, level: int, *, as_json: bool) -> Iterator[str]:
-    line = _line(happened)
+def _shown(
+    happened: Happened | Said, log_time: int, since: float, level: int, *, as_json: bool
+) -> Iterator[str]:
+    line: Line | None
+    if isinstance(happened, Said):
+        line, values = _of_parameters(happened, log_time)
+    else:
+        line, values = _line(happened), event_object(happened.event)
     if as_json:
         if line is None or line.level >= level:
-            yield encode(event_object(happened.event))
+            yield encode(values)
         return
     if line is None or line.level < level:
         return
     for text in line.text.split("\n"):
-        offset = (happened.log_time - started_ns) / 1e9
-        yield f"{offset:10.3f} [{line.source}] {printable(text, colour=False)}"
+        yield f"{since:10.3f} [{line.source}] {printable(text, colour=False)}"
+
+
+def _of_parameters(said: Said, log_time: int) -> tuple[Line, dict[str, object]]:
+    values: dict[str, object] = {"event": "parameters", "stamp_ns": log_time}
+    values |= msgspec.to_builtins(said._asdict())
+    if said.error:
+        return Line(log_time, said.node, f"parameters: {said.error}", DEBUG), values
+    if said.values is None:
+        text = "\n".join(change(each) for each in said.changes)
+        return Line(log_time, said.node, text), values
+    answer = "\n".join(f"  {name} {shortened(value)}" for name, value in said.values.items())
+    return Line(log_time, said.node, f"parameters:\n{answer}", DEBUG), values
 
 
 def _line(happened: Happened) -> Line | None:

@@ -8,6 +8,7 @@ from typing import Final, NamedTuple
 from msgspec import Struct
 
 from play_launch.history.frames import Frame, Signature  # noqa: TC001 - fields of a Struct
+from play_launch.history.parameters import ParametersOfALife  # noqa: TC001 - as above
 from play_launch.history.source_lines import Module, SourceLine  # noqa: TC001 - as above
 
 
@@ -139,6 +140,8 @@ class Finding(Struct, frozen=True, kw_only=True):
     last_lines: tuple[str, ...] = ()
     before: tuple[Trend, ...] = ()
     """What grew or starved before."""
+    parameters: ParametersOfALife | None = None
+    """Those that it had in the life that ended so; None: not known."""
     hit: tuple[str, ...] = ()
     """Names of others that were not there because of it, or waited."""
     done: tuple[str, ...] = ()

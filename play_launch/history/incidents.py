@@ -26,6 +26,8 @@ from play_launch.history.source_lines import Module, module_of
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from play_launch.history.parameters import ParametersOfALife
+
 _SIGKILL: Final = 9
 _KILLED: Final = "killed: "
 """How the supervisor says that it kills a process, and why."""
@@ -65,6 +67,7 @@ class Incident:
     away: list[Away] = field(default_factory=list)
     hit: dict[str, None] = field(default_factory=dict)
     last_lines: tuple[str, ...] = ()
+    parameters: ParametersOfALife | None = None
 
 
 class _Subject:

@@ -56,14 +56,21 @@ class PastSession:
             NotARecordingError: At once, when it is none.
         """
         for message in self.reader.messages(topics):
-            try:
-                event = event_of(message)
-            except UnreadableEventError as error:
-                self.note_damage(message, error)
-                continue
-            if event is not None:
-                before, self.view = self.view, self.view.after(event)
-                yield Happened(message.log_time, event, before, self.view)
+            happened = self.take(message)
+            if happened is not None:
+                yield happened
+
+    def take(self, message: Message) -> Happened | None:
+        """Give the event of a message, for those who read others as well; None without one."""
+        try:
+            event = event_of(message)
+        except UnreadableEventError as error:
+            self.note_damage(message, error)
+            return None
+        if event is None:
+            return None
+        before, self.view = self.view, self.view.after(event)
+        return Happened(message.log_time, event, before, self.view)
 
     def note_damage(self, message: Message, error: Exception) -> None:
         """Remember a message that cannot be read; whoever else finds that out adds nothing."""

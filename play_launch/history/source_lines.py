@@ -143,4 +143,7 @@ def _addr2line(file: Path, addresses: Sequence[int]) -> list[SourceLine | None] 
 def _line_of(text: str) -> SourceLine | None:
     """Read ``/src/talker.cpp:31 (discriminator 2)``; None for ``??:0``."""
     file, _, line = text.split(" (discriminator", maxsplit=1)[0].rpartition(":")
-    return SourceLine(file, int(line)) if line.isdecimal() and int(line) and file else None
+    if not (line.isdecimal() and int(line) and file):
+        return None
+    # Compilers write ``build/../src/talker.cpp``.
+    return SourceLine(os.path.normpath(file), int(line))

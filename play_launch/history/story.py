@@ -185,6 +185,8 @@ class Telling:
         self._session.view = self._session.view.after(event)
 
     def _begun(self, incident: Incident) -> None:
+        if known := self.parameters.nodes.get(incident.who):
+            incident.parameters = known.of_life(incident.since_ns) or None
         until = incident.log_time + _LATE_LINES
         heapq.heappush(self._waiting, (until, len(self.incidents.all), incident))
 
@@ -221,6 +223,7 @@ class Telling:
             state=incident.state,
             since_ns=incident.since_ns,
             last_lines=incident.last_lines,
+            parameters=incident.parameters,
             before=self.samples.before(incident.key, incident.who, incident.pid, incident.log_time),
             hit=tuple(incident.hit),
             done=tuple(incident.done),

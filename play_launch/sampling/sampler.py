@@ -11,6 +11,7 @@ from msgspec import Struct
 
 from play_launch.core.events import MemoryKind, ProcessSample
 from play_launch.sampling.process_usage import (
+    ProcessFiles,
     ProcessUsage,
     process_usage,
     proportional_set_size,
@@ -30,6 +31,9 @@ _SAME_BYTES: Final = 1 << 20
 """An RSS counts as kept up to such a share of it, or so many bytes."""
 _LEAST_AT_ONCE: Final = 10
 """How many PSS may be taken with one sample; more only where there are more than 100 processes."""
+_MOST_KEPT: Final = 128
+"""Processes whose files are kept open, two descriptors each; those of further ones are opened and
+closed each time."""
 _GOLDEN: Final = (math.sqrt(5) - 1) / 2
 """Multiples of it, without their whole parts, are spread evenly, however many there are."""
 _TICK_NS: Final = 1_000_000_000 // os.sysconf("SC_CLK_TCK")
@@ -47,6 +51,8 @@ class _Known(Struct):
     usage: ProcessUsage | None = None
     usage_at: int = 0
     """When it was measured, in nanoseconds of the monotonic clock."""
+    files: ProcessFiles | None = None
+    """Closed as soon as nobody has them any more."""
 
     @property
     def pss_period(self) -> float:
@@ -117,7 +123,7 @@ class Sampler:
             known = self._known[target]
         else:
             return None
-        usage = process_usage(target.pid, shares_descriptors=host is not None)
+        usage = self._usage(target.pid, known, shares_descriptors=host is not None)
         expected = target.start_time or (known.usage.start_time if known.usage else 0)
         if usage is None or (expected and usage.start_time != expected):
             return None
@@ -150,6 +156,16 @@ class Sampler:
             voluntary_switches=usage.voluntary_switches,
             involuntary_switches=usage.involuntary_switches,
         )
+
+    def _usage(self, pid: int, known: _Known, *, shares_descriptors: bool) -> ProcessUsage | None:
+        if known.files is None:
+            if len(self._known) > _MOST_KEPT:
+                return process_usage(pid, shares_descriptors=shares_descriptors)
+            try:
+                known.files = ProcessFiles(pid)
+            except OSError:  # it has ended
+                return None
+        return known.files.usage(shares_descriptors=shares_descriptors)
 
 
 def _age(start_time: int) -> int:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import subprocess
 from typing import TYPE_CHECKING
 
 import pytest
@@ -9,13 +11,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from play_launch.cdr.messages import NODE_PARAMETERS
+from play_launch.cli.story_words import paragraphs
+from play_launch.core.events import NodeState
 from play_launch.history.bag_reader import Message, Topic
 from play_launch.history.comparison import ParameterChange, compare
 from play_launch.history.events import UnreadableEventError
-from play_launch.history.parameters import Changed, Parameters, shortened
+from play_launch.history.parameters import (
+    Changed,
+    KnownParameters,
+    Parameters,
+    ParametersOfALife,
+    shortened,
+)
 from play_launch.history.story import read_story
 from play_launch.recording import topics
 from tests.history.scenes import Scene, ns
+from tests.support.replay import COMMAND
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -114,3 +125,65 @@ def test_an_unknown_type_of_parameter_is_damage() -> None:
 def test_long_values_are_shortened() -> None:
     assert shortened("x" * 200) == "x" * 200
     assert shortened("x" * 201) == "x" * 200 + "... (201 characters)"
+
+
+def test_a_failure_names_the_parameters_of_that_life(tmp_path: Path) -> None:
+    scene = Scene()
+    scene.started()
+    scene.node(1, "/arm", NodeState.LOADED)
+    scene.parameters(2, "/arm", use_sim_time=False, speed=1.0, tool="gripper")
+    scene.parameters_changed(3, "/arm", changed={"speed": 2.0})
+    scene.crashed(3.5, "/arm")
+    scene.node(4, "/arm", NodeState.LOADED)
+    scene.crashed(4.5, "/arm", "demo::other()")  # before it was asked again
+    story = scene.story(tmp_path)
+    first, second = story.findings
+    assert first.parameters == ParametersOfALife(
+        (("speed", "2.0"), ("tool", '"gripper"'), ("use_sim_time", "false")),
+        (Changed(ns(3), "speed", "1.0", "2.0"),),
+    )
+    assert second.parameters is None
+    lines = [line.strip() for line in paragraphs(story.findings, story.session)]
+    assert "Its parameter speed changed from 1.0 to 2.0 500 ms before." in lines
+    assert 'Its parameters: speed 2.0, tool "gripper".' in lines
+    assert sum("parameter" in line for line in lines) == 2
+
+
+@given(st.dictionaries(st.text(), st.text(), max_size=20), st.integers(0, 9), st.integers(0, 9))
+def test_a_life_has_what_was_said_since_it_began(
+    values: dict[str, str], asked: int, began: int
+) -> None:
+    known = KnownParameters(asked, "", values, [Changed(at, "p", None, "1") for at in range(10)])
+    life = known.of_life(began)
+    assert dict(life.values) == (values if asked >= began else {})
+    assert [each.at_ns for each in life.changes] == list(range(began, 10))
+
+
+def test_inspect_shows_changes_and_with_debug_all_parameters(tmp_path: Path) -> None:
+    scene = Scene()
+    scene.started()
+    scene.parameters(1, "/arm", speed=1.0)
+    scene.parameters_changed(2, "/arm", new={"late": True}, changed={"speed": 2.0})
+    scene.parameters_changed(3, "/arm", new={"later": True})
+    scene.no_parameters(4, "/deaf", "it did not answer in time")
+    bag = scene.record(tmp_path / "a.mcap")
+
+    def lines(*options: str) -> list[str]:
+        command = [str(COMMAND), "inspect", str(bag), "--node", "/arm", "--node", "/deaf", *options]
+        text = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+        return [line.strip() for line in text.splitlines()]
+
+    changed = "2.000 [/arm] parameter speed changed from 1.0 to 2.0"
+    answer = ["1.000 [/arm] parameters:", "1.000 [/arm]   speed 1.0"]
+    assert lines() == [changed]
+    silent = "4.000 [/deaf] parameters: it did not answer in time"
+    assert lines("--level", "debug") == [*answer, changed, silent]
+    (event,) = map(json.loads, lines("--json"))
+    assert event == {
+        "event": "parameters",
+        "stamp_ns": ns(2),
+        "node": "/arm",
+        "values": None,
+        "changes": [{"at_ns": ns(2), "name": "speed", "before": "1.0", "after": "2.0"}],
+        "error": "",
+    }

@@ -50,8 +50,8 @@ def run(*command: object) -> None:
     subprocess.run([str(each) for each in command], check=True)
 
 
-def build(folder: Path, *options: str, text: str = SOURCE) -> Library:
-    source = folder / "lib.c"
+def build(folder: Path, *options: str, text: str = SOURCE, source: Path | None = None) -> Library:
+    source = source or folder / "lib.c"
     source.write_text(text)
     path = folder / "libadd.so"
     # As with an installed package: the paths in it are relative.
@@ -78,6 +78,13 @@ def test_the_lines_of_a_fault_and_of_a_call(library: Library) -> None:
     assert 2 <= line(found, 1) <= 6
     assert line(library.ask(other, is_fault=True)) == 7
     assert 2 <= line(library.ask(other, is_fault=False)) <= 6
+
+
+def test_a_path_through_a_build_folder_is_shortened(tmp_path: Path) -> None:
+    (tmp_path / "build").mkdir()
+    library = build(tmp_path, "-g", source=tmp_path / "build" / ".." / "lib.c")
+    found = library.ask(library.address("add"), is_fault=True)
+    assert found.lines[0].file == str(tmp_path / "lib.c")
 
 
 def test_a_program_at_a_fixed_address(tmp_path: Path) -> None:

@@ -15,7 +15,11 @@ import pytest
 from play_launch.core.events import MemoryKind, ProcessSample, SubjectKind
 from play_launch.process.identity import read_stat
 from play_launch.sampling import process_usage
-from play_launch.sampling.process_usage import ProcessUsage, proportional_set_size
+from play_launch.sampling.process_usage import (
+    ProcessFiles,
+    ProcessUsage,
+    proportional_set_size,
+)
 from play_launch.sampling.sampler import PSS_PERIOD, Sampler
 from play_launch.sampling.targets import Target
 from tests.support.waiting import until
@@ -199,8 +203,42 @@ def test_a_pid_with_an_unknown_start_keeps_its_first_owner(
         usage = process_usage.process_usage(process.pid)
         assert usage is not None
         other = usage._replace(start_time=first.start_time + 1)
-        monkeypatch.setattr("play_launch.sampling.sampler.process_usage", lambda *_, **__: other)
+        monkeypatch.setattr(ProcessFiles, "usage", lambda *_, **__: other)
         assert sampler.sample([measured], 2) == []
+
+
+@pytest.mark.parametrize("most", [0, 128])
+def test_files_are_kept_open_for_some_processes_and_until_they_end(
+    monkeypatch: pytest.MonkeyPatch, most: int
+) -> None:
+    monkeypatch.setattr("play_launch.sampling.sampler._MOST_KEPT", most)
+    sampler, me = Sampler(), psutil.Process()
+    with running(GROWING) as process:
+        before, measured = me.num_fds(), target(process.pid)
+        samples = [one(sampler, measured) for _ in range(3)]
+        assert me.num_fds() - before == (2 if most else 0)
+        assert {each.start_time for each in samples} == {read_stat(process.pid).start_time}
+        process.kill()
+        # A zombie has a status, too.
+        os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
+        assert sampler.sample([measured], 5) == []
+        process.wait()
+        assert sampler.sample([measured], 5) == []
+        assert sampler.sample([], 5) == []
+        assert me.num_fds() <= before
+
+
+def test_the_files_stay_those_of_their_process() -> None:
+    with running(GROWING) as process:
+        files = ProcessFiles(process.pid)
+        assert files.usage() is not None
+        process.kill()
+        process.wait()
+        # Whoever has this pid now.
+        files.pid = os.getpid()
+        assert files.usage() is None
+        with pytest.raises(OSError, match=str(process.pid)):
+            ProcessFiles(process.pid)
 
 
 @pytest.mark.parametrize(("growth", "period"), [(2 * MEGABYTE, 10), (0, 60)])
@@ -212,7 +250,7 @@ def test_the_pss_of_many_processes_is_not_taken_at_once(
     assert measured is not None
     first = measured._replace(rss=50 * MEGABYTE)
 
-    def usage(_: int, **__: object) -> ProcessUsage:
+    def usage(_: ProcessFiles, **__: object) -> ProcessUsage:
         return first._replace(rss=first.rss + growth * round(clock.now))
 
     def pss(pid: int) -> int:
@@ -220,7 +258,7 @@ def test_the_pss_of_many_processes_is_not_taken_at_once(
         return 1
 
     monkeypatch.setattr("play_launch.sampling.sampler.proportional_set_size", pss)
-    monkeypatch.setattr("play_launch.sampling.sampler.process_usage", usage)
+    monkeypatch.setattr(ProcessFiles, "usage", usage)
     clock = Clock()
     sampler = Sampler(clock)
     me = read_stat(os.getpid())

@@ -1,0 +1,140 @@
+"""The pictures of the documentation: what a person sees, made anew.
+
+    python -m benchmarks.pictures [--only NAME...] [FOLDER]
+
+They go into FOLDER, by default docs/: the demo while it comes up and when it is over, the screen of
+`play-launch top`, and the page of a session, which needs a Chromium. Pictures of measurements
+belong to those: see benchmarks.publish.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.style import Style
+from rich.text import Text
+
+from benchmarks.bring_up import COMMAND, ENVIRONMENT
+from benchmarks.browser import find_browser
+from benchmarks.report import pictures as report_pictures
+from benchmarks.running import running
+from play_launch.cli.top.picture import without_network
+from tests.support.terminal import Terminal, on_terminal
+
+ROOT = Path(__file__).parents[1]
+CONFIG = "configs/demo.yaml"
+CRASHING = "configs/crash_isolation.yaml"
+NODES = 7
+"""Of the latter."""
+CRASHES = 9.0
+"""Seconds in which some of them crash."""
+COLUMNS, LINES = 124, 40
+SLOW = "waiting on /slow_starter"
+"""What the picture of a start is to show."""
+END = "Recording: "
+STYLES = {"bold": "bold", "italics": "italic", "reverse": "reverse"}
+"""Marks of a cell, and rich's words for them."""
+
+
+def seen(terminal: Terminal) -> Text:
+    """What is on the screen, line by line, without empty lines at the end."""
+    lines = terminal.lines()
+    while lines and not lines[-1]:
+        lines.pop()
+    text = Text(no_wrap=True)
+    for number, line in enumerate(lines):
+        for column in range(len(line)):
+            cell = terminal.look(number, column)
+            text.append(cell.data, style_of(cell))
+        text.append("\n")
+    return text
+
+
+def style_of(cell: Any) -> Style:
+    """The style of a cell of the emulator."""
+    words = [word for mark, word in STYLES.items() if getattr(cell, mark)]
+    for colour, before in ((cell.fg, ""), (cell.bg, "on ")):
+        if colour != "default":
+            words.append(before + _colour(colour))
+    return Style.parse(" ".join(words))
+
+
+def _colour(name: str) -> str:
+    """rich's word for a colour of the emulator: a name, or six hexadecimal digits."""
+    if len(name) == 6 and all(digit in "0123456789abcdef" for digit in name):
+        return f"#{name}"
+    # The emulator's brown is the terminal's yellow.
+    return name.replace("bright", "bright_").replace("brown", "yellow")
+
+
+def drawn(text: Text, title: str) -> str:
+    """An SVG of it."""
+    with open(os.devnull, "w", encoding="utf-8") as nowhere:
+        console = Console(record=True, file=nowhere, width=COLUMNS, force_terminal=True)
+        console.print(text, end="", soft_wrap=True)
+    return without_network(console.export_svg(title=title, unique_id="picture"))
+
+
+def demo(folder: Path) -> None:
+    """The demo, while it comes up and at its end."""
+    with tempfile.TemporaryDirectory() as home:
+        command = [str(COMMAND), "replay", CONFIG]
+        environment = {**ENVIRONMENT, "HOME": home, "PWD": str(ROOT)}
+        environment.pop("ROS_LOG_DIR", None)
+        with on_terminal(*command, columns=COLUMNS, lines=LINES, **environment) as terminal:
+            for name, what in (("demo-live", SLOW), ("demo", END)):
+                terminal.until_seen(what)
+                if what == END:
+                    terminal.end()
+                title = f"play-launch replay {CONFIG}"
+                write(folder / f"{name}.svg", drawn(seen(terminal), title))
+
+
+def top(folder: Path) -> None:
+    """The screen of a running session."""
+    picture = folder / "top.svg"
+    with (
+        tempfile.TemporaryDirectory() as logs,
+        running(ROOT / CRASHING, Path(logs), NODES) as run,
+    ):
+        time.sleep(CRASHES)
+        command = [str(COMMAND), "top", "--session", str(run.pid), "--svg", str(picture)]
+        subprocess.run(command, check=True)
+    print(picture)
+
+
+def report(folder: Path) -> None:
+    """The page of a session, in light and in dark."""
+    program = find_browser()
+    if program is None:
+        raise SystemExit("the page of a session needs Chromium (Debian: chromium)")
+    report_pictures(folder, program)
+
+
+def write(path: Path, picture: str) -> None:
+    path.write_text(picture, encoding="utf-8")
+    print(path)
+
+
+MAKERS: Mapping[str, Callable[[Path], None]] = {"demo": demo, "top": top, "report": report}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", nargs="?", type=Path, default=ROOT / "docs")
+    parser.add_argument("--only", nargs="+", choices=MAKERS, default=list(MAKERS))
+    options = parser.parse_args()
+    for name in options.only:
+        MAKERS[name](options.folder)
+
+
+if __name__ == "__main__":
+    main()
