@@ -75,7 +75,7 @@ VARIANTS: Final = (
 STANDARD, THREADS, ISOLATED, _, DDS, LARGE_DDS = (variant.name for variant in VARIANTS)
 
 
-class _Failures:
+class Failures:
     """Hears the supervisor's events and remembers what failed."""
 
     def __init__(self) -> None:
@@ -98,7 +98,7 @@ async def measure(variant: Variant, images: int, rate: float) -> list[float]:
         SystemExit: When they do not come, or not in the way that they should.
     """
     wanted = images + _WARM_UP
-    failures = _Failures()
+    failures = Failures()
     stop = StopRequests()
     with Figures(_HEADER + wanted) as figures:
         nodes = [

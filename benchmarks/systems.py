@@ -27,12 +27,16 @@ _CONTAINER_RESTART = {**_RESTART, "backoff": {"initial": "100 ms", "maximum": "1
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """A component of play_launch_demo; `by_pointer`: use_intra_process_comms."""
+    """A component of play_launch_demo; `by_pointer`: use_intra_process_comms.
+
+    `resources` are as in a configuration.
+    """
 
     name: str
     plugin: str
     parameters: Mapping[str, object] = field(default_factory=dict)
     by_pointer: bool = True
+    resources: Mapping[str, object] = field(default_factory=dict)
 
 
 def system(
@@ -57,6 +61,7 @@ def system(
             "extra_arguments": {"use_intra_process_comms": node.by_pointer},
         }
         | ({"restart": _RESTART} if mode.startswith("isolated") else {})
+        | ({"resources": dict(node.resources)} if node.resources else {})
         for node in nodes
     ]
     container: dict[str, object] = {

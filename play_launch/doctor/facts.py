@@ -76,11 +76,11 @@ class GroupFacts:
     """Control groups, version 2."""
 
     folder: str = ""
-    """That of our own group; empty where it is not mounted."""
+    """The group below which those of a session are made; empty where none is mounted."""
     controllers: tuple[str, ...] = ()
     """Those that groups below it can have."""
-    is_delegated: bool = False
-    """Whether we may make groups below it."""
+    problem: str = ""
+    """Why none can be made there, ``; fix: `` and the fix; empty: they can."""
 
 
 class KeySupport(Enum):

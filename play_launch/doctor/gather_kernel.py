@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import ctypes
-import os
 import re
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from play_launch.cgroups.base import (
+    GroupError,
+    facts_of,
+    obstacle,
+    own_base,
+    own_hierarchy,
+)
 from play_launch.doctor.facts import GroupFacts, KeySupport
 from play_launch.doctor.surroundings import Surroundings, surroundings_of
 
@@ -16,7 +22,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 _OWN_GROUPS: Final = Path("/proc/self/cgroup")
-_MOUNTS: Final = Path("/proc/self/mountinfo")
 _CPUS: Final = Path("/proc/cpuinfo")
 _REAL_TIME: Final = Path("/proc/sys/kernel")
 
@@ -31,30 +36,17 @@ def surroundings() -> Surroundings:
 
 
 def own_group() -> GroupFacts:
-    """Look at our own control group."""
-    folder = group_folder(_text(_OWN_GROUPS), _text(_MOUNTS))
-    if folder is None or not (folder / "cgroup.procs").is_file():
-        return GroupFacts()
-    files = (folder, folder / "cgroup.procs", folder / "cgroup.subtree_control")
+    """Look at the control group below which those of a session would be made."""
+    try:
+        found = own_hierarchy()
+    except GroupError as error:
+        return GroupFacts(problem=str(error))
+    base = own_base(found.own)
     return GroupFacts(
-        folder=str(folder),
-        controllers=tuple(_text(folder / "cgroup.controllers").split()),
-        is_delegated=all(os.access(each, os.W_OK) for each in files),
+        folder=str(base),
+        controllers=tuple(_text(base / "cgroup.controllers").split()),
+        problem=obstacle(base, facts_of(base, found.mount)),
     )
-
-
-def group_folder(groups: str, mounts: str) -> Path | None:
-    """Find the folder of a group of version 2.
-
-    Args:
-        groups: What `/proc/self/cgroup` says: `0::/path` is of version 2, the others of version 1.
-        mounts: What `/proc/self/mountinfo` says, see proc_pid_mountinfo(5).
-    """
-    path = re.search(r"^0::/(.*)$", groups, re.MULTILINE)
-    mounted = re.search(r"^\S+ \S+ \S+ (\S+) (\S+) .* - cgroup2 ", mounts, re.MULTILINE)
-    if path is None or mounted is None:
-        return None
-    return Path(mounted[2].replace("\\040", " "), path[1])
 
 
 def key_support() -> KeySupport:

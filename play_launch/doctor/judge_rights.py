@@ -50,21 +50,20 @@ def judge_rights(facts: MachineFacts) -> list[Finding]:
 
 def _control_groups(facts: GroupFacts, started_by: Surroundings) -> Finding:
     subject = "control groups"
-    if not facts.folder:
-        return ok(subject, "version 2 is not mounted: no limits for groups", _VERSION_2)
-    where = f"version 2, {facts.folder}"
-    if not facts.is_delegated:
-        fix = how_to_get(Right.CONTROL_GROUPS, started_by)
-        return ok(subject, f"{where}, not ours: no limits for groups", fix)
+    if facts.problem:
+        says, _, fix = facts.problem.partition("; fix: ")
+        if facts.folder:
+            fix = how_to_get(Right.CONTROL_GROUPS, started_by, from_login=fix)
+        return ok(subject, f"{says}: no limits for groups", fix)
+    where = f"version 2, {facts.folder}, ours"
     has = [each for each in _CONTROLLERS if each in facts.controllers]
     missing = [each for each in _CONTROLLERS if each not in facts.controllers]
     if not has:
-        return ok(subject, f"{where}, ours, without controllers: no limits for groups", _VERSION_2)
-    says = f"{where}, ours, with {', '.join(has)}"
+        return ok(subject, f"{where}, without controllers: no limits for groups", _VERSION_2)
     if missing:
         fix = how_to_get(Right.CONTROLLERS, started_by)
-        return ok(subject, f"{says}; without {', '.join(missing)}", fix)
-    return ok(subject, says)
+        return ok(subject, f"{where}, with {', '.join(has)}; without {', '.join(missing)}", fix)
+    return ok(subject, f"{where}, with {', '.join(has)}")
 
 
 def _real_time(facts: LimitFacts, started_by: Surroundings) -> Finding:

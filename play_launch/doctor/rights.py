@@ -72,10 +72,13 @@ _WAYS: Final[Mapping[Right, Mapping[Surroundings, str]]] = {
 _OUTSIDE: Final = (Surroundings.SYSTEM_SERVICE, Surroundings.USER_SERVICE)
 
 
-def how_to_get(right: Right, surroundings: Surroundings) -> str:
-    """Give the command or line; from a login also those for services, each on a line."""
+def how_to_get(right: Right, surroundings: Surroundings, *, from_login: str = "") -> str:
+    """Give the command or line; from a login also those for services, each on a line.
+
+    ``from_login`` is what a login does, where more is known about it.
+    """
     ways = _WAYS[right]
-    here = ways[surroundings]
     if surroundings is not Surroundings.LOGIN:
-        return here
+        return ways[surroundings]
+    here = from_login or ways[surroundings]
     return "\n".join([here, *(f"as a {each}: {ways[each]}" for each in _OUTSIDE)])

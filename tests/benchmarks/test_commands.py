@@ -87,6 +87,22 @@ def test_images_are_measured(tmp_path: Path) -> None:
     assert ET.fromstring(plot.read_text(encoding="utf-8")).tag.endswith("svg")
 
 
+def test_a_control_loop_is_measured_beside_a_greedy_node(tmp_path: Path) -> None:
+    allocator_environment()
+    stored = tmp_path / "limits.json"
+    printed = run("limits", "--rounds", "1", "--seconds", "0.2", "--json", stored)
+    document = json.loads(stored.read_text(encoding="utf-8"))
+    rows, left_out = document["rows"], document["left_out"]
+    assert {"alone", "beside the greedy node"} <= {*rows}
+    assert "ros2 launch, one container" in {*rows, *left_out}
+    assert not rows.keys() & left_out.keys()
+    for name in rows:
+        assert name in printed
+    for name, why in left_out.items():
+        assert f"{name}: not measured, {why}" in printed
+        assert why
+
+
 def test_a_kind_that_does_not_exist_is_refused() -> None:
     result = subprocess.run(
         [sys.executable, "-m", "benchmarks.crash", "--kinds", "boredom/*"],

@@ -38,7 +38,6 @@ KERNEL = KernelFacts(release="6.8.0", has_pidfd=True)
 GROUPS = GroupFacts(
     folder="/sys/fs/cgroup/robot",
     controllers=("cpuset", "cpu", "io", "memory", "hugetlb", "pids"),
-    is_delegated=True,
 )
 UNLIMITED = Limit(soft=None, hard=None)
 LIMITS = LimitFacts(

@@ -88,6 +88,8 @@ def cyclone(discovery_range: str = "SYSTEM_DEFAULT", **changes: Any) -> MachineF
 SMALL = Limit(soft=1024, hard=4096)
 NONE = Limit(soft=0, hard=0)
 
+TAKEN = "not ours; fix: take it"
+
 # What is changed, whom it concerns, how bad it is, and a part of the whole finding.
 CASES: list[tuple[MachineFacts, str, Level, str]] = [
     (python(version=(3, 10, 4)), "Python", FAIL, "3.11 or newer"),
@@ -137,9 +139,19 @@ CASES: list[tuple[MachineFacts, str, Level, str]] = [
     (container(allocator=""), "allocator", WARN, "cmeel-mimalloc"),
     (container(allocator="", allocator_problem="it is a text"), "allocator", WARN, "it is a text"),
     (kernel(has_pidfd=False), "kernel", FAIL, "5.3 or newer"),
-    (groups(folder=""), "control groups", OK, "systemd.unified_cgroup_hierarchy=1"),
-    (groups(is_delegated=False), "control groups", OK, "systemd-run --user --scope"),
-    (groups(is_delegated=False), "control groups", OK, "as a system service: Delegate=yes"),
+    (
+        groups(folder="", problem="none; fix: mount it"),
+        "control groups",
+        OK,
+        "groups |  | mount it",
+    ),
+    (groups(problem=TAKEN), "control groups", OK, "not ours: no limits"),
+    (
+        groups(problem=TAKEN),
+        "control groups",
+        OK,
+        "take it\nas a system service",
+    ),
     (groups(controllers=()), "control groups", OK, "cgroup_no_v1=all"),
     (groups(controllers=("cpu", "pids")), "control groups", OK, "without cpuset, io, memory"),
     (replace(MACHINE, keys=KeySupport.NO_CPU), "protection keys", OK, "no pku"),
@@ -217,7 +229,8 @@ def test_one_fact_makes_one_finding(
 
 
 LACKING = replace(
-    groups(is_delegated=False), limits=replace(LIMITS, rtprio=NONE, nice=NONE, memlock=SMALL)
+    groups(problem=TAKEN),
+    limits=replace(LIMITS, rtprio=NONE, nice=NONE, memlock=SMALL),
 )
 COMMANDS = {
     Surroundings.SYSTEM_SERVICE: (

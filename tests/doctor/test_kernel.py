@@ -7,37 +7,15 @@ from pathlib import Path
 import pytest
 
 from play_launch.doctor.facts import KeySupport
-from play_launch.doctor.gather_kernel import group_folder, own_group, support_of
+from play_launch.doctor.gather_kernel import own_group, support_of
 from play_launch.doctor.surroundings import Surroundings, surroundings_of
 
-MOUNTS = """\
-22 27 0:21 / /proc rw,nosuid - proc proc rw
-30 23 0:26 / /sys/fs/cgroup ro,nosuid shared:4 - tmpfs tmpfs ro
-31 30 0:27 / /sys/fs/cgroup/my\\040unified rw,nosuid shared:9 master:1 - cgroup2 cgroup2 rw
-32 30 0:28 / /sys/fs/cgroup/cpu rw - cgroup cgroup rw,cpu
-"""
 
-
-@pytest.mark.parametrize(
-    ("groups", "mounts", "folder"),
-    [
-        ("4:cpu:/x\n0::/a.slice/b\n", MOUNTS, "/sys/fs/cgroup/my unified/a.slice/b"),
-        ("0::/\n", MOUNTS, "/sys/fs/cgroup/my unified"),
-        ("4:cpu:/x\n", MOUNTS, None),
-        ("0::/a\n", "22 27 0:21 / /proc rw,nosuid - proc proc rw\n", None),
-        ("", "", None),
-    ],
-)
-def test_the_folder_of_a_group_is_found(groups: str, mounts: str, folder: str | None) -> None:
-    assert group_folder(groups, mounts) == (folder and Path(folder))
-
-
-def test_our_own_group_is_that_of_this_process() -> None:
+def test_our_own_group_is_a_group() -> None:
     found = own_group()
     if not found.folder:
         pytest.skip("cgroup v2 is not mounted")
-    processes = (Path(found.folder) / "cgroup.procs").read_text().split()
-    assert str(Path("/proc/self").resolve().name) in processes
+    assert (Path(found.folder) / "cgroup.procs").is_file()
 
 
 @pytest.mark.parametrize(

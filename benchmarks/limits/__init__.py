@@ -1,0 +1,1 @@
+"""What priorities, CPUs of one's own and limits are worth beside a greedy node."""
