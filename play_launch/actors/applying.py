@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+from contextlib import contextmanager
 from functools import partial
 from typing import TYPE_CHECKING, Final, assert_never
 
@@ -20,9 +21,8 @@ from play_launch.plan.progress import after
 from play_launch.plan.steps import Action, Kind, Need
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable, Mapping
+    from collections.abc import Awaitable, Callable, Iterator, Mapping
 
-    from play_launch.actors.container.container import ContainerMember
     from play_launch.actors.members import Members
     from play_launch.actors.ports import Launcher, ParameterService
     from play_launch.actors.publisher import Publisher
@@ -86,6 +86,8 @@ class Applying:
         self._stop = stop
         self._launcher = launcher
         self._parameters = parameters
+        self._leaving: dict[str, str] = {}
+        """By the names of steps: what was asked to end and had not when its step was over; why."""
         self._changed = asyncio.Event()
         self.idle = asyncio.Event()
         """Set unless something is being applied."""
@@ -100,7 +102,10 @@ class Applying:
 
     def plan(self, target: ReplayConfig) -> Plan:
         """Compare the system with what it is to become."""
-        return plan(self.config, target, absent(self._publisher.view))
+        return plan(self.config, target, self._absent())
+
+    def _absent(self) -> dict[str, str]:
+        return {**absent(self._publisher.view), **self._leaving}
 
     async def apply(
         self,
@@ -128,7 +133,7 @@ class Applying:
         self.idle.clear()
         self._on_begin()
         try:
-            before, absent_before = self.config, absent(self._publisher.view)
+            before, absent_before = self.config, self._absent()
             found = self.plan(target)
             outcomes = await self._carry_out(found, target, limit, on_outcome)
             applied = Applied(plan=found, outcomes=outcomes)
@@ -136,9 +141,7 @@ class Applying:
                 return applied
             _log.warning("the new configuration failed; the one before is applied again")
             lost = {
-                name: reason
-                for name, reason in absent(self._publisher.view).items()
-                if name not in absent_before
+                name: reason for name, reason in self._absent().items() if name not in absent_before
             }
             back = plan(self.config, before, lost)
             rollback = await self._carry_out(back, before, limit, on_outcome)
@@ -237,7 +240,8 @@ class Applying:
 
     async def _container(self, step: Step, config: ContainerConfig | None) -> None:
         if config is None:
-            await self._members.remove(step.name, _BECAUSE)
+            with self._ending(step.name):
+                await self._members.remove(step.name, _BECAUSE)
             return
         if step.action is Action.ADOPT:
             self._members.containers[step.name].adopt(config)
@@ -247,7 +251,8 @@ class Applying:
 
     async def _process(self, step: Step, config: ProcessConfig | None) -> str:
         if config is None:
-            await self._members.remove(step.name, _BECAUSE)
+            with self._ending(step.name):
+                await self._members.remove(step.name, _BECAUSE)
             return ""
         refusal = ""
         if step.action in {Action.ADOPT, Action.SET}:
@@ -265,15 +270,26 @@ class Applying:
         if step.action is Action.ADD:
             self._members.add(config)
         else:
-            await self._members.replace(config, _BECAUSE)
+            with self._ending(step.name):
+                await self._members.replace(config, _BECAUSE)
+
+    @contextmanager
+    def _ending(self, name: str) -> Iterator[None]:
+        """Remember what does not end in time: it still will, and is not there then."""
+        self._leaving[name] = "it was asked to end"
+        yield
+        # With a container, so have its nodes.
+        for each in [each for each in self._leaving if each == name or each.startswith(f"{name}:")]:
+            del self._leaving[each]
 
     async def _component(self, step: Step, target: ReplayConfig) -> str:
         key = NodeKey.parsed(step.name)
         container = self._members.containers[key.container]
         if step.action is Action.REMOVE:
-            if key in container.nodes:
-                container.deliver(partial(container.nodes.withdraw, key))
-            await self._until(partial(_withdrawn, key=key))
+            with self._ending(step.name):
+                if key in container.nodes:
+                    container.deliver(partial(container.nodes.withdraw, key))
+                await self._until(partial(_withdrawn, key=key))
             return ""
         config, environment = _declared(target, key)
         refusal = ""
@@ -282,16 +298,10 @@ class Applying:
             container.deliver(partial(container.nodes.declare, config))
             if not refusal:
                 return ""
-        self._load(container, config, step.action)
+        container.deliver(partial(container.nodes.declare, config, anew=True))
+        self._leaving.pop(step.name, None)
         await self._until(partial(node_settled, key=key))
         return refusal and f"reloaded: {refusal}"
-
-    def _load(
-        self, container: ContainerMember, config: ComposableNodeConfig, action: Action
-    ) -> None:
-        container.deliver(partial(container.nodes.declare, config))
-        if action is not Action.ADD:
-            container.deliver(partial(container.nodes.reload, config.key))
 
     async def _set(
         self,

@@ -142,11 +142,16 @@ class Actions:
         had_given_up: set[Target] = {
             target
             for target in targets
-            if isinstance(target, str) and self._system.state_of(target) is ContainerState.GAVE_UP
+            if isinstance(target, str)
+            and self._is_member(target)
+            and self._system.state_of(target) is ContainerState.GAVE_UP
         }
         with changes_of_state(self._feed) as changed:
             for target in targets:
-                self._begin(action, target)
+                try:
+                    self._begin(action, target)
+                except KeyError:  # since it was chosen, a configuration was applied without it
+                    verdicts[target] = _TAKEN_OUT
             if action is Action.STOP:
                 # The end of what one leaves behind is no event.
                 for target in targets:
@@ -228,7 +233,10 @@ class Actions:
         return process.message if process else ""
 
     def _signal(self, target: Target, number: signal.Signals) -> Verdict:
-        pid, start_time = self._process_of(target)
+        found = self._process_of(target)
+        if found is None:
+            return _TAKEN_OUT
+        pid, start_time = found
         if not pid:
             return Verdict(is_done=False, reason="it has no process of its own that runs")
         if not start_time:
@@ -240,11 +248,16 @@ class Actions:
             return Verdict(is_done=False, reason=str(error))
         return Verdict(is_sent, "" if is_sent else "it has just ended")
 
-    def _process_of(self, target: Target) -> tuple[int, int]:
+    def _process_of(self, target: Target) -> tuple[int, int] | None:
+        """Give pid and start time, 0 where it has none; None: it is not there any more."""
         view = self._publisher.view
+        if not isinstance(target, NodeKey) and not self._is_member(target):
+            return None
         if isinstance(target, NodeKey):
-            container = view.containers[target.container]
-            node = container.nodes[target]
+            container = view.containers.get(target.container)
+            node = None if container is None else container.nodes.get(target)
+            if container is None or node is None:
+                return None
             is_own = container.process.pid and node.pid != container.process.pid
             return (node.pid, node.start_time) if is_own else (0, 0)
         member = view.containers.get(target)

@@ -53,7 +53,6 @@ _reported = logging.getLogger(REPORTED_LOGGER)
 
 _ALONE_LIMIT: Final = 60.0
 """Seconds for which a load can keep others waiting that have to be alone."""
-
 _UNDER_WAY: Final = frozenset({NodeState.REQUESTED, NodeState.LOADING})
 _ENDED: Final = frozenset({NodeState.UNLOADED, NodeState.CRASHED, NodeState.LOAD_FAILED})
 _GONE: Final = frozenset({NodeState.UNLOADED, NodeState.CRASHED})
@@ -111,16 +110,16 @@ class ContainerNodes:
     def _mirror(self, config: ComposableNodeConfig) -> MirroredNode:
         return MirroredNode(config, CrashFollower(config.on_crash, config.restart, self._jitter))
 
-    def declare(self, config: ComposableNodeConfig) -> None:
+    def declare(self, config: ComposableNodeConfig, *, anew: bool = False) -> None:
         """Take in a node, which is loaded as soon as the container is ready.
 
-        One that is known is not touched: what has changed holds when it is loaded next.
+        One that is known is only replaced ``anew``; else what has changed holds for its next load.
         """
         self.suspects.declare(config)
         if (known := self._nodes.get(config.key)) is not None:
             known.config = config
             known.follower.limit(config.on_crash, config.restart)
-            if known.is_withdrawn:
+            if known.is_withdrawn or anew:
                 known.is_withdrawn = False
                 self.reload(config.key)
             return
@@ -245,6 +244,8 @@ class ContainerNodes:
         self._ask()
 
     def _want(self, key: NodeKey, said: NodeInput) -> None:
+        if self._nodes[key].is_withdrawn:  # it is on its way out
+            return
         is_ready = self._send is not None and not self._stopping
         self._nodes[key].reload_at = None
         self._nodes[key].follower.forget()
