@@ -298,6 +298,17 @@ def test_parameters_for_others_are_named_by_their_file(tmp_path: Path) -> None:
     (config,) = load(made, tmp_path).nodes
     assert {each.name: each.value.value for each in config.parameters} == {"a": 1, "rate": 5}
     assert [each.pattern for each in config.process_parameters] == ["/a/n", "/costmap/costmap"]
+    everywhere = Values((records.parameter("rate", VALUE_5),), "/**")
+    unit = evaluated(node(sources=[everywhere, file]))
+    made = write(unit, folder=tmp_path)
+    assert made.text.count("p.yaml") == 2
+    (config,) = load(made, tmp_path).nodes
+    assert [each.pattern for each in config.process_parameters] == [
+        "/**",
+        "/a/n",
+        "/costmap/costmap",
+    ]
+    unit = evaluated(node(sources=[file]))
     inline = load(write(unit, folder=tmp_path, inline=True), tmp_path).nodes[0]
     assert [each.pattern for each in inline.process_parameters] == ["/costmap/costmap"]
 

@@ -9,7 +9,7 @@ from play_launch.config.resolve.parameter_files import matches
 from play_launch.launch_files.configuration.sources import same, values_of
 
 if TYPE_CHECKING:
-    from play_launch.launch_files.configuration.sources import ParameterSources, Values
+    from play_launch.launch_files.configuration.sources import Parameters, ParameterSources
     from play_launch.launch_files.losses import Losses
     from play_launch.launch_files.records import Process
 
@@ -31,11 +31,11 @@ def add_parameters(
 
 
 def add_sections(
-    entry: dict[str, Any], unit: Process, own: Values, sources: ParameterSources, losses: Losses
+    entry: dict[str, Any], unit: Process, own: Parameters, sources: ParameterSources, losses: Losses
 ) -> None:
     """Add `process_parameters`, and `own` for the node itself, where these do not give it that."""
     sections = {each.pattern: values_of(unit, each.parameters, losses) for each in unit.for_others}
-    given: Values = {}
+    given: Parameters = {}
     for pattern, values in sections.items():
         if _is_for(unit, pattern):
             given |= values

@@ -14,19 +14,19 @@ from play_launch.config.yaml.scalars import ScalarKind
 from play_launch.config.yaml.tree import At, Scalar
 from play_launch.install.parameter_file import parameter_file_text
 from play_launch.launch_files.configuration.yaml_text import Verbatim
-from play_launch.launch_files.records import Composable, ParameterFile, typed_value
+from play_launch.launch_files.losses import Losses
+from play_launch.launch_files.records import Composable, ParameterFile, Values, typed_value
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
 
     from play_launch.config.model import ParameterValue
     from play_launch.launch_files.configuration.copies import Copies
     from play_launch.launch_files.configuration.options import Options
     from play_launch.launch_files.configuration.paths import Paths
-    from play_launch.launch_files.losses import Losses
-    from play_launch.launch_files.records import Parameter, Unit
+    from play_launch.launch_files.records import Parameter, Source, Unit
 
-Values = dict[str, "ParameterValue"]
+Parameters = dict[str, "ParameterValue"]
 
 _LONG: Final = 1000
 """Characters of a text that stands in a file of its own, such as the description of a robot."""
@@ -40,9 +40,9 @@ class _Use(Enum):
     ALL = auto()
 
 
-def values_of(unit: Unit, parameters: Iterable[Parameter], losses: Losses) -> Values:
+def values_of(unit: Unit, parameters: Iterable[Parameter], losses: Losses) -> Parameters:
     """Return the values of evaluated parameters of a unit."""
-    found: Values = {}
+    found: Parameters = {}
     for each in parameters:
         try:
             value = typed_value(each)
@@ -73,18 +73,16 @@ class ParameterSources:
         self._files = ParameterFiles(self._report, self._content)
         self._unusable: set[tuple[str, _Use]] = set()
 
-    def written(self, unit: Unit, values: Values) -> Any:
+    def written(self, unit: Unit, values: Parameters) -> Any:
         """Return what stands at `parameters`; empty where there is nothing to say."""
         files: list[ParameterFile] = []
-        base: Values = {}
+        base: Parameters = {}
         for source in self._usable(unit):
             found = self._read(source, unit.full_name or None)
             if found:
                 files.append(source)
                 base.update(found)
-        overrides = {
-            name: value for name, value in values.items() if not same(base.get(name), value)
-        }
+        overrides = _different(values, base)
         kept = len(values) - len(overrides)
         if not files or not base.keys() <= values.keys() or kept < max(1, len(overrides)):
             files, overrides = [], dict(values)
@@ -94,39 +92,52 @@ class ParameterSources:
             return overrides
         return [*references, overrides] if overrides else references
 
-    def sections(self, unit: Unit, sections: dict[str, Values]) -> Any:
+    def sections(self, unit: Unit, sections: dict[str, Parameters]) -> Any:
         """Return what stands at `process_parameters`; empty where there is nothing to say.
 
-        A section for the node itself in a file does no harm: its `parameters` come later.
+        Its sources stand there in their order, in which rcl reads them too, and what differs behind
+        them. A section for the node itself in a file does no harm: its `parameters` come later.
         """
-        files: list[ParameterFile] = []
-        base: dict[str, Values] = {}
-        for source in self._usable(unit):
-            found = self._read_sections(source)
+        parts: list[Any] = []
+        base: dict[str, Parameters] = {}
+        for source in self._in_order(unit):
+            found = self._sections_of(unit, source, sections)
             if found:
-                files.append(source)
+                parts.append(source if isinstance(source, ParameterFile) else dict(found))
                 for pattern, values in found:
                     base.setdefault(pattern, {}).update(values)
         if unit.full_name not in sections:
             base.pop(unit.full_name, None)
         overrides = {
-            pattern: {
-                name: value
-                for name, value in values.items()
-                if not same(base.get(pattern, {}).get(name), value)
-            }
+            pattern: rest
             for pattern, values in sections.items()
+            if (rest := _different(values, base.get(pattern, {})))
         }
-        overrides = {pattern: values for pattern, values in overrides.items() if values}
-        count = sum(map(len, overrides.values()))
-        kept = sum(map(len, sections.values())) - count
         fits = list(dict.fromkeys((*base, *sections))) == list(sections) and all(
             values.keys() <= sections[pattern].keys() for pattern, values in base.items()
         )
-        if not files or not fits or kept < max(1, count):
+        given = [each for each in (*parts, overrides) if isinstance(each, dict)]
+        count = sum(len(values) for each in given for values in each.values())
+        total = sum(map(len, sections.values()))
+        if not fits or total - count < max(1, count):
             return sections
-        references: list[Any] = [self._reference(unit, source) for source in files]
-        return [*references, overrides] if overrides else references
+        if overrides:
+            parts.append(overrides)
+        return [each if isinstance(each, dict) else self._reference(unit, each) for each in parts]
+
+    def _in_order(self, unit: Unit) -> Iterable[Source]:
+        """Return the sources that can be written, where one of them is a file."""
+        files = set(self._usable(unit))
+        return (each for each in unit.sources if isinstance(each, Values) or each in files)
+
+    def _sections_of(
+        self, unit: Unit, source: Source, wanted: Mapping[str, Parameters]
+    ) -> list[tuple[str, Parameters]]:
+        if isinstance(source, ParameterFile):
+            return self._read_sections(source)
+        # What cannot be written of them was reported with the rest.
+        values = values_of(unit, source.parameters, Losses())
+        return [(source.pattern, values)] if values and source.pattern in wanted else []
 
     def _usable(self, unit: Unit) -> Iterable[ParameterFile]:
         """Return the parameter files of a unit that can be named, each once."""
@@ -147,7 +158,7 @@ class ParameterSources:
         name = f"{unit.name or program.rpartition('::')[2] or 'parameters'}.yaml"
         return Verbatim(self._paths.value(self._copies.add(name, text.encode())))
 
-    def _set_apart(self, unit: Unit, values: Values) -> list[Verbatim]:
+    def _set_apart(self, unit: Unit, values: Parameters) -> list[Verbatim]:
         """Take texts that are too long to be read in between out of `values`, into a file."""
         if self._copies is None:
             return []
@@ -173,7 +184,7 @@ class ParameterSources:
         scalar = Scalar(start, ScalarKind.STRING, source.path, source.path, plain=False)
         return At(scalar, "", self._report)
 
-    def _read(self, source: ParameterFile, full_name: str | None) -> Values:
+    def _read(self, source: ParameterFile, full_name: str | None) -> Parameters:
         use = _Use.UNNAMED if full_name is None else _Use.NAMED
         if not self._unusable.isdisjoint({(source.path, use), (source.path, _Use.ALL)}):
             return {}
@@ -181,7 +192,7 @@ class ParameterSources:
         found = self._files.select(self._at(source), source.path, full_name)
         return found if self._is_fine(source, use, before) else {}
 
-    def _read_sections(self, source: ParameterFile) -> list[tuple[str, Values]]:
+    def _read_sections(self, source: ParameterFile) -> list[tuple[str, Parameters]]:
         if not self._unusable.isdisjoint({(source.path, _Use.NAMED), (source.path, _Use.ALL)}):
             return []
         before = len(self._report)
@@ -195,6 +206,10 @@ class ParameterSources:
         # It refuses something that rcl takes, such as `yes`.
         self._unusable.add((source.path, use))
         return False
+
+
+def _different(values: Parameters, base: Parameters) -> Parameters:
+    return {name: value for name, value in values.items() if not same(base.get(name), value)}
 
 
 def same(one: ParameterValue | None, other: ParameterValue) -> bool:
