@@ -263,6 +263,22 @@ def test_containers_can_be_switched(tmp_path: Path) -> None:
     }
 
 
+def test_arguments_of_a_container_for_ros(tmp_path: Path) -> None:
+    unit = node(
+        package="rclcpp_components",
+        executable="component_container_isolated",
+        kind=ProgramKind.CONTAINER,
+        arguments=["--ros-args", "--log-level", "info", "-r", "__ns:=/x", "--", "--fast"],
+        remappings=[("a", "b")],
+    )
+    made = write(unit)
+    (container,) = load(made, tmp_path).containers
+    assert container.ros_arguments == ("--log-level", "info", "-r", "a:=b")
+    name, arguments = lost(made)
+    assert "['--fast']" in name + arguments
+    assert "__ns:=/x: a name that its arguments give" in name + arguments
+
+
 def test_what_all_have_in_common_is_written_once(tmp_path: Path) -> None:
     both = [("A", "1"), ("B", "$(x)")]
     made = write(

@@ -15,6 +15,8 @@ from play_launch.launch_files.configuration.yaml_text import Commented
 from play_launch.launch_files.records import AtExit, ProgramKind, typed_value
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from play_launch.launch_files.configuration.options import Options
     from play_launch.launch_files.configuration.paths import Paths
     from play_launch.launch_files.configuration.sources import ParameterSources
@@ -55,7 +57,7 @@ class Members:
         """Return the entry of a container, without its nodes."""
         entry = self._begin(unit)
         values = values_of(unit, unit.parameters, self._losses)
-        arguments = list(unit.arguments)
+        arguments, for_ros = _parted(unit.arguments)
         kind = _TYPES.get(unit.executable) if unit.package == "rclcpp_components" else None
         if kind is None or self._options.containers is Containers.STOCK:
             if kind is None:
@@ -84,7 +86,7 @@ class Members:
             if arguments:
                 self._lost(unit, f"arguments that its container has no use for: {arguments}")
         add_sections(entry, unit, values, self._sources, self._losses)
-        extra: list[str] = []
+        extra = self._without_names(unit, for_ros)
         for source, target in self._remappings(unit):
             extra += ["-r", f"{source}:={target}"]
         self._add_common(entry, unit, extra)
@@ -176,7 +178,7 @@ class Members:
             entry["prefix"] = shlex.join(prefix)
         if unit.environment:
             entry["environment"] = dict(unit.environment)
-        if arguments := [*self._ros_arguments(unit), *extra]:
+        if arguments := [*self._without_names(unit, unit.ros_arguments), *extra]:
             entry["ros_arguments"] = arguments
         self._add_level(entry, unit)
         if unit.output in _INTO_FILES:
@@ -213,10 +215,10 @@ class Members:
         if restart:
             entry["restart"] = restart
 
-    def _ros_arguments(self, unit: Process) -> list[str]:
+    def _without_names(self, unit: Process, words: Iterable[str]) -> list[str]:
         """Return the arguments for ROS, without the marks that are put around them here."""
         kept: list[str] = []
-        for word in unit.ros_arguments:
+        for word in words:
             if word in {"--ros-args", "--"}:
                 continue
             if any(part in word for part in _IDENTITY):
@@ -252,6 +254,21 @@ class Members:
 
     def _lost(self, unit: Unit, what: str) -> None:
         self._losses.lost(unit.described, what)
+
+
+def _parted(arguments: Iterable[str]) -> tuple[list[str], list[str]]:
+    """Return the arguments of a program, and those that it leaves to ROS."""
+    own: list[str] = []
+    for_ros: list[str] = []
+    into = own
+    for word in arguments:
+        if word == "--ros-args":
+            into = for_ros
+        elif word == "--" and into is for_ros:
+            into = own
+        else:
+            into.append(word)
+    return own, for_ros
 
 
 def _backoff(delay: float) -> dict[str, Any]:
