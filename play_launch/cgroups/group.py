@@ -7,7 +7,7 @@ import select
 import time
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from play_launch.cgroups.base import GroupError
 from play_launch.cgroups.refusals import fewer_cpus, no_controller, no_group, no_limit
@@ -16,6 +16,8 @@ from play_launch.core.group_limits import NO_LIMITS, GroupLimits
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
+
+_PAUSE: Final = 0.001
 
 
 class Group:
@@ -155,6 +157,19 @@ class Group:
             with suppress(OSError):
                 folder.rmdir()
         return not self.path.exists()
+
+    def clear(self, seconds: float) -> bool:
+        """Kill what is in it and below, and remove it all; blocks. Whether it is gone."""
+        deadline = time.monotonic() + seconds
+        # More than once: who was on the way into a group may arrive meanwhile.
+        while not self.remove():
+            left = deadline - time.monotonic()
+            if left <= 0:
+                return False
+            self.kill()
+            if self.wait_empty(left):
+                time.sleep(_PAUSE)  # the kernel may still be busy with the last of them
+        return True
 
     def move_here(self, pids: Iterable[int]) -> None:
         """Move processes into it; those that have ended are left out. Raises OSError."""

@@ -27,6 +27,7 @@ from play_launch.cgroups.names import (
 )
 from play_launch.cgroups.refusals import no_entry, no_group
 from play_launch.cgroups.sweep import sweep
+from play_launch.cgroups.usage import report_and_remove
 from play_launch.core.group_limits import NO_LIMITS
 
 if TYPE_CHECKING:
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
 
     from play_launch.core.group_limits import GroupLimits, GroupPolicy
 
-_END_LIMIT: Final = 2.0
+_END_LIMIT: Final = 10.0
 """Seconds for what is left of a session to die."""
 _MOVES: Final = 20
 """Times to look for processes that were started while others were moved."""
@@ -167,7 +168,7 @@ class SessionGroups:
             return ""
         reason = why_killed(group)
         group.kill()
-        group.remove()  # where somebody still dies in it, it goes with the container's
+        report_and_remove(group)  # where somebody still dies in it, it goes with the container's
         return reason
 
     def _of_node(
@@ -205,12 +206,8 @@ class SessionGroups:
     def end(self) -> None:
         """Remove the groups with whatever is left in them; blocks for a moment."""
         session, self._session = self._session, None
-        if session is not None:
-            if session.processes():
-                session.kill()
-                session.wait_empty(_END_LIMIT)
-            if not session.remove():
-                _log.warning("the control group %s is left: its processes do not die", session.path)
+        if session is not None and not session.clear(_END_LIMIT):
+            _log.warning("the control group %s is left: its processes do not die", session.path)
         if self._is_open:
             self._is_open = False
             self._leave_as_found()

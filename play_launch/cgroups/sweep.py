@@ -11,11 +11,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
     from pathlib import Path
 
-_LIMIT: Final = 2.0
+_LIMIT: Final = 5.0
 """Seconds from the kill to the end of processes; uninterruptible ones stay, with their group."""
-
-_TRIES: Final = 3
-"""One that was on its way into its group when its supervisor died may arrive meanwhile."""
 
 
 def dead_sessions(
@@ -42,14 +39,5 @@ def sweep(base: Path, namespace: int, lives: Callable[[int, int], bool]) -> tupl
         names = [each.name for each in base.iterdir() if each.is_dir()]
     except OSError:
         return ()
-    removed = []
-    for name in dead_sessions(names, namespace, lives):
-        group = Group(base / name)
-        for _ in range(_TRIES):
-            if group.processes():
-                group.kill()
-                group.wait_empty(_LIMIT)
-            if group.remove():
-                removed.append(name)
-                break
-    return tuple(removed)
+    dead = dead_sessions(names, namespace, lives)
+    return tuple(name for name in dead if Group(base / name).clear(_LIMIT))

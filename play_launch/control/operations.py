@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
@@ -10,7 +11,7 @@ from play_launch.control.actions import Actions
 from play_launch.control.follow import Follower
 from play_launch.control.outcome import Action
 from play_launch.control.protocol import Code, ControlError, flag_argument, names_argument
-from play_launch.control.rows import Clock, rows_of
+from play_launch.control.rows import Clock, add_groups, rows_of
 from play_launch.control.selection import KINDS, selection_of
 from play_launch.control.targets import chosen, members_of, nodes_of
 from play_launch.core.events import ProcessSample
@@ -100,10 +101,11 @@ class Operations:
         view = self._publisher.view
         rows = rows_of(view, self._system.processes, self._samples, Clock())
         wanted = names_argument(arguments)
-        if not wanted:
-            return rows
-        found = {str(target) for target in self.chosen(wanted)}
-        return [row for row in rows if _key(row) in found]
+        if wanted:
+            found = {str(target) for target in self.chosen(wanted)}
+            rows = [row for row in rows if _key(row) in found]
+        await asyncio.to_thread(add_groups, rows)
+        return rows
 
     async def _events(self, arguments: dict[str, Any], _peer: Peer, stream: Stream) -> object:
         names, kinds = names_argument(arguments), names_argument(arguments, "kinds")

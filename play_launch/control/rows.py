@@ -6,6 +6,7 @@ import os
 import time
 from typing import TYPE_CHECKING, Any, Final
 
+from play_launch.cgroups.usage import group_of, usage_of
 from play_launch.core.events import (
     MemoryKind,
     NodeState,
@@ -75,6 +76,18 @@ def rows_of(
     names = dict.fromkeys([*processes, *view.processes])
     rows += [_of_process(name, view.processes.get(name), samples, clock) for name in names]
     return rows
+
+
+def add_groups(rows: Iterable[dict[str, Any]]) -> None:
+    """Add to each row what the control group of its process uses; reads files of the kernel."""
+    pids: dict[str, int] = {}
+    for row in rows:
+        pid = row["pid"]
+        if row["kind"] == CONTAINER:
+            pids[row["name"]] = pid
+        is_own = pid is not None and pid != pids.get(row["container"])
+        group = group_of(pid) if is_own else None
+        row["cgroup"] = None if group is None else usage_of(group).described()
 
 
 def _of_container(

@@ -10,6 +10,7 @@ import time
 from functools import partial
 from typing import TYPE_CHECKING, Final, TypeVar
 
+from play_launch.cgroups.usage import GroupWatch
 from play_launch.sampling.machine_usage import Machine
 from play_launch.sampling.sampler import Sampler
 from play_launch.sampling.targets import targets
@@ -50,6 +51,7 @@ async def sample(
     has_failed = False
     try:
         machine, sampler = await _in_a_thread(lambda: Machine(folder)), Sampler()
+        watch = GroupWatch()
         due = loop.time() + period
         while True:
             await asyncio.sleep(due - loop.time())
@@ -63,6 +65,8 @@ async def sample(
                 continue
             for each in samples:
                 publish(each)
+            for text in await _in_a_thread(partial(_news, watch, view())):
+                _log.warning("%s", text)
     except Exception as error:  # noqa: BLE001 - the run must go on whatever this kernel answers
         _log.warning(
             "processes and the machine are not sampled: %s: %s", type(error).__name__, error
@@ -79,6 +83,10 @@ def _measure(
 ) -> list[SystemSample | ProcessSample]:
     stamp_ns = time.time_ns()
     return [machine.sample(stamp_ns), *sampler.sample(targets(view), stamp_ns)]
+
+
+def _news(watch: GroupWatch, view: SystemView) -> list[str]:
+    return watch.look((each.key, each.pid, each.start_time) for each in targets(view))
 
 
 async def _in_a_thread(work: Callable[[], _Result]) -> _Result:

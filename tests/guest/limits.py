@@ -16,6 +16,7 @@ from play_launch.cgroups.deaths import why_killed
 from play_launch.cgroups.group import Group
 from play_launch.cgroups.names import SUPERVISOR, SessionName
 from play_launch.cgroups.session import SessionGroups
+from play_launch.cgroups.usage import GroupWatch, group_of, usage_of
 from play_launch.core.group_limits import CpuMax, GroupLimits, GroupPolicy
 from play_launch.process.identity import read_stat
 
@@ -47,7 +48,10 @@ def started(
     assert made is not None
     script = 'echo 0 > "$0"/cgroup.procs && exec "$@"'
     folder = made[1].removeprefix("cgroup ")
-    return made[0], subprocess.Popen(["sh", "-c", script, folder, *command], stdout=-1)
+    process = subprocess.Popen(["sh", "-c", script, folder, *command], stdout=subprocess.PIPE)
+    while process.pid not in made[0].residents() and process.poll() is None:
+        time.sleep(0.01)
+    return made[0], process
 
 
 def share(group: Group) -> float:
@@ -77,9 +81,23 @@ def limits_hold() -> None:
     assert half.numbers("cpu.stat")["nr_throttled"] > 0
     status = Path(f"/proc/{spinning.pid}/status").read_text()
     assert "Cpus_allowed_list:\t1\n" in status
+    known = group_of(spinning.pid)
+    assert known is not None
+    assert known.path == half.path
+    usage = usage_of(known)
+    print(usage)
+    assert usage.throttled_periods
+    assert usage.throttled_seconds
     crowd = Group(BASE / half.path.parent.name / "forking")
     assert crowd.numbers("pids.events")["max"] > 0
     assert len(crowd.processes()) <= 5
+    (sleeper, *_) = crowd.processes()
+    watch = GroupWatch()
+    looked_at = [("/half", spinning.pid, 1), ("/forking", sleeper, 2)]
+    (said,) = watch.look(looked_at)
+    print(said)
+    assert "could not be started: pids_max 5 of its control group is reached" in said
+    assert not watch.look(looked_at)
 
     full, filling = started(
         groups, "/full", GroupLimits(memory_max=64 << 20), sys.executable, "-S", "-c", FILL
@@ -90,8 +108,9 @@ def limits_hold() -> None:
     print(said)
     assert said == "killed by the kernel: memory.max 64 MiB of its control group"
     groups.end()
-    assert spinning.wait() == forking.wait() == -signal.SIGKILL
-    assert not BASE.parent.exists()
+    assert spinning.wait() == -signal.SIGKILL
+    forking.wait()
+    assert not BASE.parent.exists(), messages
 
 
 def cpus_that_are_not_there_are_left_out() -> None:

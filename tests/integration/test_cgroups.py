@@ -93,6 +93,10 @@ def test_everybody_is_born_in_a_leaf_and_nothing_is_left(base: Path, tmp_path: P
             "/d": "together",
             "/shell": "shell",
         }
+        rows = usage(replay)
+        # A node without a process of its own is in the group of its container.
+        assert {name for name, row in rows.items() if row["cgroup"] is None} == {"/d"}
+        assert rows["/shared"]["cgroup"]["cpu_seconds"] > rows["/a"]["cgroup"]["cpu_seconds"] > 0
         # A node that comes back is born in a group of its own, and the old one goes.
         os.kill(pids["/a"], signal.SIGKILL)
         again = replay.read_until(
@@ -110,6 +114,18 @@ def test_everybody_is_born_in_a_leaf_and_nothing_is_left(base: Path, tmp_path: P
         assert len(sleeper) == 1
     assert not sessions(base)
     assert not Path(f"/proc/{sleeper[0]}").exists()
+
+
+def usage(replay: Replay) -> dict[str, Any]:
+    """What ``ps --json`` says of everything, by name."""
+    asked = subprocess.run(
+        [COMMAND, "ps", "--json", "--session", replay.log_dir / "latest"],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=60,
+    )
+    return {row["name"]: row for row in json.loads(asked.stdout)}
 
 
 def pids_in(group: Path) -> list[int]:
