@@ -25,7 +25,8 @@ def foxglove_layout(subjects: Subjects) -> dict[str, Any]:
     """Make a layout, as Foxglove imports it from a file."""
     everything = (*subjects.containers, *subjects.others)
     panels: dict[str, Any] = {
-        "StateTransitions!states": {
+        "StateTransitions!states": _titled("States")
+        | {
             "isSynced": True,
             "showPoints": True,
             "paths": [_state(one) for one in everything],
@@ -47,8 +48,8 @@ def foxglove_layout(subjects: Subjects) -> dict[str, Any]:
                 _path(f"{topics.SYSTEM.name}.shm_used", "shared memory used"),
             ],
         ),
-        "RosOut!output": _log(topics.OUTPUT.name),
-        "RosOut!log": _log(topics.LOG_ALL.name),
+        "RosOut!output": _log("Output of all processes", topics.OUTPUT.name),
+        "RosOut!log": _log("Log of play-launch", topics.LOG_ALL.name),
     }
     left = _column(["StateTransitions!states", "Plot!cpu", "Plot!memory"])
     right = _column(["Plot!machine", "Plot!free", "RosOut!output", "RosOut!log"])
@@ -80,22 +81,27 @@ def _state(subject: Subject) -> dict[str, Any]:
 
 
 def _plot(title: str, paths: list[dict[str, Any]]) -> dict[str, Any]:
-    return {
-        "foxglovePanelTitle": title,
+    return _titled(title) | {
         "paths": paths,
         "isSynced": True,
         "xAxisVal": "timestamp",
         "showXAxisLabels": True,
         "showYAxisLabels": True,
         "showLegend": True,
-        "legendDisplay": "floating",
+        # A floating one of a dozen nodes hides the curves.
+        "legendDisplay": "left",
         "showPlotValuesInLegend": True,
         "sidebarDimension": 240,
     }
 
 
-def _log(topic: str) -> dict[str, Any]:
-    return {"topicToRender": topic, "minLogLevel": 1, "searchTerms": []}
+def _log(title: str, topic: str) -> dict[str, Any]:
+    return _titled(title) | {"topicToRender": topic, "minLogLevel": 1, "searchTerms": []}
+
+
+def _titled(title: str) -> dict[str, Any]:
+    # Foxglove reads the one, Lichtblick the other.
+    return {"foxglovePanelTitle": title, "lichtblickPanelTitle": title}
 
 
 def _column(panels: list[str]) -> Any:

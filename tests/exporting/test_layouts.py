@@ -88,6 +88,16 @@ def test_foxglove_finds_every_path_in_the_recording(
     assert ("/play_launch/states", "state", "/talker") in shown
 
 
+def test_panels_have_titles_in_both_viewers_and_legends_hide_no_curve() -> None:
+    titles = set()
+    for kind, config in foxglove_layout(NOBODY)["configById"].items():
+        assert config["foxglovePanelTitle"] == config["lichtblickPanelTitle"]
+        titles.add(config["foxglovePanelTitle"])
+        if kind.startswith("Plot!"):
+            assert config["legendDisplay"] != "floating"
+    assert len(titles) == 7
+
+
 def test_plotjuggler_finds_every_curve_in_the_recording(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
