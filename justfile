@@ -48,6 +48,10 @@ bench-docs:
     {{python}} -m benchmarks.graph_daemon --json build/graph_daemon.json
     {{python}} -m benchmarks.publish build/crash.json build/intra_process.json build/graph_daemon.json
 
+# Make the pictures of the README and of docs/ anew (with Chromium); those of measurements: bench-docs.
+pictures *arguments:
+    {{python}} -m benchmarks.pictures {{arguments}}
+
 # Make ros2cli's own daemon bear a start-up storm: just patch-daemon --dry-run
 patch-daemon *arguments:
     .venv/bin/play-launch daemon patch {{arguments}}

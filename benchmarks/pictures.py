@@ -10,7 +10,9 @@ belong to those: see benchmarks.publish.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
+import shutil
 import subprocess
 import tempfile
 import time
@@ -36,10 +38,9 @@ NODES = 7
 """Of the latter."""
 CRASHES = 9.0
 """Seconds in which some of them crash."""
-COLUMNS, LINES = 124, 40
-SLOW = "waiting on /slow_starter"
+COLUMNS, LINES = 132, 40
+SLOW = "waiting on /slow_starter … 2"
 """What the picture of a start is to show."""
-END = "Recording: "
 STYLES = {"bold": "bold", "italics": "italic", "reverse": "reverse"}
 """Marks of a cell, and rich's words for them."""
 
@@ -85,17 +86,16 @@ def drawn(text: Text, title: str) -> str:
 
 def demo(folder: Path) -> None:
     """The demo, while it comes up and at its end."""
-    with tempfile.TemporaryDirectory() as home:
-        command = [str(COMMAND), "replay", CONFIG]
-        environment = {**ENVIRONMENT, "HOME": home, "PWD": str(ROOT)}
-        environment.pop("ROS_LOG_DIR", None)
+    title = f"play-launch replay {CONFIG}"
+    environment = {**ENVIRONMENT, "PLAY_LAUNCH_LOG_DIR": "logs"}
+    with tempfile.TemporaryDirectory() as place, contextlib.chdir(place):
+        shutil.copytree(ROOT / "configs", "configs")
+        command = (str(COMMAND), "replay", CONFIG)
         with on_terminal(*command, columns=COLUMNS, lines=LINES, **environment) as terminal:
-            for name, what in (("demo-live", SLOW), ("demo", END)):
-                terminal.until_seen(what)
-                if what == END:
-                    terminal.end()
-                title = f"play-launch replay {CONFIG}"
-                write(folder / f"{name}.svg", drawn(seen(terminal), title))
+            terminal.until_seen(SLOW)
+            write(folder / "demo-live.svg", drawn(seen(terminal), title))
+            terminal.end()
+            write(folder / "demo.svg", drawn(seen(terminal), title))
 
 
 def top(folder: Path) -> None:
@@ -133,7 +133,7 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", choices=MAKERS, default=list(MAKERS))
     options = parser.parse_args()
     for name in options.only:
-        MAKERS[name](options.folder)
+        MAKERS[name](options.folder.resolve())
 
 
 if __name__ == "__main__":
