@@ -64,7 +64,10 @@ def find_mistakes(
 
             values["graph"] = as_values(loaded)
         if explain:
+            from play_launch.cli.what_starts import helpers  # noqa: PLC0415
+
             values["processes"] = started
+            values["helpers"] = helpers(loaded)
         say(json.dumps(values, ensure_ascii=False))
     elif graph is not None:
         from play_launch.cli.draw_graph import as_mermaid, as_text  # noqa: PLC0415
@@ -72,8 +75,9 @@ def find_mistakes(
         say((as_text if graph is GraphForm.TEXT else as_mermaid)(loaded))
     elif explain:
         from play_launch.cli.what_starts import as_text as commands  # noqa: PLC0415
+        from play_launch.cli.what_starts import helpers  # noqa: PLC0415
 
-        say(commands(_resolved(loaded), started))
+        say(commands(_resolved(loaded), started, helpers(loaded)))
     else:
         say(f"{config}: {describe(loaded)}")
     problems = [each for each in started if each["problem"]]

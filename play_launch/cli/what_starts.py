@@ -9,6 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
+from play_launch.actors.head_start import SWITCH
 from play_launch.cli.failure import fail
 from play_launch.config.model import ContainerConfig
 from play_launch.install.environment import caller_environment, child_environment
@@ -20,6 +21,7 @@ from play_launch.install.ros import (
     topic_recorder,
 )
 from play_launch.launching.command import Command, Machine
+from play_launch.launching.needs import is_own, shares_memory
 from play_launch.launching.survey import DESCRIPTOR, Start, allocator_for, survey
 from play_launch.process.program import SpawnError, check_program
 from play_launch.recording.facts import REDACTED, is_secret
@@ -27,7 +29,7 @@ from play_launch.recording.resolved_form import taken_secrets, without
 from play_launch.topic_recording.program import recorder_argv
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Mapping
+    from collections.abc import Collection, Iterable, Iterator, Mapping
 
     from play_launch.config import ReplayConfig
 
@@ -64,12 +66,31 @@ def processes(config: ReplayConfig) -> list[dict[str, Any]]:
     return [_values(process, caller, secrets) for process in found]
 
 
-def as_text(values: Mapping[str, object], started: list[dict[str, Any]]) -> str:
-    """Lay a resolved configuration and `processes` out for people: YAML, then shell commands."""
+def helpers(config: ReplayConfig) -> list[str]:
+    """Name what `replay` starts for itself, each with what it is for."""
+    found = ["spawn_guard: the parent of containers and processes, ends them with the supervisor"]
+    own = [each for each in config.containers if is_own(each)]
+    kinds = {shares_memory(each) for each in own}
+    if own and os.environ.get(SWITCH) != "0":
+        each = ", one with the allocator of isolated containers" if True in kinds else ""
+        found.append(f"component_container --zygote: is forked for containers, then ends{each}")
+    if config.record.ros:
+        found.append("spawn_guard: the parent of the topic recorder")
+    if config.graph_daemon:
+        found.append("play_launch.graph_daemon: unless one serves the domain; outlives the session")
+    return found
+
+
+def as_text(
+    values: Mapping[str, object], started: list[dict[str, Any]], besides: Iterable[str]
+) -> str:
+    """Lay a resolved configuration out for people: YAML, shell commands, and the `helpers`."""
     import yaml  # noqa: PLC0415 - not for JSON
 
     text = yaml.safe_dump(dict(values), sort_keys=False, allow_unicode=True, width=float("inf"))
-    return "\n".join([text, *(f"{_shell(each)}\n" for each in started)]).rstrip("\n")
+    commands = [f"{_shell(each)}\n" for each in started]
+    own = ["# and for play-launch itself", *(f"#   {_remark(each)[2:]}" for each in besides)]
+    return "\n".join([text, *commands, *own])
 
 
 def _member(start: Start) -> _Process:

@@ -241,6 +241,24 @@ def test_the_text_is_yaml_and_commands_for_a_shell(config: Path, caller: dict[st
     assert "OF_ALL=$'\"\\ \n" in words
 
 
+def test_what_replay_starts_for_itself_is_named(
+    config: Path, caller: dict[str, str], tmp_path: Path
+) -> None:
+    path = tmp_path / "plain.yaml"
+    system = {"version": 1, "record": {"ros": False}, "nodes": [{"name": "n", "command": ["cat"]}]}
+    path.write_text(json.dumps(system), encoding="utf-8")
+
+    def named(file: Path) -> list[str]:
+        found: list[str] = json.loads(explain(file, "--json").stdout)["helpers"]
+        assert all(f"#   {each}\n" in explain(file).stdout for each in found)
+        return [each.partition(":")[0] for each in found]
+
+    assert named(path) == ["spawn_guard"]
+    assert named(config) == ["spawn_guard", "component_container --zygote", "spawn_guard"]
+    path.write_text(json.dumps({**system, "graph_daemon": True}), encoding="utf-8")
+    assert named(path) == ["spawn_guard", "play_launch.graph_daemon"]
+
+
 def test_what_cannot_be_started_is_named_and_the_rest_explained(tmp_path: Path) -> None:
     nodes = [
         {"name": "absent", "package": "nobody_has_this", "executable": "it"},
