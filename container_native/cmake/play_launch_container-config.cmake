@@ -27,4 +27,11 @@ if(NOT TARGET play_launch::component)
     play_launch::component INTERFACE ros::rcl ros::rcl_interfaces ros::rosidl_typesupport_cpp
                                      ros::rosidl_runtime_cpp Threads::Threads)
 endif()
+if(NOT TARGET play_launch::private_memory)
+  # For rclcpp components: <play_launch/private_memory.hpp>, without anything to link.
+  add_library(play_launch::private_memory INTERFACE IMPORTED)
+  set_target_properties(
+    play_launch::private_memory PROPERTIES INTERFACE_INCLUDE_DIRECTORIES
+                                           "${play_launch_container_PREFIX}/include")
+endif()
 set(play_launch_container_FOUND TRUE)

@@ -117,6 +117,7 @@ def _container(container: ContainerConfig) -> dict[str, object]:
         "container_type": str(container.container_type),
         "thread_num": container.thread_num,
         "isolation": str(container.isolation),
+        "memory_domains": str(container.memory_domains),
         "core_dumps": container.core_dumps,
         "package": container.package,
         "executable": container.executable,

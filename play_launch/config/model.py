@@ -55,6 +55,16 @@ class Isolation(StrEnum):
     PROCESS = "process"
 
 
+class MemoryDomains(StrEnum):
+    """Whether the private memory of isolated nodes is protected from their neighbours."""
+
+    OFF = "off"
+    AUTO = "auto"
+    """As far as the machine can do it; up to 15 nodes of a container have a key of their own."""
+    REQUIRED = "required"
+    """A node whose memory would not be protected from each other one is not loaded."""
+
+
 class Output(StrEnum):
     """Where the output of a process goes."""
 
@@ -266,6 +276,7 @@ class ContainerConfig(Struct, frozen=True, kw_only=True):
     container_type: ContainerType = ContainerType.STANDARD
     thread_num: int | None = None
     isolation: Isolation = Isolation.AUTO
+    memory_domains: MemoryDomains = MemoryDomains.OFF
     core_dumps: bool = False
     package: str = ""
     executable: str = ""

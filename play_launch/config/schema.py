@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from play_launch.config import kinds
-from play_launch.config.model import ContainerType, Isolation, Output
+from play_launch.config.model import ContainerType, Isolation, MemoryDomains, Output
 from play_launch.config.resource_values import LIMIT_FORMS
 from play_launch.config.section import Section, merging, nested, optional, raw, required
 from play_launch.core.crash import OnCrash
@@ -206,6 +206,7 @@ class LoadingSection(Section):
     container_type: ContainerType | None = optional(kinds.choice(ContainerType))
     thread_num: int | None = optional(kinds.THREADS)
     isolation: Isolation | None = optional(kinds.choice(Isolation))
+    memory_domains: MemoryDomains | None = optional(kinds.choice(MemoryDomains))
     core_dumps: bool | None = optional(kinds.BOOLEAN)
     auto_reload_on_crash: bool | None = optional(kinds.BOOLEAN)
     on_crash: OnCrash | None = optional(kinds.choice(OnCrash))
@@ -289,6 +290,7 @@ class ContainerSection(Section):
     container_type: ContainerType | None = optional(kinds.choice(ContainerType))
     thread_num: int | None = optional(kinds.THREADS)
     isolation: Isolation | None = optional(kinds.choice(Isolation))
+    memory_domains: MemoryDomains | None = optional(kinds.choice(MemoryDomains))
     core_dumps: bool | None = optional(kinds.BOOLEAN)
     package: str | None = optional(kinds.PACKAGE)
     executable: str | None = optional(kinds.EXECUTABLE)

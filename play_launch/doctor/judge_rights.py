@@ -27,7 +27,7 @@ _KEYS: Final[Mapping[KeySupport, str]] = {
     KeySupport.NO_CPU: "the CPU has none (no pku in /proc/cpuinfo)",
     KeySupport.NO_KERNEL: "the CPU has them (pku in /proc/cpuinfo), the kernel does not (no ospke)",
     KeySupport.REFUSED: "CPU and kernel have them, and pkey_alloc() is refused",
-    KeySupport.USABLE: "CPU and kernel have them",
+    KeySupport.USABLE: "CPU and kernel have them, for the private memory of isolated nodes",
 }
 _KEYS_FIX: Final[Mapping[KeySupport, str]] = {
     KeySupport.NO_KERNEL: "boot without nopku, with a kernel that has "
@@ -41,11 +41,17 @@ def judge_rights(facts: MachineFacts) -> list[Finding]:
     started_by, limits = facts.surroundings, facts.limits
     return [
         _control_groups(facts.groups, started_by),
-        ok("protection keys", _KEYS[facts.keys], _KEYS_FIX.get(facts.keys, "")),
+        ok("protection keys", _keys(facts.keys), _KEYS_FIX.get(facts.keys, "")),
         _real_time(limits, started_by),
         _nice_values(limits, started_by),
         _locked_memory(limits, started_by),
     ]
+
+
+def _keys(support: KeySupport) -> str:
+    consequence = "private memory of isolated nodes is ordinary memory, see memory_domains"
+    usable = support is KeySupport.USABLE
+    return _KEYS[support] if usable else f"{_KEYS[support]}; {consequence}"
 
 
 def _control_groups(facts: GroupFacts, started_by: Surroundings) -> Finding:

@@ -8,6 +8,8 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING
 
+from play_launch.config.model import MemoryDomains
+
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
     from pathlib import Path
@@ -46,6 +48,8 @@ def container_argv(
     argv = [*config.prefix, os.fspath(binary)]
     if config.container_type.is_isolated:
         argv += ["--isolated", "--isolation", str(config.isolation)]
+        if config.memory_domains is not MemoryDomains.OFF:
+            argv += ["--memory_domains", str(config.memory_domains)]
         if config.core_dumps:
             argv.append("--core_dumps")
     if config.resources.lock_memory:

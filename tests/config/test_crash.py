@@ -8,9 +8,11 @@ from pathlib import Path
 import pytest
 
 from play_launch.config import (
+    ConfigError,
     ContainerConfig,
     ContainerType,
     Isolation,
+    MemoryDomains,
     OnCrash,
     RestartLimits,
     describe,
@@ -100,6 +102,30 @@ containers:
         .containers[0]
         .core_dumps
     )
+
+
+def test_memory_domains_are_asked_for() -> None:
+    text = b"""
+version: 1
+composable_node_loading: {container_type: isolated, memory_domains: required}
+containers:
+  - name: one
+  - name: two
+    memory_domains: off
+  - name: three
+    container_type: standard
+"""
+    config = parse_config(text, Path("demo.yaml"))
+    domains = [one.memory_domains for one in config.containers]
+    assert domains == [MemoryDomains.REQUIRED, MemoryDomains.OFF, MemoryDomains.REQUIRED]
+    assert (
+        parse_config(text.replace(b", memory_domains: required", b""), Path("demo.yaml"))
+        .containers[0]
+        .memory_domains
+        is MemoryDomains.OFF
+    )
+    with pytest.raises(ConfigError, match="memory_domains is for container_type isolated"):
+        parse_config(text + b"    memory_domains: auto\n", Path("demo.yaml"))
 
 
 def test_by_default_a_node_is_reloaded() -> None:

@@ -155,6 +155,7 @@ CASES: list[tuple[MachineFacts, str, Level, str]] = [
     (groups(controllers=()), "control groups", OK, "cgroup_no_v1=all"),
     (groups(controllers=("cpu", "pids")), "control groups", OK, "without cpuset, io, memory"),
     (replace(MACHINE, keys=KeySupport.NO_CPU), "protection keys", OK, "no pku"),
+    (replace(MACHINE, keys=KeySupport.REFUSED), "protection keys", OK, "is ordinary memory"),
     (replace(MACHINE, keys=KeySupport.NO_KERNEL), "protection keys", OK, "nopku"),
     (replace(MACHINE, keys=KeySupport.REFUSED), "protection keys", OK, "seccomp"),
     (limits(real_time_share=0.0), "real-time", OK, "sysctl kernel.sched_rt_runtime_us"),

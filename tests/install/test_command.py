@@ -6,7 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from play_launch.config.model import ContainerConfig, ContainerType, Isolation, ProcessConfig
+from play_launch.config.model import (
+    ContainerConfig,
+    ContainerType,
+    Isolation,
+    MemoryDomains,
+    ProcessConfig,
+)
 from play_launch.install.command import (
     ExecutableNotFoundError,
     container_argv,
@@ -87,6 +93,16 @@ def test_cores_are_dumped_where_that_is_asked_for() -> None:
     asked = container(container_type=ContainerType.ISOLATED, core_dumps=True)
     assert "--core_dumps" in container_argv(asked, BINARY)
     assert "--core_dumps" not in container_argv(container(core_dumps=True), BINARY)
+
+
+def test_memory_domains_are_for_isolated_containers() -> None:
+    asked = container(container_type=ContainerType.ISOLATED, memory_domains=MemoryDomains.AUTO)
+    argv = container_argv(asked, BINARY)
+    assert argv[argv.index("--memory_domains") + 1] == "auto"
+    isolated = container(container_type=ContainerType.ISOLATED)
+    assert "--memory_domains" not in container_argv(isolated, BINARY)
+    plain = container(memory_domains=MemoryDomains.REQUIRED)
+    assert "--memory_domains" not in container_argv(plain, BINARY)
 
 
 def test_a_stock_container_gets_its_arguments_before_those_for_ros() -> None:

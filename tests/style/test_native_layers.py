@@ -15,7 +15,8 @@ SOURCES = NATIVE / "src"
 LAYERS = (
     {"base"},
     {"sdk", "control", "isolation/record"},
-    {"isolation/after", "isolation/quiesce"},
+    {"isolation/after", "isolation/memory"},
+    {"isolation/quiesce"},
     {"isolation/crash"},
     {"isolation/clone"},
     {"overrides"},

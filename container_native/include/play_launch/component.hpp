@@ -11,6 +11,7 @@
 #include <play_launch/node.hpp>
 #include <play_launch/node_options.hpp>
 #include <play_launch/parameter.hpp>
+#include <play_launch/private_memory.hpp>
 #include <play_launch/publisher.hpp>
 #include <play_launch/qos.hpp>
 #include <play_launch/service.hpp>

@@ -7,8 +7,36 @@
 #include "hosts/shared/shared_executor_host.hpp"
 #include "hosts/spawned/process_host.hpp"
 #include "isolation/clone/gate.hpp"
+#include "isolation/memory/protection_keys.hpp"
 
 namespace play_launch::container {
+
+namespace {
+
+/// Null: private memory is ordinary memory.
+std::shared_ptr<MemoryDomains> choose_domains(DomainChoice choice,
+                                              std::vector<std::string>& notes) {
+  if (choice == DomainChoice::off) {
+    return nullptr;
+  }
+  if (isolation::has_protection_keys()) {
+    notes.emplace_back("private memory has protection keys");
+    return std::make_shared<MemoryDomains>(choice);
+  }
+  const std::string why =
+      "this processor, or this kernel, has no memory protection keys (PKU; \"ospke\" among the "
+      "flags "
+      "in /proc/cpuinfo)";
+  if (choice == DomainChoice::required) {
+    throw isolation::MechanismUnavailable("memory_domains: required, but " + why +
+                                          "; use memory_domains: auto, or isolation: process");
+  }
+  notes.push_back(why + ": private memory of nodes is ordinary memory (memory_domains: auto)");
+  report(notes.back());
+  return nullptr;
+}
+
+}  // namespace
 
 HostChoice choose_host(const Options& options, const ExecutorChoice& executor,
                        BackendList backends) {
@@ -25,8 +53,9 @@ HostChoice choose_host(const Options& options, const ExecutorChoice& executor,
   choice.mechanism = isolation::mechanism_name(gate.mechanism);
   choice.notes = std::move(gate.notes);
   if (gate.mechanism == isolation::Mechanism::shared_memory) {
-    choice.host =
-        std::make_unique<CloneIsolatedHost>(std::move(backends), executor, options.core_dumps);
+    auto domains = choose_domains(options.memory_domains, choice.notes);
+    choice.host = std::make_unique<CloneIsolatedHost>(std::move(backends), executor,
+                                                      options.core_dumps, std::move(domains));
   } else {
     choice.host = std::make_unique<ProcessHost>(std::move(backends), executor, options.core_dumps,
                                                 options.ros_arguments);

@@ -8,6 +8,7 @@
 #include "base/failpoints.hpp"
 #include "base/report.hpp"
 #include "base/resource_setting.hpp"
+#include "isolation/memory/protection_keys.hpp"
 #include "main/backends.hpp"
 #include "main/container_process.hpp"
 #include "main/control_interface.hpp"
@@ -57,6 +58,9 @@ int run(int argc, char** argv) {
       return kExitOk;
     }
     apply_resources(options);
+    if (options.memory_domains != DomainChoice::off) {
+      isolation::allow_all_keys();
+    }
     arm_failpoints(options.failpoints);
     search_own_prefix();
     if (options.hosted || options.probe) {

@@ -72,6 +72,14 @@ isolation::MechanismChoice mechanism(std::string_view text) {
   return *choice;
 }
 
+DomainChoice domains(std::string_view text) {
+  const auto choice = parse_domain_choice(text);
+  if (!choice) {
+    throw UsageError("--memory_domains " + std::string(text) + ": expected off, auto or required");
+  }
+  return *choice;
+}
+
 }  // namespace
 
 std::string Options::mode() const {
@@ -94,6 +102,8 @@ Options parse_options(int argc, const char* const* argv) {
       options.isolated = true;
     } else if (is_option(argument, "--isolation")) {
       options.isolation = mechanism(value_of("--isolation", i, argc, argv));
+    } else if (is_option(argument, "--memory_domains")) {
+      options.memory_domains = domains(value_of("--memory_domains", i, argc, argv));
     } else if (argument == "--hosted") {
       options.hosted = true;
     } else if (argument == "--core_dumps") {
@@ -127,6 +137,7 @@ Options parse_options(int argc, const char* const* argv) {
 const char* usage() {
   return "usage: component_container [--use_multi_threaded_executor] [--thread_num N]\n"
          "                           [--isolated] [--isolation auto|shared_memory|process]\n"
+         "                           [--memory_domains off|auto|required]\n"
          "                           [--core_dumps] [--lock_memory]\n"
          "                           [--stop_timeout SECONDS] [--ros-args ...]\n"
          "       component_container --probe PACKAGE PLUGIN\n"

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "base/resource_setting.hpp"
+#include "hosts/cloned/memory_domains.hpp"
 #include "isolation/clone/gate.hpp"
 
 namespace play_launch::container {
@@ -30,6 +31,7 @@ struct Options {
   bool hosted = false;
   /// Isolated nodes that crash dump core.
   bool core_dumps = false;
+  DomainChoice memory_domains = DomainChoice::off;
   /// What the process asks of the kernel for itself before it does anything else.
   std::vector<ResourceSetting> resources;
   bool lock_memory = false;

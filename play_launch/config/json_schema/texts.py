@@ -67,6 +67,10 @@ _CONTAINER_TYPE: Final = (
 )
 _THREADS: Final = "Threads of the executor, 1 to 1024; for mt and isolated_mt."
 _ISOLATION: Final = "How isolated nodes become processes: auto, shared_memory or process."
+_MEMORY_DOMAINS: Final = (
+    "Whether what isolated nodes have in play_launch::private_memory() is protected from their "
+    "neighbours: off, auto (as far as the machine can) or required."
+)
 _CORE_DUMPS: Final = "Whether isolated nodes that crash dump core."
 _PREFIX: Final = About(
     "Words before the program in the command line, split as a shell does.", ("gdb -ex run --args",)
@@ -224,6 +228,7 @@ TEXTS: Final[Mapping[str, Mapping[str, About]]] = {
         "container_type": About(_CONTAINER_TYPE, ("isolated",)),
         "thread_num": About(_THREADS, (4,)),
         "isolation": About(_ISOLATION, ("auto",)),
+        "memory_domains": About(_MEMORY_DOMAINS, ("auto",)),
         "core_dumps": About(_CORE_DUMPS, (True,)),
         "auto_reload_on_crash": About(_AUTO_RELOAD, (True,)),
         "on_crash": About(_ON_CRASH, ("reload",)),
@@ -310,6 +315,7 @@ TEXTS: Final[Mapping[str, Mapping[str, About]]] = {
         "container_type": About(f"{_CONTAINER_TYPE} {_DEFAULT_OF_ALL}", ("mt",)),
         "thread_num": About(f"{_THREADS} {_DEFAULT_OF_ALL}", (4,)),
         "isolation": About(f"{_ISOLATION} {_DEFAULT_OF_ALL}", ("auto",)),
+        "memory_domains": About(f"{_MEMORY_DOMAINS} {_DEFAULT_OF_ALL}", ("auto",)),
         "core_dumps": About(f"{_CORE_DUMPS} {_DEFAULT_OF_ALL}", (True,)),
         "package": About(
             "Package with the program of a stock container. By default rclcpp_components.",

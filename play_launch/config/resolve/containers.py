@@ -83,6 +83,7 @@ def resolve_container(at: At, shared: Shared, policy: Policy) -> ContainerConfig
         container_type=kind,
         thread_num=policy.thread_num,
         isolation=policy.isolation,
+        memory_domains=policy.memory_domains,
         core_dumps=policy.core_dumps,
         package=stock.package,
         executable=stock.executable,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 from msgspec import Struct, field
 from msgspec.structs import replace
 
-from play_launch.config.model import ContainerType, Isolation
+from play_launch.config.model import ContainerType, Isolation, MemoryDomains
 from play_launch.core.crash import OnCrash
 from play_launch.core.resources import Resources
 from play_launch.core.restart import RestartLimits
@@ -24,7 +24,13 @@ if TYPE_CHECKING:
     from play_launch.config.section import Section
     from play_launch.config.yaml.tree import At
 
-ISOLATED_KEYS: Final = ("isolation", "core_dumps", "auto_reload_on_crash", "on_crash")
+ISOLATED_KEYS: Final = (
+    "isolation",
+    "memory_domains",
+    "core_dumps",
+    "auto_reload_on_crash",
+    "on_crash",
+)
 """Keys of containers that say something for isolated ones only."""
 
 
@@ -34,6 +40,7 @@ class Policy(Struct, frozen=True):
     container_type: ContainerType = ContainerType.STANDARD
     thread_num: int | None = None
     isolation: Isolation = Isolation.AUTO
+    memory_domains: MemoryDomains = MemoryDomains.OFF
     core_dumps: bool = False
     loading_timeout: float = 10.0
     probe_timeout: float = 60.0

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "hosts/cloned/lock_watch.hpp"
+#include "hosts/cloned/memory_domains.hpp"
 #include "hosts/isolated/isolated_host.hpp"
 
 namespace play_launch::container {
@@ -18,8 +19,10 @@ namespace play_launch::container {
 /// of the participant are the container's.
 class CloneIsolatedHost final : public IsolatedHost {
  public:
-  /// `choice` is for the executor of each node; `core_dumps`: nodes that crash dump core.
-  CloneIsolatedHost(BackendList backends, const ExecutorChoice& choice, bool core_dumps);
+  /// `choice` is for the executor of each node; `core_dumps`: nodes that crash dump core. Without
+  /// `domains` private memory is ordinary memory.
+  CloneIsolatedHost(BackendList backends, const ExecutorChoice& choice, bool core_dumps,
+                    std::shared_ptr<MemoryDomains> domains);
 
   std::vector<std::string> dead_locks() const override { return lock_watch_.dead_locks(); }
 
@@ -29,6 +32,7 @@ class CloneIsolatedHost final : public IsolatedHost {
 
   const ExecutorChoice choice_;
   const bool core_dumps_;
+  const std::shared_ptr<MemoryDomains> domains_;
   LockWatch lock_watch_;
 };
 

@@ -41,11 +41,14 @@ std::string innermost(const std::vector<std::string>& backtrace) {
 ClonedNode::ClonedNode(std::uint64_t unique_id, const BackendList& backends,
                        const ExecutorChoice& choice, LoadRequest request, NodeResources resources,
                        const WatchUrgency& watch_urgency, int doorbell, LockWatch& lock_watch,
-                       bool core_dumps)
+                       bool core_dumps, std::unique_ptr<MemoryDomain> domain,
+                       const MemoryDomains* domains)
     : IsolatedNode(unique_id, doorbell),
+      domains_(domains),
+      domain_(std::move(domain)),
       program_(backends, choice, std::move(request), doorbell),
       donor_(unique_id, program_, process_name(program_.request()), lock_watch, core_dumps,
-             std::move(resources), watch_urgency) {}
+             std::move(resources), watch_urgency, domain_.get()) {}
 
 NodeLife ClonedNode::look() {
   // Before all else: of what is dead by now nothing changes below.
@@ -54,6 +57,10 @@ NodeLife ClonedNode::look() {
     symbolise();  // while the process still dies
   }
   report_refusal();
+  if (domain_ && !is_domain_named_ && has_any(life, NodeLife::spinning)) {
+    is_domain_named_ = true;
+    domain_->set_name(program_.full_name());
+  }
   if (has_any(life, NodeLife::constructing) && !constructing_since_) {
     constructing_since_ = std::chrono::steady_clock::now();
   }
@@ -115,8 +122,20 @@ std::string ClonedNode::full_name() const {
 
 std::string ClonedNode::why_it_left() const { return program_.ends_itself() ? kEndedItself : ""; }
 
+/// While the other node is still there, or what is known of it.
+void ClonedNode::name_owner() {
+  isolation::CrashReport& report = donor_.slot().report;
+  if (domains_ == nullptr || report.protection_key == 0) {
+    return;
+  }
+  const std::string owner = domains_->owner_of(report.fault_address);
+  const std::size_t length = std::min(owner.size(), report.memory_owner.size() - 1);
+  std::copy_n(owner.data(), length, report.memory_owner.data());
+}
+
 void ClonedNode::symbolise() {
   if (!backtrace_) {
+    name_owner();
     backtrace_ = isolation::symbolise(donor_.slot());
   }
 }
@@ -148,6 +167,9 @@ NodeDeath ClonedNode::death() {
 bool ClonedNode::is_cleaned_up() {
   const std::string remains = donor_.remains();
   if (!remains.empty()) {
+    if (domain_) {
+      domain_->keep_memory();
+    }
     report("could not clean up after " + label() + ": " + remains +
            "; what it held stays until the container ends");
   }

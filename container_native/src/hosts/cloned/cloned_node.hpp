@@ -2,11 +2,13 @@
 
 #include <chrono>
 #include <cstdint>
+#include <memory>
 #include <optional>
 #include <string>
 #include <vector>
 
 #include "hosts/cloned/lock_watch.hpp"
+#include "hosts/cloned/memory_domains.hpp"
 #include "hosts/cloned/node_donor.hpp"
 #include "hosts/cloned/node_program.hpp"
 #include "hosts/isolated/isolated_node.hpp"
@@ -16,11 +18,12 @@ namespace play_launch::container {
 /// A node in a process that shares the container's memory, as the monitor sees it.
 class ClonedNode final : public IsolatedNode {
  public:
-  /// Starts the donor thread and with it the child, which dumps core or not when it crashes. Throws
-  /// std::system_error.
+  /// Starts the donor thread and with it the child, which dumps core or not when it crashes.
+  /// `domain` is null where its private memory is ordinary memory. Throws std::system_error.
   ClonedNode(std::uint64_t unique_id, const BackendList& backends, const ExecutorChoice& choice,
              LoadRequest request, NodeResources resources, const WatchUrgency& watch_urgency,
-             int doorbell, LockWatch& lock_watch, bool core_dumps);
+             int doorbell, LockWatch& lock_watch, bool core_dumps,
+             std::unique_ptr<MemoryDomain> domain, const MemoryDomains* domains);
 
   std::optional<std::chrono::nanoseconds> silence() const override;
   void rise(Urgency urgency) noexcept override { donor_.rise(urgency); }
@@ -41,6 +44,7 @@ class ClonedNode final : public IsolatedNode {
 
   void symbolise();
   void report_refusal();
+  void name_owner();
   void end_if_replaced();
 
   bool reported_refusal_ = false;
@@ -48,6 +52,9 @@ class ClonedNode final : public IsolatedNode {
   std::optional<std::chrono::steady_clock::time_point> constructing_since_;
   std::optional<std::vector<std::string>> backtrace_;
 
+  const MemoryDomains* const domains_;  // null: there are none
+  const std::unique_ptr<MemoryDomain> domain_;
+  bool is_domain_named_ = false;
   NodeProgram program_;
   NodeDonor donor_;  // last: its thread uses the program
 };

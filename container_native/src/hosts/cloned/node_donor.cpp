@@ -31,7 +31,7 @@ std::string no_process(int error) {
 
 NodeDonor::NodeDonor(std::uint64_t unique_id, NodeProgram& program, std::string process_name,
                      LockWatch& lock_watch, bool core_dumps, NodeResources resources,
-                     const WatchUrgency& watch_urgency)
+                     const WatchUrgency& watch_urgency, const MemoryDomain* domain)
     : unique_id_(unique_id),
       program_(program),
       process_name_(std::move(process_name)),
@@ -39,6 +39,7 @@ NodeDonor::NodeDonor(std::uint64_t unique_id, NodeProgram& program, std::string 
       core_dumps_(core_dumps),
       resources_(std::move(resources)),
       watch_urgency_(watch_urgency),
+      domain_(domain),
       thread_(process_name_, [this] { donate(); }, [this] { donated(); }) {}
 
 void NodeDonor::donate() noexcept {
@@ -54,6 +55,7 @@ void NodeDonor::donate() noexcept {
   options.urgency = resources_.urgency;
   options.resources = resources_.settings;
   options.group = &group_;
+  enter_domain(options);
   options.dies_abruptly = hit(Failpoint::abrupt_deaths);
   end_ = isolation::run_in_child(program_, slot_, options);
   if (end_.pid == 0) {
@@ -83,6 +85,13 @@ void NodeDonor::wait_for_report() const noexcept {
   }
 }
 
+void NodeDonor::enter_domain(isolation::ChildOptions& options) const noexcept {
+  if (domain_ != nullptr) {
+    options.key_rights = domain_->rights();
+    options.private_memory = &domain_->memory();
+  }
+}
+
 void NodeDonor::bury() {
   gave_back_ = isolation::give_back_heaps(slot_);
   if (program_.left_remains()) {
@@ -92,6 +101,10 @@ void NodeDonor::bury() {
     options.time_limit = kBurialLimit;
     options.cpu_limit = kBurialCpuLimit;
     options.expendable = true;
+    if (domain_ != nullptr) {
+      domain_->memory().begin_burial();
+      enter_domain(options);
+    }
     burial_end_ = isolation::run_in_child(burial_, burial_slot_, options);
   }
 }

@@ -8,6 +8,7 @@
 
 #include "base/unique_fd.hpp"
 #include "hosts/cloned/lock_watch.hpp"
+#include "hosts/cloned/memory_domains.hpp"
 #include "hosts/cloned/node_program.hpp"
 #include "hosts/isolated/node_resources.hpp"
 #include "isolation/clone/child.hpp"
@@ -23,10 +24,10 @@ namespace play_launch::container {
 class NodeDonor {
  public:
   /// Starts the thread and with it the child, which dumps core or not when it crashes. Throws
-  /// std::system_error. `process_name` is what `ps` shows.
+  /// std::system_error. `process_name` is what `ps` shows. `domain` may be null.
   NodeDonor(std::uint64_t unique_id, NodeProgram& program, std::string process_name,
             LockWatch& lock_watch, bool core_dumps, NodeResources resources,
-            const WatchUrgency& watch_urgency);
+            const WatchUrgency& watch_urgency, const MemoryDomain* domain);
 
   /// The node's process. Any time: the slot says itself what of it is valid.
   isolation::CrashSlot& slot() { return slot_; }
@@ -46,6 +47,7 @@ class NodeDonor {
  private:
   void donate() noexcept;
   void wait_for_report() const noexcept;
+  void enter_domain(isolation::ChildOptions& options) const noexcept;
   void bury();
   void donated() noexcept { program_.reach(NodeLife::buried); }
 
@@ -58,6 +60,7 @@ class NodeDonor {
   const NodeResources resources_;
   UniqueFd group_{resources_.open_group()};
   const WatchUrgency& watch_urgency_;
+  const MemoryDomain* const domain_;
 
   isolation::CrashSlot slot_;
   isolation::CrashSlot burial_slot_;

@@ -16,6 +16,7 @@
 #include "isolation/clone/thread_destructors.hpp"
 #include "isolation/clone/vm_clone.hpp"
 #include "isolation/crash/crash_handler.hpp"
+#include "isolation/memory/protection_keys.hpp"
 #include "isolation/quiesce/quiesce.hpp"
 #include "isolation/record/alternate_stack.hpp"
 #include "isolation/record/graveyard.hpp"
@@ -89,6 +90,9 @@ void enter(const Launch& launch) noexcept {
   }
   if (record.options.cpu_limit.count() > 0) {
     signal_self_after(record.options.cpu_limit, SIGKILL, nullptr, CLOCK_PROCESS_CPUTIME_ID);
+  }
+  if (record.options.key_rights != 0) {
+    assume_rights(record.options.key_rights);  // threads that it starts begin with them
   }
   slot.phase = ChildPhase::running;
   unblock_all_signals();

@@ -23,6 +23,7 @@
 
 #include "base/demangle.hpp"
 #include "base/elf.hpp"
+#include "isolation/memory/protection_keys.hpp"
 #include "isolation/quiesce/call_stack.hpp"
 #include "isolation/quiesce/code_map.hpp"
 #include "isolation/quiesce/quiesce.hpp"
@@ -83,6 +84,24 @@ bool is_request(int signal, const siginfo_t& info) noexcept {
          (was_sent(info) && info.si_pid != ::getpid());
 }
 
+/// The key that the fault came of; 0: it came of something else.
+int denied_key(int signal, const siginfo_t& info) noexcept {
+  return signal == SIGSEGV && info.si_code == SEGV_PKUERR ? static_cast<int>(info.si_pkey) : 0;
+}
+
+/// Gives this handler the rights of the process. True: it was a handler of the node that lacked
+/// them, which goes on with them.
+bool take_rights(const ChildRecord& child, int signal, const siginfo_t& info,
+                 void* context) noexcept {
+  const std::uint32_t rights = child.options.key_rights;
+  if (rights == 0) {
+    return false;
+  }
+  assume_rights(rights);
+  const int key = denied_key(signal, info);
+  return key != 0 && restore_rights(rights, key, context);
+}
+
 void leave(ChildRecord& child, int signal, const siginfo_t& info) noexcept {
   CrashSlot& slot = *child.slot;
   int none = 0;
@@ -105,6 +124,7 @@ void describe(CrashSlot& slot, int signal, const siginfo_t& info, void* context)
     slot.report.sender = info.si_code == SI_TIMER ? 0 : info.si_pid;
   } else {
     slot.report.fault_address = reinterpret_cast<std::uintptr_t>(info.si_addr);
+    slot.report.protection_key = denied_key(signal, info);
   }
   ::prctl(PR_GET_NAME, slot.report.thread_name.data());
   slot.report.program_counter = interrupted_place(context);
@@ -196,7 +216,9 @@ extern "C" void on_crash_signal(int signal, siginfo_t* info, void* context) {
   const int error = errno;
   ChildRecord* const child = current_child();
   CrashSlot* const own = own_pid == ::getpid() ? own_slot.load() : nullptr;
-  if (child == nullptr && own == nullptr) {
+  if (child != nullptr && take_rights(*child, signal, *info, context)) {
+    // Nothing has happened.
+  } else if (child == nullptr && own == nullptr) {
     die_in_place(signal, *info, context);  // a process that a node forked
   } else if (is_surviving(*info)) {
     // It is dying already.

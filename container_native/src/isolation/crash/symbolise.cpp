@@ -133,6 +133,13 @@ std::string describe_fault(const CrashReport& report) {
         break;
     }
   }
+  if (report.protection_key != 0) {
+    const std::string owner = report.memory_owner.data();
+    return (owner.empty()
+                ? "access to memory with protection key " + std::to_string(report.protection_key)
+                : "write to the private memory of " + owner) +
+           " at address " + hex(report.fault_address);
+  }
   if (is_jump_to_no_code(report)) {
     return "jump to address " + hex(report.fault_address) + ", where no code is";
   }

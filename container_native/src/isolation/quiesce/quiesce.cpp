@@ -15,6 +15,7 @@
 #include <ctime>
 
 #include "base/number_list.hpp"
+#include "isolation/memory/protection_keys.hpp"
 #include "isolation/quiesce/code_map.hpp"
 #include "isolation/record/own_signals.hpp"
 #include "isolation/record/survive.hpp"
@@ -93,6 +94,9 @@ extern "C" void on_park_signal(int, siginfo_t* info, void* context) {
   const int error = errno;
   ChildRecord* const child = current_child();
   if (child != nullptr && info->si_pid == ::getpid() && is_ending(*child)) {
+    if (child->options.key_rights != 0) {
+      assume_rights(child->options.key_rights);  // what is looked at may be the node's own memory
+    }
     const CallStack stack = interrupted_call_stack(context);
     const bool first = looks++ == 0;
     const bool lenient = looks > kCarefulLooks;

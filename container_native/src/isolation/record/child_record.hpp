@@ -7,6 +7,7 @@
 #include <chrono>
 #include <cstddef>
 #include <cstdint>
+#include <memory_resource>
 #include <optional>
 #include <span>
 #include <string_view>
@@ -82,6 +83,11 @@ struct ChildOptions {
   /// The control group that it is born in, which is one of the resources; closed as soon as it is
   /// there. Null, or none: it enters by itself. Must outlive the child.
   UniqueFd* group = nullptr;
+  /// What it may do with memory that has protection keys, see isolation/memory/; 0: it has what its
+  /// donor has. Also in its signal handlers, as far as they are ours.
+  std::uint32_t key_rights = 0;
+  /// What play_launch::private_memory() is in it; null: ordinary memory.
+  std::pmr::memory_resource* private_memory = nullptr;
   /// Nobody minds should it hang until its time limit: living_children() leaves it out.
   bool expendable = false;
 };

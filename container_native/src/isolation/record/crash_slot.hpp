@@ -34,6 +34,8 @@ struct CrashReport {
   int code = 0;      // si_code
   pid_t sender = 0;  // si_pid, when the signal was sent and not caused by an instruction; else 0
   std::uintptr_t fault_address = 0;  // si_addr, when it was caused by an instruction
+  /// Of the memory at that address, when that is why it was refused (SEGV_PKUERR); else 0.
+  int protection_key = 0;
   std::uintptr_t program_counter = 0;
   /// Innermost first: the program counter, then return addresses. There is at least the former.
   std::array<std::uintptr_t, kMaxFrames> frames{};
@@ -65,6 +67,9 @@ struct CrashReport {
 
   /// The program that the child wanted to replace itself by, or that runs in its place.
   std::array<char, 256> other_program{};
+
+  /// The full name of the node whose private memory is at the fault's address.
+  std::array<char, 256> memory_owner{};
 };
 
 /// What a child reports about itself: written by the child and by its signal handlers, read by the
