@@ -11,7 +11,7 @@ import pytest
 
 RUNNER = Path(__file__).parent / "run"
 SKIPPED = 77
-LIMIT = 900
+LIMIT = 1500
 
 
 @pytest.mark.skipif(
