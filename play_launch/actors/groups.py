@@ -104,6 +104,10 @@ class Groups:
         """
         return self._groups.leave(key.container, key.name, attempt)
 
+    def check(self, full_name: str, pid: int) -> None:
+        """Report a process that is not in the group that was made for it; it runs on."""
+        self._groups.check(full_name, pid)
+
     def end(self) -> None:
         """Remove them all, with what is left in them; blocks for a moment."""
         self._groups.end()

@@ -165,6 +165,9 @@ class NodeGroups(Protocol):
     def leave(self, key: NodeKey, attempt: int) -> str:
         """Kill what a node left whose process has ended; says why the kernel killed it, if so."""
 
+    def check(self, full_name: str, pid: int) -> None:
+        """Report the process of a member or node that is not in the group it was given."""
+
 
 class Launcher(Protocol):
     """Starts processes; a start takes about a millisecond and does not wait for anything."""

@@ -65,6 +65,7 @@ class ProcessMember(Member):
         assert self._process is not None
         resources = self._config.resources
         report_shortfalls(self.name, resources, self._process.pid, self._publisher)
+        self._launcher.groups.check(self.name, self._process.pid)
         self._apply(MemberInput.READY)
 
     def _death_of(self, exit_: Exit) -> Death:

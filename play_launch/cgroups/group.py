@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from play_launch.cgroups.base import GroupError
+from play_launch.cgroups.names import SessionName
 from play_launch.cgroups.refusals import fewer_cpus, no_controller, no_group, no_limit
 from play_launch.core.cpu_list import cpu_text, cpus_in
 from play_launch.core.group_limits import NO_LIMITS, GroupLimits
@@ -107,8 +108,11 @@ class Group:
 
     @property
     def _tail(self) -> str:
-        # The folders of a session are named after it, so two of them are enough to be unique.
-        return f"/{'/'.join(self.path.parts[-2:])}/"
+        # From the folder of the session on, whose name is unique: what is above it looks different
+        # from within a namespace.
+        parts = self.path.parts
+        sessions = [index for index, part in enumerate(parts) if SessionName.parsed(part)]
+        return f"/{'/'.join(parts[sessions[-1] if sessions else -1 :])}/"
 
     def processes(self) -> list[int]:
         """List the processes in it and in the groups below; zombies are none."""

@@ -62,6 +62,8 @@ class SessionGroups:
         self._made: tuple[Path, ...] = ()
         self._policy: GroupPolicy | None = None
         self._reported: set[str] = set()
+        self._given: set[str] = set()
+        """Names of members and nodes that were given one."""
         self._limits: dict[int, GroupLimits] = {}
         """Of the nodes that have a group, by their attempts."""
 
@@ -139,6 +141,7 @@ class SessionGroups:
         if self._session is None:
             return None
         group = Group(self._session.path / group_name(full_name), limits)
+        self._given.add(full_name)
         group.kill()
         group.remove()  # of its predecessor
         self._make(full_name, group)
@@ -158,6 +161,7 @@ class SessionGroups:
         if group is None:
             return None
         self._limits[attempt] = limits
+        self._given.add(full_name)
         self._make(full_name, group)
         return _entry(group)
 
@@ -170,6 +174,16 @@ class SessionGroups:
         group.kill()
         report_and_remove(group)  # where somebody still dies in it, it goes with the container's
         return reason
+
+    def check(self, full_name: str, pid: int) -> None:
+        """Report a process that runs although the kernel did not let it into its group."""
+        if self._session is None or full_name not in self._given or not pid:
+            return
+        if not self._session.holds(pid) and Path("/proc", str(pid)).exists():
+            self._warn(
+                f"{full_name} is not in its control group, so no limit holds for it: the kernel "
+                f"refused the move; fix: see what echo 0 > {self._session.path}/cgroup.procs says"
+            )
 
     def _of_node(
         self, container: str, full_name: str, attempt: int, limits: GroupLimits
@@ -199,6 +213,9 @@ class SessionGroups:
     def _report(self, problem: str) -> None:
         if self._policy is not None and self._policy.required:
             raise GroupError(problem)
+        self._warn(problem)
+
+    def _warn(self, problem: str) -> None:
         if problem not in self._reported:
             self._reported.add(problem)
             _log.warning("%s", problem)

@@ -308,6 +308,9 @@ class NoGroups:
     def leave(self, key: NodeKey, attempt: int) -> str:
         return ""
 
+    def check(self, full_name: str, pid: int) -> None:
+        pass
+
 
 @dataclass
 class FakeLauncher:

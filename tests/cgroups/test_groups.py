@@ -83,6 +83,29 @@ def test_a_session_from_begin_to_end(base: Path) -> None:
     assert not below(base)
 
 
+def test_who_is_not_in_its_group_is_reported_once(
+    base: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    groups = begun(base)
+    made = groups.member("/a", NO_LIMITS)
+    assert made is not None
+    with born(made[1], "sleep", "600") as process:
+        until_in(made[0], process)
+        groups.check("/a", process.pid)
+        # Also where the base is the top of the hierarchy, whose name is in no path.
+        assert Group(Path("/top", *made[0].path.parts[-2:-1])).holds(process.pid)
+        assert not Group(Path("/top", *made[0].path.parts[-2:-1], "b")).holds(process.pid)
+        groups.check("/nobody", os.getpid())
+        groups.check("/a", 0)
+        assert not caplog.records
+        groups.check("/a", os.getpid())
+        groups.check("/a", os.getpid())
+        groups.end()
+    (record,) = caplog.records
+    assert record.message.startswith("/a is not in its control group")
+    assert "; fix: " in record.message
+
+
 def test_an_isolated_container_and_its_nodes_are_in_leaves(base: Path) -> None:
     groups = begun(base)
     made = groups.member("/box", NO_LIMITS, has_nodes=True)

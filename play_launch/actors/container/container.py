@@ -195,6 +195,7 @@ class ContainerMember(Member):
         if self._process is not None:
             pid = self._hello.pid or self._process.pid
             report_shortfalls(self.name, self._config.resources, pid, self._publisher)
+            self._launcher.groups.check(self.name, pid)
         if not self._config.prefix:  # a debugger may stop it
             self._watch.begin(self._link.send)
         self.nodes.container_ready(self._link.send)

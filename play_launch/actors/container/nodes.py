@@ -320,6 +320,7 @@ class ContainerNodes:
             node.loaded_at = self._clock()
             node.took = node.loaded_at - record.sent_at
             self._reports.resources(node)
+            self._groups.check(node.key.name, node.pid)
         has_changed = record.state is not before.state
         report = report_of(before.state, said, record.state)
         if report is NodeReport.UNASKED and not self._stopping and not facts.reason:
