@@ -12,7 +12,7 @@ from play_launch.launch_files.configuration.order import add_order
 from play_launch.launch_files.configuration.paths import Paths
 from play_launch.launch_files.configuration.sources import ParameterSources
 from play_launch.launch_files.configuration.temporary import with_copies
-from play_launch.launch_files.records import Composable, Process, ProgramKind
+from play_launch.launch_files.records import AtExit, Composable, Process, ProgramKind
 
 if TYPE_CHECKING:
     from play_launch.launch_files.configuration.copies import Copies
@@ -76,7 +76,7 @@ class _Builder:
             entry = self._members.container(unit)
             self._containers[unit.full_name] = entry
             self._names[unit.id] = unit.full_name
-            if unit.respawn is not True:
+            if unit.respawn is not True and unit.on_exit is not AtExit.SHUTDOWN:
                 self._losses.note("(containers)", "come back when they end, as with respawn")
         else:
             made = self._members.process(unit)

@@ -53,7 +53,7 @@ def include_file(path: str, context: Context, at: Entity | None = None) -> None:
     """Evaluate a launch file in the present scope: an include makes none."""
     location = os.path.abspath(path)  # noqa: PTH100 - links stay as they are, as in launch
     if location.endswith(".py"):
-        raise Trouble(f"{location} {INSTALL}")
+        raise Trouble(INSTALL if location == context.file else f"{location} {INSTALL}")
     if len(context.chain) > MOST_INCLUDES:
         raise Trouble(f"includes are nested deeper than {MOST_INCLUDES}")
     root = _read(location)
