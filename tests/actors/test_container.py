@@ -3,6 +3,7 @@ from __future__ import annotations
 import asyncio
 
 import pytest
+from msgspec.structs import replace
 
 from play_launch.actors.ports import StartError
 from play_launch.core.events import (
@@ -11,6 +12,7 @@ from play_launch.core.events import (
     NodeState,
     ProcessEventKind,
 )
+from play_launch.core.restart import OnExit
 from play_launch.process.exit import Exit
 from play_launch.wire.channel import ChannelClosedError, ProtocolViolationError
 from play_launch.wire.messages import (
@@ -241,3 +243,19 @@ def test_containers_start_in_parallel_but_not_all_at_once() -> None:
                 await sys.until_loaded(started)
 
     run(main())
+
+
+def test_the_end_of_a_container_may_be_that_of_the_system() -> None:
+    async def main() -> Running:
+        config = system(replace(container("c", "a"), on_exit=OnExit.SHUTDOWN), container("d", "b"))
+        async with running(config, launcher()) as sys:
+            await sys.until_loaded(2)
+            sys.launcher.containers["/c"][0].crash()
+            await sys.until_stopped()
+        return sys
+
+    sys = run(main())
+    assert sys.process_events("/c").count(ProcessEventKind.STARTED) == 1
+    assert sys.process_events("/d")[-1] is ProcessEventKind.EXITED
+    assert sys.outcome is not None
+    assert (sys.outcome.reason, sys.outcome.exit_code) == ("/c has ended", 1)
