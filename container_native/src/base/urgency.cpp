@@ -2,6 +2,7 @@
 
 #include <sched.h>
 #include <sys/resource.h>
+#include <unistd.h>
 
 #include <algorithm>
 #include <cerrno>
@@ -24,7 +25,11 @@ std::tuple<int, int> rank(Urgency urgency) {
   return {urgency.policy == SCHED_IDLE ? 0 : 1, -urgency.nice};
 }
 
+thread_local Rank* rank_of_thread = nullptr;
+
 }  // namespace
+
+static_assert(std::atomic<Urgency>::is_always_lock_free && kLeastUrgent.policy == SCHED_IDLE);
 
 Urgency own_urgency() noexcept {
   sched_param parameter{};
@@ -63,17 +68,67 @@ Urgency just_above(Urgency urgency) noexcept {
   return {SCHED_OTHER, 0, std::max(urgency.nice - 1, kLowestNice)};
 }
 
-NotRealTime::NotRealTime() noexcept : before_(own_urgency()) {
-  if (is_real_time(before_.policy)) {
-    assume(0, {SCHED_OTHER, 0, before_.nice});
+void Rank::begin() noexcept {
+  rank_of_thread = this;
+  number_ = ::gettid();
+}
+
+void Rank::end() noexcept {
+  rank_of_thread = nullptr;
+  number_ = 0;
+  while (risers_ != 0) {
+    ::sched_yield();
   }
 }
 
-NotRealTime::~NotRealTime() {
+// Whoever raises says so before it looks whether the rank is put aside, and whoever puts it aside
+// says that before it looks who raises it: one of them sees the other.
+void Rank::rise(Urgency urgency) noexcept {
+  raised_ = urgency;
+  ++risers_;
+  if (const pid_t number = number_; number != 0 && !is_aside_) {
+    assume(number, urgency);
+  }
+  --risers_;
+}
+
+void Rank::put_aside() noexcept {
+  before_ = own_urgency();
+  const Urgency calm{SCHED_OTHER, 0, before_.nice};
+  is_aside_ = true;
   if (is_real_time(before_.policy)) {
-    assume(0, before_);
+    assume(0, calm);
+  }
+  while (risers_ != 0) {
+    // Raised just now: who did it may wait for this very processor.
+    assume(0, calm);
+    ::sched_yield();
+  }
+  if (is_real_time(own_urgency().policy)) {
+    assume(0, calm);
   }
 }
+
+void Rank::take_up() noexcept {
+  is_aside_ = false;
+  Urgency raised = kLeastUrgent;
+  do {
+    raised = raised_;
+    const bool is_raised = is_more_urgent(raised, before_) && assume(0, raised);
+    if (!is_raised && is_real_time(before_.policy)) {
+      assume(0, before_);
+    }
+  } while (raised != raised_.load());
+}
+
+// A cloned process has the thread-local storage of its donor, whose rank is not its own.
+NotRealTime::NotRealTime() noexcept
+    : rank_(rank_of_thread != nullptr && rank_of_thread->number_ == ::gettid() ? *rank_of_thread
+                                                                               : own_) {
+  rank_.put_aside();
+}
+
+NotRealTime::~NotRealTime() { rank_.take_up(); }
 
 bool assume(pid_t thread, Urgency urgency) noexcept {
   const int kept = errno;

@@ -2,6 +2,7 @@
 
 #include <sys/types.h>
 
+#include <atomic>
 #include <cstdint>
 #include <vector>
 
@@ -18,6 +19,8 @@ struct Urgency {
 
   friend bool operator==(const Urgency&, const Urgency&) = default;
 };
+
+constexpr Urgency kLeastUrgent{5 /* SCHED_IDLE */, 0, 19};
 
 /// That of the calling thread.
 Urgency own_urgency() noexcept;
@@ -36,6 +39,30 @@ Urgency just_above(Urgency urgency) noexcept;
 /// give it up could not take it back. Async-signal-safe, and keeps errno.
 bool assume(pid_t thread, Urgency urgency) noexcept;
 
+/// The urgency of one thread, which others may raise at any time.
+class Rank {
+ public:
+  /// By the thread itself: from here on it can be raised.
+  void begin() noexcept;
+  /// By the thread itself: it is not touched any more.
+  void end() noexcept;
+  /// As far as the kernel agrees. Any thread.
+  void rise(Urgency urgency) noexcept;
+
+ private:
+  friend class NotRealTime;
+
+  /// By the thread itself: until take_up() it is no real-time thread, whatever others ask for.
+  void put_aside() noexcept;
+  void take_up() noexcept;
+
+  std::atomic<pid_t> number_{0};  // of the thread; 0: it has not begun, or is about to end
+  std::atomic<int> risers_{0};    // who use the number, and saw that it is not put aside
+  std::atomic<bool> is_aside_{false};
+  Urgency before_;                             // when it was put aside
+  std::atomic<Urgency> raised_{kLeastUrgent};  // what was asked for last
+};
+
 /// As long as it lives, the calling thread is none of the real-time ones.
 ///
 /// For reaping a process: the kernel then waits, without ever sleeping, for whoever just looks at
@@ -50,7 +77,8 @@ class NotRealTime {
   NotRealTime& operator=(const NotRealTime&) = delete;
 
  private:
-  const Urgency before_;
+  Rank own_;  // of a thread that nobody raises
+  Rank& rank_;
 };
 
 }  // namespace play_launch

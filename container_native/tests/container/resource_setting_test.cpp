@@ -2,9 +2,15 @@
 
 #include "base/resource_setting.hpp"
 
+#include <sched.h>
 #include <sys/resource.h>
 
+#include <atomic>
+#include <chrono>
+#include <cstdint>
+#include <cstdio>
 #include <stdexcept>
+#include <thread>
 
 #include "base/urgency.hpp"
 #include "check.hpp"
@@ -69,10 +75,77 @@ void test_ranks() {
   CHECK(!is_more_urgent(just_above(after({"nice -20"})), after({"nice -20"})));
 }
 
+/// A thread that has put its rank aside is none of the real-time ones, whoever raises it meanwhile,
+/// and has what was asked for last when it takes it up again.
+void test_a_rank_that_is_raised_while_it_is_aside() {
+  const Urgency before = own_urgency();
+  if (!assume(0, {SCHED_FIFO, 1, before.nice})) {
+    std::puts("real-time scheduling takes CAP_SYS_NICE: not tested");
+    return;
+  }
+  assume(0, before);
+  Rank rank;
+  std::atomic<bool> over{false};
+  std::atomic<bool> was_raised{false};
+  std::atomic<int> rounds{0};
+  std::thread raised([&] {
+    rank.begin();
+    while (!over) {
+      {
+        const NotRealTime calm;
+        for (int i = 0; i < 20; ++i) {
+          CHECK(own_urgency().policy == SCHED_OTHER);
+        }
+      }
+      CHECK(!was_raised || own_urgency().policy == SCHED_FIFO);
+      ++rounds;
+      std::this_thread::sleep_for(std::chrono::microseconds(50));
+    }
+    rank.end();
+  });
+  for (int turn = 0; turn < 20000 || rounds < 100; ++turn) {
+    rank.rise({SCHED_FIFO, static_cast<std::int16_t>(1 + turn % 50), 0});
+    was_raised = true;
+  }
+  over = true;
+  raised.join();
+  // Nobody touches a thread that has ended, or has not begun.
+  rank.rise({SCHED_FIFO, 9, 0});
+}
+
+/// What was asked for while the rank was aside holds afterwards.
+void test_what_was_raised_meanwhile_holds() {
+  const Urgency before = own_urgency();
+  if (!assume(0, {SCHED_FIFO, 3, before.nice})) {
+    return;
+  }
+  Rank rank;
+  rank.begin();
+  {
+    const NotRealTime calm;
+    rank.rise({SCHED_FIFO, 7, before.nice});
+    CHECK(own_urgency().policy == SCHED_OTHER);
+  }
+  CHECK(own_urgency().priority == 7);
+  {
+    const NotRealTime calm;
+    CHECK(own_urgency().policy == SCHED_OTHER);
+  }
+  CHECK(own_urgency().priority == 7);
+  rank.end();
+  assume(0, before);
+  {
+    const NotRealTime calm;
+  }
+  CHECK(own_urgency() == before);
+}
+
 }  // namespace
 
 int main() {
   test_texts();
   test_ranks();
+  test_what_was_raised_meanwhile_holds();
+  test_a_rank_that_is_raised_while_it_is_aside();
   test_refusals_are_errors();  // last: it changes this process
 }

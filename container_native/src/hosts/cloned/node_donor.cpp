@@ -43,7 +43,11 @@ NodeDonor::NodeDonor(std::uint64_t unique_id, NodeProgram& program, std::string 
       thread_(process_name_, [this] { donate(); }, [this] { donated(); }) {}
 
 void NodeDonor::donate() noexcept {
-  assume(0, watch_urgency_);
+  Urgency urgency;
+  do {  // it may be raised right now, by somebody who was faster than we are
+    urgency = watch_urgency_;
+    assume(0, urgency);
+  } while (urgency != watch_urgency_.load());
   if (!program_.prepare(unique_id_)) {
     program_.reach(NodeLife::ended);
     return;

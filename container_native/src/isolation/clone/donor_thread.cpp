@@ -1,6 +1,5 @@
 #include "isolation/clone/donor_thread.hpp"
 
-#include <sched.h>
 #include <signal.h>
 #include <sys/mman.h>
 #include <sys/syscall.h>
@@ -89,18 +88,10 @@ void DonorThread::join() {
   }
 }
 
-void DonorThread::rise(Urgency urgency) noexcept {
-  ++risers_;
-  if (const pid_t number = number_; number != 0) {
-    assume(number, urgency);
-  }
-  --risers_;
-}
-
 void* DonorThread::start(void* self) {
   auto& donor = *static_cast<DonorThread*>(self);
   ::pthread_setname_np(::pthread_self(), donor.name_.c_str());
-  donor.number_ = ::gettid();
+  donor.rank_.begin();
   // Should a child manage to cancel the thread, it must not be the donor that ends.
   ::pthread_setcancelstate(PTHREAD_CANCEL_DISABLE, nullptr);
   // What the allocator keeps for the thread is the donor's, not the child's.
@@ -108,10 +99,7 @@ void* DonorThread::start(void* self) {
   std::free(first);
   const ThreadDestructors destructors;
   donor.body_();
-  donor.number_ = 0;
-  while (donor.risers_ != 0) {
-    ::sched_yield();
-  }
+  donor.rank_.end();
   const bool like_others = !donor_is_tainted() && ThreadDestructors::can_run();
   const ThreadDone done = allocator_thread_done();
   if (!like_others && done != nullptr) {

@@ -1,9 +1,7 @@
 #pragma once
 
 #include <pthread.h>
-#include <sys/types.h>
 
-#include <atomic>
 #include <cstddef>
 #include <functional>
 #include <string>
@@ -36,7 +34,7 @@ class DonorThread {
   ~DonorThread();
 
   /// Has the thread run more urgently, as far as the kernel agrees; not the children. Any thread.
-  void rise(Urgency urgency) noexcept;
+  void rise(Urgency urgency) noexcept { rank_.rise(urgency); }
 
   /// Waits until the body has returned, and gives the stack back. Only once, or never.
   void join();
@@ -51,8 +49,7 @@ class DonorThread {
   std::size_t mapping_size_ = 0;
   pthread_t thread_{};
   bool joinable_ = false;
-  std::atomic<pid_t> number_{0};  // of the thread; 0: it has not begun, or is about to end
-  std::atomic<int> risers_{0};    // who use the number; the thread ends after them
+  Rank rank_;
 };
 
 }  // namespace play_launch::isolation
