@@ -2,26 +2,17 @@
 
 from __future__ import annotations
 
-from pathlib import Path  # noqa: TC003 - typer evaluates the annotations
 from typing import Annotated
 
 import typer
 
+from play_launch.cli import shared_options as options  # noqa: TC001 - typer evaluates them
 from play_launch.cli.find_mistakes import GraphForm, find_mistakes
 
 
 def check(  # noqa: PLR0917 - typer calls it by keywords
-    config: Annotated[
-        Path, typer.Argument(metavar="CONFIG", help="The YAML file.", show_default=False)
-    ],
-    arguments: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="[NAME:=VALUE]...",
-            help="Arguments of the configuration, which are ${arg:NAME} in there.",
-            show_default=False,
-        ),
-    ] = None,
+    config: options.ConfigFile,
+    arguments: options.ConfigArguments = None,
     as_json: Annotated[
         bool,
         typer.Option(

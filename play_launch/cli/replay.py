@@ -20,14 +20,7 @@ def replay(  # noqa: PLR0917 - typer calls it by keywords
             show_default=False,
         ),
     ],
-    arguments: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="[NAME:=VALUE]...",
-            help="Arguments of the configuration, which are ${arg:NAME} in there.",
-            show_default=False,
-        ),
-    ] = None,
+    arguments: options.ConfigArguments = None,
     log_dir: options.LogDir = None,
     duration: options.Duration = None,
     quiet: options.Quiet = False,

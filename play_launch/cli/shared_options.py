@@ -11,6 +11,17 @@ from play_launch.launch_files.configuration.options import (
     Containers,
 )
 
+ConfigFile: TypeAlias = Annotated[
+    Path, typer.Argument(metavar="CONFIG", help="The YAML file.", show_default=False)
+]
+ConfigArguments: TypeAlias = Annotated[
+    list[str] | None,
+    typer.Argument(
+        metavar="[NAME:=VALUE]...",
+        help="Arguments of the configuration, which are ${arg:NAME} in there.",
+        show_default=False,
+    ),
+]
 LogDir: TypeAlias = Annotated[
     Path | None,
     typer.Option(

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from play_launch.cli import shared_options as options  # noqa: TC001 - typer evaluates them
 from play_launch.cli.failure import fail
 from play_launch.cli.show.terminal import say
 from play_launch.cli.target import complain
@@ -25,17 +26,8 @@ _COMMAND = "play-launch"
 
 
 def systemd_unit(
-    config: Annotated[
-        Path, typer.Argument(metavar="CONFIG", help="The YAML file.", show_default=False)
-    ],
-    arguments: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="[NAME:=VALUE]...",
-            help="Arguments of the configuration, which are ${arg:NAME} in there.",
-            show_default=False,
-        ),
-    ] = None,
+    config: options.ConfigFile,
+    arguments: options.ConfigArguments = None,
     output: Annotated[
         Path | None,
         typer.Option(
