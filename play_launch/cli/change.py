@@ -100,11 +100,12 @@ def _bundled(options: Namespace) -> dict[str, Any]:
 
 
 def _is_launch_file(named: list[str]) -> bool:
-    if len(named) != 1:
-        return True
     from play_launch.launch_files.find import is_launch_file  # noqa: PLC0415 - takes its time
 
-    return is_launch_file(Path(named[0]))
+    path = Path(named[0]) if named else None
+    if path is not None and path.is_file():
+        return is_launch_file(path)
+    return len(named) != 1
 
 
 def _read(words: list[str]) -> ReplayConfig:

@@ -14,8 +14,10 @@ from tests.support.scenes import TALKER_AND_SLEEPER
 from tests.support.waiting import until
 
 CHANGES_ONLY = {"daemon patch", "daemon run", "daemon start", "daemon stop", "daemon unpatch"}
-WRITES_A_FILE = {"completion", "export", "init", "layout", "recover", "report", "schema"}
-"""Or prints what is none of ours: a script, the layout of another tool, a schema."""
+WRITES_A_FILE = {
+    *("completion", "export", "init", "layout", "recover", "report", "schema", "systemd-unit")
+}
+"""Or prints what is none of ours: a script, the layout of another tool, a schema, a unit."""
 SYSTEM = f"""{TALKER_AND_SLEEPER}
 record:
   before_crash: {{topics: [/chatter], seconds: 5 s}}

@@ -12,10 +12,11 @@ from pathlib import Path
 from threading import Thread
 from play_launch.graph_daemon.server.time_slice import ask_for_short_turns
 
+nice = os.getpriority(os.PRIO_PROCESS, 0)
 os.nice(3)
 taken = ask_for_short_turns()
 def show():
-    print(taken, os.getpriority(os.PRIO_PROCESS, 0), os.sched_getscheduler(0), *[
+    print(taken, os.getpriority(os.PRIO_PROCESS, 0) - nice, os.sched_getscheduler(0), *[
         line.split()[-1] for line in Path("/proc/thread-self/sched").read_text().splitlines()
         if line.startswith("se.slice")
     ])
