@@ -8,6 +8,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
+from play_launch.fastdds.sweep_command import sweep_command
+from tests.support.turns import _is_sweep
+
 ROOT = Path(__file__).resolve().parents[2]
 
 # Every test writes down when it began and when it ended, by a clock that all processes share.
@@ -78,3 +83,24 @@ def test_what_runs_alone_overlaps_nothing_else(tmp_path: Path) -> None:
 def test_without_workers_the_order_stays(tmp_path: Path) -> None:
     found = journal(tmp_path)
     assert [name for name, *_ in found][20:25] == [f"test_alone[{number}]" for number in range(5)]
+
+
+@pytest.mark.parametrize("is_sweep", [True, False], ids=["sweep", "guard"])
+def test_a_sweep_is_awaited_but_not_a_guard_that_is_to_start_one(
+    tmp_path: Path, is_sweep: bool
+) -> None:
+    (tmp_path / "play_launch.fastdds").write_text("echo; read line")
+    # To a shell, the options of a sweep are those for a script of that name.
+    command = [*sweep_command()] if is_sweep else ["guard", "-s", "--", *sweep_command()]
+    with subprocess.Popen(
+        command,
+        executable="/bin/bash",
+        cwd=tmp_path,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    ) as process:
+        assert process.stdout is not None
+        if is_sweep:
+            process.stdout.readline()
+        assert _is_sweep(Path("/proc") / str(process.pid)) is is_sweep
+        process.communicate(b"\n")
