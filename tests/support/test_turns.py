@@ -12,6 +12,7 @@ import pytest
 
 from play_launch.fastdds.sweep_command import sweep_command
 from tests.support.turns import _is_sweep
+from tests.support.waiting import until
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -89,7 +90,7 @@ def test_without_workers_the_order_stays(tmp_path: Path) -> None:
 def test_a_sweep_is_awaited_but_not_a_guard_that_is_to_start_one(
     tmp_path: Path, is_sweep: bool
 ) -> None:
-    (tmp_path / "play_launch.fastdds").write_text("echo; read line")
+    (tmp_path / "play_launch.fastdds").write_text("read line")
     # To a shell, the options of a sweep are those for a script of that name.
     command = [*sweep_command()] if is_sweep else ["guard", "-s", "--", *sweep_command()]
     with subprocess.Popen(
@@ -97,10 +98,9 @@ def test_a_sweep_is_awaited_but_not_a_guard_that_is_to_start_one(
         executable="/bin/bash",
         cwd=tmp_path,
         stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
     ) as process:
-        assert process.stdout is not None
-        if is_sweep:
-            process.stdout.readline()
-        assert _is_sweep(Path("/proc") / str(process.pid)) is is_sweep
+        entry = Path("/proc") / str(process.pid)
+        # It is empty for a moment while a program takes the place of another.
+        until((entry / "cmdline").read_bytes, "its command line")
+        assert _is_sweep(entry) is is_sweep
         process.communicate(b"\n")
