@@ -101,6 +101,6 @@ def test_a_sweep_is_awaited_but_not_a_guard_that_is_to_start_one(
     ) as process:
         entry = Path("/proc") / str(process.pid)
         # It is empty for a moment while a program takes the place of another.
-        until((entry / "cmdline").read_bytes, "its command line")
+        until(lambda: (entry / "cmdline").read_bytes() != b"", "its command line")
         assert _is_sweep(entry) is is_sweep
         process.communicate(b"\n")
