@@ -141,13 +141,14 @@ async def _until_the_end(
     stop = StopRequests()
     folder = session.folder.path
     system: asyncio.Future[System] = asyncio.get_running_loop().create_future()
+    operable: asyncio.Future[None] = asyncio.get_running_loop().create_future()
     sink.feed.begin()
     snapshots = Snapshots()
     with library_output_logged(), signals.delivered_to(stop.request):
         publisher = Publisher(sink)
         async with (
             # To the very end: the watchdog is to be fed while the others come to theirs.
-            _beside(_report(options.manager, publisher, stop, system)),
+            _beside(_report(options.manager, publisher, stop, system, operable)),
             _beside(_sample(config, publisher, folder)),
             _beside(_look_after_sessions(config, publisher, folder.parent)),
             _beside(_record_topics(config, session, publisher, stop, snapshots=snapshots)),
@@ -156,6 +157,7 @@ async def _until_the_end(
                     config,
                     session,
                     system,
+                    operable,
                     publisher=publisher,
                     sink=sink,
                     snapshots=snapshots,
@@ -183,12 +185,13 @@ async def _report(
     publisher: Publisher,
     stop: StopRequests,
     system: asyncio.Future[System],
+    operable: asyncio.Future[None],
 ) -> None:
     if manager is None:
         return
     from play_launch.systemd.report import ServiceReport  # noqa: PLC0415 - for services only
 
-    await ServiceReport(manager, publisher, stop, system).run()
+    await ServiceReport(manager, publisher, stop, system, operable).run()
 
 
 async def _sample(config: ReplayConfig, publisher: Publisher, folder: Path) -> None:
@@ -221,6 +224,7 @@ async def _serve_control(
     config: ReplayConfig,
     session: Session,
     system: asyncio.Future[System],
+    operable: asyncio.Future[None],
     *,
     publisher: Publisher,
     sink: RunSink,
@@ -229,19 +233,24 @@ async def _serve_control(
 ) -> None:
     operated = await system
     await asyncio.sleep(_BEFORE_CONTROL)
-    from play_launch.cli.serve_control import serve_control  # noqa: PLC0415 - as above
+    try:
+        from play_launch.cli.serve_control import serve_control  # noqa: PLC0415 - as above
 
-    await serve_control(
-        config,
-        session,
-        operated,
-        publisher=publisher,
-        feed=sink.feed,
-        snapshots=snapshots,
-        adopt=sink.adopt,
-        keeps_duration=options.keeps_duration,
-        watched=options.watched,
-    )
+        await serve_control(
+            config,
+            session,
+            operated,
+            publisher=publisher,
+            feed=sink.feed,
+            snapshots=snapshots,
+            adopt=sink.adopt,
+            keeps_duration=options.keeps_duration,
+            watched=options.watched,
+            operable=operable,
+        )
+    finally:
+        if not operable.done():
+            operable.set_result(None)  # nobody waits for what does not come
 
 
 async def _look_after_sessions(

@@ -44,11 +44,13 @@ async def serve_control(
     adopt: Callable[[ReplayConfig], None],
     keeps_duration: bool,
     watched: Watched | None,
+    operable: asyncio.Future[None],
 ) -> None:
     """Answer until this is cancelled; the run goes on whatever fails here.
 
     ``adopt`` hears of what the system is configured as, each time that this has changed;
-    ``keeps_duration`` is whether the command line said it; ``watched`` is applied when it changes.
+    ``keeps_duration`` is whether the command line said it; ``watched`` is applied when it changes;
+    ``operable`` becomes done as soon as commands are answered.
     """
     operations = Operations(
         system,
@@ -79,6 +81,7 @@ async def serve_control(
     )
     try:
         async with serving(session.folder.path, about, operations):
+            operable.set_result(None)
             if watched is not None:
                 await _watch(watched, config, changes)
             await asyncio.Event().wait()

@@ -45,12 +45,23 @@ class ServiceReport:
         publisher: Publisher,
         stop: StopRequests,
         system: asyncio.Future[System],
+        operable: asyncio.Future[None],
     ) -> None:
-        """Report to the manager; ``system`` is the one that runs, as soon as there is one."""
+        """Report to the manager.
+
+        Args:
+            manager: Who hears it.
+            publisher: Gives the events and the view.
+            stop: Says when the end is asked for, and why.
+            system: The one that runs, as soon as there is one.
+            operable: Done when the commands reach the session, or never will: who is ready can be
+                reloaded, and a manager may do so at once.
+        """
         self._manager = manager
         self._publisher = publisher
         self._stop = stop
         self._begun = system
+        self._operable = operable
         self._phase = Phase.STARTING
         self._status = ""
         self._ailment = ""
@@ -76,7 +87,7 @@ class ServiceReport:
         An error of our own ends it: the watchdog then ends the supervisor, if it has one.
         """
         requested = asyncio.ensure_future(self._stop.requested.wait())
-        for each in (requested, self._begun):
+        for each in (requested, self._begun, self._operable):
             each.add_done_callback(lambda _: self._changed.set())
         try:
             while True:
@@ -96,12 +107,13 @@ class ServiceReport:
         """Send what is new, and that we are well; what is not taken is sent again."""
         system = self._system
         coming = () if system is None else system.coming
+        ends = self._stop.requested.is_set()
         while True:
             phase = following(
                 self._phase,
-                is_up=system is not None and not coming,
+                is_up=system is not None and not coming and (self._operable.done() or ends),
                 changes=system is not None and system.is_changing,
-                ends=self._stop.requested.is_set(),
+                ends=ends,
             )
             if phase is self._phase or not self._manager.notify(*_announcement(phase)):
                 break

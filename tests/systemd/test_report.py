@@ -34,13 +34,19 @@ class Slow(FakeContainer):
 
 @asynccontextmanager
 async def reported(
-    config: ReplayConfig, launcher: FakeLauncher, listening: Listening
+    config: ReplayConfig,
+    launcher: FakeLauncher,
+    listening: Listening,
+    operable: asyncio.Future[None] | None = None,
 ) -> AsyncIterator[Running]:
-    """Run a system and report on it, as the command does."""
+    """Run a system and report on it, as the command does; it is operable where nothing is given."""
     async with running(config, launcher) as system:
         manager = ServiceManager(listening.address, watchdog=30)
         begun: asyncio.Future[System] = asyncio.get_running_loop().create_future()
-        report = ServiceReport(manager, system.publisher, system.stop, begun)
+        if operable is None:
+            operable = asyncio.get_running_loop().create_future()
+            operable.set_result(None)
+        report = ServiceReport(manager, system.publisher, system.stop, begun, operable)
         task = asyncio.create_task(report.run())
         try:
             while system.system is None:
@@ -95,6 +101,36 @@ def test_ready_is_said_when_everything_is_up_or_failed_for_good(tmp_path: Path) 
         said = listening.hear_all()
         assert phases(said) == ["STOPPING=1"]
         assert any(each.startswith("STATUS=stopping: the test is over") for each in said)
+
+    with closing(Listening.in_folder(tmp_path)) as listening:
+        run(main())
+
+
+def test_who_cannot_be_operated_yet_is_not_ready(tmp_path: Path) -> None:
+    async def main() -> None:
+        operable: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        async with reported(
+            system(container("a", "m")), FakeLauncher(), listening, operable
+        ) as one:
+            await one.until_loaded(1)
+            await asyncio.sleep(100)
+            assert not phases(listening.hear_all())
+            operable.set_result(None)
+            await asyncio.sleep(1)
+            assert phases(listening.hear_all()) == ["READY=1"]
+
+    with closing(Listening.in_folder(tmp_path)) as listening:
+        run(main())
+
+
+def test_what_is_over_before_it_can_be_operated_was_ready(tmp_path: Path) -> None:
+    launcher = FakeLauncher(on_process=lambda each: each.end(Exit()))
+
+    async def main() -> None:
+        never: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        async with reported(system(process("p")), launcher, listening, never) as one:
+            await one.until_stopped()
+        assert phases(listening.hear_all()) == ["READY=1", "STOPPING=1"]
 
     with closing(Listening.in_folder(tmp_path)) as listening:
         run(main())
