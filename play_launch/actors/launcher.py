@@ -227,7 +227,7 @@ class NativeLauncher:
         group, entry = self.groups.of_container(config)
         if config.container_type is ContainerType.STOCK:
             assert self._stock is not None
-            process = self._spawn(command, on_output, group, entry)
+            process = self._spawn(command, on_output, group, entry, name=config.full_name)
             return process, self._stock.talk_to(config, process)
         try:
             pair = control_pair()
@@ -236,7 +236,9 @@ class NativeLauncher:
         with ExitStack() as opened:
             opened.callback(pair.close)
             command = command.with_variables(pair.environment)
-            process = self._spawn(command, on_output, group, entry, control_fd=pair.child_fd)
+            process = self._spawn(
+                command, on_output, group, entry, name=config.full_name, control_fd=pair.child_fd
+            )
             pair.close_child_end()
             opened.pop_all()
         self._started(config)
@@ -275,7 +277,9 @@ class NativeLauncher:
             command = process_command(config, self._machine, self._parameters.of(config))
         except (ExecutableNotFoundError, ValueError) as error:
             raise StartError(str(error), permanent=True) from error
-        return self._spawn(command, on_output, *self.groups.of_process(config))
+        return self._spawn(
+            command, on_output, *self.groups.of_process(config), name=config.full_name
+        )
 
     async def clean_up(self) -> None:
         """Remove the shared memory that killed processes left behind, where Fast DDS is in use."""
@@ -311,6 +315,7 @@ class NativeLauncher:
         group: Group | None = None,
         entry: tuple[str, ...] = (),
         *,
+        name: str = "",
         control_fd: int | None = None,
     ) -> NativeProcess:
         # How large a stack is, is laid down when a program is executed. What is forked has our cwd.
@@ -338,6 +343,7 @@ class NativeLauncher:
                 zygote=self._zygote(command) if may_fork else None,
                 settings=(*entry, *command.resources.settings()),
                 group=group,
+                mark=name and f"{os.getpid()}:{name}",
             )
         except SpawnError as error:
             raise StartError(str(error), permanent=error.errno not in _PASSING) from error

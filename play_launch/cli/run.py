@@ -331,10 +331,18 @@ def _sum_up(outcome: Outcome, recording: RecordingSummary, options: RunOptions) 
     from play_launch.cli.show.summary import print_summary, summary_object  # noqa: PLC0415
 
     if options.as_json:
-        values = summary_object(outcome.view, recording, exit_code=outcome.exit_code)
+        values = summary_object(
+            outcome.view, outcome.final_view, recording, exit_code=outcome.exit_code
+        )
         _say(encode(values))
         return
     stream = sys.stdout
     with surviving_the_loss_of_stdout():
-        print_summary(outcome.view, recording, stream=stream, colour=wants_colour(stream))
+        print_summary(
+            outcome.view,
+            outcome.final_view,
+            recording,
+            stream=stream,
+            colour=wants_colour(stream),
+        )
         stream.flush()

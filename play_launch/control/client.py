@@ -218,8 +218,10 @@ def connect(session: str | None = None) -> ControlClient:
                 return connect_to(link.folder)
     named: list[ControlClient] = []
     others: list[ControlClient] = []
+    wanted = _in_utf8(session)
     for client in running():
-        is_it = session in {client.hello.name, os.path.basename(client.hello.folder)}  # noqa: PTH119
+        names = (client.hello.name, os.path.basename(client.hello.folder))  # noqa: PTH119
+        is_it = wanted in {_in_utf8(name) for name in names}
         (named if is_it else others).append(client)
     for client in others:
         client.close()
@@ -312,6 +314,17 @@ def _only_one() -> ControlClient:
     raise NoSessionError(
         "\n  ".join(["no session is running; start one with play-launch replay", *reasons])
     )
+
+
+def _in_utf8(text: str) -> str:
+    """Read what came from a command line or path as UTF-8, whatever the locale is.
+
+    In a locale without UTF-8, Python gives each byte from 128 on as a surrogate.
+    """
+    try:
+        return os.fsencode(text).decode("utf-8", "surrogateescape")
+    except UnicodeEncodeError:  # it came from a message, as the character that it is
+        return text
 
 
 def _listed(sessions: list[Hello]) -> str:

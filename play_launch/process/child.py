@@ -19,6 +19,7 @@ from play_launch.core.events import Stream
 from play_launch.process.exit import Exit
 from play_launch.process.guard import Ourselves, Parent, SessionGuard
 from play_launch.process.identity import ProcessIdentity, ProcessStat, read_stat
+from play_launch.process.kin import MEMBER_VARIABLE, Kin
 from play_launch.process.lines import LineReader, OutputCallback
 from play_launch.process.machine import explained
 from play_launch.process.program import SpawnError, check_program
@@ -64,12 +65,14 @@ class Child:
         parent: Parent,
         *,
         group: Group | None = None,
+        mark: str = "",
     ) -> None:
         self.argv = tuple(argv)
         self.identity = identity
         self._pidfd = pidfd
         self._parent = parent
         self._group = group
+        self._kin = Kin(identity.pid, parent, mark)
         self._was_killed = False
         self._readers = tuple(readers)
         self._loop = asyncio.get_running_loop()
@@ -142,15 +145,16 @@ class Child:
         return True
 
     async def members(self) -> list[ProcessStat]:
-        """The other living processes of its session and group; none once it is gone.
+        """The other living processes that came of it; none once it is gone.
 
-        In a control group of its own, those in there: also what has a session of its own by now.
+        Those of its session and group, and what has left them, see `Kin`; in a control group of its
+        own, those in there.
         """
         if self._pidfd < 0:
             return []
         if self._group is not None and self._group.holds(self.pid):
             return group_members(self._group, self.pid)
-        found = await session_members(self.pid)
+        found = await session_members(self.pid, self._kin)
         return found if self._pidfd >= 0 else []
 
     def kill_all(self) -> bool:
@@ -223,9 +227,14 @@ class Child:
         self.signal_group(signal.SIGKILL)
         # Whoever forks while we look is found in the next round.
         for _ in range(_STRAGGLER_ROUNDS):
-            rest = [member.identity for member in await self.members()]
-            if not rest:
+            members = await self.members()
+            if not members:
                 return
+            for each in members:
+                if self.pid not in {each.session, each.group}:
+                    left = (self.argv[0], self.pid, each.command, each.pid)
+                    _log.warning("%s (pid %d) left %s (pid %d), which is killed", *left)
+            rest = [member.identity for member in members]
             signal_each(rest, signal.SIGKILL)
             try:
                 async with asyncio.timeout(_STRAGGLER_LIMIT):
@@ -261,6 +270,7 @@ def spawn(
     emulate_tty: bool = False,
     settings: Sequence[str] = (),
     group: Group | None = None,
+    mark: str = "",
 ) -> Child:
     """Start a program in a session of its own; about a millisecond, on the loop's thread.
 
@@ -279,6 +289,7 @@ def spawn(
         settings: What it asks of the kernel, see `SessionGuard.spawn`; only with that.
         group: The control group that it enters by one of the settings: it is killed and removed
             with what is left in it.
+        mark: What tells that a daemon came of it, see `Kin`; nobody else's, with a session guard.
         emulate_tty: Whether it writes to terminals, one for each stream, instead of pipes.
 
     Raises:
@@ -286,6 +297,8 @@ def spawn(
             files. What fails after the guard has taken over appears as exit status 126 or 127.
     """
     check_program(argv, env, cwd)
+    if mark:
+        env = {**env, MEMBER_VARIABLE: mark}
     _keep_exit_statuses()
     parent: Parent = guard if isinstance(guard, SessionGuard) else Ourselves()
     with ExitStack() as opened:
@@ -343,6 +356,7 @@ def spawn(
         else [],
         parent,
         group=group,
+        mark=mark,
     )
 
 

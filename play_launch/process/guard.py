@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
+    from play_launch.process.identity import ProcessStat
     from play_launch.process.zygote import Zygote
 
 _SPAWN: Final = 1
@@ -49,6 +50,9 @@ class Parent(Protocol):
     def reap(self, pid: int) -> None:
         """Let its pid go; raises ChildProcessError as well."""
 
+    def has_inherited(self, process: ProcessStat) -> bool:
+        """Whether it became a child of this one when its own parent ended."""
+
 
 class Ourselves:
     """The parent of what this process has forked."""
@@ -63,6 +67,11 @@ class Ourselves:
         """See `Parent`."""
         os.waitid(os.P_PID, pid, os.WEXITED | os.WNOHANG)
 
+    def has_inherited(self, process: ProcessStat) -> bool:
+        """See `Parent`; we are no subreaper."""
+        del process
+        return False
+
 
 class SessionGuard:
     """The parent of everything that a session starts, in a process of its own.
@@ -76,6 +85,7 @@ class SessionGuard:
         self._process = process
         self._is_lost = False
         self._helpers = 0
+        self._started: set[int] = set()
         atexit.register(self._say_farewell)
 
     @classmethod
@@ -161,6 +171,7 @@ class SessionGuard:
             zygote.lose(os.strerror(obstacle))
         if pid < 0:
             raise OSError(-pid, os.strerror(-pid))
+        self._started.add(pid)
         return pid
 
     def spawn_helper(
@@ -179,7 +190,12 @@ class SessionGuard:
 
     def reap(self, pid: int) -> None:
         """See `Parent`."""
+        self._started.discard(pid)
         self._wait(_REAP, pid)
+
+    def has_inherited(self, process: ProcessStat) -> bool:
+        """See `Parent`; helpers count as inherited as well."""
+        return process.parent == self.pid and process.pid not in self._started
 
     def close(self) -> None:
         """Have everything ended that is left, and wait for that; blocks."""

@@ -1,7 +1,7 @@
 """The processes of a session: what a child of ours has started and not left behind.
 
 Every child leads a session of its own, so that whatever it forks can be found after its death.
-A process that calls setsid(2) itself escapes this.
+What calls setsid(2) itself is found by `play_launch.process.kin`.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from play_launch.cgroups.group import Group
+    from play_launch.process.kin import Kin
 
 
 class _Scans:
@@ -53,18 +54,21 @@ class _Scans:
 _scans: WeakKeyDictionary[asyncio.AbstractEventLoop, _Scans] = WeakKeyDictionary()
 
 
-async def session_members(leader: int) -> list[ProcessStat]:
-    """Find what lives in the session or the process group of `leader`, besides the leader.
+async def session_members(leader: int, kin: Kin) -> list[ProcessStat]:
+    """Find what lives in the session or the process group of `leader`, and what has left them.
 
-    Valid only while the leader was not waited for: until then its number cannot mean another
-    session.
+    Without the leader. Valid only while it was not waited for: until then its number cannot mean
+    another session.
     """
     scans = _scans.setdefault(asyncio.get_running_loop(), _Scans())
-    return [
+    table = await scans.table()
+    members = [
         stat
-        for stat in await scans.table()
+        for stat in table
         if leader in (stat.session, stat.group) and stat.pid != leader and stat.is_alive
     ]
+    known = {stat.pid for stat in members}
+    return [*members, *(stat for stat in await kin.among(table) if stat.pid not in known)]
 
 
 def group_members(group: Group, leader: int) -> list[ProcessStat]:

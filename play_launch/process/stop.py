@@ -104,8 +104,9 @@ async def stop(
 ) -> StopOutcome:
     """Stop a child and everything in its session, as gently as it allows.
 
-    Signals go to the whole session. The processes that the child leaves behind get the time that
-    the present level has left, then the next levels. Afterwards nothing of it runs and it was
+    Signals go to the whole session. What has left it gets SIGTERM when the child has ended: the
+    child may be about to end it itself. The processes that the child leaves behind get the time
+    that the present level has left, then the next levels. Afterwards nothing of it runs and it was
     waited for (as after `Child.gone`). When this is cancelled, whatever the child leaves is
     killed at once as soon as the child itself ends.
 
@@ -143,10 +144,25 @@ def _signal_session(child: Child, members: list[ProcessStat], number: signal.Sig
     child.signal_group(number)
     # A shell with job control puts its jobs into groups of their own. Nobody gets it twice: to
     # many programs a second SIGINT means something else.
-    signal_each((m.identity for m in members if m.group != child.pid), number)
+    is_over = number is signal.SIGKILL or not child.is_running
+    signal_each(
+        (
+            member.identity
+            for member in members
+            if member.group != child.pid and (is_over or member.session == child.pid)
+        ),
+        number,
+    )
     if number is signal.SIGTERM:
         # A process that is stopped (SIGSTOP, a debugger) sees the signal only when continued.
         child.signal_group(signal.SIGCONT)
+
+
+def _end_strays(child: Child, members: list[ProcessStat]) -> None:
+    """Ask what has left the session to end."""
+    strays = [each.identity for each in members if child.pid not in {each.session, each.group}]
+    for number in (signal.SIGTERM, signal.SIGCONT):
+        signal_each(strays, number)
 
 
 async def _session_ended(
@@ -155,9 +171,14 @@ async def _session_ended(
     """Wait for the end of the whole session, as long as the step allows."""
 
     async def ended() -> None:
+        ends_now = child.is_running
         await child.wait()
-        while rest := await child.members():
+        rest = await child.members()
+        if ends_now:
+            _end_strays(child, rest)
+        while rest:
             await wait_all_ended([member.identity for member in rest])
+            rest = await child.members()
 
     loop = asyncio.get_running_loop()
     began = loop.time()

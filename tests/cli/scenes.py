@@ -78,7 +78,10 @@ def output(text: str, stream: Stream = Stream.STDOUT, source: str = "/a") -> Out
 
 
 def view(*events: RunEvent) -> SystemView:
-    folded = SystemView()
+    return folded_after(SystemView(), *events)
+
+
+def folded_after(folded: SystemView, *events: RunEvent) -> SystemView:
     for event in events:
         folded = folded.after(event)
     return folded

@@ -8,10 +8,16 @@ from msgspec.structs import replace
 
 from play_launch.cli.show.sizes import size
 from play_launch.cli.show.summary import print_summary, summary_object
-from play_launch.core.events import ContainerState, NodeState, ProcessEventKind
+from play_launch.core.events import (
+    ActionEvent,
+    ActionPhase,
+    ContainerState,
+    NodeState,
+    ProcessEventKind,
+)
 from play_launch.core.node_key import NodeKey
 from play_launch.recording.recorder import RecordingSummary
-from tests.cli.scenes import container, node, process, view
+from tests.cli.scenes import START, container, folded_after, node, process, view
 
 LONG = Path("/" + "very/" * 40) / "session.mcap"
 RECORDING = RecordingSummary(path=LONG, messages=1234, dropped=0, bytes=56_000)
@@ -31,7 +37,7 @@ SYSTEM = view(
 
 def printed(recording: RecordingSummary = RECORDING) -> str:
     stream = io.StringIO()
-    print_summary(SYSTEM, recording, stream=stream, colour=False)
+    print_summary(SYSTEM, SYSTEM, recording, stream=stream, colour=False)
     return stream.getvalue()
 
 
@@ -61,17 +67,19 @@ def test_several_files_and_interruptions_are_counted() -> None:
     summary = RecordingSummary(path=LONG, messages=1, dropped=0, bytes=5, parts=3, interruptions=1)
     text = printed(summary)
     assert "(3 files, 1 messages, 5 bytes, interrupted 1 time)" in text
-    recording = summary_object(SYSTEM, summary, exit_code=0)["recording"]
+    recording = summary_object(SYSTEM, SYSTEM, summary, exit_code=0)["recording"]
     assert isinstance(recording, dict)
     assert (recording["parts"], recording["interruptions"]) == (3, 1)
 
 
 def test_the_summary_for_machines_has_the_same() -> None:
-    values = json.loads(json.dumps(summary_object(SYSTEM, RECORDING, exit_code=1)))
+    values = json.loads(json.dumps(summary_object(SYSTEM, SYSTEM, RECORDING, exit_code=1)))
     assert values["exit_code"] == 1
     assert values["containers"][1] == {
         "name": "/bad",
         "state": "running",
+        "exit_code": None,
+        "signal": None,
         "nodes": 2,
         "loaded": 0,
         "failed": ["/bad/n0"],
@@ -97,6 +105,77 @@ def test_the_summary_for_machines_has_the_same() -> None:
     assert values["recording"]["path"] == str(LONG)
 
 
+RAN = view(
+    container("/fine"),
+    process("/fine", ProcessEventKind.READY),
+    node("/fine", 0, NodeState.LOADED),
+    container("/deaf"),
+    process("/deaf", ProcessEventKind.READY),
+    process("/sleeper", ProcessEventKind.STARTED),
+    process("/python", ProcessEventKind.STARTED),
+    process("/shell", ProcessEventKind.STOPPING),
+    process("/undead", ProcessEventKind.STARTED),
+    process("/over", ProcessEventKind.EXITED, exit_code=3),
+    process("/again", ProcessEventKind.EXITED, exit_code=4),
+    process("/again", ProcessEventKind.RESTARTING, message="starts again in 8.00 s"),
+    process("/late", ProcessEventKind.WAITING, message="waits for /fine to be loaded"),
+    process("/dismissed", ProcessEventKind.EXITED, signal=2),
+    ActionEvent(
+        stamp_ns=START,
+        number=1,
+        action="stop",
+        phase=ActionPhase.REQUESTED,
+        targets=("/dismissed",),
+        uid=0,
+        pid=1,
+        command="play-launch stop dismissed",
+    ),
+)
+AFTER = folded_after(
+    RAN,
+    process("/fine", ProcessEventKind.EXITED),
+    process("/deaf", ProcessEventKind.EXITED, signal=9),
+    process("/sleeper", ProcessEventKind.EXITED, signal=2),
+    process("/python", ProcessEventKind.EXITED, exit_code=1),
+    process("/shell", ProcessEventKind.EXITED, exit_code=143),
+    process("/undead", ProcessEventKind.GAVE_UP, message="does not die"),
+)
+ENDS = {
+    "/sleeper": "stopped",
+    "/python": "stopped: exited with status 1",
+    "/shell": "stopped",
+    "/undead": "gave up: does not die",
+    "/over": "exited with status 3",
+    "/again": "not restarted: exited with status 4",
+    "/late": "not started: waits for /fine to be loaded",
+    "/dismissed": "stopped",
+}
+
+
+def test_the_summary_says_that_what_ran_has_stopped_and_how_if_not_as_it_should() -> None:
+    stream = io.StringIO()
+    print_summary(RAN, AFTER, RECORDING, stream=stream, colour=False)
+    rows = [" ".join(line.split()) for line in stream.getvalue().splitlines()]
+    for name, end in ENDS.items():
+        assert f"{name} {end} 0" in rows
+    assert "/fine 1 1 0 0" in rows
+    assert "/deaf 0 0 0 0 stopped: exited with signal 9 (SIGKILL)" in rows
+
+
+def test_the_summary_for_machines_says_how_each_process_ended() -> None:
+    values = json.loads(json.dumps(summary_object(RAN, AFTER, RECORDING, exit_code=130)))
+    assert {each["name"]: each["state"] for each in values["processes"]} == ENDS
+    ended = {
+        each["name"]: (each["exit_code"], each["signal"])
+        for each in (*values["containers"], *values["processes"])
+    }
+    assert ended["/fine"] == (0, None)
+    assert ended["/deaf"] == (None, 9)
+    assert ended["/shell"] == (143, None)
+    assert ended["/undead"] == ended["/late"] == (None, None)
+    assert [each["name"] for each in values["processes"] if each["failed"]] == ["/over"]
+
+
 def test_crashes_and_reloads_of_each_node_are_told() -> None:
     crashed = view(
         container("/c"),
@@ -105,13 +184,13 @@ def test_crashes_and_reloads_of_each_node_are_told() -> None:
         node("/c", 2, NodeState.LOADED, pid=4713),
     )
     stream = io.StringIO()
-    print_summary(crashed, RECORDING, stream=stream, colour=False)
+    print_summary(crashed, crashed, RECORDING, stream=stream, colour=False)
     rows = [line.split() for line in stream.getvalue().splitlines()]
     assert ["/c/n0", "2", "2", "4711", "loaded"] in rows
     assert ["/c/n1", "4", "3", "gave", "up"] in rows
     assert "/c/n1 (/c): gave up: too often" in stream.getvalue()
     assert "/c/n2" not in stream.getvalue()
-    values = summary_object(crashed, RECORDING, exit_code=1)
+    values = summary_object(crashed, crashed, RECORDING, exit_code=1)
     assert values["containers"][0]["crashes"] == 6  # type: ignore[index]
 
 
@@ -122,7 +201,7 @@ def test_crashed_nodes_with_the_same_label_are_told_apart_by_their_containers() 
     ]
     stream = io.StringIO()
     crashed = view(container("/c"), container("/d"), *unnamed)
-    print_summary(crashed, RECORDING, stream=stream, colour=False)
+    print_summary(crashed, crashed, RECORDING, stream=stream, colour=False)
     assert "/c:/[demo::Talker]" in stream.getvalue()
     assert "/d:/[demo::Talker]" in stream.getvalue()
 

@@ -224,6 +224,21 @@ def test_a_process_that_is_deaf_to_signals_is_stopped_all_the_same(
         assert rows("/deaf")["/deaf"]["signal"] == signal.SIGKILL
 
 
+def test_a_daemon_is_stopped_with_the_process_that_started_it(config: Path, tmp_path: Path) -> None:
+    daemon = "  - {name: forks, command: [sh, -c, '(setsid sleep 1000 &); exec sleep 1000']}\n"
+    config.write_text(config.read_text(encoding="utf-8") + daemon, encoding="utf-8")
+    with running(config, tmp_path / "logs") as replay:
+        before = pids()
+        until(lambda: len(sleeping(replay)) == 3, "the daemon")
+        assert ask("stop", "forks") == "/forks: stopped\n"
+        assert sleeping(replay) == [before["/sleeper"]]
+
+
+def sleeping(replay: Replay) -> list[int]:
+    """Find what sleeps for the session, whoever its parent is by now."""
+    return [each.pid for each in alive(replay.descendants()) if each.name() == "sleep"]
+
+
 @pytest.mark.parametrize(
     ("done", "code"),
     [
@@ -377,19 +392,25 @@ def test_bad_clients_do_not_affect_the_run(config: Path, tmp_path: Path) -> None
         assert psutil.Process(replay.pid).memory_info().rss < 200_000_000
 
 
-def test_of_two_sessions_one_is_chosen(config: Path, tmp_path: Path) -> None:
+def test_of_two_sessions_one_is_chosen(
+    config: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     other = tmp_path / "other.yaml"
     other.write_text(
-        "version: 1\nname: second\nnodes: [{name: sleeper, command: [sleep, '1000']}]\n",
+        "version: 1\nname: zweitös\nnodes: [{name: sleeper, command: [sleep, '1000']}]\n",
         encoding="utf-8",
     )
     with running(config, tmp_path / "a") as first, replaying(other, tmp_path / "b") as second:
-        ask("wait", "--session", "second", "--timeout", "60")
+        ask("wait", "--session", "zweitös", "--timeout", "60")
         assert "2 sessions are running; choose one with --session" in ask("ps", code=1)
-        for session in ("second", str(second.pid), str(tmp_path / "b" / "latest")):
+        for session in ("zweitös", str(second.pid), str(tmp_path / "b" / "latest")):
             assert "/sleeper" in ask("ps", "--session", session)
             assert "/chat" not in ask("ps", "--session", session)
         assert "/chat" in ask("ps", "--session", str(first.pid))
+        # Where Python decodes the command line as ASCII.
+        monkeypatch.setenv("LC_ALL", "C")
+        monkeypatch.setenv("PYTHONUTF8", "0")
+        assert "/sleeper" in ask("ps", "--session", "zweitös")
 
 
 def test_parameters_are_read_and_set(config: Path, tmp_path: Path) -> None:

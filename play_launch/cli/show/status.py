@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from typing import TYPE_CHECKING, Final
 
 from play_launch.cli.show.durations import duration
@@ -14,6 +15,8 @@ if TYPE_CHECKING:
 _SECOND: Final = 1_000_000_000
 _SHOWN_AFTER: Final = 2 * _SECOND
 """Waiting shorter than this is not worth a number."""
+_ASKED_BY: Final = (signal.SIGINT, signal.SIGTERM)
+"""Signals that ask for an end; a shell reports them as 128 more."""
 
 
 def container_status(container: ContainerView, now_ns: int = 0) -> str:
@@ -58,6 +61,54 @@ def process_status(process: ProcessView) -> str:
             return process.message
         case _:
             return "running"
+
+
+def container_at_end(before: ContainerView, after: ContainerView) -> str:
+    """Describe a container of a run that is over; empty: it had all of its nodes, and stopped well.
+
+    Args:
+        before: As it was when the end began.
+        after: As it is now.
+    """
+    state = "" if is_complete(before) else container_status(before)
+    if state and before.state in {ContainerState.STARTING, ContainerState.STOPPING}:
+        state = f"was {state}"
+    stopped = stop_problem(after.process) if before.process.pid else ""
+    return "; ".join(each for each in (state, stopped) if each)
+
+
+def process_at_end(before: ProcessView, after: ProcessView, *, dismissed: bool = False) -> str:
+    """Describe an ordinary process of a run that is over.
+
+    Args:
+        before: As it was when the end began.
+        after: As it is now.
+        dismissed: Whether a person had stopped it.
+    """
+    match before.kind:
+        case ProcessEventKind.EXITED if dismissed:
+            return stop_problem(before) or "stopped"
+        case ProcessEventKind.EXITED | ProcessEventKind.GAVE_UP:
+            return process_status(before)
+        case ProcessEventKind.RESTARTING:
+            return f"not restarted: {ending(before.exit_code, before.signal)}"
+        case ProcessEventKind.WAITING:
+            return f"not started: {before.message}"
+        case _ if after.kind is ProcessEventKind.EXITED:
+            return stop_problem(after) or "stopped"
+        case _:
+            return process_status(after)
+
+
+def stop_problem(process: ProcessView) -> str:
+    """Say how a process ended that was asked to end; empty: as it should."""
+    asked = {128 + number for number in _ASKED_BY}
+    is_well = process.signal in _ASKED_BY or (
+        not process.signal and process.exit_code in {0, *asked}
+    )
+    if is_well or process.kind is not ProcessEventKind.EXITED:
+        return ""
+    return f"stopped: {ending(process.exit_code, process.signal)}"
 
 
 def ending(exit_code: int, signal: int) -> str:

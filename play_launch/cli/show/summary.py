@@ -12,8 +12,8 @@ from rich.text import Text
 
 from play_launch.cli.find_mistakes import counted
 from play_launch.cli.show.sizes import size
-from play_launch.cli.show.status import container_status, is_complete, process_status
-from play_launch.core.events import NodeState
+from play_launch.cli.show.status import container_at_end, process_at_end
+from play_launch.core.events import NodeState, ProcessEventKind
 
 if TYPE_CHECKING:
     from play_launch.core.view import ContainerView, ProcessView, SystemView
@@ -25,6 +25,7 @@ _PIPE_WIDTH: Final = 200
 
 def print_summary(
     view: SystemView,
+    final: SystemView,
     recording: RecordingSummary,
     *,
     stream: IO[str],
@@ -32,7 +33,8 @@ def print_summary(
 ) -> None:
     """Print a table of containers and processes, what is not there and why, and the recording.
 
-    ``view`` is the system at the moment its end began.
+    ``view`` is the system at the moment its end began: what was up then. ``final`` is the system
+    after that, which says how each process ended.
     """
     terminal = stream.isatty()
     console = Console(
@@ -44,15 +46,16 @@ def print_summary(
         soft_wrap=False,
     )
     if view.containers:
-        console.print(_containers(view))
+        console.print(_containers(view, final))
     if view.processes:
-        console.print(_processes(view))
+        console.print(_processes(view, final))
     if view.crashed:
         console.print(_crashed(view))
     for node in (*view.failed, *view.unloaded):
         reason = f": {node.reason}" if node.reason else ""
+        style = "" if str(node.key) in view.dismissed else "red"
         console.print(
-            Text(f"{node.node} ({node.container}): {node.state.value}{reason}", style="red"),
+            Text(f"{node.node} ({node.container}): {node.state.value}{reason}", style=style),
             soft_wrap=True,
         )
     # Not wrapped and not cut, so that the path can be copied.
@@ -78,14 +81,20 @@ def recording_line(recording: RecordingSummary) -> str:
 
 
 def summary_object(
-    view: SystemView, recording: RecordingSummary, *, exit_code: int
+    view: SystemView, final: SystemView, recording: RecordingSummary, *, exit_code: int
 ) -> dict[str, object]:
     """Give the same for machines."""
     return {
         "event": "summary",
         "exit_code": exit_code,
-        "containers": [_container_object(each) for each in view.containers.values()],
-        "processes": [_process_object(each) for each in view.processes.values()],
+        "containers": [
+            _container_object(each, final.containers.get(each.name, each))
+            for each in view.containers.values()
+        ],
+        "processes": [
+            _process_object(each, final.processes.get(each.name, each), view)
+            for each in view.processes.values()
+        ],
         "recording": {
             "path": str(recording.path),
             "messages": recording.messages,
@@ -99,10 +108,11 @@ def summary_object(
     }
 
 
-def _container_object(container: ContainerView) -> dict[str, object]:
+def _container_object(container: ContainerView, final: ContainerView) -> dict[str, object]:
     return {
         "name": container.name,
         "state": container.state.value,
+        **_end_object(final.process),
         "nodes": container.total,
         "loaded": container.loaded,
         "failed": [node.node for node in container.failed],
@@ -126,25 +136,46 @@ def _container_object(container: ContainerView) -> dict[str, object]:
     }
 
 
-def _process_object(process: ProcessView) -> dict[str, object]:
+def _process_object(
+    process: ProcessView, final: ProcessView, view: SystemView
+) -> dict[str, object]:
     return {
         "name": process.name,
-        "state": process_status(process),
-        "failed": process.failed,
+        "state": _at_end(process, final, view),
+        **_end_object(final),
+        "failed": _has_failed(process, view),
         "restarts": process.restarts,
     }
 
 
-def _containers(view: SystemView) -> Table:
+def _end_object(process: ProcessView) -> dict[str, object]:
+    """Say how its last process ended; null where it never ran, or does not die."""
+    has_ended = process.kind is ProcessEventKind.EXITED
+    return {
+        "exit_code": process.exit_code if has_ended and not process.signal else None,
+        "signal": process.signal if has_ended and process.signal else None,
+    }
+
+
+def _at_end(process: ProcessView, final: ProcessView, view: SystemView) -> str:
+    return process_at_end(process, final, dismissed=process.name in view.dismissed)
+
+
+def _has_failed(process: ProcessView, view: SystemView) -> bool:
+    return process.failed and process.name not in view.dismissed
+
+
+def _containers(view: SystemView, final: SystemView) -> Table:
     table = _table("container", "nodes", "loaded", "failed", "restarts", "")
     for container in view.containers.values():
+        status = container_at_end(container, final.containers.get(container.name, container))
         table.add_row(
             Text(container.name),
             str(container.total),
             str(container.loaded),
             _alarming(len(container.failed)),
             _alarming(container.process.restarts),
-            Text("" if is_complete(container) else container_status(container), "yellow"),
+            Text(status, "yellow"),
         )
     if len(view.containers) > 1:
         table.add_section()
@@ -173,10 +204,11 @@ def _crashed(view: SystemView) -> Table:
     return table
 
 
-def _processes(view: SystemView) -> Table:
+def _processes(view: SystemView, final: SystemView) -> Table:
     table = _table("process", "state", "restarts")
     for process in view.processes.values():
-        state = Text(process_status(process), "red" if process.failed else "")
+        status = _at_end(process, final.processes.get(process.name, process), view)
+        state = Text(status, "red" if _has_failed(process, view) else "")
         table.add_row(Text(process.name), state, _alarming(process.restarts))
     return table
 

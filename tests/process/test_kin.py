@@ -1,0 +1,138 @@
+"""What came of a child is found and ended with it, also when it has left its session."""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+import textwrap
+
+import psutil
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from play_launch.process.child import Child, spawn
+from play_launch.process.guard import SessionGuard
+from play_launch.process.identity import ProcessStat
+from play_launch.process.kin import below, mark_of
+from play_launch.process.stop import StopPolicy, stop
+from tests.process.programs import Output, environment, python
+
+PATIENT = StopPolicy(sigint=60, sigterm=60)
+
+DAEMON = """
+    read, write = os.pipe()
+    if os.fork() == 0:
+        os.setsid()
+        if os.fork() == 0:
+            os.write(write, b"%d\\n" % os.getpid())
+            os.close(1); os.close(2)
+            {daemon}
+        os._exit(0)
+    os.wait()
+    print(os.read(read, 20).decode().strip())
+"""
+"""Forks twice and calls setsid(2) in between, as daemon(7) says; prints its pid."""
+SLEEP = "os.execvp('sleep', ['sleep', '600'])"
+DEAF = "[signal.signal(number, signal.SIG_IGN) for number in (1, 2, 15)]; time.sleep(600)"
+BELOW = """
+    import subprocess
+    print(subprocess.Popen(["setsid", "sleep", "600"], env={"PATH": os.environ["PATH"]}).pid)
+"""
+"""Has a session of its own and no environment, but its parent still lives."""
+STAYS = "print('ready', flush=True); time.sleep(600)"
+
+
+async def started(
+    session: SessionGuard, body: str, *, mark: str, then: str = STAYS
+) -> tuple[Child, psutil.Process]:
+    """Start a child that leaves a process behind, and give both."""
+    output = Output()
+    child = spawn(
+        python(f"import os, signal, time\n{textwrap.dedent(body)}\n{then}"),
+        env=environment(),
+        guard=session,
+        on_output=output,
+        mark=mark,
+    )
+    async with asyncio.timeout(60):
+        await output.wait_line("ready")
+    return child, psutil.Process(int(output.texts()[0]))
+
+
+def is_alive(process: psutil.Process) -> bool:
+    return process.is_running() and process.status() != psutil.STATUS_ZOMBIE
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize(
+    "body",
+    [DAEMON.format(daemon=SLEEP), DAEMON.format(daemon="time.sleep(600)"), BELOW],
+    ids=["daemon", "daemon without exec", "below"],
+)
+async def test_a_stop_ends_what_has_left_the_session(session: SessionGuard, body: str) -> None:
+    child, left = await started(session, body, mark="1:/one")
+    other, stays = await started(session, DAEMON.format(daemon=SLEEP), mark="1:/other")
+    async with asyncio.timeout(60):
+        outcome = await stop(child, PATIENT)
+        assert outcome.stragglers == 0, "SIGTERM was enough"
+        assert not is_alive(left)
+        assert is_alive(stays), "it is that of another child"
+        assert other.is_running
+        await stop(other, PATIENT)
+    assert not is_alive(stays)
+
+
+@pytest.mark.anyio
+async def test_a_daemon_that_is_deaf_is_killed_and_counted(session: SessionGuard) -> None:
+    child, left = await started(session, DAEMON.format(daemon=DEAF), mark="1:/one")
+    async with asyncio.timeout(60):
+        outcome = await stop(child, StopPolicy(sigint=0.3, sigterm=0.2))
+    assert outcome.stragglers == 1
+    assert not is_alive(left)
+
+
+@pytest.mark.anyio
+async def test_a_daemon_ends_with_a_child_that_ends_by_itself(
+    session: SessionGuard, caplog: pytest.LogCaptureFixture
+) -> None:
+    then = "print('ready', flush=True)"
+    child, left = await started(session, DAEMON.format(daemon=SLEEP), mark="1:/one", then=then)
+    async with asyncio.timeout(60):
+        assert (await child.gone()).code == 0
+    assert not is_alive(left)
+    assert f"sleep (pid {left.pid}), which is killed" in caplog.text
+
+
+@pytest.mark.anyio
+async def test_whose_a_process_is_stands_in_its_environment(session: SessionGuard) -> None:
+    child, left = await started(session, DAEMON.format(daemon=SLEEP), mark="1:/one")
+    assert await asyncio.to_thread(mark_of, left.pid) == "1:/one"
+    child.send_signal(signal.SIGKILL)
+    async with asyncio.timeout(60):
+        await child.gone()
+    assert not is_alive(left)
+    assert await asyncio.to_thread(mark_of, left.pid) == ""
+
+
+@given(st.lists(st.integers(0, 30), min_size=1, max_size=30), st.sets(st.integers(1, 30)))
+def test_below_some_processes_is_what_has_one_of_them_among_its_ancestors(
+    parents: list[int], roots: set[int]
+) -> None:
+    table = [
+        ProcessStat(pid, "x", "S", parent, pid, pid, 1)
+        for pid, parent in enumerate(parents, start=1)
+    ]
+    parent_of = {each.pid: each.parent for each in table}
+
+    def descends(pid: int) -> bool:
+        seen: set[int] = set()
+        while pid not in seen:
+            if pid in roots:
+                return True
+            seen.add(pid)
+            pid = parent_of.get(pid, 0)
+        return False
+
+    found = {each.pid for each in below(table, roots)}
+    assert found == {pid for pid in parent_of if descends(pid)}
