@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import logging
 import os
+import time
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -11,18 +14,20 @@ from play_launch.actors.ports import StartError
 from play_launch.cgroups.base import GroupError
 from play_launch.cgroups.names import SessionName
 from play_launch.cgroups.session import SessionGroups, needed_controllers
+from play_launch.cgroups.usage import usage_of
+from play_launch.config.model import ContainerConfig
+from play_launch.core.events import SubjectKind
 from play_launch.launching.needs import group_limits, shares_memory, wants_groups
 from play_launch.process.identity import ProcessIdentity, read_stat
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from play_launch.cgroups.group import Group
-    from play_launch.config.model import (
-        ComposableNodeConfig,
-        ContainerConfig,
-        ProcessConfig,
-        ReplayConfig,
-    )
+    from play_launch.config.model import ComposableNodeConfig, ProcessConfig, ReplayConfig
+    from play_launch.core.events import GroupSample
     from play_launch.core.node_key import NodeKey
+    from play_launch.process.guard import SessionGuard
 
 STALLING_PERCENT: Final = 20
 """Of a CPU. A node that gets less is throttled for most of each period."""
@@ -33,14 +38,27 @@ _log = logging.getLogger(__name__)
 class Groups:
     """Asks `SessionGroups` for them, and logs what is not as it should be."""
 
-    def __init__(self) -> None:
-        """Be the groups of the session of this process; there are none yet."""
+    def __init__(self, publish: Callable[[GroupSample], None]) -> None:
+        """Be the groups of the session of this process; there are none yet.
+
+        ``publish`` takes the last numbers of each.
+        """
+        self._publish = publish
         pid = os.getpid()
         name = SessionName(Path("/proc/self/ns/pid").stat().st_ino, pid, read_stat(pid).start_time)
         self._groups = SessionGroups(
             name, lambda pid, start_time: ProcessIdentity(pid, start_time).is_alive()
         )
         self._warned: set[str] = set()
+        self._guard: SessionGuard | None = None
+
+    def entrust(self, guard: SessionGuard) -> None:
+        """Have a guard remove them, should we die; does so once for each."""
+        folder = self._groups.folder
+        if folder is not None and guard is not self._guard:
+            self._guard = guard
+            with suppress(OSError):  # removed by somebody else: nothing is left to be done
+                guard.entrust(folder)
 
     def begin(self, config: ReplayConfig) -> None:
         """Have groups, if the configuration asks for any; raises GroupError where it has to."""
@@ -78,10 +96,13 @@ class Groups:
     def _member(
         self, config: ContainerConfig | ProcessConfig, *, has_nodes: bool
     ) -> tuple[Group | None, tuple[str, ...]]:
+        is_container = isinstance(config, ContainerConfig)
+        kind = SubjectKind.CONTAINER if is_container else SubjectKind.PROCESS
+        name = config.full_name
+        used = partial(self._used, kind, name)
+        limits = config.resources.group
         try:
-            made = self._groups.member(
-                config.full_name, config.resources.group, has_nodes=has_nodes
-            )
+            made = self._groups.member(name, limits, has_nodes=has_nodes, on_end=used)
         except GroupError as error:
             raise StartError(str(error), permanent=True) from error
         return (None, ()) if made is None else (made[0], (made[1],))
@@ -102,7 +123,14 @@ class Groups:
         Returns:
             Why the kernel killed it; empty: it did not.
         """
-        return self._groups.leave(key.container, key.name, attempt)
+        used = partial(self._used, SubjectKind.NODE, str(key))
+        return self._groups.leave(key.container, key.name, attempt, used)
+
+    def _used(self, kind: SubjectKind, key: str, group: Group) -> None:
+        """Report what a group used all in all."""
+        usage = usage_of(group)
+        _log.info("the control group %s used %s", group.path.name, usage)
+        self._publish(usage.sample(time.time_ns(), kind, key, group.number))
 
     def check(self, full_name: str, pid: int) -> None:
         """Report a process that is not in the group that was made for it; it runs on."""

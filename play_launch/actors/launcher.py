@@ -71,6 +71,7 @@ if TYPE_CHECKING:
         ProcessConfig,
         ReplayConfig,
     )
+    from play_launch.core.events import GroupSample
     from play_launch.launching.command import Command
     from play_launch.process.child import Child
     from play_launch.process.exit import Exit
@@ -141,6 +142,7 @@ class NativeLauncher:
         stock: StockContainers | None = None,
         uses_fastdds: bool = True,
         containers: Iterable[str] = (),
+        publish: Callable[[GroupSample], None] = lambda _: None,
     ) -> None:
         """Take the facts about this machine, see `of`."""
         self._stock = stock
@@ -154,7 +156,7 @@ class NativeLauncher:
         self._policy = policy
         self._parameters = parameters
         self._cleaning = asyncio.Lock()
-        self.groups = Groups()
+        self.groups = Groups(publish)
         self._hello = Hello(
             version=_version(),
             pid=os.getpid(),
@@ -162,8 +164,12 @@ class NativeLauncher:
         )
 
     @classmethod
-    def of(cls, config: ReplayConfig) -> NativeLauncher:
+    def of(
+        cls, config: ReplayConfig, publish: Callable[[GroupSample], None] = lambda _: None
+    ) -> NativeLauncher:
         """Find everything that the system needs; reads folders, writes files.
+
+        ``publish`` takes the last numbers of control groups, in the loop's thread.
 
         Raises:
             NotInstalledError: When ROS or a program of ours is not there.
@@ -183,6 +189,7 @@ class NativeLauncher:
             stock=_stock_containers(config),
             uses_fastdds=is_fastdds,
             containers=(each.full_name for each in config.containers if is_own(each)),
+            publish=publish,
         )
         launcher.groups.begin(config)
         return launcher
@@ -330,6 +337,7 @@ class NativeLauncher:
                 self._end_zygotes()
                 guard = SessionGuard.start(self._guard_program, afterwards=sweep_command())
                 self._guards.append(guard)
+            self.groups.entrust(self._guards[-1])
             child = spawn(
                 command.argv,
                 env=command.environment,

@@ -22,7 +22,6 @@ from play_launch.actors.failures import failure_reason
 from play_launch.actors.inbox import Inbox
 from play_launch.actors.ports import StartError
 from play_launch.actors.process_reports import ProcessReports
-from play_launch.actors.rest import Rest
 from play_launch.actors.restarter import Restarter
 from play_launch.actors.sources import Source, Sources
 from play_launch.actors.turn import StartTurn
@@ -77,7 +76,8 @@ class Member:
         self._inbox = Inbox(deadlines=self._deadlines, on_time=self._on_time, on_error=self._fail)
         self._sources = Sources(lambda error: self.deliver(partial(self._fail, error)))
         self._queue_scope: anyio.CancelScope | None = None
-        self.rest = Rest()
+        self._rests = asyncio.Event()
+        self._rests.set()
         self._restart_at: float | None = None
         self._delay = 0.0
         self._death_reason = ""
@@ -108,12 +108,12 @@ class Member:
     @property
     def is_at_rest(self) -> bool:
         """Whether it does not run, nothing is left of it, and it does not start by itself."""
-        return self.rest.is_reached
+        return self._rests.is_set()
 
-    @property
-    def is_stuck(self) -> bool:
-        """Whether its process lives on although it was killed."""
-        return self._is_stuck
+    async def rests(self) -> bool:
+        """Wait until it is at rest; False when its process lives on although it was killed."""
+        await self._rests.wait()
+        return not self._is_stuck
 
     def ailment(self) -> str:
         """Say what nobody does for it that has to be done; empty: it is looked after."""
@@ -274,8 +274,10 @@ class Member:
                 _log.exception("%s: what follows from its failure failed as well", self.name)
 
     def _look_whether_it_rests(self) -> None:
-        is_reached = self.state in _AT_REST and (self._process is None or self._is_stuck)
-        self.rest.note(is_reached=is_reached, is_wanted=self.wanted)
+        if self.state in _AT_REST and (self._process is None or self._is_stuck):
+            self._rests.set()
+        else:
+            self._rests.clear()
 
     # A process, from its turn to its end.
 

@@ -88,7 +88,7 @@ class Members:
     async def rest(self) -> None:
         """Wait until none of those that there are now runs."""
         for member in self.all:
-            await member.rest.wait()
+            await member.rests()
 
     def close(self) -> None:
         """Do nothing at any later time."""
@@ -136,12 +136,8 @@ class Members:
             self._publisher.withdraw(SubjectKind.PROCESS, name)
 
     async def _end(self, member: Member, reason: str) -> None:
-        while True:
-            member.post(MemberInput.STOP, reason)
-            # Whoever has it started meanwhile gets what comes in its place.
-            if await member.rest.wait_unless_recalled():
-                break
-        if member.is_stuck:
+        member.post(MemberInput.STOP, reason)
+        if not await member.rests():
             raise StuckError("its process does not die, not even of SIGKILL")
         member.close()
 

@@ -27,6 +27,10 @@ PROCESS_STATS: Final = Layout(
     "stamp:t pid:i start_time:Q cpu_percent:d cpu_seconds:d memory_bytes:Q memory_kind:B threads:I "
     "descriptors:I read_bytes:Q write_bytes:Q voluntary_switches:Q involuntary_switches:Q"
 )
+GROUP_STATS: Final = Layout(
+    "stamp:t group:Q cpu_seconds:d throttled_periods:Q throttled_seconds:d cpu_pressure:d "
+    "memory_pressure:d io_pressure:d memory_bytes:Q processes:Q oom_kills:Q pids_max_hits:Q"
+)
 SYSTEM_STATS: Final = Layout(
     "stamp:t cpu_percent:d core_percent:d[] core_mhz:d[] memory_total:Q memory_available:Q "
     "swap_used:Q shm_used:Q shm_total:Q disk_free:Q load_1:d load_5:d load_15:d cpu_some_avg10:d "

@@ -16,18 +16,32 @@ from play_launch.core.cpu_list import cpu_text, cpus_in
 from play_launch.core.group_limits import NO_LIMITS, GroupLimits
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
 
 _PAUSE: Final = 0.001
+_MOST: Final = 65536
+"""Bytes; no file with numbers is longer."""
 
 
 class Group:
     """A folder of the hierarchy."""
 
-    def __init__(self, path: Path, limits: GroupLimits = NO_LIMITS) -> None:
-        """Know a group; `limits` are what is to hold in it."""
+    def __init__(
+        self,
+        path: Path,
+        limits: GroupLimits = NO_LIMITS,
+        on_end: Callable[[Group], None] = lambda _: None,
+    ) -> None:
+        """Know a group.
+
+        Args:
+            path: Its folder.
+            limits: What is to hold in it.
+            on_end: Is called before it is removed as `retire` does.
+        """
         self.path = path
         self.limits = limits
+        self._on_end = on_end
 
     def make(self) -> None:
         """Make the folder, unless it is there; raises GroupError."""
@@ -96,6 +110,14 @@ class Group:
         left = there.intersection(wanted)
         return cpu_text(left), fewer_cpus(cpu_text(wanted), cpu_text(there))
 
+    @property
+    def number(self) -> int:
+        """Its number in the kernel, which no other group gets; 0 when it is removed."""
+        try:
+            return self.path.stat().st_ino
+        except OSError:
+            return 0
+
     def holds(self, pid: int) -> bool:
         """Whether a process, or what is left of it, is in this group or one below it."""
         try:
@@ -162,6 +184,12 @@ class Group:
                 folder.rmdir()
         return not self.path.exists()
 
+    def retire(self) -> None:
+        """Remove it when what it was made for is over; who still dies in it goes with it later."""
+        if self.path.is_dir():
+            self._on_end(self)
+            self.remove()
+
     def clear(self, seconds: float) -> bool:
         """Kill what is in it and below, and remove it all; blocks. Whether it is gone."""
         deadline = time.monotonic() + seconds
@@ -183,12 +211,21 @@ class Group:
 
     def numbers(self, file: str) -> dict[str, int]:
         """Read a file with a name and a number in each line; empty where it is not there."""
-        try:
-            lines = (self.path / file).read_text().splitlines()
-        except OSError:
-            return {}
-        pairs = (line.partition(" ") for line in lines)
+        pairs = (line.partition(" ") for line in self.text(file).splitlines())
         return {name: int(value) for name, _, value in pairs if value.isdigit()}
+
+    def text(self, file: str) -> str:
+        """Read a file in three system calls; empty where it is not there, or cannot be read."""
+        try:
+            descriptor = os.open(f"{self.path}/{file}", os.O_RDONLY | os.O_CLOEXEC)
+        except OSError:
+            return ""
+        try:
+            return os.read(descriptor, _MOST).decode()
+        except OSError:  # the group is being removed
+            return ""
+        finally:
+            os.close(descriptor)
 
     def _words(self, file: str) -> frozenset[str]:
         try:

@@ -27,7 +27,6 @@ from play_launch.cgroups.names import (
 )
 from play_launch.cgroups.refusals import no_entry, no_group
 from play_launch.cgroups.sweep import sweep
-from play_launch.cgroups.usage import report_and_remove
 from play_launch.core.group_limits import NO_LIMITS
 
 if TYPE_CHECKING:
@@ -71,6 +70,11 @@ class SessionGroups:
     def is_on(self) -> bool:
         """Whether processes get groups."""
         return self._session is not None
+
+    @property
+    def folder(self) -> Path | None:
+        """Of the session's own group, with all others in it; None: there are none."""
+        return None if self._session is None else self._session.path
 
     def begin(self, policy: GroupPolicy, controllers: Iterable[str]) -> None:
         """Find the base, sweep it, and make the group of the session; raises GroupError.
@@ -131,25 +135,36 @@ class SessionGroups:
             raise GroupError(no_group(leaf.path, error)) from None
 
     def member(
-        self, full_name: str, limits: GroupLimits, *, has_nodes: bool = False
+        self,
+        full_name: str,
+        limits: GroupLimits,
+        *,
+        has_nodes: bool = False,
+        on_end: Callable[[Group], None] = lambda _: None,
     ) -> tuple[Group, str] | None:
         """Make the group of a member and the leaf of its process; None without groups.
+
+        Args:
+            full_name: Of the member.
+            limits: What is to hold in it.
+            has_nodes: Whether its nodes are to have groups, too.
+            on_end: Is called before it is retired.
 
         Returns:
             The group, and what its process asks of the kernel to be born in it.
         """
         if self._session is None:
             return None
-        group = Group(self._session.path / group_name(full_name), limits)
+        group = Group(self._session.path / group_name(full_name), limits, on_end)
         self._given.add(full_name)
         group.kill()
         group.remove()  # of its predecessor
         self._make(full_name, group)
         if not has_nodes:
-            return group, _entry(group)
+            return group, self._entry(group)
         leaf = Group(group.path / CONTAINER)
         self._make(full_name, leaf)
-        return group, _entry(leaf)
+        return group, self._entry(leaf)
 
     def node(self, container: str, full_name: str, attempt: int, limits: GroupLimits) -> str | None:
         """Make the group of a node of an isolated container; None without groups.
@@ -163,16 +178,23 @@ class SessionGroups:
         self._limits[attempt] = limits
         self._given.add(full_name)
         self._make(full_name, group)
-        return _entry(group)
+        return self._entry(group)
 
-    def leave(self, container: str, full_name: str, attempt: int) -> str:
+    def leave(
+        self,
+        container: str,
+        full_name: str,
+        attempt: int,
+        on_end: Callable[[Group], None] = lambda _: None,
+    ) -> str:
         """Kill what a node left whose process has ended, and say why it was killed if it was."""
         group = self._of_node(container, full_name, attempt, self._limits.pop(attempt, NO_LIMITS))
         if group is None or not group.path.is_dir():
             return ""
         reason = why_killed(group)
         group.kill()
-        report_and_remove(group)  # where somebody still dies in it, it goes with the container's
+        on_end(group)
+        group.remove()  # where somebody still dies in it, it goes with the container's
         return reason
 
     def check(self, full_name: str, pid: int) -> None:
@@ -195,6 +217,10 @@ class SessionGroups:
         if not (above / CONTAINER).is_dir():
             return None
         return Group(above / node_group_name(full_name, attempt), limits)
+
+    def _entry(self, group: Group) -> str:
+        is_required = self._policy is not None and self._policy.required
+        return f"{'required_' if is_required else ''}cgroup {group.path}"
 
     def _make(self, full_name: str, group: Group) -> None:
         try:
@@ -252,10 +278,6 @@ class SessionGroups:
 def needed_controllers(limits: Iterable[GroupLimits]) -> frozenset[str]:
     """Name the controllers that these limits need."""
     return frozenset().union(*(each.controllers() for each in limits))
-
-
-def _entry(group: Group) -> str:
-    return f"cgroup {group.path}"
 
 
 def _make_base(base: Path, seen: Hierarchy) -> tuple[Path, ...]:

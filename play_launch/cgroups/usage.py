@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import logging
+import math
 import re
 from functools import cache
 from pathlib import Path
@@ -14,11 +14,13 @@ from msgspec.structs import asdict
 from play_launch.cgroups.base import GroupError, own_hierarchy
 from play_launch.cgroups.group import Group
 from play_launch.cgroups.names import CONTAINER, SessionName
+from play_launch.core.events import GroupSample
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Mapping
 
-_log = logging.getLogger(__name__)
+    from play_launch.core.events import SubjectKind
+
 _MICROSECONDS: Final = 1e6
 _AVERAGE: Final = re.compile(r"^some avg10=([0-9.]+)", re.MULTILINE)
 
@@ -48,6 +50,14 @@ class GroupUsage(Struct, frozen=True, kw_only=True):
         """Give it as values for JSON."""
         return asdict(self)
 
+    def sample(self, stamp_ns: int, kind: SubjectKind, key: str, group: int) -> GroupSample:
+        """Give it as an event about the one that has the group of that number."""
+        numbers = {name: 0 if value is None else value for name, value in asdict(self).items()}
+        for name in ("cpu_pressure", "memory_pressure", "io_pressure"):
+            value: float | None = getattr(self, name)
+            numbers[name] = math.nan if value is None else value
+        return GroupSample(stamp_ns=stamp_ns, kind=kind, key=key, group=group, **numbers)
+
     def __str__(self) -> str:
         parts = [f"{self.cpu_seconds or 0:.2f} s of CPU time"]
         if self.throttled_periods:
@@ -61,27 +71,20 @@ class GroupUsage(Struct, frozen=True, kw_only=True):
 
 
 def usage_of(group: Group) -> GroupUsage:
-    """Read it; takes some ten system calls for each file."""
+    """Read it, in some 100 us."""
     cpu = group.numbers("cpu.stat")
     return GroupUsage(
         cpu_seconds=_seconds(cpu, "usage_usec"),
         throttled_periods=cpu.get("nr_throttled"),
         throttled_seconds=_seconds(cpu, "throttled_usec"),
-        cpu_pressure=_pressure(group.path / "cpu.pressure"),
-        memory_pressure=_pressure(group.path / "memory.pressure"),
-        io_pressure=_pressure(group.path / "io.pressure"),
-        memory_bytes=_number(group.path / "memory.current"),
-        processes=_number(group.path / "pids.current"),
+        cpu_pressure=_pressure(group.text("cpu.pressure")),
+        memory_pressure=_pressure(group.text("memory.pressure")),
+        io_pressure=_pressure(group.text("io.pressure")),
+        memory_bytes=_number(group.text("memory.current")),
+        processes=_number(group.text("pids.current")),
         oom_kills=group.numbers("memory.events").get("oom_kill"),
         pids_max_hits=group.numbers("pids.events").get("max"),
     )
-
-
-def report_and_remove(group: Group) -> None:
-    """Log what a group used all in all, and remove it; nobody is in it any more."""
-    if group.path.is_dir():
-        _log.info("the control group %s used %s", group.path.name, usage_of(group))
-        group.remove()
 
 
 def group_of(pid: int) -> Group | None:
@@ -104,53 +107,6 @@ def group_of(pid: int) -> Group | None:
     return group if group.path.is_dir() else None
 
 
-class GroupWatch:
-    """Reports what happens to groups: kills for want of memory, and ``pids_max``."""
-
-    def __init__(self) -> None:
-        """Nothing was seen yet."""
-        self._groups: dict[tuple[str, int, int], Group | None] = {}
-        self._seen: dict[Path, tuple[int, int]] = {}
-
-    def look(self, processes: Iterable[tuple[str, int, int]]) -> list[str]:
-        """Say what is new about the groups of processes since they were looked at before.
-
-        Args:
-            processes: Names, pids, and start times in clock ticks after boot. A process stays in
-                its group, so that is looked for once.
-        """
-        known = self._groups
-        self._groups = {
-            each: known[each] if each in known else group_of(each[1]) for each in processes
-        }
-        groups = ((name, group) for (name, _, _), group in self._groups.items() if group)
-        return [text for name, group in groups for text in self._news(name, group)]
-
-    def _news(self, name: str, group: Group) -> Iterator[str]:
-        # Of the group itself: a container's has those of its nodes below it.
-        kills = sum(
-            each.numbers("memory.events.local").get("oom_kill", 0)
-            for each in (group, Group(group.path / CONTAINER))
-        )
-        events = group.numbers("pids.events.local") or group.numbers("pids.events")
-        hits = events.get("max", 0)
-        if not kills and not hits:
-            return
-        before = self._seen.get(group.path, (0, 0))
-        self._seen[group.path] = kills, hits
-        if kills > before[0]:
-            yield (
-                f"{name}: the kernel killed {kills - before[0]} processes of its control group for "
-                "want of memory"
-            )
-        if hits > before[1]:
-            limit = _number(group.path / "pids.max")
-            yield (
-                f"{name}: {hits - before[1]} processes or threads could not be started: "
-                f"pids_max {limit} of its control group is reached"
-            )
-
-
 @cache
 def _mount() -> Path:
     return own_hierarchy().mount
@@ -160,16 +116,10 @@ def _seconds(numbers: Mapping[str, int], name: str) -> float | None:
     return numbers[name] / _MICROSECONDS if name in numbers else None
 
 
-def _number(file: Path) -> int | None:
-    try:
-        return int(file.read_text())
-    except (OSError, ValueError):
-        return None
+def _number(text: str) -> int | None:
+    return int(text) if text[:1].isdigit() else None
 
 
-def _pressure(file: Path) -> float | None:
-    try:
-        found = _AVERAGE.search(file.read_text())
-    except OSError:  # the kernel has none, or was started without
-        return None
+def _pressure(text: str) -> float | None:
+    found = _AVERAGE.search(text)  # the kernel may have none, or was started without
     return float(found[1]) if found else None

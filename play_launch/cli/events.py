@@ -29,7 +29,8 @@ def add_arguments(parser: ArgumentParser, verb: str) -> None:  # noqa: ARG001 - 
         dest="kinds",
         metavar="KIND",
         help="only this kind: node, container, process, component, log, action, graph, managed; "
-        "output, process_sample and system_sample are left out unless named; may be repeated",
+        "output, process_sample, group_sample and system_sample are left out unless named; may be "
+        "repeated",
     )
 
 

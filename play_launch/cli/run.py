@@ -21,7 +21,8 @@ from play_launch.cli.show.terminal import is_terminal, surviving_the_loss_of_std
 from play_launch.cli.show.text_styles import LiveStyle, PlainStyle
 from play_launch.cli.signals import RunSignals
 from play_launch.control.feed import Feed
-from play_launch.core.events import OutputLine
+from play_launch.core.events import GroupSample, OutputLine
+from play_launch.core.group_totals import GroupTotals
 from play_launch.recording.log_handler import log_published
 from play_launch.recording.resolved_form import resolved_form
 from play_launch.recording.session import Session, SessionDescription, open_session
@@ -36,7 +37,8 @@ if TYPE_CHECKING:
     from play_launch.actors.system import Outcome, System
     from play_launch.cli.watch import Watched
     from play_launch.config import ReplayConfig
-    from play_launch.core.events import EventSink, LogRecord, RunEvent
+    from play_launch.core.events import EventSink, LogRecord, RunEvent, SubjectKind
+    from play_launch.core.group_totals import GroupTotal
     from play_launch.core.view import SystemView
     from play_launch.recording.recorder import Recorder, RecordingSummary
     from play_launch.systemd.notification import ServiceManager
@@ -74,6 +76,7 @@ class RunSink:
         self._display = display
         self.feed = Feed()
         """Keeps the latest for whoever operates the session."""
+        self.used = GroupTotals()
         self.adopt(config)
 
     def adopt(self, config: ReplayConfig) -> None:
@@ -91,6 +94,8 @@ class RunSink:
         if writer not in self._not_shown:
             self._display.publish(event, before, after)
         self.feed.publish(event, before, after)
+        if isinstance(event, GroupSample):
+            self.used.take(event)
 
     def publish_log(self, event: LogRecord) -> None:
         """Take a record of the log, in any thread; it changes nothing in the view."""
@@ -120,7 +125,7 @@ def run(config: ReplayConfig, options: RunOptions) -> int:
         finally:
             display.close()
             recording = session.recorder.close()
-    _sum_up(outcome, recording, options)
+    _sum_up(outcome, recording, sink.used.get(), options)
     return outcome.exit_code
 
 
@@ -327,12 +332,17 @@ def _say(text: str) -> None:
         sys.stdout.flush()
 
 
-def _sum_up(outcome: Outcome, recording: RecordingSummary, options: RunOptions) -> None:
+def _sum_up(
+    outcome: Outcome,
+    recording: RecordingSummary,
+    used: Mapping[tuple[SubjectKind, str], GroupTotal],
+    options: RunOptions,
+) -> None:
     from play_launch.cli.show.summary import print_summary, summary_object  # noqa: PLC0415
 
     if options.as_json:
         values = summary_object(
-            outcome.view, outcome.final_view, recording, exit_code=outcome.exit_code
+            outcome.view, outcome.final_view, recording, exit_code=outcome.exit_code, used=used
         )
         _say(encode(values))
         return
@@ -344,5 +354,6 @@ def _sum_up(outcome: Outcome, recording: RecordingSummary, options: RunOptions) 
             recording,
             stream=stream,
             colour=wants_colour(stream),
+            used=used,
         )
         stream.flush()

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from play_launch.core.events import RunEvent
 
 KINDS: Final = frozenset(EVENT_TYPES.values())
-OF_OLD: Final = KINDS - {"output", "process_sample", "system_sample"}
+OF_OLD: Final = KINDS - {"output", "process_sample", "group_sample", "system_sample"}
 """What is meant where nobody says: everything of which there is not much."""
 CONSOLE_FORMAT: Final = re.compile(r"^\S*\[[A-Z ]+\](?: \[[^\]]*\])? \[([^\]]+)\]: ")
 """That of ROS: severity, time, and the logger as the only group."""

@@ -11,6 +11,7 @@ from play_launch.core.events import (
     ComponentEvent,
     ContainerStateChanged,
     GraphChanged,
+    GroupSample,
     LogRecord,
     ManagedNodeChanged,
     NodeStateChanged,
@@ -35,6 +36,7 @@ EVENT_TYPES: Final[dict[type[RunEvent], str]] = {
     ActionEvent: "action",
     ManagedNodeChanged: "managed",
     ProcessSample: "process_sample",
+    GroupSample: "group_sample",
     SystemSample: "system_sample",
 }
 """What `event` says in the object of each."""

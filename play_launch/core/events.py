@@ -326,6 +326,36 @@ class ProcessSample(Struct, frozen=True, kw_only=True):
     involuntary_switches: int
 
 
+class GroupSample(Struct, frozen=True, kw_only=True):
+    """What a control group used and was kept from since it was made, by the kernel's numbers.
+
+    NaN and 0 stand where its controller is not in use.
+    """
+
+    stamp_ns: int
+    kind: SubjectKind
+    key: str
+    """As in `ProcessSample`; the group of a container has its isolated nodes in it as well."""
+    group: int
+    """Which one, by the inode of its folder; of each process and each load of a node another."""
+    cpu_seconds: float
+    """Of all that was in it."""
+    throttled_periods: int
+    """In which ``cpu_max`` held it back."""
+    throttled_seconds: float
+    cpu_pressure: float
+    """Pressure stall: percent of the latest 10 s in which some of its threads waited for a core."""
+    memory_pressure: float
+    io_pressure: float
+    memory_bytes: int
+    processes: int
+    """And threads, now."""
+    oom_kills: int
+    """Processes that were killed for want of memory."""
+    pids_max_hits: int
+    """Processes and threads that could not be started because of ``pids_max``."""
+
+
 class SystemSample(Struct, frozen=True, kw_only=True):
     """What the machine was doing; NaN or 0 where the kernel offers no such number.
 
@@ -361,7 +391,7 @@ class SystemSample(Struct, frozen=True, kw_only=True):
     """Time that the hypervisor gave to other machines."""
 
 
-Sample = ProcessSample | SystemSample
+Sample = ProcessSample | GroupSample | SystemSample
 """Measurements come all the time: they are recorded, and not shown one by one."""
 
 StateEvent = NodeStateChanged | ContainerStateChanged | ProcessEvent
@@ -379,6 +409,7 @@ RunEvent = (
     | ActionEvent
     | ManagedNodeChanged
     | ProcessSample
+    | GroupSample
     | SystemSample
 )
 

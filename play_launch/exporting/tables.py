@@ -11,6 +11,7 @@ from msgspec import structs
 
 from play_launch.core.events import (
     ContainerStateChanged,
+    GroupSample,
     NodeStateChanged,
     ProcessEvent,
     ProcessSample,
@@ -69,6 +70,10 @@ def _row(event: RunEvent) -> Row | None:
             values["kind"] = event.kind.name.lower()
             values["memory_kind"] = event.memory_kind.name.lower()
             return Row("processes", values)
+        case GroupSample():
+            values = structs.asdict(event)
+            values["kind"] = event.kind.name.lower()
+            return Row("cgroups", values)
         case SystemSample():
             values = structs.asdict(event)
             for name in ("core_percent", "core_mhz"):

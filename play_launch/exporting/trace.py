@@ -19,6 +19,7 @@ from play_launch.core.events import (
     ComponentEventKind,
     ContainerState,
     ContainerStateChanged,
+    GroupSample,
     LogRecord,
     MemoryKind,
     NodeState,
@@ -114,6 +115,8 @@ class TraceMaker:
                 self._backtraces[event.full_node_name] = "\n".join(event.backtrace)
             case ProcessSample():
                 self._process_sample(at, event)
+            case GroupSample():
+                self._group_sample(at, event)
             case SystemSample():
                 self._system_sample(at, event)
             case LogRecord() if event.level >= WARN:
@@ -188,15 +191,25 @@ class TraceMaker:
         )
 
     def _process_sample(self, at: float, sample: ProcessSample) -> None:
-        owner = name = sample.key
-        if sample.kind is SubjectKind.NODE:
-            owner, name = NodeKey.parsed(sample.key).container, NodeKey.parsed(sample.key).name
-        process = self._process(owner)
+        process, name = self._owner(sample)
         self._count(process, at, f"cpu {name}", {"percent": sample.cpu_percent})
         if sample.memory_kind is not MemoryKind.SHARED:
             self._count(process, at, f"memory {name}", {"MB": sample.memory_bytes / _MEGABYTE})
             self._count(process, at, f"descriptors {name}", {"count": sample.descriptors})
         self._count(process, at, f"threads {name}", {"count": sample.threads})
+
+    def _group_sample(self, at: float, sample: GroupSample) -> None:
+        process, name = self._owner(sample)
+        if sample.throttled_periods:
+            self._count(process, at, f"throttled {name}", {"s": sample.throttled_seconds})
+        self._count(process, at, f"pressure cpu {name}", {"some percent": sample.cpu_pressure})
+
+    def _owner(self, sample: ProcessSample | GroupSample) -> tuple[int, str]:
+        """Give where a sample is shown, and under which name."""
+        if sample.kind is not SubjectKind.NODE:
+            return self._process(sample.key), sample.key
+        key = NodeKey.parsed(sample.key)
+        return self._process(key.container), key.name
 
     def _system_sample(self, at: float, sample: SystemSample) -> None:
         process = self._process(_MACHINE)

@@ -10,6 +10,7 @@ from play_launch.cdr.messages import (
     ACTION_EVENT,
     COMPONENT_EVENT,
     GRAPH_EVENT,
+    GROUP_STATS,
     LOG,
     PROCESS_STATS,
     STATE_EVENT,
@@ -43,8 +44,8 @@ def event_of(message: Message) -> RunEvent | None:
     """
     topic = message.topic
     read = _READERS.get((topic.name, topic.type_name))
-    if read is None and topic.kind and topic.type_name == topics.PROCESS_STATS:
-        read = _process_sample
+    if read is None and topic.kind:
+        read = _SAMPLES.get(topic.type_name)
     if read is None:
         return None
     try:
@@ -83,6 +84,13 @@ def _process_sample(message: Message) -> RunEvent:
     kind, key = message.topic.kind, message.topic.key
     return forms.PROCESS_SAMPLE.event(
         PROCESS_STATS.read(message.data), kind=_subject_kind(kind, key), key=key
+    )
+
+
+def _group_sample(message: Message) -> RunEvent:
+    kind, key = message.topic.kind, message.topic.key
+    return forms.GROUP_SAMPLE.event(
+        GROUP_STATS.read(message.data), kind=_subject_kind(kind, key), key=key
     )
 
 
@@ -137,3 +145,8 @@ _READERS: Final[dict[tuple[str, str], Callable[[Message], RunEvent]]] = {
         (topics.SYSTEM, _system_sample),
     )
 }
+_SAMPLES: Final[dict[str, Callable[[Message], RunEvent]]] = {
+    topics.PROCESS_STATS: _process_sample,
+    topics.GROUP_STATS: _group_sample,
+}
+"""By the type alone: each thing has a topic of its own."""

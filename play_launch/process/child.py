@@ -14,7 +14,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from play_launch.cgroups.deaths import why_killed
-from play_launch.cgroups.usage import report_and_remove
 from play_launch.core.events import Stream
 from play_launch.process.exit import Exit
 from play_launch.process.guard import Ourselves, Parent, SessionGuard
@@ -205,7 +204,7 @@ class Child:
         finally:
             self._reap()
             if self._group is not None:
-                report_and_remove(self._group)
+                self._group.retire()
             try:
                 async with asyncio.timeout(OUTPUT_GRACE):
                     for reader in self._readers:

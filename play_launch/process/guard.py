@@ -10,7 +10,6 @@ import array
 import atexit
 import errno
 import os
-import signal
 import socket
 import struct
 import subprocess
@@ -31,11 +30,10 @@ _STATUS: Final = 2
 _REAP: Final = 3
 _HELPER: Final = 4
 _FAREWELL: Final = 5
+_GROUP: Final = 6
 _ANSWER: Final = struct.Struct("=3i")
 _ANSWER_LIMIT: Final = 10.0
 """Seconds after which a guard that does not answer counts as lost."""
-_STOPPED_AFTER: Final = 1.0
-"""Seconds after which one that does not answer may have been stopped, and is continued."""
 _END_LIMIT: Final = 5.0
 """Seconds in which it ends everything; uninterruptible processes may take longer."""
 
@@ -83,12 +81,9 @@ class SessionGuard:
     it has started, and ends. Belongs to one thread.
     """
 
-    def __init__(
-        self, ours: socket.socket, process: subprocess.Popen[bytes], answer_limit: float
-    ) -> None:
+    def __init__(self, ours: socket.socket, process: subprocess.Popen[bytes]) -> None:
         self._socket = ours
         self._process = process
-        self._answer_limit = answer_limit
         self._is_lost = False
         self._helpers = 0
         self._started: set[int] = set()
@@ -124,7 +119,7 @@ class SessionGuard:
                 start_new_session=True,
             )
             on_failure.pop_all()
-        return cls(ours, process, answer_limit)
+        return cls(ours, process)
 
     @property
     def pid(self) -> int:
@@ -190,6 +185,21 @@ class SessionGuard:
         self._helpers += 1
         return self._helpers
 
+    def entrust(self, group: Path) -> None:
+        """Have it remove a control group, with all that is in it, should we die.
+
+        Args:
+            group: Its folder; of several, the last.
+
+        Raises:
+            OSError: When it is not there.
+        """
+        folder = os.open(group, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        try:
+            self._send(struct.pack("=i", _GROUP), (folder,))
+        finally:
+            os.close(folder)
+
     def ended(self, pid: int) -> Exit | None:
         """See `Parent`."""
         return self._wait(_STATUS, pid)
@@ -208,7 +218,6 @@ class SessionGuard:
         self._say_farewell()
         atexit.unregister(self._say_farewell)
         self._socket.close()
-        self._continue()
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(_END_LIMIT)
 
@@ -231,29 +240,13 @@ class SessionGuard:
         answer = b""
         if not self._is_lost:
             with suppress(TimeoutError, ConnectionError):
-                answer = self._receive()
+                answer = self._socket.recv(_ANSWER.size)
             # Whatever comes later would be taken for the answer to another request.
             self._is_lost = len(answer) != _ANSWER.size
         if self._is_lost:
             raise ConnectionResetError(errno.ECONNRESET, "the guard of the session does not answer")
         result, code, status = _ANSWER.unpack(answer)
         return result, code, status
-
-    def _receive(self) -> bytes:
-        limit = self._answer_limit
-        if limit > _STOPPED_AFTER:
-            self._socket.settimeout(_STOPPED_AFTER)
-            try:
-                return self._socket.recv(_ANSWER.size)
-            except TimeoutError:
-                self._continue()
-            finally:
-                self._socket.settimeout(limit)
-        return self._socket.recv(_ANSWER.size)
-
-    def _continue(self) -> None:
-        # It is the parent of our containers, whose nodes can send it signals.
-        self._process.send_signal(signal.SIGCONT)
 
     def _send(self, request: bytes, descriptors: Sequence[int]) -> None:
         rights = (socket.SOL_SOCKET, socket.SCM_RIGHTS, array.array("i", descriptors))

@@ -12,6 +12,7 @@ from play_launch.core.events import (
     ContainerState,
     ContainerStateChanged,
     GraphChanged,
+    GroupSample,
     LogRecord,
     ManagedNodeChanged,
     NodeState,
@@ -119,6 +120,9 @@ def convert(event: RunEvent) -> tuple[Recorded, ...]:
         case ProcessSample():
             topic = topics.stats_topic(event.kind, event.key)
             return (Recorded(topic, forms.PROCESS_SAMPLE.write(event)),)
+        case GroupSample():
+            topic = topics.group_topic(event.kind, event.key)
+            return (Recorded(topic, forms.GROUP_SAMPLE.write(event)),)
         case SystemSample():
             return (Recorded(topics.SYSTEM, forms.SYSTEM_SAMPLE.write(event)),)
     assert_never(event)

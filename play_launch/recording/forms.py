@@ -9,6 +9,7 @@ from play_launch.cdr.messages import (
     ACTION_EVENT,
     COMPONENT_EVENT,
     GRAPH_EVENT,
+    GROUP_STATS,
     PROCESS_STATS,
     STATE_EVENT,
     SYSTEM_STATS,
@@ -21,6 +22,7 @@ from play_launch.core.events import (
     ContainerState,
     ContainerStateChanged,
     GraphChanged,
+    GroupSample,
     ManagedNodeChanged,
     MemoryKind,
     NodeState,
@@ -181,6 +183,7 @@ PROCESS_SAMPLE: Final = Form(
     _STAMP,
     Column("memory_kind", "memory_kind", None, MemoryKind),
 )
+GROUP_SAMPLE: Final = Form(GroupSample, GROUP_STATS, _STAMP)
 SYSTEM_SAMPLE: Final = Form(
     SystemSample,
     SYSTEM_STATS,

@@ -18,6 +18,7 @@ KIND: Final = "play_launch.kind"
 KEY: Final = "play_launch.key"
 """Metadata of a channel: see `Topic.about`."""
 PROCESS_STATS: Final = "play_launch_msgs/msg/ProcessStats"
+GROUP_STATS: Final = "play_launch_msgs/msg/GroupStats"
 _NOT_IN_A_NAME: Final = re.compile(r"[^A-Za-z0-9_]+")
 _INFINITE: Final = "{sec: 9223372036, nsec: 854775807}"
 _KEEP_LAST: Final = 1
@@ -99,10 +100,20 @@ def stats_topic(kind: SubjectKind, key: str) -> Topic:
     A label is no name of a node, and repeats from container to container: it is put below that of
     its container, without what a topic cannot have. The metadata says exactly what it is about.
     """
+    return Topic(f"{_place(kind, key)}/stats", PROCESS_STATS, about=(kind, key))
+
+
+@cache
+def group_topic(kind: SubjectKind, key: str) -> Topic:
+    """Give the topic for what its control group uses, likewise."""
+    return Topic(f"{_place(kind, key)}/cgroup", GROUP_STATS, about=(kind, key))
+
+
+def _place(kind: SubjectKind, key: str) -> str:
     room, path = ("container" if kind is SubjectKind.CONTAINER else "node"), key
     if kind is SubjectKind.NODE:
         container, _, name = key.partition(":/")
         path = f"{container}/{name}" if "[" in name else name
     words = [_NOT_IN_A_NAME.sub("_", word.strip("[]")) for word in path.split("/") if word]
     words = [f"_{word}" if word[:1].isdigit() else word for word in words]
-    return Topic(f"/play_launch/{room}/{'/'.join(words)}/stats", PROCESS_STATS, about=(kind, key))
+    return f"/play_launch/{room}/{'/'.join(words)}"

@@ -10,7 +10,7 @@ import time
 from functools import partial
 from typing import TYPE_CHECKING, Final, TypeVar
 
-from play_launch.cgroups.usage import GroupWatch
+from play_launch.sampling.groups import GroupSampler
 from play_launch.sampling.machine_usage import Machine
 from play_launch.sampling.sampler import Sampler
 from play_launch.sampling.targets import targets
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from play_launch.core.events import ProcessSample, RunEvent, SystemSample
+    from play_launch.core.events import RunEvent, Sample
     from play_launch.core.view import SystemView
 
 _Result = TypeVar("_Result")
@@ -51,13 +51,15 @@ async def sample(
     has_failed = False
     try:
         machine, sampler = await _in_a_thread(lambda: Machine(folder)), Sampler()
-        watch = GroupWatch()
+        groups = GroupSampler()
         due = loop.time() + period
         while True:
             await asyncio.sleep(due - loop.time())
             due = next_due(due, loop.time(), period)
             try:
-                samples = await _in_a_thread(partial(_measure, machine, sampler, view()))
+                samples, news = await _in_a_thread(
+                    partial(_measure, machine, sampler, groups, view())
+                )
             except OSError as error:  # no descriptor is free, perhaps
                 if not has_failed:
                     _log.warning("there are samples missing: %s", error)
@@ -65,7 +67,7 @@ async def sample(
                 continue
             for each in samples:
                 publish(each)
-            for text in await _in_a_thread(partial(_news, watch, view())):
+            for text in news:
                 _log.warning("%s", text)
     except Exception as error:  # noqa: BLE001 - the run must go on whatever this kernel answers
         _log.warning(
@@ -79,14 +81,18 @@ def next_due(due: float, now: float, period: float) -> float:
 
 
 def _measure(
-    machine: Machine, sampler: Sampler, view: SystemView
-) -> list[SystemSample | ProcessSample]:
+    machine: Machine, sampler: Sampler, groups: GroupSampler, view: SystemView
+) -> tuple[list[Sample], list[str]]:
+    """Give samples, and what is worth a warning."""
     stamp_ns = time.time_ns()
-    return [machine.sample(stamp_ns), *sampler.sample(targets(view), stamp_ns)]
-
-
-def _news(watch: GroupWatch, view: SystemView) -> list[str]:
-    return watch.look((each.key, each.pid, each.start_time) for each in targets(view))
+    processes = targets(view)
+    of_groups, news = groups.sample(processes, stamp_ns)
+    samples: list[Sample] = [
+        machine.sample(stamp_ns),
+        *sampler.sample(processes, stamp_ns),
+        *of_groups,
+    ]
+    return samples, news
 
 
 async def _in_a_thread(work: Callable[[], _Result]) -> _Result:

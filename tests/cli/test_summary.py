@@ -14,7 +14,9 @@ from play_launch.core.events import (
     ContainerState,
     NodeState,
     ProcessEventKind,
+    SubjectKind,
 )
+from play_launch.core.group_totals import GroupTotal
 from play_launch.core.node_key import NodeKey
 from play_launch.recording.recorder import RecordingSummary
 from tests.cli.scenes import START, container, folded_after, node, process, view
@@ -204,6 +206,33 @@ def test_crashed_nodes_with_the_same_label_are_told_apart_by_their_containers() 
     print_summary(crashed, crashed, RECORDING, stream=stream, colour=False)
     assert "/c:/[demo::Talker]" in stream.getvalue()
     assert "/d:/[demo::Talker]" in stream.getvalue()
+
+
+def test_who_was_held_back_by_limits_is_in_the_summary() -> None:
+    used = {
+        (SubjectKind.CONTAINER, "/bad"): GroupTotal(cpu_seconds=9.0),
+        (SubjectKind.NODE, "/bad:/bad/n0"): GroupTotal(
+            cpu_seconds=4.5, throttled_periods=12, throttled_seconds=1.25
+        ),
+        (SubjectKind.PROCESS, "/listener"): GroupTotal(oom_kills=2, pids_max_hits=3),
+    }
+    stream = io.StringIO()
+    print_summary(SYSTEM, SYSTEM, RECORDING, stream=stream, colour=False, used=used)
+    _, _, table = stream.getvalue().partition("held back by its limits")
+    rows = [line.split() for line in table.splitlines()]
+    assert ["/bad/n0", "4.50", "s", "1.25", "s", "0", "0"] in rows
+    assert ["/listener", "0.00", "s", "2", "3"] in rows
+    assert not [row for row in rows if "/bad" in row]
+    values = json.loads(
+        json.dumps(summary_object(SYSTEM, SYSTEM, RECORDING, exit_code=0, used=used))
+    )
+    assert [(each["kind"], each["key"]) for each in values["cgroups"]] == [
+        ("container", "/bad"),
+        ("node", "/bad:/bad/n0"),
+        ("process", "/listener"),
+    ]
+    assert values["cgroups"][1]["throttled_seconds"] == 1.25
+    assert values["cgroups"][2]["oom_kills"] == 2
 
 
 def test_sizes_are_for_people() -> None:

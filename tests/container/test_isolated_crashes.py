@@ -63,9 +63,8 @@ WAYS = {
     "sys": SIGSYS,
     "xcpu": SIGXCPU,
     "trap": SIGTRAP,
-    "traced_by_parent": SIGSEGV,
 }
-TRACED = {"segv", "abrt", "exception", "traced_by_parent"}
+TRACED = {"segv", "abrt", "exception"}
 """Ways to die in the thread that runs the callback; the others are signals to the process."""
 
 DAMAGED = {

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import re
+import signal
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -176,3 +178,40 @@ def test_a_node_without_a_key_of_its_own_is_refused_where_that_is_required(
         attempts = [container.load("Mapper", node_name=f"late_{number}") for number in range(2)]
         failed = container.event(LOAD_FAILED, attempt=attempts[-1])
         assert "no protection key is left" in failed.error_message
+
+
+def ended(container: Container, attempt: int) -> ComponentEvent:
+    """What came of a load."""
+    found = container.until(
+        lambda each: (
+            isinstance(each, ComponentEvent)
+            and each.attempt == attempt
+            and each.event_type in {ComponentEvent.LOADED, LOAD_FAILED}
+        ),
+        f"the end of attempt {attempt}",
+    )
+    assert isinstance(found, ComponentEvent)
+    return found
+
+
+@needs_keys
+def test_who_comes_back_has_a_key_although_all_are_taken(spawn: StartContainer) -> None:
+    container = start(spawn, "required")
+    with survives(container):
+        loaded: list[ComponentEvent] = []
+        while True:
+            attempt = container.load("Mapper", node_name=f"mapper_{len(loaded)}")
+            event = ended(container, attempt)
+            if event.event_type == LOAD_FAILED:
+                break
+            loaded.append(event)
+        assert "no protection key is left" in event.error_message
+        assert 8 < len(loaded) <= 15
+        # At once, as the supervisor does: what the dead have left is still there.
+        for round_, victim in enumerate(loaded[:3]):
+            os.kill(victim.pid, signal.SIGKILL)
+            container.event(CRASHED, unique_id=victim.unique_id)
+            again = container.loaded("Mapper", node_name=f"again_{round_}")
+            container.send(ControlUnload(unique_id=again.unique_id))
+            container.event(UNLOADED, unique_id=again.unique_id)
+            container.loaded("Mapper", node_name=f"last_{round_}")

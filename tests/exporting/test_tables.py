@@ -14,7 +14,13 @@ from hypothesis import strategies as st
 
 from play_launch.cli import export as export_verb
 from play_launch.cli.export import export_session
-from play_launch.core.events import NodeStateChanged, ProcessSample, RunEvent, SystemSample
+from play_launch.core.events import (
+    GroupSample,
+    NodeStateChanged,
+    ProcessSample,
+    RunEvent,
+    SystemSample,
+)
 from play_launch.exporting import tables
 from tests.history.test_session import EVERYTHING, record
 from tests.recording.test_states import EVENTS, PROCESS_SAMPLES, SYSTEM_SAMPLES
@@ -44,6 +50,10 @@ def test_no_sample_and_no_state_is_missing(events: list[RunEvent]) -> None:
         assert row["kind"] == one.kind.name.lower()
         assert row["memory_kind"] == one.memory_kind.name.lower()
         assert int(row["memory_bytes"]) == one.memory_bytes
+    groups = [event for event in events if isinstance(event, GroupSample)]
+    rows = found.get("cgroups", [])
+    assert [row["key"] for row in rows] == [one.key for one in groups]
+    assert [int(row["oom_kills"]) for row in rows] == [one.oom_kills for one in groups]
     machine = [event for event in events if isinstance(event, SystemSample)]
     assert len(found.get("machine", [])) == len(machine)
     nodes = [event for event in events if isinstance(event, NodeStateChanged)]

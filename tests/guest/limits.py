@@ -16,9 +16,12 @@ from play_launch.cgroups.deaths import why_killed
 from play_launch.cgroups.group import Group
 from play_launch.cgroups.names import SUPERVISOR, SessionName
 from play_launch.cgroups.session import SessionGroups
-from play_launch.cgroups.usage import GroupWatch, group_of, usage_of
+from play_launch.cgroups.usage import group_of, usage_of
+from play_launch.core.events import SubjectKind
 from play_launch.core.group_limits import CpuMax, GroupLimits, GroupPolicy
 from play_launch.process.identity import read_stat
+from play_launch.sampling.groups import GroupSampler
+from play_launch.sampling.targets import Target
 
 TOP = Path("/sys/fs/cgroup")
 BASE = TOP / "robot" / "inner"
@@ -47,7 +50,7 @@ def started(
     made = groups.member(name, limits)
     assert made is not None
     script = 'echo 0 > "$0"/cgroup.procs && exec "$@"'
-    folder = made[1].removeprefix("cgroup ")
+    folder = made[1].partition(" ")[2]
     process = subprocess.Popen(["sh", "-c", script, folder, *command], stdout=subprocess.PIPE)
     while process.pid not in made[0].residents() and process.poll() is None:
         time.sleep(0.01)
@@ -92,12 +95,19 @@ def limits_hold() -> None:
     assert crowd.numbers("pids.events")["max"] > 0
     assert len(crowd.processes()) <= 5
     (sleeper, *_) = crowd.processes()
-    watch = GroupWatch()
-    looked_at = [("/half", spinning.pid, 1), ("/forking", sleeper, 2)]
-    (said,) = watch.look(looked_at)
-    print(said)
+    sampler = GroupSampler()
+    looked_at = [
+        Target(SubjectKind.PROCESS, name, pid, 0)
+        for name, pid in (("/half", spinning.pid), ("/forking", sleeper))
+    ]
+    (sample, other), (said,) = sampler.sample(looked_at, 1)
+    print(said, sample)
+    assert sample.throttled_periods > 0
+    assert sample.throttled_seconds > 0
+    assert other.pids_max_hits > 0
     assert "could not be started: pids_max 5 of its control group is reached" in said
-    assert not watch.look(looked_at)
+    # Who is held back is looked at again at once.
+    assert sampler.sample(looked_at, 2)[0][0].cpu_seconds >= sample.cpu_seconds
 
     full, filling = started(
         groups, "/full", GroupLimits(memory_max=64 << 20), sys.executable, "-S", "-c", FILL

@@ -33,6 +33,7 @@ from play_launch.recording.session import METADATA_NAME
 from tests.recording.test_states import (
     EVENTS,
     GRAPH_CHANGES,
+    GROUP_SAMPLES,
     INT32,
     NAMES,
     PROCESS_SAMPLES,
@@ -46,6 +47,7 @@ OTHERS = st.one_of(
     GRAPH_CHANGES,
     SYSTEM_SAMPLES,
     PROCESS_SAMPLES,
+    GROUP_SAMPLES,
     st.builds(
         OutputLine,
         stamp_ns=STAMPS,
@@ -97,7 +99,7 @@ EVENT_BEFORE_MODULES = Layout(
 
 def record(path: Path, events: list[RunEvent], damage: bytes = b"") -> Path:
     writer = McapBagWriter(path)
-    writer.metadata(METADATA_NAME, {"name": "x", "started_ns": "500", "ros_distro": "jazzy"})
+    writer.metadata(METADATA_NAME, {"name": "x", "started_ns": "500"})
     channels = {topic: writer.register(topic) for topic in topics.ALL_TOPICS}
     for number, event in enumerate(events):
         for topic, data, _ in convert(event):

@@ -104,10 +104,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Replay]:
             if case.do is not None:
                 case.do(name, loaded(replays[name]))
             replays[name].read_until(
-                # At the beginning containers are stopped without a reason.
-                lambda event, to=case.outcome: (
-                    (event["event"], event.get("state")) == to and event["reason"]
-                ),
+                lambda event, to=case.outcome: (event["event"], event.get("state")) == to,
                 f"{case.outcome}",
             )
         end.touch()

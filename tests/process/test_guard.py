@@ -15,11 +15,14 @@ from pathlib import Path
 import psutil
 import pytest
 
+from play_launch.cgroups.group import Group
+from play_launch.core.events import Stream
 from play_launch.process.child import spawn
 from play_launch.process.exit import Exit
 from play_launch.process.guard import SessionGuard
 from play_launch.process.program import SpawnError
 from tests.process.programs import Output, environment, python, shell
+from tests.support.control_groups import control_group
 from tests.support.replay import alive
 from tests.support.waiting import until
 
@@ -147,6 +150,51 @@ def test_a_last_command_is_for_a_supervisor_that_died(guard: Path, tmp_path: Pat
     until(mark.exists, "what the last command does")
 
 
+def test_the_control_group_of_a_supervisor_that_died_is_removed(guard: Path) -> None:
+    with control_group() as base:
+        left, kept = (base / name / "below" for name in ("left", "kept"))
+        for each in (left, kept):
+            each.mkdir(parents=True)
+        code = f"""
+import os, sys
+from pathlib import Path
+from play_launch.process.guard import SessionGuard
+guard = SessionGuard.start(Path({str(guard)!r}))
+guard.entrust(Path({str(left.parent)!r}))
+if "order" in sys.argv:
+    guard.close()
+else:
+    os.kill(os.getpid(), 9)
+"""
+        # Nobody's child, so nothing but the group leads to it.
+        with subprocess.Popen(["sleep", "600"]) as sleeper:
+            Group(left).move_here([sleeper.pid])
+            subprocess.run([sys.executable, "-c", code, "order"], check=True, timeout=60)
+            assert left.exists(), "a supervisor that ends in order removes them itself"
+            subprocess.run([sys.executable, "-c", code], check=False, timeout=60)
+            until(lambda: not left.parent.exists(), "its removal")
+            assert sleeper.wait(60) == -signal.SIGKILL
+        assert kept.exists()
+
+
+@pytest.mark.anyio
+async def test_who_is_kept_out_of_a_required_group_does_not_run(session: SessionGuard) -> None:
+    for word, status in (("cgroup", 0), ("required_cgroup", 125)):
+        output = Output()
+        child = spawn(
+            ["echo", "here"],
+            env=environment(),
+            guard=session,
+            on_output=output,
+            settings=[f"{word} /no/such/group"],
+        )
+        async with asyncio.timeout(60):
+            assert (await child.gone()).code == status
+        assert output.texts() == ([] if status else ["here"])
+        said = "cannot enter the required control group /no/such/group: No such file or directory"
+        assert output.texts(Stream.STDERR) == ([said] if status else [])
+
+
 @pytest.mark.anyio
 async def test_who_leaves_by_itself_has_time_for_that(guard: Path, tmp_path: Path) -> None:
     session = SessionGuard.start(guard)
@@ -235,26 +283,6 @@ async def test_a_guard_that_answers_too_late_is_lost_and_its_children_live_on(
     assert psutil.pid_exists(late_pid)
     await asyncio.to_thread(session.close)
     assert not psutil.pid_exists(late_pid)
-
-
-@pytest.mark.anyio
-async def test_a_guard_that_was_stopped_is_continued(session: SessionGuard) -> None:
-    """A node may do that, whose parent it is, or whoever stops everything of a user."""
-    os.kill(session.pid, signal.SIGSTOP)
-    child = spawn(shell("exit 3"), env=environment(), guard=session)
-    async with asyncio.timeout(60):
-        assert await child.gone() == Exit(code=3)
-    assert session.is_alive
-
-
-@pytest.mark.anyio
-async def test_closing_a_guard_that_was_stopped_leaves_nothing(guard: Path) -> None:
-    session = SessionGuard.start(guard)
-    left = await escaped(session, "setsid")
-    os.kill(session.pid, signal.SIGSTOP)
-    await asyncio.to_thread(session.close)
-    assert not alive(left)
-    assert not session.is_alive
 
 
 @pytest.mark.anyio

@@ -18,6 +18,7 @@ from play_launch.core.events import (
     ContainerState,
     ContainerStateChanged,
     GraphChanged,
+    GroupSample,
     MemoryKind,
     NodeState,
     NodeStateChanged,
@@ -100,6 +101,11 @@ def _process_sample(subject: tuple[SubjectKind, str], **fields: Any) -> ProcessS
     return ProcessSample(kind=kind, key=key, **fields)
 
 
+def _group_sample(subject: tuple[SubjectKind, str], **fields: Any) -> GroupSample:
+    kind, key = subject
+    return GroupSample(kind=kind, key=key, **fields)
+
+
 FLOATS = st.floats(allow_nan=False)
 SUBJECTS = st.sampled_from(
     [
@@ -125,6 +131,22 @@ PROCESS_SAMPLES = structs(
     write_bytes=UINT64,
     voluntary_switches=UINT64,
     involuntary_switches=UINT64,
+)
+GROUP_SAMPLES = structs(
+    _group_sample,
+    stamp_ns=STAMPS,
+    subject=SUBJECTS,
+    group=UINT64,
+    cpu_seconds=FLOATS,
+    throttled_periods=UINT64,
+    throttled_seconds=FLOATS,
+    cpu_pressure=FLOATS,
+    memory_pressure=FLOATS,
+    io_pressure=FLOATS,
+    memory_bytes=UINT64,
+    processes=UINT64,
+    oom_kills=UINT64,
+    pids_max_hits=UINT64,
 )
 SYSTEM_SAMPLES = structs(
     SystemSample,
@@ -181,7 +203,7 @@ def test_any_change_of_the_graph_is_read_back_as_it_was(event: GraphChanged) -> 
 
 
 @settings(deadline=None, max_examples=100)
-@given(st.one_of(EVENTS, GRAPH_CHANGES, PROCESS_SAMPLES, SYSTEM_SAMPLES))
+@given(st.one_of(EVENTS, GRAPH_CHANGES, PROCESS_SAMPLES, GROUP_SAMPLES, SYSTEM_SAMPLES))
 def test_our_own_reader_gives_the_event_back(event: RunEvent) -> None:
     ((topic, data, _),) = convert(event)
     read = Topic(
@@ -195,9 +217,9 @@ def test_our_own_reader_gives_the_event_back(event: RunEvent) -> None:
 
 
 @settings(deadline=None, max_examples=50)
-@given(st.lists(st.one_of(PROCESS_SAMPLES, SYSTEM_SAMPLES), max_size=5))
+@given(st.lists(st.one_of(PROCESS_SAMPLES, GROUP_SAMPLES, SYSTEM_SAMPLES), max_size=5))
 def test_samples_are_plain_numbers_for_any_reader(
-    samples: list[ProcessSample | SystemSample],
+    samples: list[ProcessSample | GroupSample | SystemSample],
 ) -> None:
     with tempfile.TemporaryDirectory() as folder:
         writer = McapBagWriter(Path(folder) / "x.mcap")
@@ -234,7 +256,10 @@ def test_the_topic_of_a_sample_is_one_that_ros_allows(
     kind: SubjectKind, key: str, name: str
 ) -> None:
     assert topics.stats_topic(kind, key).name == name
-    validate_full_topic_name(name)
+    beside = topics.group_topic(kind, key).name
+    assert beside == name.replace("/stats", "/cgroup")
+    for each in (name, beside):
+        validate_full_topic_name(each)
 
 
 @settings(deadline=None)

@@ -56,11 +56,8 @@ bool Command::read(int file) {
 bool Command::apply_settings() const {
   for (const char* const text : settings) {
     const auto setting = text == nullptr ? std::nullopt : parse_resource_setting(text);
-    if (text != nullptr && !setting) {
+    if (text != nullptr && (!setting || !apply_or_complain(*setting))) {
       return false;
-    }
-    if (setting) {
-      apply(*setting);
     }
   }
   return true;

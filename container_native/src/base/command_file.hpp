@@ -23,7 +23,7 @@ struct Command {
   /// False when the file does not hold a command.
   bool read(int file);
   /// Applies the settings to the calling process, as far as the kernel agrees: whoever asked for
-  /// them looks what holds. False when one of them is none.
+  /// them looks what holds. False when one of them is none, or is required and was refused.
   bool apply_settings() const;
 };
 

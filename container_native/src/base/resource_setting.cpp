@@ -10,6 +10,8 @@
 #include <algorithm>
 #include <cerrno>
 #include <charconv>
+#include <cstdio>
+#include <cstring>
 #include <stdexcept>
 
 namespace play_launch {
@@ -24,6 +26,7 @@ struct Form {
   std::size_t numbers;
 };
 
+constexpr std::string_view kRequiredGroup = "required_cgroup";
 constexpr std::array kForms{
     Form{"rlimit", Kind::rlimit, 3},
     Form{"oom_score_adj", Kind::oom_score_adj, 1},
@@ -32,6 +35,7 @@ constexpr std::array kForms{
     Form{"nice", Kind::nice, 1},
     Form{"scheduler", Kind::scheduler, 2},
     Form{"cgroup", Kind::cgroup, 0},
+    Form{kRequiredGroup, Kind::cgroup, 0},
 };
 constexpr std::size_t kMostDigits = 24;
 constexpr int kIoPriorityOfProcess = 1;  // IOPRIO_WHO_PROCESS, which the C library does not define
@@ -168,6 +172,7 @@ std::optional<ResourceSetting> parse_resource_setting(std::string_view text) {
   }
   if (form->kind == Kind::cgroup) {
     setting.folder = text;
+    setting.is_required = name == kRequiredGroup;
     return text.starts_with('/') ? std::optional(setting) : std::nullopt;
   }
   for (std::size_t i = 0; i < form->numbers; ++i) {
@@ -197,6 +202,16 @@ int apply(const ResourceSetting& setting) noexcept {
   const int error = ask_kernel(setting);
   errno = kept;
   return error;
+}
+
+bool apply_or_complain(const ResourceSetting& setting) noexcept {
+  const int error = apply(setting);
+  if (error == 0 || !setting.is_required) {
+    return true;
+  }
+  ::dprintf(STDERR_FILENO, "cannot enter the required control group %s: %s\n",
+            setting.folder.c_str(), ::strerrordesc_np(error));
+  return false;
 }
 
 int lock_memory() noexcept {

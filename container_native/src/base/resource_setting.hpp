@@ -22,6 +22,7 @@ namespace play_launch {
 ///   nice NUMBER
 ///   scheduler POLICY PRIORITY      see sched_setscheduler(2)
 ///   cgroup FOLDER                  of a control group to enter, its absolute path
+///   required_cgroup FOLDER         the same; who is not let in is to end
 struct ResourceSetting {
   enum class Kind { rlimit, oom_score_adj, io_priority, cpu_affinity, nice, scheduler, cgroup };
 
@@ -29,6 +30,7 @@ struct ResourceSetting {
   std::array<std::uint64_t, 3> numbers{};  // negative ones in two's complement
   cpu_set_t cpus{};                        // of cpu_affinity
   std::string folder;                      // of cgroup
+  bool is_required = false;                // the process is not to run without it
 };
 
 /// Nothing when the text is none.
@@ -40,6 +42,9 @@ std::vector<ResourceSetting> parse_resource_settings(const std::vector<std::stri
 /// Asks the kernel; 0 or an error number. A limit that may not be raised so far gets as near as it
 /// may. Async-signal-safe, and keeps errno.
 int apply(const ResourceSetting& setting) noexcept;
+
+/// The same. False when it was refused and the process is to end, after a line on standard error.
+bool apply_or_complain(const ResourceSetting& setting) noexcept;
 
 /// Has the memory of this process stay in RAM: what is there now at once, and what comes later when
 /// it is first touched. 0 or an error number: EPERM where a limit would let a later allocation

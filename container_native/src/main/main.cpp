@@ -36,14 +36,17 @@ int usage_error(const std::exception& error) {
   return kExitUsage;
 }
 
-/// As far as the kernel agrees: who asked for it looks what holds.
-void apply_resources(const Options& options) {
+/// As far as the kernel agrees: who asked for it looks what holds. False: it must not run without.
+bool apply_resources(const Options& options) {
   for (const ResourceSetting& setting : options.resources) {
-    apply(setting);
+    if (!apply_or_complain(setting)) {
+      return false;
+    }
   }
   if (options.lock_memory && lock_memory() != 0) {
     report("the memory is not locked: it takes RLIMIT_MEMLOCK unlimited, or CAP_IPC_LOCK");
   }
+  return true;
 }
 
 int run(int argc, char** argv) {
@@ -57,7 +60,9 @@ int run(int argc, char** argv) {
       print_version();
       return kExitOk;
     }
-    apply_resources(options);
+    if (!apply_resources(options)) {
+      return kExitFailed;
+    }
     if (options.memory_domains != DomainChoice::off) {
       isolation::allow_all_keys();
     }

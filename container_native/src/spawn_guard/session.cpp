@@ -23,6 +23,7 @@
 #include "base/orphan_grace.hpp"
 #include "base/unique_fd.hpp"
 #include "spawn_guard/command.hpp"
+#include "spawn_guard/control_group.hpp"
 #include "spawn_guard/descendants.hpp"
 #include "spawn_guard/zygote_line.hpp"
 
@@ -40,7 +41,14 @@ constexpr milliseconds kPause{10};
 /// But none waits longer for others than this.
 constexpr milliseconds kLongestHold{100};
 
-enum Request : std::int32_t { kSpawn = 1, kStatus = 2, kReap = 3, kHelper = 4, kFarewell = 5 };
+enum Request : std::int32_t {
+  kSpawn = 1,
+  kStatus = 2,
+  kReap = 3,
+  kHelper = 4,
+  kFarewell = 5,
+  kGroup = 6
+};
 
 using Answer = std::array<std::int32_t, 3>;
 using Message = DescriptorMessage;
@@ -89,6 +97,12 @@ class Session {
           message = {};
           continue;
         }
+        if (message.numbers.size() == 1 && message.numbers[0] == kGroup &&
+            message.descriptors.size() == 1) {
+          group_ = std::move(message.descriptors.front());
+          message = {};
+          continue;
+        }
         if (message.numbers.size() == 1 && message.numbers[0] == kFarewell) {
           said_farewell_ = true;
           message = {};
@@ -102,6 +116,9 @@ class Session {
       }
     }
     leave_nothing();
+    if (group_ && supervisor_has_died()) {
+      remove_group(group_);
+    }
     return 0;
   }
 
@@ -266,6 +283,7 @@ class Session {
   const pid_t guard_;
   const pid_t supervisor_;
   bool said_farewell_ = false;
+  UniqueFd group_;  // the folder of the session's control group, if it has one
   std::set<pid_t> started_;
   std::set<pid_t> leaving_;
   std::vector<Fork> held_;

@@ -22,6 +22,8 @@ namespace play_launch::guard {
 ///   helper  {4, n, their numbers in the child}, with the command and the descriptors: starts what
 ///           nobody asks about any more. The first is number 1. No answer.
 ///   farewell {5}: the end of the socket that follows is not that of the supervisor. No answer.
+///   group   {6}, with a descriptor: the folder of the session's control group. When the supervisor
+///           has died, it is removed with those below it and all that is in them. No answer.
 ///
 /// When the supervisor has died, `last_command` is started after all of that, unless it is null:
 /// what it does for the dead is done by nobody else until the next start.

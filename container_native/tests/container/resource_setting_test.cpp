@@ -30,10 +30,14 @@ void test_texts() {
   CHECK(cpus && CPU_COUNT(&cpus->cpus) == 2 && CPU_ISSET(1023, &cpus->cpus));
   const auto group = parse_resource_setting("cgroup /sys/fs/a b/c");
   CHECK(group && group->kind == Kind::cgroup && group->folder == "/sys/fs/a b/c");
+  CHECK(!group->is_required);
+  const auto required = parse_resource_setting("required_cgroup /a");
+  CHECK(required && required->kind == Kind::cgroup && required->is_required);
+  CHECK(!apply_or_complain(*required) && apply_or_complain(*group));
   for (const char* const text :
-       {"", "cgroup", "cgroup a", "nice", "nice five", "nice 5 6", "scheduler 1", "cpu_affinity",
-        "cpu_affinity 1024", "cpu_affinity -1", "rlimit 7 100", "rlimit 7 100 18446744073709551616",
-        "niceness 5"}) {
+       {"", "cgroup", "required_cgroup a", "cgroup a", "nice", "nice five", "nice 5 6",
+        "scheduler 1", "cpu_affinity", "cpu_affinity 1024", "cpu_affinity -1", "rlimit 7 100",
+        "rlimit 7 100 18446744073709551616", "niceness 5"}) {
     CHECK(!parse_resource_setting(text));
   }
   CHECK(

@@ -112,6 +112,25 @@ void test_runs_without(const Folder& folder) {
   CHECK(group_of_child(&group, settings) == own_group());
 }
 
+void test_required(const Folder& folder) {
+  const auto settings = parse_resource_settings({"required_cgroup " + folder.path()});
+  CHECK(group_of_child(nullptr, settings).ends_with(folder.name()));
+  ChildOptions options;
+  const auto gone = parse_resource_settings({"required_cgroup " + folder.path() + "/gone"});
+  options.resources = gone;
+  bool has_run = false;
+  Outcome outcome;
+  run(
+      outcome,
+      [&has_run](Program&) {
+        has_run = true;
+        return 3;
+      },
+      options);
+  CHECK(!has_run && outcome.end.exit_code == 126);
+  CHECK(outcome.slot.report.kept_out);
+}
+
 }  // namespace
 
 int main() {
@@ -123,6 +142,7 @@ int main() {
   }
   test_born_inside(folder);
   test_enters_by_itself(folder);
+  test_required(folder);
   test_runs_without(folder);
   return 0;
 }

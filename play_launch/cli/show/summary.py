@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from typing import IO, TYPE_CHECKING, Final
 
+from msgspec.structs import asdict
 from rich import box
 from rich.console import Console
 from rich.table import Table
@@ -13,14 +14,21 @@ from rich.text import Text
 from play_launch.cli.find_mistakes import counted
 from play_launch.cli.show.sizes import size
 from play_launch.cli.show.status import container_at_end, process_at_end
-from play_launch.core.events import NodeState, ProcessEventKind
+from play_launch.core.events import NodeState, ProcessEventKind, SubjectKind
+from play_launch.core.node_key import NodeKey
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from play_launch.core.group_totals import GroupTotal
     from play_launch.core.view import ContainerView, ProcessView, SystemView
     from play_launch.recording.recorder import RecordingSummary
 
+    Used = Mapping[tuple[SubjectKind, str], GroupTotal]
+
 _PIPE_WIDTH: Final = 200
 """Columns of a table that no terminal limits."""
+_NO_GROUPS: Final[Used] = {}
 
 
 def print_summary(
@@ -30,11 +38,12 @@ def print_summary(
     *,
     stream: IO[str],
     colour: bool,
+    used: Used = _NO_GROUPS,
 ) -> None:
     """Print a table of containers and processes, what is not there and why, and the recording.
 
     ``view`` is the system at the moment its end began: what was up then. ``final`` is the system
-    after that, which says how each process ended.
+    after that, which says how each process ended. ``used`` is what control groups came to.
     """
     terminal = stream.isatty()
     console = Console(
@@ -51,6 +60,8 @@ def print_summary(
         console.print(_processes(view, final))
     if view.crashed:
         console.print(_crashed(view))
+    if held_back := {whose: total for whose, total in used.items() if total.is_held_back}:
+        console.print(_held_back(held_back))
     for node in (*view.failed, *view.unloaded):
         reason = f": {node.reason}" if node.reason else ""
         style = "" if str(node.key) in view.dismissed else "red"
@@ -81,7 +92,12 @@ def recording_line(recording: RecordingSummary) -> str:
 
 
 def summary_object(
-    view: SystemView, final: SystemView, recording: RecordingSummary, *, exit_code: int
+    view: SystemView,
+    final: SystemView,
+    recording: RecordingSummary,
+    *,
+    exit_code: int,
+    used: Used = _NO_GROUPS,
 ) -> dict[str, object]:
     """Give the same for machines."""
     return {
@@ -94,6 +110,10 @@ def summary_object(
         "processes": [
             _process_object(each, final.processes.get(each.name, each), view)
             for each in view.processes.values()
+        ],
+        "cgroups": [
+            {"kind": kind.name.lower(), "key": key, **asdict(total)}
+            for (kind, key), total in used.items()
         ],
         "recording": {
             "path": str(recording.path),
@@ -163,6 +183,20 @@ def _at_end(process: ProcessView, final: ProcessView, view: SystemView) -> str:
 
 def _has_failed(process: ProcessView, view: SystemView) -> bool:
     return process.failed and process.name not in view.dismissed
+
+
+def _held_back(used: Used) -> Table:
+    table = _table("held back by its limits", "CPU time", "throttled", "OOM kills", "pids_max hits")
+    for (kind, key), total in used.items():
+        name = NodeKey.parsed(key).name if kind is SubjectKind.NODE else key
+        table.add_row(
+            Text(name),
+            f"{total.cpu_seconds:.2f} s",
+            f"{total.throttled_seconds:.2f} s" if total.throttled_periods else "",
+            _alarming(total.oom_kills),
+            _alarming(total.pids_max_hits),
+        )
+    return table
 
 
 def _containers(view: SystemView, final: SystemView) -> Table:

@@ -61,6 +61,9 @@ NodeLife ClonedNode::look() {
     is_domain_named_ = true;
     domain_->set_name(program_.full_name());
   }
+  if (domain_ && has_any(life, NodeLife::ended | NodeLife::died)) {
+    domain_->end();  // before anybody hears of it, and loads the next one
+  }
   if (has_any(life, NodeLife::constructing) && !constructing_since_) {
     constructing_since_ = std::chrono::steady_clock::now();
   }

@@ -30,7 +30,7 @@ std::unique_ptr<MemoryDomain> MemoryDomains::make(const std::string& name) {
   {
     const std::lock_guard lock(mutex_);
     domains_.reserve(domains_.size() + 1);  // nothing throws once the domain is there
-    if (const int key = keys_.take(isolation::new_protection_key, is_required); key > 0) {
+    if (const int key = take_key(is_required); key > 0) {
       if (PrivateMemory::Owner memory = PrivateMemory::create(key)) {
         auto domain =
             std::make_unique<MemoryDomain>(shared_from_this(), key, std::move(memory), name);
@@ -53,10 +53,23 @@ std::unique_ptr<MemoryDomain> MemoryDomains::make(const std::string& name) {
   return nullptr;
 }
 
+int MemoryDomains::take_key(bool alone) {
+  int key = keys_.take(isolation::new_protection_key, true);
+  // The reload of a node would be refused otherwise, for as long as its remains are there.
+  for (MemoryDomain* const domain : domains_) {
+    if (key < 0 && domain->has_ended_ && domain->holds_key_) {
+      domain->holds_key_ = false;
+      keys_.give_back(domain->key_);
+      key = keys_.take(isolation::new_protection_key, true);
+    }
+  }
+  return key > 0 || alone ? key : keys_.take(isolation::new_protection_key, false);
+}
+
 std::string MemoryDomains::sharers_of(const MemoryDomain& domain) const {
   std::string names;
   for (const MemoryDomain* const other : domains_) {
-    if (other->key_ == domain.key_) {
+    if (other->key_ == domain.key_ && !other->has_ended_) {
       names += (names.empty() ? "" : ", ") + other->name_;
     }
   }
@@ -83,7 +96,14 @@ MemoryDomain::~MemoryDomain() {
   } else {
     memory_.reset();
   }
-  all_->keys_.give_back(key_);  // no page has it any more
+  if (holds_key_) {
+    all_->keys_.give_back(key_);  // no page has it any more
+  }
+}
+
+void MemoryDomain::end() {
+  const std::lock_guard lock(all_->mutex_);
+  has_ended_ = true;
 }
 
 void MemoryDomain::set_name(const std::string& name) {

@@ -41,12 +41,13 @@ class MemoryDomains : public std::enable_shared_from_this<MemoryDomains> {
  private:
   friend class MemoryDomain;
 
+  int take_key(bool alone);
   std::string sharers_of(const MemoryDomain& domain) const;
 
   const DomainChoice choice_;
   mutable std::mutex mutex_;  // guards what follows; no process but the container takes it
   isolation::KeyTable keys_;
-  std::vector<const MemoryDomain*> domains_;
+  std::vector<MemoryDomain*> domains_;
 };
 
 /// That of one node, for as long as any process of the node lives.
@@ -61,6 +62,9 @@ class MemoryDomain {
 
   /// The name is known now.
   void set_name(const std::string& name);
+  /// The node has ended: where no key is left, another node may have this one from now on, whatever
+  /// is still to be done about the remains of this.
+  void end();
   /// Not all that used the memory could be destroyed: it stays, but not under the key.
   void keep_memory() { keeps_memory_ = true; }
 
@@ -75,7 +79,10 @@ class MemoryDomain {
   const int key_;
   isolation::PrivateMemory::Owner memory_;
   bool keeps_memory_ = false;
-  std::string name_;  // guarded by the mutex of all
+  // Guarded by the mutex of all:
+  bool has_ended_ = false;
+  bool holds_key_ = true;
+  std::string name_;
 };
 
 }  // namespace play_launch::container

@@ -36,6 +36,7 @@ struct Launch {
 };
 
 constexpr int kExitOrphaned = 125;
+constexpr int kExitKeptOut = 126;
 /// Times the limit: in between, a core may be written.
 constexpr int kLastLimit = 10;
 constexpr int kExitStatusMask = 0xff;
@@ -77,7 +78,10 @@ void enter(const Launch& launch) noexcept {
   }
   for (const ResourceSetting& setting : record.options.resources) {
     if (setting.kind != ResourceSetting::Kind::cgroup || !launch.birth.in_group) {
-      apply(setting);  // who asked for it looks what holds
+      if (!apply_or_complain(setting)) {
+        slot.report.kept_out = true;
+        ::_exit(kExitKeptOut);
+      }  // of the others, who asked for them looks what holds
     }
   }
   if (record.options.group != nullptr) {

@@ -224,7 +224,9 @@ std::string describe_end(const ChildEnd& end, const CrashSlot& slot) {
     text = describe_signal(end, slot);
   } else {
     text = "exit status " + std::to_string(end.exit_code);
-    if (slot.report.end_call != nullptr && slot.report.other_program[0] == '\0') {
+    if (slot.report.kept_out) {
+      text = "the kernel did not let it into its control group, which is required";
+    } else if (slot.report.end_call != nullptr && slot.report.other_program[0] == '\0') {
       text += std::string(" (") + slot.report.end_call + " was called)";
     }
   }

@@ -61,6 +61,9 @@ struct CrashReport {
   /// Its program had returned, and destructors of its first thread's thread-local objects ran.
   bool in_destructors = false;
 
+  /// Its required control group did not let it in, and it ended.
+  bool kept_out = false;
+
   // The child called something that ended it.
   const char* end_call = nullptr;  // what, such as "exit()"; null: nothing of the kind
   int exit_status = 0;
