@@ -5,7 +5,7 @@
 Both are nodes of one isolated container. The control node's timer says by how much each of its
 beats is late; the greedy node computes on as many threads as there are CPUs. The ways take turns,
 so that a change in the machine's speed meets all of them. What this machine does not have is named,
-with the reason; so is `ros2 launch`, which runs the same two nodes in one container where it can be
+with the reason; so is launch of ROS, which runs the same two nodes in one container where it can be
 imported.
 """
 
@@ -80,7 +80,7 @@ async def measure(way: Way, seconds: float, row: Row) -> None:
 
 
 async def measure_stock(seconds: float, row: Row) -> None:
-    """Add a round of both nodes under `ros2 launch`."""
+    """Add a round of both nodes under a launch file."""
     with _figures(seconds) as figures:
         async with launched(_control(seconds), figures.environment):
             await _until(lambda: figures[_COUNT] > 0, STOCK, Failures())

@@ -1,12 +1,15 @@
-"""The same two nodes brought up by `ros2 launch`, in one container, as ROS has it."""
+"""The same two nodes brought up by a launch file of ROS, in one container, as ROS has it.
+
+It is run by launch itself, which is what `ros2 launch` does: that command need not be there.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
 import os
-import shutil
 import signal
+import sys
 import tempfile
 from collections.abc import AsyncIterator, Mapping
 from importlib.util import find_spec
@@ -16,9 +19,20 @@ from typing import Any, Final
 from play_launch.install.environment import child_environment
 from play_launch.install.ros import component_container, ros_installation
 
-STOCK: Final = "ros2 launch, one container"
+STOCK: Final = "launch file, one container"
 _END_LIMIT: Final = 30.0
 _PACKAGE: Final = "play_launch_demo"
+_RUN: Final = """
+import sys
+from launch import LaunchDescription, LaunchService
+from launch.actions import IncludeLaunchDescription
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+
+service = LaunchService()
+file = PythonLaunchDescriptionSource(sys.argv[1])
+service.include_launch_description(LaunchDescription([IncludeLaunchDescription(file)]))
+sys.exit(service.run())
+"""
 # The greedy node first: when the other one beats, both are there.
 _LAUNCH_FILE: Final = """
 from launch import LaunchDescription
@@ -45,9 +59,7 @@ def generate_launch_description():
 def obstacle() -> str:
     """Why it cannot be measured here; empty: it can."""
     missing = [name for name in ("launch", "launch_ros") if find_spec(name) is None]
-    if missing:
-        return f"{' and '.join(missing)} cannot be imported here"
-    return "" if shutil.which("ros2") else "ros2 is not in PATH"
+    return f"{' and '.join(missing)} cannot be imported here" if missing else ""
 
 
 @contextlib.asynccontextmanager
@@ -55,8 +67,6 @@ async def launched(
     control: Mapping[str, Any], environment: Mapping[str, str]
 ) -> AsyncIterator[None]:
     """Have both run while the block does; they come up meanwhile."""
-    ros2 = shutil.which("ros2")
-    assert ros2 is not None
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "both_launch.py"
         text = _LAUNCH_FILE.format(
@@ -64,7 +74,7 @@ async def launched(
         )
         file.write_text(text, encoding="utf-8")
         process = await asyncio.create_subprocess_exec(
-            *(ros2, "launch", str(file)),
+            *(sys.executable, "-c", _RUN, str(file)),
             env=child_environment(os.environ, ros_installation(), environment),
             stdout=asyncio.subprocess.DEVNULL,
         )

@@ -94,7 +94,7 @@ def test_a_control_loop_is_measured_beside_a_greedy_node(tmp_path: Path) -> None
     document = json.loads(stored.read_text(encoding="utf-8"))
     rows, left_out = document["rows"], document["left_out"]
     assert {"alone", "beside the greedy node"} <= {*rows}
-    assert "ros2 launch, one container" in {*rows, *left_out}
+    assert "launch file, one container" in {*rows, *left_out}
     assert not rows.keys() & left_out.keys()
     for name in rows:
         assert name in printed

@@ -22,6 +22,7 @@ from play_launch.cgroups.usage import usage_of
 from play_launch.core.group_limits import NO_LIMITS, CpuMax, GroupLimits, GroupPolicy
 from play_launch.process.identity import ProcessIdentity, read_stat
 from tests.support.control_groups import group_of
+from tests.support.waiting import until
 
 NOBODY = 65534
 TRIALS = 50
@@ -128,6 +129,19 @@ def test_an_isolated_container_and_its_nodes_are_in_leaves(base: Path) -> None:
         assert sorted(box.processes()) == [container.pid]
         groups.end()
         assert container.wait() == -signal.SIGKILL
+    assert not below(base)
+
+
+def test_who_was_frozen_by_somebody_is_ended(base: Path) -> None:
+    groups = begun(base)
+    made = groups.member("/a", NO_LIMITS)
+    assert made is not None
+    with born(made[1], "sleep", "600") as process:
+        until_in(made[0], process)
+        (made[0].path / "cgroup.freeze").write_text("1")
+        until(lambda: "frozen 1" in made[0].text("cgroup.events"), "its freezing")
+        groups.end()
+        assert process.wait() == -signal.SIGKILL
     assert not below(base)
 
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from play_launch.cgroups.group import Group
 from tests.support.control_groups import control_group, group_of
 from tests.support.replay import COMMAND, Replay, replaying
 from tests.support.waiting import until
@@ -44,6 +45,7 @@ def write(path: Path, base: Path, *, cgroups: dict[str, Any] | None = None, **ke
     return path
 
 
+FAST = {"max_restarts": 5, "backoff": {"initial": "10 ms"}}
 SYSTEM: dict[str, Any] = {
     "containers": [
         {"name": "shared", "composable_nodes": [node("a"), node("b")]},
@@ -141,6 +143,53 @@ def test_the_groups_of_a_killed_supervisor_are_removed(base: Path, tmp_path: Pat
         replay.process.wait()
         # By its guard, with the process that left its session, too.
         until(lambda: not session.exists(), "the removal of its groups")
+
+
+def test_what_somebody_does_to_the_groups_loses_nothing(base: Path, tmp_path: Path) -> None:
+    shell = {**SYSTEM["nodes"][0], "on_exit": "restart", "restart": FAST}
+    config = write(
+        tmp_path / "a.yaml",
+        base,
+        cgroups={"enabled": True},
+        containers=[{"name": "shared", "restart": FAST, "composable_nodes": [node("a")]}],
+        nodes=[shell],
+    )
+    with replaying(config, tmp_path / "log") as replay:
+        pids = until_up(replay, "/shared", "/a", "/shell")
+        (session,) = sessions(base)
+        # Killed by its group, it is brought back in one.
+        (session / "shell" / "cgroup.kill").write_text("1")
+        pids |= until_up(replay, "/shell")
+        until(lambda: pids["/shell"] in pids_in(session / "shell"), "the new group of the process")
+        # Moved out of their groups, which are removed.
+        elsewhere = Group(base / "elsewhere")
+        elsewhere.make()
+        moved = Group(session).processes()
+        elsewhere.move_here(moved)
+        until(Group(session).remove, "the removal of all groups")
+        os.kill(pids["/a"], signal.SIGKILL)
+        pids |= until_up(replay, "/a")
+        os.kill(pids["/shell"], signal.SIGKILL)
+        pids |= until_up(replay, "/shell")
+    assert not sessions(base) or sessions(base) == [elsewhere.path]
+    assert not elsewhere.processes(), "nothing of it is left, wherever it was"
+    said = [each["message"] for each in replay.seen if each["event"] == "log"]
+    assert any("shell cannot be made: No such file or directory; fix: " in text for text in said)
+
+
+def until_up(replay: Replay, *names: str) -> dict[str, int]:
+    """Wait until each is loaded, or started, from now on."""
+    pids: dict[str, int] = {}
+
+    def is_there(event: dict[str, Any]) -> bool:
+        if event["event"] == "node" and event["state"] == "loaded":
+            pids[event["node"]] = event["pid"]
+        if event["event"] == "process" and event["kind"] == "started":
+            pids[event["name"]] = event["pid"]
+        return set(names) <= pids.keys()
+
+    replay.read_until(is_there, f"{names} to be up")
+    return pids
 
 
 def test_required_groups_that_there_are_not_end_the_run(tmp_path: Path) -> None:
