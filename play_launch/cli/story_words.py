@@ -74,7 +74,7 @@ def paragraphs(findings: Sequence[Finding], session: PastSession) -> Iterator[st
 
 def headline(finding: Finding, started_ns: int) -> str:
     """Say who, what, how often and when: ``/talker in /box crashed 3 times, first at 0.636 s``."""
-    at = f"{(finding.at_ns - started_ns) / _SECOND:.3f} s"
+    at = f"{round((finding.at_ns - started_ns) / _SECOND, 3) + 0.0:.3f} s"  # no -0.000
     times = len(finding.times_ns)
     when = f"at {at}" if times == 1 else f"{times} times, first at {at}"
     inside = f" in {finding.place.container}" if finding.place.container else ""
@@ -254,5 +254,6 @@ def _summary(findings: Sequence[Finding], session: PastSession) -> str:
     )
     name = session.about.get("name", "of an unknown name")
     lasted = duration(max(0, reader.end - reader.begin))
-    verdict = "" if findings else "Nothing was wrong. "
+    nothing = "Nothing in what can be read" if reader.damages else "Nothing"
+    verdict = "" if findings else f"{nothing} was wrong. "
     return f"{verdict}Session {name}: {lasted}, {size}."

@@ -54,6 +54,12 @@ def test_exit_codes_say_whether_something_was_wrong(good: Path, bad: Path) -> No
     result = run("explain", good)
     assert (result.returncode, result.stderr) == (0, "")
     assert result.stdout.startswith("Nothing was wrong. Session made_up: ")
+    whole = bytearray(good.read_bytes())
+    whole[whole.index(b"zstd") + 40] ^= 1
+    good.with_name("flipped.mcap").write_bytes(whole)
+    result = run("explain", good.with_name("flipped.mcap"))
+    assert result.returncode == 3
+    assert result.stdout.startswith("Nothing in what can be read was wrong. Session made_up: ")
     assert run("explain", bad).returncode == 1
     assert json.loads(run("explain", bad, "--json").stdout)["wrong"] is True
     unfinished = scene().record(good.with_name("cut.mcap"), finished=False)

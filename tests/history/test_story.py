@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from play_launch.cli.story_words import paragraphs
+from play_launch.cli.story_words import headline, paragraphs
 from play_launch.core.events import (
     LogRecord,
     MemoryKind,
@@ -165,6 +165,11 @@ def test_any_events_make_a_story(events: list[RunEvent]) -> None:
     assert all(finding.times_ns for finding in story.findings)
     assert lines[-1].endswith(".")
     assert msgspec.json.encode(story.findings)
+
+
+def test_just_before_the_start_is_at_the_start() -> None:
+    finding = Finding(kind=Kind.CRASHED, who="/a", times_ns=(ns(1) - 1000,))
+    assert headline(finding, ns(1)) == "/a crashed at 0.000 s after the start."
 
 
 def test_who_never_came(tmp_path: Path) -> None:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import signal
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import psutil
 import pytest
@@ -101,20 +103,28 @@ def wait_for_the_recorder(images: int = 5) -> None:
     from sensor_msgs.msg import Image
 
     with Probe("beside") as probe:
-        probe.spin_until(lambda: probe.node.count_subscribers("/images") > 0, 20, "the recorder")
+        probe.spin_until(lambda: probe.node.count_subscribers("/images") > 0, 60, "the recorder")
         probe.collect(Image, "/images", images)
 
 
 def test_a_crash_writes_what_was_held(tmp_path: Path) -> None:
     config = tmp_path / "run.yaml"
-    config.write_text(RUN.replace("CRASH", "4.0"), encoding="utf-8")
-    with replaying(config, tmp_path / "log", "--duration", "7s") as replay:
-        events = replay.read_all()
-    said = [each.get("message", "") for each in events if each["event"] == "log"]
-    assert any("recorded" in text and "/unlucky" in text for text in said), said
-    written = raw_messages(replay.bag, "/images")
-    assert len(written) > 10
-    assert len(raw_messages(replay.bag, "/chatter")) > 5
+    config.write_text(RUN.replace("CRASH", "1000.0"), encoding="utf-8")
+
+    def says_so(event: dict[str, Any]) -> bool:
+        text = event.get("message", "")
+        return event["event"] == "log" and "recorded" in text and "/unlucky" in text
+
+    with replaying(config, tmp_path / "log") as replay:
+        replay.read_until_states(dict.fromkeys(("/talker", "/camera", "/unlucky"), "loaded"))
+        wait_for_the_recorder()
+        (unlucky,) = [each for each in replay.descendants() if each.name() == "unlucky"]
+        unlucky.send_signal(signal.SIGSEGV)
+        replay.read_until(says_so, "a line about what was held")
+        replay.process.send_signal(signal.SIGINT)
+        replay.read_all()
+    assert images(replay.bag) >= 5
+    assert raw_messages(replay.bag, "/chatter")
 
 
 def test_a_snapshot_writes_what_was_held(tmp_path: Path) -> None:
@@ -125,7 +135,7 @@ def test_a_snapshot_writes_what_was_held(tmp_path: Path) -> None:
         wait_for_the_recorder()
         asked = [str(COMMAND), "snapshot", "--session", str(tmp_path / "log" / "latest")]
         result = subprocess.run(asked, check=True, capture_output=True, text=True, timeout=60)
-        replay.process.send_signal(2)
+        replay.process.send_signal(signal.SIGINT)
         replay.read_all()
     count = images(replay.bag)
     assert count >= 5
@@ -163,6 +173,6 @@ def test_it_can_be_switched_off(tmp_path: Path) -> None:
         loaded(replay)
         replay.read_until(lambda event: "World: 51" in event.get("text", ""), "51 messages")
         assert "topic_recorder" not in {each.name() for each in replay.descendants()}
-        replay.process.send_signal(2)
+        replay.process.send_signal(signal.SIGINT)
         replay.read_all()
     assert not raw_messages(replay.bag, "/rosout")

@@ -235,6 +235,23 @@ async def test_a_type_that_is_not_installed(
     assert caplog.text.count("/unknown is not recorded") == 1
 
 
+async def test_a_topic_that_gets_another_type(
+    probe: Probe, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "x.mcap"
+    publisher = probe.node.create_publisher(String, "/changes", 10)
+    async with recording(path, "{topics: [/changes]}") as made:
+        await heard(made, publisher, String())
+        with Probe("another") as another:
+            another.node.create_publisher(Image, "/changes", 10)
+            await until(lambda: "/changes has several types" in caplog.text, "the warning")
+        await publish_all(publisher, strings(3))
+        await acknowledged(publisher)
+    assert caplog.text.count("/changes has several types") == 1
+    assert "only std_msgs/msg/String is recorded" in caplog.text
+    assert recorded(path, "/changes") == strings(3)
+
+
 async def test_it_is_started_again(
     swept: None, probe: Probe, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

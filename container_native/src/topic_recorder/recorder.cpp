@@ -263,7 +263,7 @@ void Recorder::follow_graph() {
     if (known == topics_.end()) {
       meet(found, wanted);
     } else {
-      reconsider(**known);
+      reconsider(**known, found);
     }
   }
 }
@@ -314,9 +314,14 @@ void Recorder::meet(const GraphTopic& found, Treatment wanted) {
                  .text(offered_qos_profiles(offered)));
 }
 
-void Recorder::reconsider(RecordedTopic& topic) {
+void Recorder::reconsider(RecordedTopic& topic, const GraphTopic& found) {
   if (!topic.subscription) {
     return;
+  }
+  if (found.types.size() > 1 && warned_.insert(topic.name).second) {
+    link_.post(Packet(Kind::warning)
+                   .text("topic " + topic.name + " has several types by now (" +
+                         joined(found.types) + "): only " + topic.type + " is recorded"));
   }
   const auto offered = node_.offered(topic.name);
   if (offered.empty()) {

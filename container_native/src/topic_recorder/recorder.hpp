@@ -43,7 +43,7 @@ class Recorder {
   void hand_over(std::uint32_t number);
   void follow_graph();
   void meet(const GraphTopic& found, Treatment treatment);
-  void reconsider(RecordedTopic& topic);
+  void reconsider(RecordedTopic& topic, const GraphTopic& found);
   void warn_once(const std::string& topic, const std::string& text);
   void take_all(RecordedTopic& topic);
   bool take_one(RecordedTopic& topic);
