@@ -99,6 +99,11 @@ class AppendingFile:
             if error.errno not in {errno.EINVAL, errno.EROFS}:  # a file that cannot be synced
                 raise
 
+    @property
+    def is_removed(self) -> bool:
+        """Whether it has no name any more: what is written to it is gone when it is closed."""
+        return os.fstat(self._descriptor).st_nlink == 0
+
     def forget_held(self) -> None:
         """Let go of what is held back."""
         self._held.clear()

@@ -331,6 +331,11 @@ class McapBagWriter:
             _log.warning("cannot write the index of %s: %s", self._first_path, reason(error))
 
     def _not_synced(self, error: OSError) -> None:
+        if isinstance(error, FileNotFoundError):
+            _log.error(
+                "%s was removed: what happens is not recorded until the next start", self._part.path
+            )
+            return
         _log.error(
             "%s cannot be forced to the disk: %s; a power failure may take it",
             self._part.path,

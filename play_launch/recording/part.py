@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import errno
+import os
 import re
 import time
 from typing import TYPE_CHECKING, Final
@@ -162,8 +164,15 @@ class Part:
         return PartSummary(self._mcap.begin, self._mcap.end, counts)
 
     def sync(self) -> None:
-        """Force to the disk what the kernel has got; in any thread."""
+        """Force to the disk what the kernel has got; in any thread.
+
+        Raises:
+            FileNotFoundError: When somebody has removed the file.
+            OSError: When it cannot be done.
+        """
         self.file.sync()
+        if self.file.is_removed:
+            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(self.path))
         if not self._name_is_durable:
             # A file that is synced may still be without a name after a power failure.
             sync_folder(self.path.parent)

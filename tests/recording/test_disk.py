@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import shutil
 import threading
 import time
 from typing import TYPE_CHECKING
@@ -127,6 +128,25 @@ def test_another_file_begins_while_the_last_one_is_forced_to_the_disk(
     slow_disk.gate.set()
     writer.close()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["x.mcap", "x_1.mcap"]
+
+
+def test_a_file_that_is_removed_is_reported_once(
+    tmp_path: Path, slow_disk: SlowDisk, caplog: pytest.LogCaptureFixture
+) -> None:
+    slow_disk.gate.set()
+    (tmp_path / "session").mkdir()
+    writer = McapBagWriter(tmp_path / "session" / "x.mcap", sync=1e-3)
+    channel = writer.register(OUTPUT)
+    for number in (1, 2, 3):
+        writer.write(channel, b"\0\1\0\0", log_time=number, publish_time=number)
+        writer.flush()
+        slow_disk.begun.acquire()
+        shutil.rmtree(tmp_path / "session", ignore_errors=True)
+    with pytest.raises(WriteFailedError, match="No such file"):
+        writer.close()
+    writer.abandon()
+    (error,) = caplog.records
+    assert "x.mcap.active was removed" in error.getMessage()
 
 
 def test_a_disk_that_forgets_is_reported_once_and_at_the_end(
