@@ -27,7 +27,7 @@ _ROOT_FIX: Final = (
     "start it by systemd-run --scope -p Delegate=yes play-launch ..., Delegate=yes in its systemd "
     "unit, or a base_path such as /sys/fs/cgroup/play_launch"
 )
-_READ_ONLY_FIX: Final = (
+READ_ONLY_FIX: Final = (
     "docker run --security-opt writable-cgroups=true (Docker 28 or newer), podman run "
     "--security-opt unmask=/sys/fs/cgroup, or --privileged"
 )
@@ -127,7 +127,7 @@ def own_base(own: Path) -> Path:
 def obstacle(group: Path, facts: OwnGroup) -> str:
     """Say why a group that was found by itself cannot be used, and the fix; empty: it can."""
     if facts.is_read_only:
-        return f"{group} is read-only; fix: {_READ_ONLY_FIX}"
+        return f"{group} is read-only; fix: {READ_ONLY_FIX}"
     if not facts.is_writable:
         fix = _ROOT_FIX if facts.is_root_user else SCOPE_FIX
         return f"the control group {group} is not delegated to this user; fix: {fix}"

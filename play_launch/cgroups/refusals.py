@@ -6,7 +6,7 @@ import errno
 import os
 from typing import TYPE_CHECKING, Final
 
-from play_launch.cgroups.base import SCOPE_FIX
+from play_launch.cgroups.base import READ_ONLY_FIX, SCOPE_FIX
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -41,8 +41,10 @@ def no_controller(controller: str, group: Path, error: OSError | None) -> str:
             )
         case errno.EBUSY:
             return f"{what}cannot be enabled in {group}, which has processes; fix: {SCOPE_FIX}"
-        case errno.EACCES | errno.EPERM | errno.EROFS:
+        case errno.EACCES | errno.EPERM:
             return f"{what}cannot be enabled in {group} by this user; fix: {_DROP_IN}"
+        case errno.EROFS:
+            return f"{what}cannot be enabled in {group}, which is read-only; fix: {READ_ONLY_FIX}"
         case errno.EOPNOTSUPP:
             return f"{what}cannot be enabled in {group}, which is threaded; fix: another base_path"
         case errno.EINVAL if controller == "cpu":
@@ -59,8 +61,10 @@ def no_group(group: Path, error: OSError) -> str:
     """Say that a group cannot be made."""
     why = os.strerror(error.errno or 0)
     match error.errno:
-        case errno.EACCES | errno.EPERM | errno.EROFS:
+        case errno.EACCES | errno.EPERM:
             fix = SCOPE_FIX
+        case errno.EROFS:
+            fix = READ_ONLY_FIX
         case errno.EAGAIN:
             fix = "a larger cgroup.max.descendants in a group above"
         case _:

@@ -141,6 +141,11 @@ def test_refusals_name_what_does_not_hold() -> None:
     assert "which has processes; fix: start it by systemd-run" in busy
     assert "CONFIG_RT_GROUP_SCHED" in no_controller("cpu", group, OSError(errno.EINVAL, ""))
     assert "CONFIG_BLK_CGROUP_IOCOST" in no_limit("io.weight", "5", OSError(errno.ENOENT, ""))
+    read_only = OSError(errno.EROFS, "")
+    for said in (no_group(group, read_only), no_controller("cpu", group, read_only)):
+        # As in a Docker container: nothing of systemd helps there.
+        assert "writable-cgroups=true" in said
+        assert "systemd" not in said
     assert fewer_cpus("0-7", "0-1").endswith("there are 0-1; fix: name those")
     assert "/m/cgroup.procs" in no_entry(group, group.parent)
 
