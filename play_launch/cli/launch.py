@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 import tempfile
 from pathlib import Path
@@ -22,6 +23,7 @@ from play_launch.cli.target import (
     unread,
 )
 from play_launch.launch_files.configuration.options import Containers, Options
+from play_launch.systemd.notification import claim
 
 
 def launch(  # noqa: PLR0917 - typer calls it by keywords
@@ -45,6 +47,8 @@ def launch(  # noqa: PLR0917 - typer calls it by keywords
 
     Everything else is as with `replay`: `dump` writes the configuration that is used.
     """
+    # What the launch file starts while it is evaluated is no service either.
+    manager = claim(os.environ)
     found = target_of(target)
     description = evaluated(found, timeout, only_arguments=show_args)
     if show_args:
@@ -80,4 +84,6 @@ def launch(  # noqa: PLR0917 - typer calls it by keywords
             raise typer.Exit(find_mistakes(config, explain=True, as_json=as_json))
         from play_launch.cli.bring_up import bring_up  # noqa: PLC0415
 
-        raise typer.Exit(bring_up(config, log_dir, duration, quiet=quiet, as_json=as_json))
+        raise typer.Exit(
+            bring_up(config, log_dir, duration, quiet=quiet, as_json=as_json, manager=manager)
+        )

@@ -127,6 +127,10 @@ class ProgramKind(StrEnum):
     CONTAINER = "container"
 
 
+OUTPUTS: Final = frozenset({"screen", "log", "both", "own_log", "full"})
+"""What launch knows to do with the output of a process."""
+
+
 class AtExit(StrEnum):
     """What follows when a process ends by itself and is not respawned."""
 
@@ -180,8 +184,7 @@ class Process(_Unit, kw_only=True, tag="process", omit_defaults=True):
     single line for a shell with `shell`). `ros_arguments` are those beside name, namespace,
     remappings and parameters, without `--ros-args`. `environment` and `unset` are the difference to
     the environment in which the file was evaluated. `respawn_delay` and the timeouts are seconds,
-    `respawn_max_retries` is -1 for any number. `output` is as in launch: `screen`, `log`, `both`,
-    `own_log`, `full`, empty for the default.
+    `respawn_max_retries` is -1 for any number. `output` is one of `OUTPUTS`, empty for the default.
     """
 
     kind: ProgramKind = ProgramKind.NODE
@@ -264,16 +267,21 @@ class Description(Struct, tag="description", omit_defaults=True):
 
 
 class Failure(Struct, frozen=True, tag="failure", omit_defaults=True):
-    """Why a launch file could not be evaluated: the first error, and where."""
+    """Why a launch file could not be evaluated: the first error, and where.
+
+    `logged` is what ROS's launch said about it, which may name more.
+    """
 
     message: str
     origin: Origin = Origin()
+    logged: tuple[str, ...] = ()
 
     def __str__(self) -> str:
-        """Write one line for the error, and one for each include that led there."""
+        """Write one line for the error, one for each include that led there, then the rest."""
         place = f"{self.origin}: " if self.origin.place.file else ""
         chain = "".join(f"\n  included from {each}" for each in self.origin.included_from)
-        return f"{place}{self.message}{chain}"
+        logged = "".join(f"\n  launch: {each}" for each in self.logged)
+        return f"{place}{self.message}{chain}{logged}"
 
 
 class LaunchFileError(Exception):

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
+
+import pytest
 
 FILES = {
     "robot.launch.xml": """
@@ -48,6 +51,22 @@ launch:
 """,
 }
 NODES = {"/robot/talker": "loaded", "/listener": "loaded"}
+
+
+def add_containers(prefix: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Add a made-up rclcpp_components for ROS's launch, behind what is installed.
+
+    launch_ros looks for the program of a container, which a configuration does not need.
+    """
+    index = prefix / "share/ament_index/resource_index/packages"
+    programs = prefix / "lib/rclcpp_components"
+    for folder in (index, programs, prefix / "share/rclcpp_components"):
+        folder.mkdir(parents=True)
+    (index / "rclcpp_components").touch()
+    (programs / "component_container").write_text("#!/bin/sh\n", encoding="utf-8")
+    (programs / "component_container").chmod(0o755)
+    paths = [*filter(None, [os.environ.get("AMENT_PREFIX_PATH")]), str(prefix)]
+    monkeypatch.setenv("AMENT_PREFIX_PATH", os.pathsep.join(paths))
 
 
 def write(folder: Path) -> Path:

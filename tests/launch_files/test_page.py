@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from play_launch.config import load_config
+from tests.launch_files import system
 from tests.launch_files.test_commands import run
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "launch-files.md"
@@ -15,6 +16,7 @@ BLOCK = re.compile(r"<!-- (file|written): (\S+) -->\n```\w+\n(.*?)```", re.DOTAL
 
 
 def test_the_examples_are_what_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    system.add_containers(tmp_path / "installed", monkeypatch)
     monkeypatch.chdir(tmp_path)
     found = {kind: (name, text) for kind, name, text in BLOCK.findall(PAGE.read_text("utf-8"))}
     name, text = found["file"]

@@ -378,6 +378,7 @@ def test_the_end_and_the_folder_of_a_container(tmp_path: Path) -> None:
         kind=ProgramKind.CONTAINER,
         on_exit=AtExit.SHUTDOWN,
         cwd="/tmp",
+        arguments=[""],
     )
     made = write(unit)
     assert not lost(made)
@@ -412,7 +413,14 @@ def test_time_outs_for_stopping_hold_for_all(tmp_path: Path) -> None:
         node(name="three"),
     )
     stop = load(made, tmp_path).stop
-    assert (stop.sigint, stop.sigterm) == (9.0, 3.5)
-    (note,) = [each for each in made.losses if each.is_note]
-    assert "/a/one" in note.where
-    assert "sigterm_timeout of 7 s" in note.what
+    # launch gives the others 5 s.
+    assert (stop.sigint, stop.sigterm) == (9.0, 5.0)
+    notes = [each for each in made.losses if each.is_note]
+    assert all("/a/one" in note.where for note in notes)
+    assert [note.what.partition(";")[0] for note in notes] == [
+        "its sigterm_timeout of 7 s",
+        "its sigkill_timeout of 3.5 s",
+    ]
+    made = write(node(name="one", sigterm_timeout=7.0, sigkill_timeout=3.5))
+    stop = load(made, tmp_path).stop
+    assert (stop.sigint, stop.sigterm) == (7.0, 3.5)

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from play_launch.launch_files.losses import Losses
     from play_launch.launch_files.records import Process
+
+_USUAL: Final = 5.0
+"""Seconds that launch gives a process to follow a signal where the launch file says nothing."""
 
 
 def pull_up(containers: list[dict[str, Any]], processes: list[dict[str, Any]]) -> dict[str, Any]:
@@ -61,15 +64,16 @@ def _container_type(containers: list[dict[str, Any]]) -> str:
 def stop_limits(processes: Iterable[Process], losses: Losses) -> dict[str, float]:
     """Return the key `stop`: limits hold for all, so the longest of each is taken.
 
-    launch counts both from one signal to the next, as `sigint` and `sigterm` do.
+    launch counts both from one signal to the next, as `sigint` and `sigterm` do. A process whose
+    limit is not given keeps at least the one it has in launch; where none is given, the
+    configuration's own hold.
     """
     found: dict[str, float] = {}
     for key, name in (("sigint", "sigterm_timeout"), ("sigterm", "sigkill_timeout")):
         given = {process.described: getattr(process, name) for process in processes}
-        seconds = {each for each in given.values() if each is not None}
-        if not seconds:
+        if all(each is None for each in given.values()):
             continue
-        found[key] = max(seconds)
+        found[key] = max(_USUAL if each is None else each for each in given.values())
         for where, own in given.items():
             if own is not None and own != found[key]:
                 what = f"its {name} of {own:g} s; the longest, {found[key]:g} s, holds for all"

@@ -77,6 +77,8 @@ class Members:
                 arguments.remove(_SEVERAL_THREADS)
             elif self._options.containers is Containers.ISOLATED:
                 kind = _ISOLATED[kind]
+            # `args=""` is an empty argument.
+            arguments = [word for word in arguments if word]
             entry["container_type"] = kind
             threads = values.get(_THREADS)
             if kind.endswith("mt") and threads and threads.type is ParameterType.INTEGER:

@@ -182,7 +182,8 @@ def _append_env(entity: Entity, context: Context) -> None:
 
 
 def _log(entity: Entity, context: Context) -> None:
-    context.text(entity.attributes["message"])
+    where = str(context.origin(entity))
+    context.losses.note(where, f"log: {context.text(entity.attributes['message'])}")
 
 
 def _timer(entity: Entity, context: Context) -> None:
@@ -191,9 +192,12 @@ def _timer(entity: Entity, context: Context) -> None:
         period = coerced(context.text(period), (float, False))
     elif isinstance(period, bool) or not isinstance(period, int | float):
         raise Trouble(f"period is no number: {period!r}")
+    where = str(context.origin(entity))
     if entity.tag == "ros_timer":
-        where = str(context.origin(entity))
-        context.losses.note(where, "counts wall time, not ROS time")
+        context.losses.lost(where, "ros_timer: it counts the time of the machine, not that of ROS")
+    if not _cancels(entity, context):
+        what = "cancel_on_shutdown: nothing is started any more while the system is shut down"
+        context.losses.note(where, what)
     delay = StartCondition(event=Event.DELAY, seconds=max(0.0, float(period)))
     context.deferred.append(
         Deferred(
@@ -204,6 +208,13 @@ def _timer(entity: Entity, context: Context) -> None:
             (*context.start, delay),
         )
     )
+
+
+def _cancels(entity: Entity, context: Context) -> bool:
+    value = entity.attributes.get("cancel_on_shutdown", True)
+    if isinstance(value, str):
+        value = coerced(context.text(value), (bool, False))
+    return bool(value)
 
 
 def _shutdown(entity: Entity, context: Context) -> None:

@@ -41,9 +41,10 @@ def evaluate(
     context.deadline = time.monotonic() + limit
     try:
         include_file(file, context)
-        # Timers, as if all fired in the order in which they were set: their scopes have ended.
+        # Timers, in the order in which they fire: their scopes have ended.
         while context.deferred:
-            waiting = context.deferred.pop(0)
+            delays = [sum(each.seconds for each in timer.start) for timer in context.deferred]
+            waiting = context.deferred.pop(delays.index(min(delays)))
             context.chain, context.start = waiting.chain, waiting.start
             context.file, context.directory = waiting.file, waiting.directory
             for entity in waiting.entities:

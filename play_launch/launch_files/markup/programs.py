@@ -15,6 +15,7 @@ from play_launch.launch_files.markup.trouble import Trouble
 from play_launch.launch_files.markup.typing_rules import coerced, condition, truth
 from play_launch.launch_files.parameters import evaluate_sources
 from play_launch.launch_files.records import (
+    OUTPUTS,
     AtExit,
     Composable,
     ParameterFile,
@@ -144,6 +145,8 @@ def _complete(process: Process, program: str, entity: Entity, context: Context) 
     process.prefix = _prefix(program, entity, context)
     if "output" in attributes:
         process.output = context.text(attributes["output"])
+        if process.output not in OUTPUTS:
+            raise Trouble(f"{process.output!r} is no output; {', '.join(sorted(OUTPUTS))} are")
     if "respawn" in attributes:
         process.respawn = truth(context.text(attributes["respawn"]))
     process.respawn_delay = typed.get("respawn_delay")

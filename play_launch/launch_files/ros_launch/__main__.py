@@ -18,13 +18,16 @@ from play_launch.launch_files.ros_launch.driver import SIZE, Job, evaluate
 
 def main() -> None:
     """Answer, and end."""
-    descriptor = os.dup(1)
+    descriptor, own = os.dup(1), os.getpid()
     os.dup2(2, 1)
     job = msgspec.json.decode(sys.argv[1], type=Job)
     # Nothing in the launch file shall take these for its own.
     sys.argv[1:] = []
 
     def answer(found: Description | Failure) -> None:
+        if os.getpid() != own:
+            # The launch file has forked, and this one is nobody's.
+            os._exit(0)
         try:
             records = encode(found)
         except UnicodeEncodeError as error:

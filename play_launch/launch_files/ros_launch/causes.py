@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, NamedTuple
 
-from play_launch.launch_files.records import StartCondition
+from play_launch.launch_files.records import Event, StartCondition
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -50,7 +50,8 @@ class Causes:
     def followed_by(self, before: Conditions, event: Conditions) -> Conditions:
         """Return the conditions of what is said under some and follows an event.
 
-        Conditions that the unit of the event has itself are left out: they happened before.
+        Conditions that the unit of the event has itself are left out, and its start: they happened
+        before.
         """
         implied: set[StartCondition] = set()
         todo = [each.unit for each in event if each.unit]
@@ -61,6 +62,7 @@ class Causes:
                 seen.add(unit)
                 own = self.of_unit(unit)
                 implied.update(own)
+                implied.add(StartCondition(event=Event.STARTED, unit=unit))
                 todo += [each.unit for each in own if each.unit]
         kept = [each for each in before if each not in implied and each not in event]
         return (*kept, *event)

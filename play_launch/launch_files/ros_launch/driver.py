@@ -9,6 +9,9 @@ import os
 import signal
 import struct
 import tempfile
+import time
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -22,6 +25,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from types import FrameType
 
+_USER: Final = "launch.user"
+"""The logger of what launch files say themselves."""
+_NO_DESCRIPTION: Final = '(description: "no description given")'
 _PACKAGES: Final = ("launch", "launch_ros", "launch_xml", "launch_yaml", "osrf_pycommon")
 
 SIZE: Final = struct.Struct("=Q")
@@ -46,13 +52,15 @@ class Job(Struct, frozen=True, kw_only=True):
 def evaluate(job: Job, answer: Callable[[Description | Failure], None]) -> None:
     """Evaluate, and call `answer` once; with a failure also out of the middle when time is up."""
     places = Places(_library_folders())
-    _set_alarm(job.limit, places, answer)
+    held = HeldErrors()
     # The files of RewrittenYaml, of launch_ros and others; the variable TMPDIR would be inherited.
     tempfile.tempdir = job.temporary
     try:
-        found: Description | Failure = _evaluate(job, places)
+        alarm = partial(_set_alarm, job.limit, places, answer)
+        found: Description | Failure = _evaluate(job, places, held, alarm)
+        held.release()
     except (Exception, SystemExit, KeyboardInterrupt) as error:  # noqa: BLE001 - the user's code
-        found = _failure(places, error)
+        found = _failure(places, error, held)
     signal.setitimer(signal.ITIMER_REAL, 0)
     answer(found)
 
@@ -69,7 +77,14 @@ def _library_folders() -> tuple[str, ...]:
 def _set_alarm(
     limit: float, places: Places, answer: Callable[[Description | Failure], None]
 ) -> None:
+    deadline = time.monotonic() + limit
+
     def on_alarm(_: int, frame: FrameType | None) -> None:
+        left = deadline - time.monotonic()
+        if left > 0:
+            # The launch file has set the timer, or sends signals.
+            signal.setitimer(signal.ITIMER_REAL, left)
+            return
         place = places.of_frames(frame)
         origin = places.origin(place) if place.file in places.files else places.of_visited()
         answer(Failure(f"it is not evaluated after {limit:g} s", origin))
@@ -80,10 +95,53 @@ def _set_alarm(
     signal.setitimer(signal.ITIMER_REAL, limit)
 
 
-def _failure(places: Places, error: BaseException) -> Failure:
+def _failure(places: Places, error: BaseException, held: HeldErrors) -> Failure:
     errors = trail(error)
     message, place = reason_of(errors[0], places)
-    return Failure(message, places.of_error(errors, place))
+    return Failure(message, places.of_error(errors, place), held.texts(message))
+
+
+class HeldErrors(logging.Filter):
+    """Errors that launch logs: it does so before it raises, and a reader looks for what it raises.
+
+    They become a part of the failure; without one they are shown at the end.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._handler: logging.Handler | None = None
+        self._records: list[logging.LogRecord] = []
+
+    def install(self, handler: logging.Handler) -> None:
+        """Hold back what a handler would show."""
+        self._handler = handler
+        handler.addFilter(self)
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Hold back an error; let anything else pass."""
+        is_held = record.levelno >= logging.ERROR and record.name != _USER
+        if is_held:
+            self._records.append(record)
+        return not is_held
+
+    def release(self) -> None:
+        """Show what was held back."""
+        if self._handler is not None:
+            self._handler.removeFilter(self)
+            for record in self._records:
+                self._handler.handle(record)
+
+    def texts(self, message: str) -> tuple[str, ...]:
+        """Return what was held back and says more than a message."""
+        found = dict.fromkeys(_text(record) for record in self._records)
+        return tuple(each for each in found if each not in message and _NO_DESCRIPTION not in each)
+
+
+def _text(record: logging.LogRecord) -> str:
+    # What the user's code has logged may not fit together.
+    with suppress(Exception):
+        return record.getMessage().strip()
+    return ""
 
 
 def _write_no_logs(config: Any, temporary: Path) -> None:
@@ -92,7 +150,9 @@ def _write_no_logs(config: Any, temporary: Path) -> None:
     config.get_log_file_handler = lambda *_: logging.NullHandler()
 
 
-def _evaluate(job: Job, places: Places) -> Description:
+def _evaluate(
+    job: Job, places: Places, held: HeldErrors, set_alarm: Callable[[], None]
+) -> Description:
     import launch  # noqa: PLC0415 - a failure to import it is an answer
     import launch.logging  # noqa: PLC0415
     from launch.actions import IncludeLaunchDescription  # noqa: PLC0415
@@ -104,6 +164,7 @@ def _evaluate(job: Job, places: Places) -> Description:
     from play_launch.launch_files.ros_launch.visit import Visitor  # noqa: PLC0415
 
     _write_no_logs(launch.logging.launch_config, Path(job.temporary))
+    held.install(launch.logging.launch_config.get_screen_handler())
     if job.is_faster:
         faster.install(only_arguments=job.only_arguments)
     reading.install(places)
@@ -111,6 +172,8 @@ def _evaluate(job: Job, places: Places) -> Description:
     context = launch.LaunchContext(argv=arguments, noninteractive=True)
     given = frozenset(name for name, _ in job.arguments)
     scene = Scene(context, places, Path(job.temporary), given)
+    # The time is that of the launch file: to import launch takes long where others are busy.
+    set_alarm()
     source = AnyLaunchDescriptionSource(job.path)
     if job.only_arguments:
         for action in source.get_launch_description(context).get_launch_arguments():

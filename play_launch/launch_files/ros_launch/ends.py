@@ -12,7 +12,7 @@ import launch.actions
 import launch.substitutions
 import launch_ros.actions
 import launch_ros.ros_adapters
-from launch.event_handlers import OnProcessExit
+from launch.event_handlers import OnIncludeLaunchDescription, OnProcessExit
 from launch.utilities import perform_substitutions, type_utils
 
 from play_launch.launch_files.records import Event
@@ -32,7 +32,7 @@ def install(scene: Scene, happenings: Happenings) -> None:
     _composables(scene)
     _lifecycle_nodes()
     _timers(scene, happenings)
-    _events(happenings)
+    _events(scene, happenings)
     _arguments(scene)
     _what_needs_a_run(scene)
     _what_is_done_later(scene)
@@ -107,6 +107,10 @@ def _timers(scene: Scene, happenings: Happenings) -> None:
         self._TimerAction__context_locals = dict(context.get_locals_as_dict())
         if isinstance(self, launch_ros.actions.ROSTimer):
             scene.lost(self, "ROSTimer: it counts the time of the machine, not that of ROS")
+        cancels = getattr(self, "_TimerAction__cancel_on_shutdown", True)
+        if not type_utils.perform_typed_substitution(context, cancels, bool):
+            what = "cancel_on_shutdown: nothing is started any more while the system is shut down"
+            scene.lost(self, what, is_note=True)
         happenings.timed(self, seconds)
 
     def get_asyncio_future(self: Any) -> Any:
@@ -117,7 +121,7 @@ def _timers(scene: Scene, happenings: Happenings) -> None:
         _replace(kind, "get_asyncio_future", get_asyncio_future)
 
 
-def _events(happenings: Happenings) -> None:
+def _events(scene: Scene, happenings: Happenings) -> None:
     def emit_event_sync(self: Any, event: Any) -> None:  # noqa: ARG001
         happenings.post(event)
 
@@ -130,6 +134,18 @@ def _events(happenings: Happenings) -> None:
         register(self, event_handler, append=append)
         happenings.registered(event_handler)
 
+    unregister = launch.actions.UnregisterEventHandler.execute
+
+    def execute(self: Any, context: Any) -> Any:
+        if not scene.causes.now:
+            return unregister(self, context)
+        when = scene.described(scene.causes.now)
+        scene.lost(self, f"UnregisterEventHandler when {when}: the handler stays")
+        return None
+
+    # LaunchService has this one from the start.
+    scene.context.register_event_handler(OnIncludeLaunchDescription())
+    _replace(launch.actions.UnregisterEventHandler, "execute", execute)
     _replace(launch.LaunchContext, "emit_event_sync", emit_event_sync)
     _replace(launch.LaunchContext, "emit_event", emit_event)
     _replace(launch.LaunchContext, "register_event_handler", register_event_handler)

@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 
     from play_launch.process.exit import Exit
 
-_GRACE: Final = 5.0
-"""Seconds beyond the limit in which the process may still say where it hangs."""
+_GRACE: Final = 15.0
+"""Seconds beyond the limit in which the process may import launch, and say where it hangs."""
 _END_LIMIT: Final = 5.0
 _MODULE: Final = "play_launch.launch_files.ros_launch"
 _CHUNK: Final = 1 << 20

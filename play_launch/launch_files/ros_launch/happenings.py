@@ -6,18 +6,20 @@ under the condition that the event has happened.
 
 from __future__ import annotations
 
+import heapq
 from collections import deque
 from collections.abc import Iterable
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from launch.event_handlers import OnProcessIO, OnShutdown
-from launch.events import Shutdown
+from launch.events import Shutdown, TimerEvent
 from launch.events.process import ProcessExited, ProcessStarted, ShutdownProcess, SignalProcess
 from launch_ros.events.lifecycle import ChangeState
 
 from play_launch.launch_files.records import AtExit, Event, Process, StartCondition
 from play_launch.launch_files.ros_launch.lifecycle import Lifecycles
+from play_launch.launch_files.ros_launch.unheard import Unheard, decides_by_status
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -79,10 +81,11 @@ class Happenings:
         self._makers: dict[int, frozenset[int]] = {}
         self._registered: dict[int, _Registered] = {}
         self._processes: list[tuple[Any, Process]] = []
-        self._timers: deque[_Timer] = deque()
+        self._timers: list[tuple[float, int, _Timer]] = []
+        self._unheard = Unheard(scene)
         self._completions: dict[int, Completion] = {}
         self._lifecycles = Lifecycles(scene, self._post)
-        self._count = 0
+        self._count = self._count_of_timers = 0
         self.current_part: Any = None
         """What is visited now, the part of the description that has the place."""
 
@@ -99,6 +102,7 @@ class Happenings:
         """A handler was registered by what is visited now."""
         includes = tuple(self._scene.places.includes)
         part = self.current_part
+        self._unheard.add(handler, part)
         self._registered[id(handler)] = _Registered(self._scene.causes.now, includes, part)
         if isinstance(handler, OnShutdown):
             self._scene.lost(part, "OnShutdown: its actions are not carried out")
@@ -116,7 +120,11 @@ class Happenings:
         """A timer was started."""
         delay = StartCondition(event=Event.DELAY, seconds=seconds)
         conditions = (*self._scene.causes.now, delay)
-        self._timers.append(_Timer(action, conditions, tuple(self._scene.places.includes)))
+        timer = _Timer(action, conditions, tuple(self._scene.places.includes))
+        # In the order in which they fire: what one of them sets is known to those after it.
+        due = sum(each.seconds for each in conditions)
+        heapq.heappush(self._timers, (due, self._count_of_timers, timer))
+        self._count_of_timers += 1
 
     def completion(self, action: Any) -> Completion:
         """Return what stands for the future of an action."""
@@ -134,11 +142,12 @@ class Happenings:
                 self._start(*self._processes[started])
                 started += 1
             elif self._timers:
-                self._fire(self._timers.popleft())
+                self._fire(heapq.heappop(self._timers)[-1])
             elif exited < len(self._processes):
                 self._exit(*self._processes[exited])
                 exited += 1
             else:
+                self._unheard.report([action for action, _ in self._processes])
                 return
             self._count += 1
             if self._count > _MOST:
@@ -161,6 +170,7 @@ class Happenings:
         with self._scene.causes.under(timer.conditions):
             known = _Registered(timer.conditions, timer.includes, timer.action)
             self._carry_out(partial(timer.action.handle, self._scene.context), known)
+            self.post(TimerEvent(timer_action=timer.action))
             self.completion(timer.action)()
 
     def _handle(self, emitted: _Emitted) -> None:
@@ -168,13 +178,16 @@ class Happenings:
         if isinstance(event, ChangeState):
             self._lifecycles.change(event, conditions, part)
         elif isinstance(event, Shutdown):
+            # Who handles it is reported: there is nothing to be started then.
             self._shut_down(event, conditions, part)
+            return
         elif isinstance(event, ShutdownProcess | SignalProcess):
             when = f" when {self._scene.described(conditions)}" if conditions else ""
             self._scene.lost(part, f"{event.name}: a process is ended by the launch file{when}")
         for handler in tuple(self._scene.context._event_handlers):  # noqa: SLF001 - its only list
             if isinstance(handler, OnProcessIO | OnShutdown) or not handler.matches(event):
                 continue
+            self._unheard.heard(handler)
             known = self._registered.get(id(handler), _Registered((), (), None))
             makers = self._makers.get(id(getattr(event, "action", None)), frozenset())
             if id(handler) in makers:
@@ -196,6 +209,8 @@ class Happenings:
             self._scene.lost(
                 part, "a function decides what follows; it was called for exit status 0"
             )
+        elif decides_by_status(handler, event):
+            self._scene.lost(part, "it asks for exit status 0; what follows does so at any status")
 
     def _carry_out(self, yields: Callable[[], Any], known: _Registered) -> None:
         """Visit what a handler or a timer yields, where it was registered."""
@@ -215,9 +230,8 @@ class Happenings:
             scene.places.includes = before
 
     def _shut_down(self, event: Any, conditions: Conditions, part: Any) -> None:
-        last = conditions[-1] if conditions else None
-        if last is not None and last.event is Event.EXITED:
-            unit = self._scene.unit(last.unit)
+        if len(conditions) == 1 and conditions[0].event is Event.EXITED:
+            unit = self._scene.unit(conditions[0].unit)
             if isinstance(unit, Process):
                 unit.on_exit = AtExit.SHUTDOWN
                 return

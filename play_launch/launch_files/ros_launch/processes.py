@@ -10,7 +10,7 @@ from launch.utilities import normalize_to_list_of_substitutions, perform_substit
 from launch_ros.actions import ComposableNodeContainer, LifecycleNode, Node
 
 from play_launch.launch_files.parameters import take_sections
-from play_launch.launch_files.records import Process, ProgramKind, Values
+from play_launch.launch_files.records import OUTPUTS, Process, ProgramKind, Values
 from play_launch.launch_files.ros_launch.rcl_parameters import RclParameters, RclParametersError
 
 if TYPE_CHECKING:
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 _ROS_ARGUMENTS: Final = "--ros-args"
 _DEFAULT_OUTPUT: Final = "log"
 _DEFAULT_TIMEOUT: Final = 5.0
+_DEFAULT_FORMAT: Final = "[{this.process_description.final_name}] {line}"
 
 
 def record_process(scene: Scene, action: Any) -> Process:
@@ -71,6 +72,8 @@ def _read_settings(scene: Scene, process: Process, action: Any) -> None:
     process.respawn_max_retries = int(_private(action, "respawn_max_retries"))
     process.sigterm_timeout = _timeout(scene, action.sigterm_timeout)
     process.sigkill_timeout = _timeout(scene, action.sigkill_timeout)
+    if getattr(action, "_ExecuteLocal__output_format", _DEFAULT_FORMAT) != _DEFAULT_FORMAT:
+        scene.lost(process, "output_format: lines are shown and recorded as they are", is_note=True)
     has_output = action.play_launch_has_output
     process.output = _output(scene, process, action.output, has_output=has_output)
 
@@ -94,6 +97,8 @@ def _output(scene: Scene, process: Process, output: Any, *, has_output: bool) ->
         scene.lost(process, f"output: {output}; another one for stdout and stderr is not possible")
         return ""
     text = perform_substitutions(scene.context, output)
+    if text not in OUTPUTS:
+        raise RuntimeError(f"{text!r} is no output; {', '.join(sorted(OUTPUTS))} are")
     return text if text != _DEFAULT_OUTPUT or has_output else ""
 
 

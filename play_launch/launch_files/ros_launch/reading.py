@@ -110,8 +110,14 @@ def _note_lines(places: Places, implementation: Any) -> None:
     load: Callable[..., Any] = implementation.load.__func__
 
     def load_and_note(cls: Any, file: Any) -> Any:
-        entity, parser = load(cls, file)
         path = str(getattr(file, "name", file))
+        try:
+            entity, parser = load(cls, file)
+        except (AttributeError, KeyError, TypeError) as error:
+            # launch_yaml takes for granted what a file looks like.
+            wrong = RuntimeError("a launch file is one key `launch` above a list")
+            places.annotate(wrong, Place(str(Path(path).absolute())))
+            raise wrong from error
         places.file_read(path)
         content = Path(path).read_bytes() if Path(path).is_file() else b""
         try:

@@ -39,13 +39,17 @@ def reason_of(error: BaseException, places: Places) -> tuple[str, Place]:
         )
     # A ParseError is a SyntaxError, too.
     if isinstance(error, ParseError):
-        return f"no XML: {error}", Place(file, error.position[0])
+        what = str(error).rpartition(": line ")[0]
+        return f"is not XML: {what}", Place(file, error.position[0])
     if isinstance(error, SyntaxError):
         return f"SyntaxError: {error.msg}", Place(error.filename or file, error.lineno or 0)
     if isinstance(error, yaml.MarkedYAMLError) and error.problem_mark is not None:
         mark = error.problem_mark
         named = mark.name if Path(str(mark.name)).is_file() else file
-        return f"no YAML: {error.problem}", Place(named, mark.line + 1)
+        return f"is not YAML: {error.problem}", Place(named, mark.line + 1)
+    if isinstance(error, UnicodeDecodeError):
+        where = places.of_traceback(error.__traceback__)
+        return f"is not UTF-8 at byte {error.start}", where if where.file else Place(file)
     if isinstance(error, OSError) and error.strerror and error.filename:
         named = os.fsdecode(error.filename)
         return f"{error.strerror}: {named}", places.of_traceback(error.__traceback__)

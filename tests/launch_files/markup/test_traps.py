@@ -178,6 +178,24 @@ def test_timers(evaluated: Any) -> None:
     }
 
 
+def test_timers_fire_in_the_order_of_their_times(evaluated: Any) -> None:
+    assert list(evaluated("order of timers")) == ["a not", "b set"]
+
+
+def test_what_is_not_done_is_reported(prefix: Prefix) -> None:
+    text = """<launch>
+<log message="all is $(eval '1 + 1')"/>
+<timer period="1" cancel_on_shutdown="$(eval '1 > 2')"><log message="x"/></timer>
+<ros_timer period="1"><log message="y"/></ros_timer>
+</launch>"""
+    losses = evaluate(prefix.file("a.launch.xml", text), {}).losses
+    found = [(Path(each.where).name, each.what, each.is_note) for each in losses]
+    assert found[0] == ("a.launch.xml:2", "log: all is 2", True)
+    assert found[1][1].startswith("cancel_on_shutdown: ")
+    assert found[2][1].startswith("ros_timer: ")
+    assert not found[2][2]
+
+
 def test_environment(evaluated: Any) -> None:
     found = evaluated("environment")
     one = [("A", "2:3"), ("B", "5-4"), ("C", "5-4")]
@@ -330,6 +348,9 @@ def meaning(description: Description) -> list[Any]:
                 unit.shell,
                 unit.prefix,
                 unit.output,
+                unit.label,
+                unit.sigterm_timeout,
+                unit.sigkill_timeout,
             )
             program = (unit.executable, unit.arguments, unit.ros_arguments)
             words = " ".join(unit.command) if unit.shell else unit.command

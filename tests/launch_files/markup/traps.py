@@ -199,6 +199,14 @@ ns: {one: {ros__parameters: {own: 2}}}
   </group>
 </launch>""",
     },
+    # They fire in the order of their times, not in that in which they stand there.
+    "order of timers": {
+        "a.launch.xml": """
+<launch>
+  <timer period="3.0"><let name="x" value="set"/><executable cmd="b $(var x)"/></timer>
+  <timer period="1.0" cancel_on_shutdown="false"><executable cmd="a $(var x not)"/></timer>
+</launch>""",
+    },
     "environment": {
         "a.launch.xml": """
 <launch>
@@ -343,5 +351,9 @@ MISTAKES: dict[str, tuple[str, str]] = {
         "'/a b' is no namespace",
     ),
     "node name": ('<launch><node pkg="p" exec="e" name="a/b"/></launch>', "not the name of a node"),
+    "output": (
+        '<launch>\n<executable cmd="x" output="scren"/></launch>',
+        ":2: 'scren' is no output",
+    ),
     "on exit": ('<launch><node pkg="p" exec="e" on_exit="x"/></launch>', "can only be shutdown"),
 }

@@ -12,10 +12,11 @@ from tests.launch_files.ros_launch.prefix import Prefix, prefix, processes
 __all__ = ["prefix"]
 
 HEAD = """
-from launch import LaunchDescription
+from launch import EventHandler, LaunchDescription
 from launch.actions import *
 from launch.event_handlers import *
-from launch.events import matches_action, Shutdown as ShutdownEvent
+from launch.events import IncludeLaunchDescription as Included
+from launch.events import TimerEvent, matches_action, Shutdown as ShutdownEvent
 from launch.events.process import *
 
 def process(name):
@@ -26,6 +27,9 @@ async def sleep(context):
 
 class Stop(ShutdownEvent):
     pass
+
+def on(kind, *entities):
+    return EventHandler(matcher=lambda event: isinstance(event, kind), entities=list(entities))
 
 everybody = lambda action: True
 g = GroupAction([])
@@ -44,6 +48,11 @@ def change(node, transition):
 m = LifecycleNode(package="pkg", executable="talker", name="m", namespace="")
 CONFIGURE, ACTIVATE = Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE
 """
+
+
+def when(node: str, goal: str, then: str) -> str:
+    handler = f"OnStateTransition(target_lifecycle_node={node}, goal_state={goal!r}"
+    return f"RegisterEventHandler({handler}, entities=[{then}]))"
 
 
 @pytest.fixture
@@ -150,12 +159,50 @@ def delay(seconds: float) -> StartCondition:
             ],
             {"a": []},
         ),
+        (["EmitEvent(event=Included(LaunchDescription([a])))"], {"a": []}),
+        (
+            [
+                "RegisterEventHandler(on(TimerEvent, b))",
+                "TimerAction(period=2.0, actions=[a])",
+            ],
+            {"a": [delay(2)], "b": [delay(2)]},
+        ),
+        (
+            # Never started, so nothing follows it in launch either.
+            ["RegisterEventHandler(OnProcessExit(target_action=a, on_exit=[b]))"],
+            {},
+        ),
+        (
+            [
+                "a",
+                (
+                    "RegisterEventHandler(OnProcessStart(target_action=a, on_start=["
+                    "RegisterEventHandler(OnProcessExit(target_action=a, on_exit=[b]))]))"
+                ),
+            ],
+            {"a": [], "b": [exited("p1")]},
+        ),
     ],
     indirect=["evaluated"],
 )
 def test_processes(evaluated: Description, expected: dict[str, list[StartCondition]]) -> None:
     assert starts(evaluated) == expected
     assert evaluated.losses == []
+
+
+@pytest.mark.parametrize(
+    "evaluated",
+    [
+        [
+            "TimerAction(period=3.0, actions=[SetEnvironmentVariable('LATE', '1'), b])",
+            "TimerAction(period=1.0, actions=[a])",
+        ]
+    ],
+    indirect=True,
+)
+def test_timers_fire_in_the_order_of_their_times(evaluated: Description) -> None:
+    found = {each.command[-1]: dict(each.environment) for each in processes(evaluated)}
+    assert found == {"a": {}, "b": {"LATE": "1"}}
 
 
 @pytest.mark.parametrize(
@@ -170,11 +217,6 @@ def test_processes(evaluated: Description, expected: dict[str, list[StartConditi
 def test_shutdown_when_a_process_exits(evaluated: Description) -> None:
     assert [each.on_exit for each in processes(evaluated)] == [AtExit.SHUTDOWN]
     assert evaluated.losses == []
-
-
-def when(node: str, goal: str, then: str) -> str:
-    handler = f"OnStateTransition(target_lifecycle_node={node}, goal_state={goal!r}"
-    return f"RegisterEventHandler({handler}, entities=[{then}]))"
 
 
 CONFIGURE_AT_START = "OnProcessStart(target_action=m, on_start=[change(m, CONFIGURE)])"
@@ -242,6 +284,39 @@ def test_a_node_that_is_only_configured(evaluated: Description) -> None:
             "a function decides",
         ),
         (["OpaqueCoroutine(coroutine=sleep)"], "OpaqueCoroutine"),
+        (["a", "RegisterEventHandler(on(ShutdownEvent, b))"], "it handles the shutdown"),
+        (["a", "RegisterEventHandler(on(ProcessStdout, b))"], "the output of a process"),
+        (["a", "RegisterEventHandler(on(Stop, b))"], "does not follow from the launch file"),
+        (
+            [
+                "a",
+                (
+                    "RegisterEventHandler(EventHandler(entities=[b], "
+                    "matcher=lambda event: getattr(event, 'returncode', 1) == 0))"
+                ),
+            ],
+            "it asks for exit status 0",
+        ),
+        (
+            [
+                "a",
+                "(h := RegisterEventHandler(OnProcessExit(target_action=a, on_exit=[b])))",
+                "TimerAction(period=9.0, actions=[UnregisterEventHandler(h.event_handler)])",
+            ],
+            "UnregisterEventHandler when 9 s have passed: the handler stays",
+        ),
+        (
+            [
+                "a",
+                "b",
+                (
+                    "RegisterEventHandler(OnProcessExit(target_action=a, on_exit=["
+                    "RegisterEventHandler(OnProcessExit(target_action=b, on_exit=[Shutdown()]))]))"
+                ),
+            ],
+            "when true a has exited and then true b has exited",
+        ),
+        (["m", when("m", "active", "a")], "OnStateTransition: what it handles does not follow"),
         (
             [
                 "a",
@@ -281,6 +356,21 @@ def test_what_is_only_done_later(capfd: pytest.CaptureFixture[str], evaluated: D
     errors = capfd.readouterr().err
     assert "now" in errors
     assert "later" not in errors
+
+
+@pytest.mark.parametrize(
+    ("evaluated", "words"),
+    [
+        (["TimerAction(period=1.0, actions=[a], cancel_on_shutdown=False)"], "cancel_on_shutdown"),
+        (["ExecuteProcess(cmd=['true'], output_format='{line}')"], "output_format"),
+    ],
+    indirect=["evaluated"],
+)
+def test_what_is_only_done_in_another_way_is_noted(evaluated: Description, words: str) -> None:
+    (note,) = evaluated.losses
+    assert note.is_note
+    assert note.what.startswith(words)
+    assert "a.launch.py:" in note.where
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,16 @@ from typing import Any
 
 from . import logging
 from .entities import Action, LaunchDescription, LaunchDescriptionEntity
+from .event_handlers import EventHandler
 
-__all__ = ["Action", "LaunchContext", "LaunchDescription", "LaunchDescriptionEntity", "logging"]
+__all__ = [
+    "Action",
+    "EventHandler",
+    "LaunchContext",
+    "LaunchDescription",
+    "LaunchDescriptionEntity",
+    "logging",
+]
 
 
 class LaunchContext:
@@ -42,6 +50,9 @@ class LaunchContext:
             self._event_handlers.append(event_handler)
         else:
             self._event_handlers.appendleft(event_handler)
+
+    def unregister_event_handler(self, event_handler: Any) -> None:
+        self._event_handlers.remove(event_handler)
 
     def would_handle_event(self, event: Any) -> bool:
         return any(handler.matches(event) for handler in self._event_handlers)

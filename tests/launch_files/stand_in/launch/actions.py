@@ -25,6 +25,7 @@ __all__ = [
     "SetEnvironmentVariable",
     "Shutdown",
     "TimerAction",
+    "UnregisterEventHandler",
 ]
 
 
@@ -135,9 +136,21 @@ class RegisterEventHandler(Action):
         context.register_event_handler(self.event_handler)
 
 
-class TimerAction(Action):
-    def __init__(self, *, period: float, actions: Iterable[Any]) -> None:
+class UnregisterEventHandler(Action):
+    def __init__(self, event_handler: Any) -> None:
         super().__init__()
+        self.event_handler = event_handler
+
+    def execute(self, context: Any) -> Any:
+        context.unregister_event_handler(self.event_handler)
+
+
+class TimerAction(Action):
+    def __init__(
+        self, *, period: float, actions: Iterable[Any], cancel_on_shutdown: bool = True
+    ) -> None:
+        super().__init__()
+        self.__cancel_on_shutdown = cancel_on_shutdown
         self.period = period
         self.actions = list(actions)
 
@@ -174,8 +187,10 @@ class ExecuteLocal(Action):
         shell: bool = False,
         on_exit: Any = None,
         output: Any = "log",
+        output_format: str = "[{this.process_description.final_name}] {line}",
     ) -> None:
         super().__init__()
+        self.__output_format = output_format
         self.process_description = _Executable(cmd, cwd, name, env)
         self.shell = shell
         self.emulate_tty = False

@@ -4,10 +4,18 @@ from __future__ import annotations
 
 from typing import Any
 
-from .events import ExecutionComplete, Shutdown
+from .events import ExecutionComplete, IncludeLaunchDescription, Shutdown
 from .events.process import ProcessExited, ProcessStarted
 
-__all__ = ["OnExecutionComplete", "OnProcessExit", "OnProcessIO", "OnProcessStart", "OnShutdown"]
+__all__ = [
+    "EventHandler",
+    "OnExecutionComplete",
+    "OnIncludeLaunchDescription",
+    "OnProcessExit",
+    "OnProcessIO",
+    "OnProcessStart",
+    "OnShutdown",
+]
 
 
 class OnActionEventBase:
@@ -42,6 +50,24 @@ class OnProcessStart(OnActionEventBase):
 class OnExecutionComplete(OnActionEventBase):
     def __init__(self, *, target_action: Any = None, on_completion: Any) -> None:
         super().__init__(ExecutionComplete, target_action, on_completion)
+
+
+class EventHandler:
+    def __init__(self, *, matcher: Any, entities: Any) -> None:
+        self.matches = matcher
+        self.entities = entities
+
+    def handle(self, event: Any, context: Any) -> Any:
+        context.extend_locals({"event": event})
+        return self.entities
+
+
+class OnIncludeLaunchDescription:
+    def matches(self, event: Any) -> bool:
+        return isinstance(event, IncludeLaunchDescription)
+
+    def handle(self, event: Any, context: Any) -> Any:
+        return event.launch_description
 
 
 class OnProcessIO:

@@ -16,6 +16,16 @@ class Shutdown(Event):
         self.reason = reason
 
 
+class IncludeLaunchDescription(Event):
+    def __init__(self, launch_description: Any) -> None:
+        self.launch_description = launch_description
+
+
+class TimerEvent(Event):
+    def __init__(self, *, timer_action: Any) -> None:
+        self.timer_action = timer_action
+
+
 class ExecutionComplete(Event):
     def __init__(self, action: Any) -> None:
         self.action = action

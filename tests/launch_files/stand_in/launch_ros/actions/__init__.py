@@ -29,5 +29,9 @@ class ROSTimer(TimerAction):
     pass
 
 
+class LifecycleTransition(Action):
+    pass
+
+
 class SetUseSimTime(Action):
     pass

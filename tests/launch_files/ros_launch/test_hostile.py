@@ -1,0 +1,186 @@
+"""Launch files that end, hang, fork, or close what is not theirs: nothing is left of them."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from functools import partial
+from pathlib import Path
+
+import psutil
+import pytest
+
+from play_launch.launch_files.records import LaunchFileError
+from play_launch.launch_files.ros_launch.evaluate import evaluate
+from play_launch.launch_files.ros_launch.temporary import temporary_folder
+from tests.launch_files.ros_launch.prefix import LIMIT, Prefix, needs_launch, prefix, processes
+from tests.launch_files.ros_launch.test_errors import python
+from tests.support.waiting import until
+
+__all__ = ["prefix"]
+
+
+def test_python_that_ends_its_process(prefix: Prefix) -> None:
+    error = prefix.error("a.launch.py", "import os\nos._exit(7)\n")
+    assert error.startswith("a.launch.py: it ends its own evaluation: ")
+    assert "7" in error
+    error = prefix.error("b.launch.py", "import os\nos.kill(os.getpid(), 11)\n")
+    assert error.startswith("b.launch.py: it ends its own evaluation: ")
+    assert "SIGSEGV" in error
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "where"),
+    [
+        ("a.launch.py", "import time\nwhile True:\n    time.sleep(0.1)\n", "a.launch.py:3"),
+        ("a.launch.py", "def f():\n  while 1: pass\nf()\n", "a.launch.py:2"),
+        (
+            "a.launch.py",
+            (
+                "while True:\n    try:\n        import time; time.sleep(9)\n"
+                "    except BaseException:\n        pass\n"
+            ),
+            "a.launch.py:3",
+        ),
+        pytest.param(
+            "a.launch.xml",
+            '<launch>\n  <let name="x" value="$(command \'sleep 1000\')"/>\n</launch>\n',
+            "a.launch.xml",
+            marks=needs_launch,
+        ),
+    ],
+)
+def test_a_file_that_hangs(
+    prefix: Prefix, name: str, text: str, where: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # As long as a busy machine takes to start it.
+    monkeypatch.setattr("play_launch.launch_files.ros_launch.evaluate._GRACE", 120.0)
+    error = prefix.error(name, text, limit=3)
+    assert error.startswith(f"{where}")
+    assert error.endswith(": it is not evaluated after 3 s")
+
+
+def test_a_file_that_hangs_and_hears_nothing(
+    prefix: Prefix, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("play_launch.launch_files.ros_launch.evaluate._GRACE", 0.1)
+    text = """
+import signal, time
+signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGALRM})
+time.sleep(1000)
+"""
+    error = prefix.error("a.launch.py", text, limit=3)
+    assert error == "a.launch.py: it is not evaluated after 3 s, and does not say why"
+
+
+def test_nothing_is_left_behind(prefix: Prefix, tmp_path: Path) -> None:
+    """Neither what a launch file has started, nor its temporary files, nor its threads."""
+    pids = tmp_path / "pids"
+    text = python(f"""
+import os, subprocess, tempfile, threading
+for line in ("sleep 1000 & echo $! >> {pids}", "setsid sleep 1000 & echo $! >> {pids}"):
+    subprocess.run(["sh", "-c", line + "; exec 2>&-"], stdout=subprocess.DEVNULL)
+if os.fork() == 0:
+    os.setsid()
+    if os.fork() == 0:
+        open("{pids}", "a").write(f"{{os.getpid()}}\\n")
+        import time
+        time.sleep(1000)
+    os._exit(0)
+threading.Thread(target=threading.Event().wait).start()
+made = tempfile.NamedTemporaryFile(delete=False)
+open("{tmp_path}/made", "w").write(made.name)
+def generate_launch_description():
+    while len(open("{pids}").read().split()) < 3: pass
+    return LaunchDescription([])
+""")
+    prefix.evaluate("a.launch.py", text)
+    found = [int(pid) for pid in pids.read_text().split()]
+    assert len(found) == 3
+    for pid in found:
+        is_gone = partial(lambda pid: not psutil.pid_exists(pid), pid)
+        until(is_gone, "the end of what it started")
+    made = Path((tmp_path / "made").read_text())
+    assert not made.exists()
+    assert not made.parent.exists()
+
+
+def test_the_evaluation_ends_with_who_asked(prefix: Prefix, tmp_path: Path) -> None:
+    pid_file = tmp_path / "pid"
+    path = prefix.file(
+        "a.launch.py",
+        "import os, time\n"
+        f"open({str(pid_file)!r}, 'w').write(f'{{os.getpid()}}.')\n"
+        "time.sleep(1000)\n",
+    )
+    program = (
+        "from pathlib import Path\n"
+        "from play_launch.launch_files.ros_launch.evaluate import evaluate\n"
+        f"evaluate(Path({str(path)!r}), {{}}, limit=1000)\n"
+    )
+    asking = subprocess.Popen([sys.executable, "-c", program], env=os.environ)
+    until(lambda: pid_file.exists() and pid_file.read_text().endswith("."), "the evaluation")
+    evaluating = int(pid_file.read_text().rstrip("."))
+    asking.send_signal(signal.SIGKILL)
+    asking.wait()
+    until(lambda: not psutil.pid_exists(evaluating), "its end")
+    # The next evaluation removes what nobody could.
+    (left,) = (tmp_path / "temporary").iterdir()
+    os.utime(left, (0, 0))
+    with pytest.raises(LaunchFileError):
+        evaluate(Path("/nowhere.launch.py"), {}, limit=LIMIT)
+    assert list((tmp_path / "temporary").iterdir()) == []
+
+
+def test_a_folder_that_is_in_use_stays(prefix: Prefix, tmp_path: Path) -> None:
+    with temporary_folder() as used:
+        os.utime(used, (0, 0))
+        with temporary_folder() as other:
+            assert Path(used).exists()
+            assert used != other
+    assert list((tmp_path / "temporary").iterdir()) == []
+
+
+def test_a_file_that_closes_its_output(prefix: Prefix) -> None:
+    text = python("""
+import sys
+sys.stdout.close()
+sys.stderr.close()
+def generate_launch_description():
+    return LaunchDescription([])
+""")
+    assert prefix.evaluate("a.launch.py", text).units == []
+
+
+def test_an_alarm_of_the_launch_file_is_not_ours(prefix: Prefix) -> None:
+    text = python("""
+import os, signal
+os.kill(os.getpid(), signal.SIGALRM)
+def generate_launch_description():
+    return LaunchDescription([])
+""")
+    assert prefix.evaluate("a.launch.py", text).units == []
+
+
+def test_a_file_that_forks_is_evaluated_once(prefix: Prefix) -> None:
+    text = python("""
+import os
+pid = os.fork()
+if pid:
+    os.waitpid(pid, 0)
+def generate_launch_description():
+    return LaunchDescription([ExecuteProcess(cmd=["parent" if pid else "child"])])
+""")
+    (process,) = processes(prefix.evaluate("a.launch.py", text))
+    assert process.command == ["parent"]
+
+
+def test_much_is_answered(prefix: Prefix) -> None:
+    """More than a pipe holds."""
+    text = python("""
+def generate_launch_description():
+    return LaunchDescription([ExecuteProcess(cmd=["echo", "x" * 1000]) for _ in range(1000)])
+""")
+    assert len(prefix.evaluate("a.launch.py", text).units) == 1000
