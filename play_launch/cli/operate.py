@@ -144,4 +144,7 @@ def add_names(parser: ArgumentParser, what: str, *, optional: bool = False) -> N
 
 
 def _report(message: str) -> None:
-    sys.stderr.write(f"error: {message}\n")
+    """Write an error; what nodes and command lines put into it may hold anything."""
+    from play_launch.cli.show.terminal import printable  # noqa: PLC0415 - rarely needed
+
+    sys.stderr.write(f"error: {printable(message, colour=False)}\n")

@@ -8,7 +8,14 @@ import time
 from itertools import count
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
 
-from play_launch.control.place import CONTROL_SOCKET, address_of, forget, peer_of, registered
+from play_launch.control.place import (
+    CONTROL_SOCKET,
+    Link,
+    address_of,
+    forget,
+    peer_of,
+    registered,
+)
 from play_launch.control.protocol import (
     LONGEST_ANSWER,
     PROTOCOL,
@@ -215,7 +222,7 @@ def connect(session: str | None = None) -> ControlClient:
         pid = int(session)
         for link in registered():
             if link.pid == pid:
-                return connect_to(link.folder)
+                return _registered_at(link)
     named: list[ControlClient] = []
     others: list[ControlClient] = []
     wanted = _in_utf8(session)
@@ -237,6 +244,23 @@ def connect(session: str | None = None) -> ControlClient:
     raise NoSessionError(
         f"there is no session {session}: it is no folder, and no pid or name of a running session"
         + (f":\n{known}" if known else "; none is running")
+    )
+
+
+def _registered_at(link: Link) -> ControlClient:
+    try:
+        return connect_to(link.folder)
+    except NoSessionError as error:
+        if forget(link.pid):
+            raise
+        raise NoSessionError(f"{error}; {_out_of_reach(link.pid)}") from None
+
+
+def _out_of_reach(pid: int) -> str:
+    """Say what is left to do where the process lives that has registered a session."""
+    return (
+        f"process {pid}, which registered it, still runs: if that is play-launch, its folder was "
+        f"moved or removed; kill -INT {pid} ends it in order"
     )
 
 
@@ -293,8 +317,8 @@ def _look() -> tuple[list[ControlClient], list[str]]:
         try:
             clients.append(connect_to(link.folder))
         except NoSessionError as error:
-            reasons.append(str(error))
-            forget(link.pid)
+            is_over = forget(link.pid)
+            reasons.append(str(error) if is_over else f"{error}; {_out_of_reach(link.pid)}")
         except ControlError as error:
             reasons.append(f"{link.folder} (pid {link.pid}): {error}")
     return clients, reasons

@@ -76,15 +76,17 @@ def registered() -> list[Link]:
     return [link for _, link in sorted(found)]
 
 
-def forget(pid: int) -> None:
-    """Remove the link of a process that has ended; one that lives keeps it."""
+def forget(pid: int) -> bool:
+    """Remove the link of a process that has ended; False: it lives, and keeps its link."""
     try:
         os.kill(pid, 0)
     except ProcessLookupError:
         with contextlib.suppress(OSError):
             os.unlink(f"{links_folder()}/{pid}")  # noqa: PTH108
+        return True
     except OSError:
         pass
+    return False
 
 
 def peer_of(connection: socket.socket) -> Peer:

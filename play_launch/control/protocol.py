@@ -20,6 +20,9 @@ LONGEST_REQUEST: Final = 4 * 1024 * 1024
 """Bytes of a line from a client, its end not counted: a configuration with its files."""
 LONGEST_ANSWER: Final = 16 * 1024 * 1024
 """Bytes of a line to a client."""
+MOST_NAMES: Final = 2000
+LONGEST_NAME: Final = 1000
+"""Characters of a name or pattern. What is compared with everything that runs is bounded."""
 _LARGEST_ID: Final = 2**53
 """Every reader of JSON has integers up to here."""
 
@@ -196,11 +199,16 @@ def names_argument(arguments: Mapping[str, Any], name: str = "names") -> tuple[s
     """Read a list of names or patterns; a missing one is empty.
 
     Raises:
-        ControlError: When it is something else.
+        ControlError: When it is something else, or too much.
     """
     found = arguments.get(name, [])
     if not isinstance(found, list) or not all(isinstance(each, str) for each in found):
         raise ControlError(Code.BAD_ARGUMENTS, f"{name} is a list of strings")
+    if len(found) > MOST_NAMES or any(len(each) > LONGEST_NAME for each in found):
+        raise ControlError(
+            Code.BAD_ARGUMENTS,
+            f"{name} are at most {MOST_NAMES} strings of {LONGEST_NAME} characters",
+        )
     return tuple(found)
 
 

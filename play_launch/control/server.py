@@ -46,6 +46,8 @@ class About(Struct, frozen=True, kw_only=True):
 @contextlib.asynccontextmanager
 async def serving(folder: Path, about: About, operate: Operate) -> AsyncIterator[None]:
     """Answer on the socket of this folder while the block runs; it runs in any case."""
+    # Commands have other working directories.
+    folder = await asyncio.to_thread(folder.absolute)
     try:
         listening = await asyncio.to_thread(_listen, folder)
     except OSError as error:

@@ -196,6 +196,9 @@ def test_what_cannot_be_done_is_refused_with_the_reason(config: Path, tmp_path: 
             (("stop", "/talker"), 2, "is a composable node; use load, unload or reload"),
             (("reload", "/chat"), 2, "is no composable node"),
             (("stop", "nobody"), 2, "nothing is called nobody"),
+            (("stop", "no\x1b[2Jbody"), 2, "nothing is called nobody"),
+            (("stop", "x" * 1001), 2, "at most 2000 strings of 1000 characters"),
+            (("ps", *["/chat"] * 2001), 2, "at most 2000 strings"),
             (("signal", "NONSENSE", "/chat"), 2, "is no signal"),
             (("signal", "USR1", "/camera"), 1, "no process of its own"),
             (("events", "--kind", "nonsense"), 2, "there are no events 'nonsense'"),
@@ -222,21 +225,6 @@ def test_a_process_that_is_deaf_to_signals_is_stopped_all_the_same(
         assert ask("stop", "deaf") == "/deaf: stopped\n"
         assert not alive([found])
         assert rows("/deaf")["/deaf"]["signal"] == signal.SIGKILL
-
-
-def test_a_daemon_is_stopped_with_the_process_that_started_it(config: Path, tmp_path: Path) -> None:
-    daemon = "  - {name: forks, command: [sh, -c, '(setsid sleep 1000 &); exec sleep 1000']}\n"
-    config.write_text(config.read_text(encoding="utf-8") + daemon, encoding="utf-8")
-    with running(config, tmp_path / "logs") as replay:
-        before = pids()
-        until(lambda: len(sleeping(replay)) == 3, "the daemon")
-        assert ask("stop", "forks") == "/forks: stopped\n"
-        assert sleeping(replay) == [before["/sleeper"]]
-
-
-def sleeping(replay: Replay) -> list[int]:
-    """Find what sleeps for the session, whoever its parent is by now."""
-    return [each.pid for each in alive(replay.descendants()) if each.name() == "sleep"]
 
 
 @pytest.mark.parametrize(
@@ -400,7 +388,9 @@ def test_of_two_sessions_one_is_chosen(
         "version: 1\nname: zweitös\nnodes: [{name: sleeper, command: [sleep, '1000']}]\n",
         encoding="utf-8",
     )
-    with running(config, tmp_path / "a") as first, replaying(other, tmp_path / "b") as second:
+    monkeypatch.chdir(tmp_path)
+    with running(config, tmp_path / "a") as first, replaying(other, Path("b")) as second:
+        monkeypatch.chdir("/")  # where a relative --log-dir means another folder
         ask("wait", "--session", "zweitös", "--timeout", "60")
         assert "2 sessions are running; choose one with --session" in ask("ps", code=1)
         for session in ("zweitös", str(second.pid), str(tmp_path / "b" / "latest")):
@@ -411,6 +401,9 @@ def test_of_two_sessions_one_is_chosen(
         monkeypatch.setenv("LC_ALL", "C")
         monkeypatch.setenv("PYTHONUTF8", "0")
         assert "/sleeper" in ask("ps", "--session", "zweitös")
+        (tmp_path / "b").rename(tmp_path / "moved")
+        assert "still runs" in ask("ps", "--session", str(second.pid), code=1)
+        (tmp_path / "moved").rename(tmp_path / "b")
 
 
 def test_parameters_are_read_and_set(config: Path, tmp_path: Path) -> None:

@@ -1,0 +1,44 @@
+"""What the installed command stops has no daemons left, also without a control group."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from play_launch.control.place import LINKS
+from tests.support.replay import COMMAND, Replay, alive, replaying
+from tests.support.waiting import until
+
+SYSTEM = """
+version: 1
+nodes:
+  - {name: sleeper, command: [sleep, "1000"]}
+  - {name: forks, command: [sh, -c, "(setsid sleep 1000 &); exec sleep 1000"]}
+"""
+
+
+def asked(*arguments: str) -> str:
+    done = subprocess.run([COMMAND, *arguments], check=True, capture_output=True, timeout=90)
+    return done.stdout.decode()
+
+
+def sleeping(replay: Replay) -> list[int]:
+    """Find what sleeps for the session, whoever its parent is by now."""
+    return [each.pid for each in alive(replay.descendants()) if each.name() == "sleep"]
+
+
+def test_a_daemon_is_stopped_with_the_process_that_started_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(LINKS, str(tmp_path / "links"))
+    config = tmp_path / "robot.yaml"
+    config.write_text(SYSTEM, encoding="utf-8")
+    with replaying(config, tmp_path / "logs", "-q") as replay:
+        asked("wait", "--timeout", "60")
+        (sleeper,) = json.loads(asked("ps", "--json", "sleeper"))
+        until(lambda: len(sleeping(replay)) == 3, "the daemon")
+        assert asked("stop", "forks") == "/forks: stopped\n"
+        assert sleeping(replay) == [sleeper["pid"]]
