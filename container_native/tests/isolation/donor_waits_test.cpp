@@ -296,6 +296,22 @@ void test_threads_are_cancelled_in_all_processes() {
   cancel_a_thread();
 }
 
+/// As for a user of whom too many signals are pending.
+void test_it_begins_where_no_signal_can_be_queued() {
+  const pid_t container = ::fork();
+  CHECK(container >= 0);
+  if (container == 0) {
+    const rlimit none{0, 0};
+    CHECK(::setrlimit(RLIMIT_SIGPENDING, &none) == 0);
+    CHECK(prepare_clone() == nullptr);
+    die_once(kDeaths.front());
+    ::_exit(0);
+  }
+  int status = 0;
+  CHECK(::waitpid(container, &status, 0) == container);
+  CHECK(WIFEXITED(status) && WEXITSTATUS(status) == 0);
+}
+
 void test_folder_and_mask_are_a_childs_own() {
   const mode_t mask = ::umask(022);
   const std::unique_ptr<char, decltype(&std::free)> before(::getcwd(nullptr, 0), &std::free);
@@ -315,7 +331,8 @@ void test_folder_and_mask_are_a_childs_own() {
 int main() {
   const rlimit no_cores{0, 0};
   ::setrlimit(RLIMIT_CORE, &no_cores);
-  // First: later it would find the handler installed by somebody else.
+  test_it_begins_where_no_signal_can_be_queued();
+  // Before all that is in this process: later it would find the handler installed.
   CHECK(prepare_clone() == nullptr);
   test_threads_are_cancelled_in_all_processes();
   prepare_crash_handling();

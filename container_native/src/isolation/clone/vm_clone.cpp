@@ -69,13 +69,13 @@ long make_process(Start& start, Birth* birth) noexcept {
 /// process that comes later and never got it dies of that signal.
 void install_cancel_handler() {
   pthread_t thread{};
-  const auto sleep = [](void*) -> void* {
-    while (true) {
-      ::pause();
-    }
+  // With cancellation off, nothing is sent: it ends also where no signal can be queued (ulimit -i).
+  const auto cancel_itself = [](void*) -> void* {
+    ::pthread_setcancelstate(PTHREAD_CANCEL_DISABLE, nullptr);
+    ::pthread_cancel(::pthread_self());
+    return nullptr;
   };
-  if (::pthread_create(&thread, nullptr, sleep, nullptr) == 0) {
-    ::pthread_cancel(thread);
+  if (::pthread_create(&thread, nullptr, cancel_itself, nullptr) == 0) {
     ::pthread_join(thread, nullptr);
   }
 }
