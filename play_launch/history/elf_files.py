@@ -72,7 +72,7 @@ def file_with_lines(elf: ElfFile, folders: tuple[Path, ...] = DEBUG_FOLDERS) -> 
         return elf.path
     for path in debug_files(elf, folders):
         found = read_elf(path)
-        # One without a build id cannot be told from that of another build.
+        # One without a build id cannot be distinguished from that of another build.
         if found is not None and found.has_lines and found.build_id == elf.build_id != "":
             return path
     return None

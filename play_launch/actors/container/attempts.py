@@ -1,4 +1,4 @@
-"""The numbers by which words about one load are told from those about another."""
+"""The numbers by which words about one load are distinguished from those about another."""
 
 from __future__ import annotations
 

@@ -244,7 +244,7 @@ class ContainerNodes:
         self._ask()
 
     def _want(self, key: NodeKey, said: NodeInput) -> None:
-        if self._nodes[key].is_withdrawn:  # it is on its way out
+        if self._nodes[key].is_withdrawn:  # it is about to be forgotten
             return
         is_ready = self._send is not None and not self._stopping
         self._nodes[key].reload_at = None
