@@ -266,7 +266,7 @@ def _check_token(token: str, what: str, whole: str) -> None:
         raise ValueError(f"the {what} {excerpt(whole)} holds __, which ROS keeps for itself")
 
 
-_OURS = frozenset({"PLAY_LAUNCH_CONTROL_FD"})
+_OURS = frozenset({"PLAY_LAUNCH_CONTROL_FD", "PLAY_LAUNCH_MEMBER"})
 _DOMAIN = "ROS_DOMAIN_ID"
 _QUOTABLE = frozenset({ScalarKind.INTEGER, ScalarKind.FLOAT, ScalarKind.BOOL})
 

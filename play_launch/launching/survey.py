@@ -13,6 +13,7 @@ from play_launch.install.command import ExecutableNotFoundError
 from play_launch.install.parameter_file import ParameterFileError, parameter_file_of
 from play_launch.launching.command import Command, container_command, process_command
 from play_launch.launching.needs import shares_memory
+from play_launch.process.kin import MEMBER_VARIABLE
 from play_launch.wire.channel import CONTROL_FD_VARIABLE
 
 if TYPE_CHECKING:
@@ -25,6 +26,8 @@ PARAMETER_FILE: Final = Path("(parameter file)")
 """Stands in a command line for the file, which is written for each run."""
 DESCRIPTOR: Final = "(descriptor)"
 """Stands for the number of a descriptor that the process inherits."""
+SUPERVISOR: Final = "(pid)"
+"""Stands for the pid of the supervisor."""
 
 
 class Start(Struct, frozen=True):
@@ -59,15 +62,20 @@ def _container(config: ContainerConfig, machine: Machine, ask: float) -> Start:
         return Start(config, str(error))
     if config.container_type is not ContainerType.STOCK:
         command = command.with_variables({CONTROL_FD_VARIABLE: DESCRIPTOR})
-    return Start(config, command, text)
+    return Start(config, _marked(command, config), text)
 
 
 def _process(config: ProcessConfig, machine: Machine) -> Start:
     try:
         text = parameter_file_of(config)
-        return Start(config, process_command(config, machine, _file(text)), text)
+        command = process_command(config, machine, _file(text))
+        return Start(config, _marked(command, config), text)
     except (ParameterFileError, ExecutableNotFoundError, ValueError) as error:
         return Start(config, str(error))
+
+
+def _marked(command: Command, config: ContainerConfig | ProcessConfig) -> Command:
+    return command.with_variables({MEMBER_VARIABLE: f"{SUPERVISOR}:{config.full_name}"})
 
 
 def _file(text: str | None) -> Path | None:

@@ -288,7 +288,7 @@ def spawn(
         settings: What it asks of the kernel, see `SessionGuard.spawn`; only with that.
         group: The control group that it enters by one of the settings: it is killed and removed
             with what is left in it.
-        mark: What tells that a daemon came of it, see `Kin`; nobody else's, with a session guard.
+        mark: Shows that a daemon came of it, see `Kin`; nobody else's, with a session guard.
         emulate_tty: Whether it writes to terminals, one for each stream, instead of pipes.
 
     Raises:

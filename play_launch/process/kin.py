@@ -1,7 +1,7 @@
 """What came of a child and has left its session: daemons, and what setsid(1) was put before.
 
 As long as its parents live, it is below the child. When they have ended, it is a child of the
-guard, and what tells whose it was is a variable that the child got, and that its children inherit.
+guard, and whose it was is in a variable that the child got, and that its children inherit.
 A process that has left its parents and cleared its environment belongs to nobody: the guard ends it
 with the session.
 """

@@ -43,6 +43,7 @@ class Outcome:
 
     exit_code: int
     view: SystemView
+    final_view: SystemView
 
 
 class BadEnd:
@@ -106,7 +107,8 @@ async def run_system(
     if "deaf" in script:
         say("deaf to the first request")
         await stop.hurry.wait()
-    return Outcome(exit_code(publisher.view, stop.signum), publisher.view)
+    view = publisher.view
+    return Outcome(exit_code=exit_code(view, stop.signum), view=view, final_view=view)
 
 
 if __name__ == "__main__":

@@ -149,6 +149,9 @@ def is_alike(shown: str, real: str) -> bool:
     """Whether they are the same but for what is decided at the start, or kept secret."""
     if shown == "(descriptor)":
         return real.isdecimal()
+    if shown.startswith("(pid):"):
+        pid, _, name = real.partition(":")
+        return pid.isdecimal() and shown == f"(pid):{name}"
     if shown == "(redacted)":
         return real in {SECRET, "plain"}
     if shown == "(parameter file)":
