@@ -22,6 +22,7 @@ from play_launch.actors.failures import failure_reason
 from play_launch.actors.inbox import Inbox
 from play_launch.actors.ports import StartError
 from play_launch.actors.process_reports import ProcessReports
+from play_launch.actors.rest import Rest
 from play_launch.actors.restarter import Restarter
 from play_launch.actors.sources import Source, Sources
 from play_launch.actors.turn import StartTurn
@@ -76,8 +77,7 @@ class Member:
         self._inbox = Inbox(deadlines=self._deadlines, on_time=self._on_time, on_error=self._fail)
         self._sources = Sources(lambda error: self.deliver(partial(self._fail, error)))
         self._queue_scope: anyio.CancelScope | None = None
-        self._rests = asyncio.Event()
-        self._rests.set()
+        self.rest = Rest()
         self._restart_at: float | None = None
         self._delay = 0.0
         self._death_reason = ""
@@ -108,12 +108,12 @@ class Member:
     @property
     def is_at_rest(self) -> bool:
         """Whether it does not run, nothing is left of it, and it does not start by itself."""
-        return self._rests.is_set()
+        return self.rest.is_reached
 
-    async def rests(self) -> bool:
-        """Wait until it is at rest; False when its process lives on although it was killed."""
-        await self._rests.wait()
-        return not self._is_stuck
+    @property
+    def is_stuck(self) -> bool:
+        """Whether its process lives on although it was killed."""
+        return self._is_stuck
 
     def ailment(self) -> str:
         """Say what nobody does for it that has to be done; empty: it is looked after."""
@@ -274,10 +274,8 @@ class Member:
                 _log.exception("%s: what follows from its failure failed as well", self.name)
 
     def _look_whether_it_rests(self) -> None:
-        if self.state in _AT_REST and (self._process is None or self._is_stuck):
-            self._rests.set()
-        else:
-            self._rests.clear()
+        is_reached = self.state in _AT_REST and (self._process is None or self._is_stuck)
+        self.rest.note(is_reached=is_reached, is_wanted=self.wanted)
 
     # A process, from its turn to its end.
 

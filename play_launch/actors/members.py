@@ -88,7 +88,7 @@ class Members:
     async def rest(self) -> None:
         """Wait until none of those that there are now runs."""
         for member in self.all:
-            await member.rests()
+            await member.rest.wait()
 
     def close(self) -> None:
         """Do nothing at any later time."""
@@ -136,8 +136,12 @@ class Members:
             self._publisher.withdraw(SubjectKind.PROCESS, name)
 
     async def _end(self, member: Member, reason: str) -> None:
-        member.post(MemberInput.STOP, reason)
-        if not await member.rests():
+        while True:
+            member.post(MemberInput.STOP, reason)
+            # Whoever has it started meanwhile gets what comes in its place.
+            if await member.rest.wait_unless_recalled():
+                break
+        if member.is_stuck:
             raise StuckError("its process does not die, not even of SIGKILL")
         member.close()
 

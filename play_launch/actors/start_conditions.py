@@ -123,5 +123,5 @@ class StartConditions:
 
 async def _stop_after(others: list[Member], member: Member, stop: StopRequests) -> None:
     for other in others:
-        await first_of(other.rests(), stop.hurry.wait())
+        await first_of(other.rest.wait(), stop.hurry.wait())
     member.post(MemberInput.STOP, stop.reason)

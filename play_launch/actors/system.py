@@ -151,13 +151,10 @@ class System:
         """State of a container or executable; KeyError for an unknown name."""
         return self._members[member].state
 
-    def is_at_rest(self, member: str) -> bool:
-        """Whether one does not run, nothing is left of it, and it does not start by itself."""
-        return self._members[member].is_at_rest
-
-    async def rests(self, member: str) -> None:
-        """Wait until one is at rest."""
-        await self._members[member].rests()
+    async def end_of(self, member: str) -> ContainerState | None:
+        """Wait until one is at rest and return its state; None when it is wanted again before."""
+        found = self._members[member]
+        return found.state if await found.rest.wait_unless_recalled() else None
 
     def start(self, member: str) -> None:
         """Have a container or executable run that does not; KeyError for an unknown name.

@@ -11,6 +11,8 @@ import signal
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
+import anyio
+
 from play_launch.control.outcome import (
     FOR_MEMBERS,
     FOR_NODES,
@@ -21,6 +23,7 @@ from play_launch.control.outcome import (
     node_is_loaded,
     of_member,
     of_node,
+    of_stop,
 )
 from play_launch.control.protocol import Code, ControlError, names_argument, seconds_argument
 from play_launch.control.targets import chosen, full_name, members_of, nodes_of
@@ -153,11 +156,10 @@ class Actions:
                 except KeyError:  # since it was chosen, a configuration was applied without it
                     verdicts[target] = _TAKEN_OUT
             if action is Action.STOP:
-                # The end of what one leaves behind is no event.
-                for target in targets:
-                    if self._is_member(full_name(target)):
-                        await self._system.rests(full_name(target))
-            judge = partial(self._judge, action, had_given_up)
+                async with anyio.create_task_group() as ends:
+                    for target in targets:
+                        ends.start_soon(self._see_end_of, target, had_given_up, verdicts)
+            judge = partial(self._judge, action)
             await until_judged(targets, judge, verdicts, changed)
 
     def _begin(self, action: Action, target: Target) -> None:
@@ -178,18 +180,26 @@ class Actions:
             case _:
                 raise AssertionError(action, target)
 
-    def _judge(self, action: Action, had_given_up: set[Target], target: Target) -> Verdict | None:
+    def _judge(self, action: Action, target: Target) -> Verdict | None:
         if isinstance(target, NodeKey):
             return self._of_node(target, partial(of_node, action))
         if not self._is_member(target):
             return _TAKEN_OUT
-        is_old = action is Action.STOP and target in had_given_up
-        return of_member(
-            action,
-            self._system.state_of(target),
-            is_at_rest=self._system.is_at_rest(target),
-            reason="" if is_old else self._reason(target),
-        )
+        return of_member(self._system.state_of(target), reason=self._reason(target))
+
+    async def _see_end_of(
+        self, target: Target, had_given_up: set[Target], verdicts: dict[Target, Verdict]
+    ) -> None:
+        """Judge a stop when nothing of it is left.
+
+        That is no event, and a configuration may put another one into its place at once.
+        """
+        member, verdict = full_name(target), _TAKEN_OUT
+        if self._is_member(member):
+            state = await self._system.end_of(member)
+            reason = "" if target in had_given_up else self._reason(member)
+            verdict = of_stop(state, reason=reason)
+        verdicts[target] = verdict
 
     def _is_up(self, target: Target) -> Verdict | None:
         if isinstance(target, NodeKey):

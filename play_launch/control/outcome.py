@@ -51,27 +51,31 @@ _NOT_LOADED: Final = frozenset(
 )
 
 
-def of_member(
-    action: Action, state: ContainerState, *, is_at_rest: bool, reason: str = ""
-) -> Verdict | None:
-    """Judge a start, stop or restart after it was begun; None: it is under way.
+def of_member(state: ContainerState, *, reason: str = "") -> Verdict | None:
+    """Judge a start or restart after it was begun; None: it is under way.
 
     Args:
-        action: What was asked for.
         state: Of the container or process by now.
-        is_at_rest: Whether nothing of its process is left and it does not start by itself.
         reason: Why it is in this state.
     """
-    if action is Action.STOP:
-        if not is_at_rest:
-            return None
-        has_stopped = state is ContainerState.STOPPED or not reason
-        return Verdict(has_stopped, "" if has_stopped else reason)
     if state is ContainerState.RUNNING:
         return Verdict(is_done=True)
     if state in _AT_REST:
         return Verdict(is_done=False, reason=reason or f"it has {_ended(state)}")
     return None
+
+
+def of_stop(state: ContainerState | None, *, reason: str = "") -> Verdict:
+    """Judge a stop when it is over.
+
+    Args:
+        state: Of the container or process when nothing was left of it; None: it was wanted again.
+        reason: Why it is in this state.
+    """
+    if state is None:
+        return Verdict(is_done=False, reason="it was started again meanwhile")
+    has_stopped = state is ContainerState.STOPPED or not reason
+    return Verdict(has_stopped, "" if has_stopped else reason)
 
 
 def of_node(

@@ -19,6 +19,7 @@ from typing import IO, TYPE_CHECKING, Final, NamedTuple
 
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata, Schema
+from msgspec import Struct
 
 from play_launch.history.file_end import MAGIC, NotTheEndError, problem_at_the_end
 from play_launch.history.records import (
@@ -73,7 +74,7 @@ class Damage(NamedTuple):
         return f"{self.file}: {place}" if self.file else place
 
 
-class Topic(NamedTuple):
+class Topic(Struct, frozen=True, order=True, cache_hash=True):
     """A channel of the file."""
 
     name: str
@@ -85,7 +86,7 @@ class Topic(NamedTuple):
     """Of that, as in the changes of state."""
 
 
-class Message(NamedTuple):
+class Message(Struct, frozen=True, gc=False):
     """One message; times are nanoseconds since the epoch."""
 
     topic: Topic
@@ -154,7 +155,8 @@ class BagReader:
         for part in parts:
             self._begin_file(part.path.name if len(parts) > 1 else "")
             try:
-                yield from self._file_messages(part.path, wanted)
+                for found in self._file_messages(part.path, wanted):
+                    yield from found
                 self._before = part.number
             except NotARecordingError as error:
                 unreadable.append(error)
@@ -171,7 +173,8 @@ class BagReader:
         self.channels, self._schemas = {}, {}
         self._has_chunks = self._passes_over = False
 
-    def _file_messages(self, path: Path, wanted: Container[str] | None) -> Iterator[Message]:
+    def _file_messages(self, path: Path, wanted: Container[str] | None) -> Iterator[list[Message]]:
+        """Give those of a file, chunk by chunk."""
         try:
             with open_bag(path) as file:
                 size = os.fstat(file.fileno()).st_size
@@ -191,7 +194,7 @@ class BagReader:
 
     def _records(
         self, file: IO[bytes], size: int, wanted: Container[str] | None
-    ) -> Iterator[Message]:
+    ) -> Iterator[list[Message]]:
         at = len(MAGIC)
         while at < size:
             head = file.read(_RECORD.size)
@@ -237,7 +240,7 @@ class BagReader:
                                 content = head + content
                             self._data(content, at, wanted, found)
                         finally:
-                            yield from found
+                            yield found
                         if kind == Opcode.CHUNK:
                             end = _behind_indexes(file, end, size)
                     case Opcode.ATTACHMENT:

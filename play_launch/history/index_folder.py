@@ -10,6 +10,7 @@ from mcap.reader import make_reader
 from play_launch.history.bag_reader import NotARecordingError
 from play_launch.recording.folder import parts_of
 from play_launch.recording.index import IndexedFile, IndexedTopic, write_index
+from play_launch.recording.session import METADATA_NAME, ROS_DISTRO
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -23,13 +24,21 @@ def index_folder(folder: Path) -> None:
         NotARecordingError: When a file has no summary.
     """
     parts = [part.path for part in parts_of(folder) if not part.is_active]
-    write_index(folder, [_indexed(path) for path in parts])
+    files, distros = [], []
+    for path in parts:
+        file, distro = _indexed(path)
+        files.append(file)
+        distros.append(distro)
+    write_index(folder, files, next(filter(None, distros), ""))
 
 
-def _indexed(path: Path) -> IndexedFile:
+def _indexed(path: Path) -> tuple[IndexedFile, str]:
+    """Give what the index says of a file, and the ROS distribution that it was recorded with."""
     try:
         with path.open("rb") as file:
-            summary = make_reader(file).get_summary()
+            reader = make_reader(file)
+            summary = reader.get_summary()
+            about = {one.name: one.metadata for one in reader.iter_metadata()}
     except (McapError, ValueError, EOFError) as error:
         raise NotARecordingError(f"{path}: {error}") from error
     if summary is None or summary.statistics is None:
@@ -46,4 +55,5 @@ def _indexed(path: Path) -> IndexedFile:
         count = statistics.channel_message_counts.get(number, 0)
         counts[topic] = counts.get(topic, 0) + count
     begin, end = statistics.message_start_time, statistics.message_end_time
-    return IndexedFile(path.name, begin, end, counts)
+    distro = about.get(METADATA_NAME, {}).get(ROS_DISTRO, "")
+    return IndexedFile(path.name, begin, end, counts), distro

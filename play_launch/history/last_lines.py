@@ -8,13 +8,15 @@ from __future__ import annotations
 import re
 from collections import deque
 from struct import Struct
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 from play_launch.cdr.layout import CdrError
 from play_launch.cdr.messages import LOG
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+
+    from play_launch.history.bag_reader import Message
 
 MOST: Final = 20
 _NAME: Final = Struct("<I")
@@ -25,20 +27,16 @@ _LOGGER_WITHIN: Final = 400
 """Bytes from the begin of a message in which a line's logger stands, if anywhere."""
 
 
-class _Line(NamedTuple):
-    log_time: int
-    data: bytes
-
-
 class LastLines:
     """A ring for each process and each logger in it: the nodes of a container share its output."""
 
     def __init__(self) -> None:
         """Begin without lines."""
-        self._rings: dict[bytes, dict[bytes, deque[_Line]]] = {}
+        self._rings: dict[bytes, dict[bytes, deque[Message]]] = {}
 
-    def take(self, log_time: int, data: bytes) -> None:
+    def take(self, message: Message) -> None:
         """Keep a message of the output topic; one that is damaged is left out."""
+        data = message.data
         if len(data) < _NAME_AT + _NAME.size:
             return
         (size,) = _NAME.unpack_from(data, _NAME_AT)
@@ -46,11 +44,13 @@ class LastLines:
         name = data[begin : begin + size - 1]
         found = _LOGGER.search(data, begin + size, _LOGGER_WITHIN + size)
         logger = found[1] if found else b""
-        rings = self._rings.setdefault(name, {})
+        rings = self._rings.get(name)
+        if rings is None:
+            rings = self._rings[name] = {}
         ring = rings.get(logger)
         if ring is None:
             ring = rings[logger] = deque(maxlen=MOST)
-        ring.append(_Line(log_time, data))
+        ring.append(message)
 
     def of_process(self, name: str, until_ns: int) -> tuple[str, ...]:
         """Give the latest lines of a process up to that moment."""
@@ -68,7 +68,7 @@ class LastLines:
         return _latest(chosen, until_ns)
 
 
-def _latest(rings: Iterator[deque[_Line]], until_ns: int) -> tuple[str, ...]:
+def _latest(rings: Iterator[deque[Message]], until_ns: int) -> tuple[str, ...]:
     lines = sorted(
         (line for ring in rings for line in ring if line.log_time <= until_ns),
         key=lambda line: line.log_time,

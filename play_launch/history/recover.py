@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import os
 from typing import IO, TYPE_CHECKING, NamedTuple
@@ -9,7 +10,8 @@ from typing import IO, TYPE_CHECKING, NamedTuple
 from mcap.writer import CompressionType, Writer
 
 from play_launch.history.bag_reader import BagReader, NotARecordingError
-from play_launch.recording.folder import open_bag
+from play_launch.history.index_folder import index_folder
+from play_launch.recording.folder import open_bag, part_file
 from play_launch.recording.part import ACTIVE_SUFFIX, HALF_SUFFIX
 
 if TYPE_CHECKING:
@@ -42,7 +44,8 @@ def default_output(path: Path) -> Path:
 def recover(path: Path, output: Path) -> Recovered:
     """Write what can be read of ``path`` to ``output``, with an index.
 
-    The file itself is not changed. ``output`` appears when it is whole.
+    The file itself is not changed. ``output`` appears when it is whole. Where it is a file of the
+    session beside ``path``, the folder gets the index that makes it a bag to rosbag2.
 
     Raises:
         RecoverError: When the file is no recording, is being written, or ``output`` exists or
@@ -53,11 +56,16 @@ def recover(path: Path, output: Path) -> Recovered:
     try:
         with open_bag(path) as source:
             _refuse_what_is_written(path, source)
-            return write_whole(path, output)
+            recovered = write_whole(path, output)
     except NotARecordingError as error:
         raise RecoverError(str(error)) from error
     except OSError as error:
         raise RecoverError(f"{error.filename or path}: {error.strerror}") from error
+    if output.parent == path.parent and part_file(output) is not None:
+        # The file is whole without it.
+        with contextlib.suppress(OSError, NotARecordingError):
+            index_folder(output.parent)
+    return recovered
 
 
 def write_whole(path: Path, output: Path) -> Recovered:

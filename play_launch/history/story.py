@@ -36,9 +36,10 @@ from play_launch.history.trends import LITTLE_DISK, Samples
 from play_launch.recording import topics
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
-    from play_launch.history.bag_reader import BagReader, Message
+    from play_launch.history.bag_reader import BagReader, Message, Topic
 
 _RECORDER: Final = "play_launch.recording.recorder"
 _INTERRUPTED: Final = "the recording is interrupted: "
@@ -115,22 +116,25 @@ class Telling:
         self._interruptions: list[LogRecord] = []
         self._waiting: list[tuple[int, int, Incident]] = []
         """Incidents whose last lines may still come, and until when."""
+        self._takes: dict[Topic, Callable[[Message], None]] = {}
 
     def take(self, message: Message) -> None:
         """Take the next message of the recording, of whatever topic."""
         while self._waiting and message.log_time > self._waiting[0][0]:
             self._look_at_lines(heapq.heappop(self._waiting)[2])
-        topic = message.topic
+        take = self._takes.get(message.topic)
+        if take is None:
+            take = self._takes[message.topic] = self._take_of(message.topic)
+        take(message)
+
+    def _take_of(self, topic: Topic) -> Callable[[Message], None]:
         if topic.type_name == topics.PROCESS_STATS:
-            self.samples.take(message)
-        elif topic.name == topics.OUTPUT.name:
-            self._lines.take(message.log_time, message.data)
-        elif topic.name == topics.SYSTEM.name:
-            self.samples.take_system(message)
-        elif topic.name in PARAMETER_TOPICS:
-            self._take_parameters(message)
-        else:
-            self._take_event(message)
+            return self.samples.of(topic.key)
+        if topic.name == topics.OUTPUT.name:
+            return self._lines.take
+        if topic.name == topics.SYSTEM.name:
+            return self.samples.take_system
+        return self._take_parameters if topic.name in PARAMETER_TOPICS else self._take_event
 
     def story(self) -> Story:
         """Give what was wrong; no message comes any more."""

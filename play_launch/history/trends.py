@@ -16,7 +16,7 @@ from play_launch.core.events import MemoryKind
 from play_launch.history.findings import Quantity, Trend
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from play_launch.history.bag_reader import Message
 
@@ -97,10 +97,10 @@ class _Series:
         self.peak = 0.0
         """Bytes of memory, of those that are not here any more."""
 
-    def add(self, log_time: int, data: bytes) -> None:
+    def take(self, message: Message) -> None:
         """Keep a sample; of a session of days, fewer of each hour."""
-        self.times.append(log_time)
-        self.data.append(data)
+        self.times.append(message.log_time)
+        self.data.append(message.data)
         if len(self.data) > MOST_SAMPLES:
             self.peak = max(self.peak, *map(_memory, self.data[1:-1:2]))
             del self.data[1:-1:2], self.times[1:-1:2]
@@ -144,12 +144,9 @@ class Samples:
         self._names: dict[str, str] = {}
         self._system: list[tuple[int, bytes]] = []
 
-    def take(self, message: Message) -> None:
-        """Keep one of a process."""
-        series = self._series.get(message.topic.key)
-        if series is None:
-            series = self._series[message.topic.key] = _Series()
-        series.add(message.log_time, message.data)
+    def of(self, key: str) -> Callable[[Message], None]:
+        """Give what keeps the samples of a process."""
+        return self._series.setdefault(key, _Series()).take
 
     def take_system(self, message: Message) -> None:
         """Keep one of the machine."""

@@ -10,6 +10,7 @@ import array
 import atexit
 import errno
 import os
+import signal
 import socket
 import struct
 import subprocess
@@ -34,6 +35,8 @@ _GROUP: Final = 6
 _ANSWER: Final = struct.Struct("=3i")
 _ANSWER_LIMIT: Final = 10.0
 """Seconds after which a guard that does not answer counts as lost."""
+_STOPPED_AFTER: Final = 1.0
+"""Seconds after which one that does not answer may have been stopped, and is continued."""
 _END_LIMIT: Final = 5.0
 """Seconds in which it ends everything; uninterruptible processes may take longer."""
 
@@ -81,9 +84,12 @@ class SessionGuard:
     it has started, and ends. Belongs to one thread.
     """
 
-    def __init__(self, ours: socket.socket, process: subprocess.Popen[bytes]) -> None:
+    def __init__(
+        self, ours: socket.socket, process: subprocess.Popen[bytes], answer_limit: float
+    ) -> None:
         self._socket = ours
         self._process = process
+        self._answer_limit = answer_limit
         self._is_lost = False
         self._helpers = 0
         self._started: set[int] = set()
@@ -119,7 +125,7 @@ class SessionGuard:
                 start_new_session=True,
             )
             on_failure.pop_all()
-        return cls(ours, process)
+        return cls(ours, process, answer_limit)
 
     @property
     def pid(self) -> int:
@@ -218,6 +224,7 @@ class SessionGuard:
         self._say_farewell()
         atexit.unregister(self._say_farewell)
         self._socket.close()
+        self._continue()
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(_END_LIMIT)
 
@@ -240,13 +247,29 @@ class SessionGuard:
         answer = b""
         if not self._is_lost:
             with suppress(TimeoutError, ConnectionError):
-                answer = self._socket.recv(_ANSWER.size)
+                answer = self._receive()
             # Whatever comes later would be taken for the answer to another request.
             self._is_lost = len(answer) != _ANSWER.size
         if self._is_lost:
             raise ConnectionResetError(errno.ECONNRESET, "the guard of the session does not answer")
         result, code, status = _ANSWER.unpack(answer)
         return result, code, status
+
+    def _receive(self) -> bytes:
+        limit = self._answer_limit
+        if limit > _STOPPED_AFTER:
+            self._socket.settimeout(_STOPPED_AFTER)
+            try:
+                return self._socket.recv(_ANSWER.size)
+            except TimeoutError:
+                self._continue()
+            finally:
+                self._socket.settimeout(limit)
+        return self._socket.recv(_ANSWER.size)
+
+    def _continue(self) -> None:
+        # It is the parent of our containers, whose nodes can send it signals.
+        self._process.send_signal(signal.SIGCONT)
 
     def _send(self, request: bytes, descriptors: Sequence[int]) -> None:
         rights = (socket.SOL_SOCKET, socket.SCM_RIGHTS, array.array("i", descriptors))

@@ -125,18 +125,20 @@ class McapBagWriter:
         rotation: Rotation | None = None,
         sync: float = math.inf,
         has_index: bool = False,
+        ros_distro: str = "",
     ) -> None:
         """Create the file; it must not exist.
 
         ``definition`` gives the text of a message type. Every ``sync`` seconds what was written is
-        forced to the disk. With an index, the folder of the file is a bag to rosbag2. Raises
-        :class:`WriteFailedError`.
+        forced to the disk. With an index, which names ``ros_distro``, the folder of the file is a
+        bag to rosbag2. Raises :class:`WriteFailedError`.
         """
         self._first_path = path
         self._library = library
         self._definition = definition
         self._rotation = rotation or Rotation()
         self._has_index = has_index
+        self._ros_distro = ros_distro
         self._topics: dict[int, Topic] = {}
         self._head: list[Callable[[Part], None]] = []
         self._has_begun = False
@@ -325,7 +327,7 @@ class McapBagWriter:
 
     def _write_index(self, finished: tuple[IndexedFile, ...]) -> None:
         try:
-            write_index(self._first_path.parent, finished)
+            write_index(self._first_path.parent, finished, self._ros_distro)
         except OSError as error:
             # Each file is whole without it.
             _log.warning("cannot write the index of %s: %s", self._first_path, reason(error))

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 INDEX_NAME: Final = "metadata.yaml"
 NEW_SUFFIX: Final = ".new"
 """Appended to its name until it is whole."""
-_VERSION: Final = 6
+_VERSION: Final = 8
 """With the quality of service as text; 9 has a list there, which older versions do not read."""
 
 
@@ -34,20 +34,23 @@ class IndexedFile(NamedTuple):
     """Messages."""
 
 
-def write_index(folder: Path, files: Sequence[IndexedFile]) -> None:
+def write_index(folder: Path, files: Sequence[IndexedFile], ros_distro: str) -> None:
     """Put the index of these files into their folder; may raise ``OSError``.
 
-    A reader finds the index of before or the new one, whole.
+    ``ros_distro`` is the one that they were recorded with; empty: not known. A reader finds the
+    index of before or the new one, whole.
     """
     import yaml  # noqa: PLC0415 - when the first file is complete
 
-    text = yaml.safe_dump({"rosbag2_bagfile_information": index(files)}, sort_keys=False)
+    text = yaml.safe_dump(
+        {"rosbag2_bagfile_information": index(files, ros_distro)}, sort_keys=False
+    )
     new = folder / (INDEX_NAME + NEW_SUFFIX)
     new.write_text(text, encoding="utf-8")
     new.rename(folder / INDEX_NAME)
 
 
-def index(files: Sequence[IndexedFile]) -> dict[str, Any]:
+def index(files: Sequence[IndexedFile], ros_distro: str) -> dict[str, Any]:
     """What rosbag2 wants to know of a bag (rosbag2_storage, `BagMetadata`)."""
     filled = [file for file in files if any(file.counts.values())]
     begin = min((file.begin for file in filled), default=0)
@@ -68,6 +71,7 @@ def index(files: Sequence[IndexedFile]) -> dict[str, Any]:
                     "type": topic.type_name,
                     "serialization_format": "cdr",
                     "offered_qos_profiles": topic.offered_qos_profiles,
+                    "type_description_hash": "",
                 },
                 "message_count": count,
             }
@@ -86,4 +90,5 @@ def index(files: Sequence[IndexedFile]) -> dict[str, Any]:
             for file in files
         ],
         "custom_data": None,
+        "ros_distro": ros_distro,
     }

@@ -40,6 +40,8 @@ _LONGEST_NAME: Final = 100
 SCHEMA_VERSION: Final = 1
 """Version of the layout of a recording: topics, attachments and metadata."""
 METADATA_NAME: Final = "play_launch.session"
+ROS_DISTRO: Final = "ros_distro"
+"""A name in it; empty where the environment does not say."""
 INCLUDED: Final = "includes/"
 PARAMETERS: Final = "parameters/"
 """What the names of attached files begin with."""
@@ -95,6 +97,7 @@ def open_session(
         rotation=Rotation(record.rotate.size, record.rotate.duration),
         sync=record.sync,
         has_index=True,
+        ros_distro=_ros_distro(description),
     )
     try:
         write_head(writer, description, session_id)
@@ -140,13 +143,17 @@ def write_head(writer: BagWriter, description: SessionDescription, session_id: s
             "versions": json.dumps(versions, ensure_ascii=False),
             "play_launch_version": versions.get("play-launch-py", ""),
             "rmw_implementation": description.environ.get("RMW_IMPLEMENTATION", ""),
-            "ros_distro": description.environ.get("ROS_DISTRO", ""),
+            ROS_DISTRO: _ros_distro(description),
             "ros_domain_id": description.environ.get("ROS_DOMAIN_ID", ""),
             "kernel": str(host["kernel"]),
             "boot_id": str(host["boot_id"]),
             "python_executable": sys.executable,
         },
     )
+
+
+def _ros_distro(description: SessionDescription) -> str:
+    return description.environ.get("ROS_DISTRO", "")
 
 
 def _json(values: Mapping[str, object]) -> bytes:

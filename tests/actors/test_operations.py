@@ -418,7 +418,7 @@ def test_every_action_is_carried_out_once_and_nothing_is_left(inputs: list[str])
                 ):
                     member.post(MemberInput(said))
             member.post(MemberInput.STOP)
-            await member.rests()
+            await member.rest.wait()
             tasks.cancel_scope.cancel()
         member.close()
         assert member.done == member.expected

@@ -63,8 +63,9 @@ WAYS = {
     "sys": SIGSYS,
     "xcpu": SIGXCPU,
     "trap": SIGTRAP,
+    "traced_by_parent": SIGSEGV,
 }
-TRACED = {"segv", "abrt", "exception"}
+TRACED = {"segv", "abrt", "exception", "traced_by_parent"}
 """Ways to die in the thread that runs the callback; the others are signals to the process."""
 
 DAMAGED = {

@@ -77,6 +77,16 @@ def test_failures_are_told_and_survived(container: Container) -> None:
     container.loaded("Talker")
 
 
+def test_of_a_failure_s_long_text_the_beginning_is_reported(container: Container) -> None:
+    """In full it might not fit into a frame, and the failure would be lost."""
+    knight, type_name = "\N{BLACK CHESS KNIGHT}", "std::runtime_error: "
+    container.load("ThrowingConstructor", parameters={"reason": knight * 100_000})
+    text = container.event(LOAD_FAILED).error_message
+    shown = knight * ((16 * 1024 - len(type_name)) // 3)
+    assert text.endswith(f"{type_name}{shown}... (cut, of {len(type_name) + 300_000} bytes)")
+    container.loaded("Talker")
+
+
 def test_an_exception_in_a_callback_ends_the_container_by_name(spawn: StartContainer) -> None:
     container = spawn()
     container.load("Crasher", node_name="bad_one", parameters={"how": "exception", "after": 0.0})

@@ -57,7 +57,7 @@ def test_a_whole_file_is_read(compression: CompressionType) -> None:
     reader, messages = read(recording(compression))
     assert numbers(messages) == list(range(COUNT))
     assert [message.topic.name for message in messages[:2]] == ["/even", "/odd"]
-    assert messages[5][1:3] == (1005, 5)
+    assert (messages[5].log_time, messages[5].publish_time) == (1005, 5)
     assert reader.is_complete
     assert reader.damages == []
     assert (reader.begin, reader.end) == (1000, 1000 + COUNT - 1)

@@ -6,6 +6,7 @@ import signal
 from typing import TYPE_CHECKING
 
 import pytest
+from rosbags.highlevel import AnyReader
 
 from play_launch.archive.folders import is_being_written
 from play_launch.core.events import OutputLine, RunEvent, Stream
@@ -27,6 +28,10 @@ LINES: list[RunEvent] = [
 ]
 
 
+def contents(reader: BagReader) -> list[tuple[object, ...]]:
+    return [(m.topic, m.log_time, m.publish_time, m.data) for m in reader.messages()]
+
+
 def texts(path: Path) -> list[str]:
     return [each.message.msg for each in messages(path)]
 
@@ -38,8 +43,7 @@ def test_a_whole_file_loses_nothing(tmp_path: Path) -> None:
     assert (recovered.messages, recovered.reader.damages) == (100, [])
     assert texts(recovered.path) == [f"line {number}" for number in range(100)]
     again = BagReader(recovered.path)
-    copies = [each[:4] for each in again.messages()]
-    assert copies == [each[:4] for each in BagReader(bag).messages()]
+    assert contents(again) == contents(BagReader(bag))
     assert again.is_complete
     assert again.metadata == recovered.reader.metadata
     qos = {each.channel.metadata["offered_qos_profiles"] for each in again.channels.values()}
@@ -54,6 +58,9 @@ def test_a_cut_file_keeps_what_comes_before(tmp_path: Path) -> None:
     assert recovered.path == tmp_path / "session.mcap"
     assert BagReader(recovered.path).damages == []
     assert cut.exists()
+    with AnyReader([tmp_path]) as reader:  # it takes a folder with an index alone
+        assert reader.message_count == recovered.messages
+        assert [one.ros_distro for one in reader.readers] == ["jazzy"]  # type: ignore[union-attr]
 
 
 def test_what_is_being_written_is_refused(tmp_path: Path) -> None:
@@ -75,7 +82,9 @@ def test_nothing_is_overwritten_and_nothing_half_is_left(tmp_path: Path) -> None
         recover(tmp_path / "no.mcap", tmp_path / "z.mcap")
     with pytest.raises(RecoverError, match="No such file"):
         recover(bag, tmp_path / "nowhere" / "z.mcap")
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["no.mcap", "x.mcap"]
+    recover(bag, tmp_path / "elsewhere.mcap")
+    names = sorted(path.name for path in tmp_path.iterdir())
+    assert names == ["elsewhere.mcap", "no.mcap", "x.mcap"], "no index of what is no session"
 
 
 CONFIG = """

@@ -99,7 +99,7 @@ EVENT_BEFORE_MODULES = Layout(
 
 def record(path: Path, events: list[RunEvent], damage: bytes = b"") -> Path:
     writer = McapBagWriter(path)
-    writer.metadata(METADATA_NAME, {"name": "x", "started_ns": "500"})
+    writer.metadata(METADATA_NAME, {"name": "x", "started_ns": "500", "ros_distro": "jazzy"})
     channels = {topic: writer.register(topic) for topic in topics.ALL_TOPICS}
     for number, event in enumerate(events):
         for topic, data, _ in convert(event):

@@ -20,7 +20,7 @@ def test_a_session_of_days_is_thinned_out() -> None:
     count = 5 * MOST_SAMPLES
     for at in range(1, count):
         memory = 10**12 if at == 3 else 10**7 + at * 10**5
-        samples.take(sample(at, memory, at / 4))
+        samples.of("/a")(sample(at, memory, at / 4))
     assert samples.peak_memory() == {"/a": 10**12}
     assert abs(samples.mean_cpu()["/a"] - 25) < 0.1
     (trend,) = samples.before("/a", "/a", 7, count * SECOND)
@@ -31,7 +31,7 @@ def test_a_session_of_days_is_thinned_out() -> None:
 
 def test_one_sample_says_how_much_there_was() -> None:
     samples = Samples()
-    samples.take(sample(1, 5, 0.1))
+    samples.of("/a")(sample(1, 5, 0.1))
     assert samples.peak_memory() == {"/a": 5}
     assert samples.mean_cpu() == {}
     assert samples.before("/a", "/a", 7, 2 * SECOND) == ()

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import os
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 
+from play_launch.fastdds.shared_memory import SHARED_MEMORY
 from tests.support.loopback_network import permitted
 from tests.support.replay import replaying
 from tests.support.shared_memory import segments_of
@@ -49,16 +52,24 @@ def test_profile(profile: str, expected: list[int], tmp_path: Path) -> None:
     config = tmp_path / "system.yaml"
     config.write_text(SYSTEM.format(profile=PROFILES / f"{profile}.xml"), encoding="utf-8")
 
-    with replaying(config, tmp_path / "log", in_a_network=True) as replay:
+    with ExitStack() as stack:
+        replay = stack.enter_context(replaying(config, tmp_path / "log", in_a_network=True))
         replay.read_until(
             lambda event: "I heard" in event.get("text", ""), "a message from process to process"
         )
-        found = segments_of(each.pid for each in replay.descendants())
-        sizes = [path.stat().st_size // MEBIBYTE for path in found]
+        # It has a /dev/shm of its own, too, which is there as long as we have it open.
+        shared = os.open(f"/proc/{replay.pid}/root{SHARED_MEMORY}", os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            found = {each.name for each in segments_of(each.pid for each in replay.descendants())}
+            sizes = [os.stat(name, dir_fd=shared).st_size // MEBIBYTE for name in found]
+            stack.close()
+            left = found.intersection(os.listdir(shared))  # noqa: PTH208 - of a descriptor
+        finally:
+            os.close(shared)
 
     assert sizes == expected
     assert replay.process.returncode == 130
-    assert not [path for path in found if path.exists()]
+    assert not left
 
 
 def test_profiles_are_named_in_the_docs() -> None:

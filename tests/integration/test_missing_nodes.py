@@ -104,7 +104,10 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Replay]:
             if case.do is not None:
                 case.do(name, loaded(replays[name]))
             replays[name].read_until(
-                lambda event, to=case.outcome: (event["event"], event.get("state")) == to,
+                # At the beginning containers are stopped without a reason.
+                lambda event, to=case.outcome: (
+                    (event["event"], event.get("state")) == to and event["reason"]
+                ),
                 f"{case.outcome}",
             )
         end.touch()

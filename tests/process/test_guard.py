@@ -286,6 +286,26 @@ async def test_a_guard_that_answers_too_late_is_lost_and_its_children_live_on(
 
 
 @pytest.mark.anyio
+async def test_a_guard_that_was_stopped_is_continued(session: SessionGuard) -> None:
+    """A node may do that, whose parent it is, or whoever stops everything of a user."""
+    os.kill(session.pid, signal.SIGSTOP)
+    child = spawn(shell("exit 3"), env=environment(), guard=session)
+    async with asyncio.timeout(60):
+        assert await child.gone() == Exit(code=3)
+    assert session.is_alive
+
+
+@pytest.mark.anyio
+async def test_closing_a_guard_that_was_stopped_leaves_nothing(guard: Path) -> None:
+    session = SessionGuard.start(guard)
+    left = await escaped(session, "setsid")
+    os.kill(session.pid, signal.SIGSTOP)
+    await asyncio.to_thread(session.close)
+    assert not alive(left)
+    assert not session.is_alive
+
+
+@pytest.mark.anyio
 async def test_what_does_not_fit_is_refused(session: SessionGuard) -> None:
     with pytest.raises(SpawnError, match="null byte"):
         spawn(["sh", "-c", "exit\0 3"], env=environment(), guard=session)

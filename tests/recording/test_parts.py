@@ -31,7 +31,9 @@ def write_line(writer: McapBagWriter, channel: int, number: int) -> None:
 
 def three_parts(folder: Path, *, has_index: bool = False) -> McapBagWriter:
     """Lines 1 to 6 in three files, and two states in the first one."""
-    writer = McapBagWriter(folder / "session.mcap", rotation=Rotation(size=1), has_index=has_index)
+    writer = McapBagWriter(
+        folder / "session.mcap", rotation=Rotation(size=1), has_index=has_index, ros_distro="jazzy"
+    )
     writer.attach("config.yaml", "application/yaml", b"a: 1\n", time=5)
     writer.metadata("play_launch.session", {"id": "1"})
     states, output = writer.register(STATES), writer.register(OUTPUT)
@@ -76,6 +78,7 @@ def test_the_folder_is_one_bag_to_others(tmp_path: Path) -> None:
     three_parts(tmp_path, has_index=True)
     with AnyReader([tmp_path]) as reader:
         assert reader.message_count == 10
+        assert [one.ros_distro for one in reader.readers] == ["jazzy"]  # type: ignore[union-attr]
         counts = {each.topic: each.msgcount for each in reader.connections}
         lines = [
             reader.deserialize(raw, connection.msgtype).msg  # type: ignore[attr-defined]

@@ -1,7 +1,11 @@
-"""A network namespace with nothing but a loopback, for a command and all that it starts.
+"""A network with nothing but a loopback, and a /dev/shm, for a command and all that it starts.
 
 ``python loopback_network.py COMMAND ...`` replaces itself with the command. Discovery over the
 default range, with multicast, then reaches everything in there, and nothing outside.
+
+Fast DDS takes the number of a participant from the first UDP port that is free, and names queues in
+/dev/shm after it. Two networks that share a /dev/shm take each other's queues away, so each has its
+own.
 """
 
 from __future__ import annotations
@@ -15,7 +19,9 @@ import sys
 from pathlib import Path
 
 _CLONE_NEWNET = 0x40000000
+_CLONE_NEWNS = 0x00020000
 _CLONE_NEWUSER = 0x10000000
+_MS_REC, _MS_PRIVATE = 0x4000, 0x40000
 _SIOCGIFFLAGS, _SIOCSIFFLAGS = 0x8913, 0x8914
 _IFF_UP, _IFF_MULTICAST = 0x1, 0x1000
 _REQUEST = struct.Struct("16sh14x")
@@ -28,18 +34,28 @@ def wrapped(*command: object) -> list[str]:
     return [sys.executable, str(Path(__file__)), *map(str, command)]
 
 
-def _unshare(flags: int) -> None:
-    library = ctypes.CDLL(None, use_errno=True)
-    if library.unshare(flags) != 0:
+_LIBC = ctypes.CDLL(None, use_errno=True)
+
+
+def _checked(result: int) -> None:
+    if result != 0:
         number = ctypes.get_errno()
         raise OSError(number, os.strerror(number))
 
 
 def _enter() -> None:
+    own = _CLONE_NEWNET | _CLONE_NEWNS
+    user, group = os.geteuid(), os.getegid()
     try:
-        _unshare(_CLONE_NEWNET)
+        _checked(_LIBC.unshare(own))
     except PermissionError:
-        _unshare(_CLONE_NEWUSER | _CLONE_NEWNET)
+        _checked(_LIBC.unshare(_CLONE_NEWUSER | own))
+        Path("/proc/self/setgroups").write_text("deny", encoding="ascii")
+        Path("/proc/self/uid_map").write_text(f"{user} {user} 1", encoding="ascii")
+        Path("/proc/self/gid_map").write_text(f"{group} {group} 1", encoding="ascii")
+    # What is mounted in here is not to be seen outside.
+    _checked(_LIBC.mount(None, b"/", None, ctypes.c_ulong(_MS_REC | _MS_PRIVATE), None))
+    _checked(_LIBC.mount(b"none", b"/dev/shm", b"tmpfs", ctypes.c_ulong(0), b"mode=1777"))
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
         _, flags = _REQUEST.unpack(fcntl.ioctl(any_socket, _SIOCGIFFLAGS, _REQUEST.pack(b"lo", 0)))
         fcntl.ioctl(
@@ -63,5 +79,5 @@ if __name__ == "__main__":
     try:
         _enter()
     except OSError as error:
-        sys.exit(f"no network namespace: {error.strerror}")
+        sys.exit(f"no namespaces for a network and mounts: {error.strerror}")
     os.execvp(sys.argv[1], sys.argv[1:])

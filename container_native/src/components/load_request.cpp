@@ -2,13 +2,35 @@
 
 #include <cxxabi.h>
 
+#include <cstddef>
 #include <exception>
+#include <string>
 #include <typeinfo>
 
 #include "base/demangle.hpp"
 
 namespace play_launch::container {
 namespace {
+
+/// Bytes. A text that is too long for a frame would be no text at all, and nobody reads this much.
+constexpr std::size_t kLongestText = 16 * 1024;
+
+/// At most that of it, cut between two characters (UTF-8).
+std::string shortened(std::string text) {
+  if (text.size() <= kLongestText) {
+    return text;
+  }
+  const auto continues = [](char byte) {
+    return (static_cast<unsigned char>(byte) & 0xc0) == 0x80;
+  };
+  const std::string whole = std::to_string(text.size());
+  std::size_t end = kLongestText;
+  while (end > 0 && continues(text[end])) {
+    --end;
+  }
+  text.resize(end);
+  return text + "... (cut, of " + whole + " bytes)";
+}
 
 std::string describe(const std::exception& error) {
   std::string text = demangled(typeid(error).name()) + ": " + error.what();
@@ -30,7 +52,7 @@ std::string describe_current_exception() {
   } catch (const LoadError& error) {
     return error.what();
   } catch (const std::exception& error) {
-    return describe(error);
+    return shortened(describe(error));
   } catch (...) {
     const std::type_info* type = abi::__cxa_current_exception_type();
     return "an exception of type " + (type != nullptr ? demangled(type->name()) : "unknown");
