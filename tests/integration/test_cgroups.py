@@ -164,9 +164,12 @@ def test_what_somebody_does_to_the_groups_loses_nothing(base: Path, tmp_path: Pa
         # Moved out of their groups, which are removed.
         elsewhere = Group(base / "elsewhere")
         elsewhere.make()
-        moved = Group(session).processes()
-        elsewhere.move_here(moved)
-        until(Group(session).remove, "the removal of all groups")
+
+        def are_removed() -> bool:
+            elsewhere.move_here(Group(session).processes())  # they may fork meanwhile
+            return Group(session).remove()
+
+        until(are_removed, "the removal of all groups")
         os.kill(pids["/a"], signal.SIGKILL)
         pids |= until_up(replay, "/a")
         os.kill(pids["/shell"], signal.SIGKILL)
