@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import contextlib
 import os
 import signal
 import socket
@@ -18,6 +19,8 @@ from play_launch.fastdds.shared_memory import sweep
 
 # For `tests.…`; at the end, so that `play_launch` is the installed package.
 sys.path.append(str(Path(__file__).resolve().parents[1]))
+
+from tests.support.loopback_network import leave_shared_memory
 
 pytest_plugins = ["tests.support.turns"]
 
@@ -46,6 +49,11 @@ def claim_domain() -> tuple[int, socket.socket]:
 
 _DOMAIN, _CLAIM = claim_domain()
 atexit.register(_CLAIM.close)
+if "PYTEST_XDIST_WORKER" in os.environ:
+    # Participants of all domains share some queues in /dev/shm: those that a test kills or stops
+    # hold up those of the tests beside it. Where this is not permitted, that may happen.
+    with contextlib.suppress(OSError):
+        leave_shared_memory()
 # Before anything imports rclpy, and for every process that a test starts.
 os.environ["ROS_DOMAIN_ID"] = str(_DOMAIN)
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"

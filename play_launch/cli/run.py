@@ -20,6 +20,7 @@ from play_launch.cli.show.json_style import JsonStyle, encode
 from play_launch.cli.show.terminal import is_terminal, surviving_the_loss_of_stdout, wants_colour
 from play_launch.cli.show.text_styles import LiveStyle, PlainStyle
 from play_launch.cli.signals import RunSignals
+from play_launch.control.door import Door
 from play_launch.control.feed import Feed
 from play_launch.core.events import GroupSample, OutputLine
 from play_launch.core.group_totals import GroupTotals
@@ -51,7 +52,7 @@ _BEFORE_TOPICS: Final = 0.1
 """Seconds before the first look whether the start is over, and topics are to be recorded."""
 
 _BEFORE_CONTROL: Final = 0.2
-"""Seconds from the start of the first processes until the session can be operated."""
+"""Seconds from the start of the first processes until commands are answered."""
 
 
 class RunOptions(Struct, frozen=True):
@@ -110,19 +111,23 @@ def run(config: ReplayConfig, options: RunOptions) -> int:
     Raises ``RecordingError`` when the session cannot be recorded from the start; nothing has been
     started then.
     """
-    with RunSignals() as signals:
+    with RunSignals() as signals, contextlib.ExitStack() as opened:
         session = open_session(
             _description(config),
             log_folder=options.log_folder or config.log_dir,
             record=config.record,
         )
+        # Before it is announced, so that who reads of it can connect.
+        door = opened.enter_context(Door(str(session.folder.path)))
         _announce(config, session, options)
         display = Display(_style(options))
         sink = RunSink(session.recorder, display, config)
         try:
             with log_published(sink.publish_log):
-                outcome = asyncio.run(_until_the_end(config, session, sink, signals, options))
+                work = _until_the_end(config, session, sink, signals, options, door=door)
+                outcome = asyncio.run(work)
         finally:
+            opened.close()
             display.close()
             recording = session.recorder.close()
     _sum_up(outcome, recording, sink.used.get(), options)
@@ -135,6 +140,8 @@ async def _until_the_end(
     sink: RunSink,
     signals: RunSignals,
     options: RunOptions,
+    *,
+    door: Door,
 ) -> Outcome:
     from play_launch.actors.publisher import Publisher  # noqa: PLC0415
     from play_launch.actors.stop_requests import StopRequests  # noqa: PLC0415
@@ -163,6 +170,7 @@ async def _until_the_end(
                     session,
                     system,
                     operable,
+                    door=door,
                     publisher=publisher,
                     sink=sink,
                     snapshots=snapshots,
@@ -231,6 +239,7 @@ async def _serve_control(
     system: asyncio.Future[System],
     operable: asyncio.Future[None],
     *,
+    door: Door,
     publisher: Publisher,
     sink: RunSink,
     snapshots: Snapshots,
@@ -245,6 +254,7 @@ async def _serve_control(
             config,
             session,
             operated,
+            door=door,
             publisher=publisher,
             feed=sink.feed,
             snapshots=snapshots,

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from play_launch.actors.system import System
     from play_launch.cli.watch import Watched
     from play_launch.config import ReplayConfig
+    from play_launch.control.door import Door
     from play_launch.control.feed import Feed
     from play_launch.recording.session import Session
     from play_launch.topic_recording.snapshot import Snapshots
@@ -38,6 +39,7 @@ async def serve_control(
     session: Session,
     system: System,
     *,
+    door: Door,
     publisher: Publisher,
     feed: Feed,
     snapshots: Snapshots,
@@ -80,7 +82,7 @@ async def serve_control(
         started_ns=time.time_ns(),
     )
     try:
-        async with serving(session.folder.path, about, operations):
+        async with serving(door, about, operations):
             operable.set_result(None)
             if watched is not None:
                 await _watch(watched, config, changes)

@@ -368,7 +368,7 @@ def _explained(folder: str, error: OSError | EOFError) -> Exception:
         return NoSessionError(f"the session in {folder} is another user's: {error.strerror}")
     if isinstance(error, TimeoutError):
         return ControlError(Code.TIMEOUT, f"the session in {folder} does not answer")
-    if isinstance(error, EOFError):
+    if isinstance(error, EOFError | ConnectionResetError):
         return NoSessionError(f"the session in {folder} has just ended")
     return ControlError(
         Code.INTERNAL, f"the session in {folder} does not answer: {error.strerror or error}"

@@ -6,27 +6,25 @@ import asyncio
 import contextlib
 import logging
 import os
-import socket
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from msgspec import Struct
 
 from play_launch.control.connection import Connection, Room
-from play_launch.control.place import CONTROL_SOCKET, Peer, address_of, register
 from play_launch.control.protocol import PROTOCOL, encode
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Coroutine
 
     from play_launch.control.connection import Operate
+    from play_launch.control.door import Door
+    from play_launch.control.place import Peer
 
 MOST_CLIENTS: Final = 128
 """Connections at once; whoever comes then is refused."""
 MOST_RECEIVED: Final = 16 * 1024 * 1024
 """Bytes of long requests in memory, of all clients: read in part, waiting or under way. What is
 made of them can take twenty times as much."""
-_BACKLOG: Final = 128
 _log = logging.getLogger(__name__)
 
 
@@ -44,24 +42,20 @@ class About(Struct, frozen=True, kw_only=True):
 
 
 @contextlib.asynccontextmanager
-async def serving(folder: Path, about: About, operate: Operate) -> AsyncIterator[None]:
-    """Answer on the socket of this folder while the block runs; it runs in any case."""
-    # Commands have other working directories.
-    folder = await asyncio.to_thread(folder.absolute)
-    try:
-        listening = await asyncio.to_thread(_listen, folder)
-    except OSError as error:
-        _log.warning("the session cannot be controlled: no socket in %s: %s", folder, error)
+async def serving(door: Door, about: About, operate: Operate) -> AsyncIterator[None]:
+    """Answer who comes to the door while the block runs; it runs in any case."""
+    for problem in door.problems:
+        _log.warning("%s", problem)
+    if door.socket is None:
         yield
         return
-    server = Server(folder, about, operate)
+    server = Server(door.folder, about, operate)
     loop = asyncio.get_running_loop()
-    listener = await loop.create_unix_server(server.connection, sock=listening)
-    link = await asyncio.to_thread(_register, folder)
+    listener = await loop.create_unix_server(server.connection, sock=door.socket)
     try:
         yield
     finally:
-        await asyncio.to_thread(_remove, link, folder / CONTROL_SOCKET)
+        await asyncio.to_thread(door.withdraw)
         listener.close()
         await server.close()
 
@@ -69,7 +63,7 @@ async def serving(folder: Path, about: About, operate: Operate) -> AsyncIterator
 class Server:
     """The clients of a session. It belongs to the thread of the event loop."""
 
-    def __init__(self, folder: Path, about: About, operate: Operate) -> None:
+    def __init__(self, folder: str, about: About, operate: Operate) -> None:
         """Know what to answer."""
         self._operate = operate
         self._room = Room(MOST_RECEIVED)
@@ -83,7 +77,7 @@ class Server:
                     "pid": os.getpid(),
                     "name": about.name,
                     "session": about.session,
-                    "folder": str(folder),
+                    "folder": folder,
                     "started_ns": about.started_ns,
                 }
             }
@@ -124,39 +118,3 @@ class Server:
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
         return task
-
-
-def _listen(folder: Path) -> socket.socket:
-    path = folder / CONTROL_SOCKET
-    listening = socket.socket(socket.AF_UNIX)
-    try:
-        listening.setblocking(False)
-        with address_of(str(folder)) as address:
-            # Nobody else may connect, from the first moment on.
-            os.fchmod(listening.fileno(), 0o600)
-            listening.bind(address)
-        path.chmod(0o600)
-        listening.listen(_BACKLOG)
-    except BaseException:
-        listening.close()
-        raise
-    return listening
-
-
-def _remove(*paths: Path | None) -> None:
-    for path in paths:
-        if path is not None:
-            with contextlib.suppress(OSError):
-                path.unlink()
-
-
-def _register(folder: Path) -> Path | None:
-    try:
-        return Path(register(str(folder)))
-    except OSError as error:
-        _log.warning(
-            "commands find this session by --session %s only: it is not registered: %s",
-            folder,
-            error,
-        )
-        return None

@@ -7,6 +7,7 @@ import contextlib
 import os
 import select
 import socket
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +15,7 @@ import pytest
 
 from play_launch.control.client import ControlClient, NoSessionError, connect, connect_to, running
 from play_launch.control.connection import MOST_AT_ONCE
+from play_launch.control.door import Door
 from play_launch.control.place import CONTROL_SOCKET, LINKS, registered
 from play_launch.control.protocol import LONGEST_REQUEST, Code, ControlError, decode, encode
 from play_launch.control.server import MOST_CLIENTS, MOST_RECEIVED, About, serving
@@ -78,8 +80,9 @@ def links(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 async def served(folder: Path) -> AsyncIterator[Session]:
     folder.mkdir(parents=True, exist_ok=True)
     session = Session()
-    async with serving(folder, ABOUT, session):
-        yield session
+    with await asyncio.to_thread(Door, str(folder)) as door:
+        async with serving(door, ABOUT, session):
+            yield session
 
 
 def with_server(folder: Path, work: Callable[[Session], Any]) -> Any:
@@ -90,6 +93,39 @@ def with_server(folder: Path, work: Callable[[Session], Any]) -> Any:
             return await asyncio.to_thread(work, session)
 
     return asyncio.run(main())
+
+
+def until_somebody_is_at(door: Door) -> None:
+    assert door.socket is not None
+    waiting = select.poll()
+    waiting.register(door.socket, select.POLLIN)
+    assert waiting.poll(60_000)
+
+
+def test_who_comes_before_somebody_answers_waits_for_it(tmp_path: Path) -> None:
+    async def main() -> None:
+        with await asyncio.to_thread(Door, str(tmp_path)) as door:
+            early = asyncio.create_task(asyncio.to_thread(connect))
+            await asyncio.to_thread(until_somebody_is_at, door)
+            assert not early.done()
+            async with serving(door, ABOUT, Session()), asyncio.timeout(60):
+                with await early as client:
+                    assert await asyncio.to_thread(client.ask, "echo", {"a": 1}) == {"a": 1}
+
+    asyncio.run(main())
+
+
+def test_who_comes_to_a_run_that_ends_before_it_answers_hears_of_that(
+    tmp_path: Path, links: Path
+) -> None:
+    with ThreadPoolExecutor(1) as pool:
+        with Door(str(tmp_path)) as door:
+            early = pool.submit(connect)
+            until_somebody_is_at(door)
+        with pytest.raises(NoSessionError, match="has just ended"):
+            early.result(60)
+    assert not list(tmp_path.glob("*.sock"))
+    assert not list(links.iterdir())
 
 
 def test_it_greets_answers_and_is_gone_at_its_end(tmp_path: Path, links: Path) -> None:

@@ -63,6 +63,22 @@ def _enter() -> None:
         )
 
 
+def _mount_shared_memory() -> None:
+    # What is mounted in here is not to be seen outside.
+    _checked(_LIBC.mount(None, b"/", None, ctypes.c_ulong(_MS_REC | _MS_PRIVATE), None))
+    _checked(_LIBC.mount(b"none", b"/dev/shm", b"tmpfs", ctypes.c_ulong(0), b"mode=1777"))
+
+
+def leave_shared_memory() -> None:
+    """Give this thread, and whatever it starts from now on, a /dev/shm of its own.
+
+    Raises:
+        OSError: When that is not permitted; it needs CAP_SYS_ADMIN.
+    """
+    _checked(_LIBC.unshare(_CLONE_NEWNS))
+    _mount_shared_memory()
+
+
 def permitted() -> bool:
     """Whether this kernel lets us make one."""
     child = os.fork()

@@ -15,6 +15,7 @@ from play_launch.cli.top.app import End, TopApp
 from play_launch.cli.top.link import MOST_UNDER_WAY
 from play_launch.cli.top.panes import Pane, Question
 from play_launch.control.client import connect_to
+from play_launch.control.door import Door
 from play_launch.control.place import LINKS
 from play_launch.control.protocol import Code, ControlError
 from play_launch.control.server import About, serving
@@ -117,15 +118,17 @@ def links(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 @contextlib.asynccontextmanager
 async def shown(folder: Path, size: tuple[int, int] = (80, 24)) -> AsyncIterator[Scene]:
     session = Session()
-    async with serving(folder, ABOUT, session):
-        with await asyncio.to_thread(connect_to, str(folder)) as client:
-            app = TopApp(client)
-            async with app.run_test(size=size) as pilot:
-                scene = Scene(session, app, pilot)
-                await scene.until(lambda: app.model.has_rows, "rows")
-                app._draw()
-                with blockbuster_ctx("play_launch"):
-                    yield scene
+    async with contextlib.AsyncExitStack() as opened:
+        door = opened.enter_context(await asyncio.to_thread(Door, str(folder)))
+        await opened.enter_async_context(serving(door, ABOUT, session))
+        client = opened.enter_context(await asyncio.to_thread(connect_to, str(folder)))
+        app = TopApp(client)
+        pilot = await opened.enter_async_context(app.run_test(size=size))
+        scene = Scene(session, app, pilot)
+        await scene.until(lambda: app.model.has_rows, "rows")
+        app._draw()
+        with blockbuster_ctx("play_launch"):
+            yield scene
 
 
 def acted(folder: Path, act: Callable[[Scene], Coroutine[Any, Any, None]], **how: Any) -> End:
