@@ -46,6 +46,7 @@ from play_launch.launching.survey import allocator_for
 from play_launch.process.child import spawn
 from play_launch.process.guard import SessionGuard
 from play_launch.process.identity import read_stat
+from play_launch.process.kin import mark_for
 from play_launch.process.machine import (
     SHARED_MEMORY_FIX,
     full_shared_memory,
@@ -351,7 +352,7 @@ class NativeLauncher:
                 zygote=self._zygote(command) if may_fork else None,
                 settings=(*entry, *command.resources.settings()),
                 group=group,
-                mark=name and f"{os.getpid()}:{name}",
+                mark=name and mark_for(os.getpid(), name),
             )
         except SpawnError as error:
             raise StartError(str(error), permanent=error.errno not in _PASSING) from error

@@ -118,7 +118,8 @@ def run(config: ReplayConfig, options: RunOptions) -> int:
             record=config.record,
         )
         # Before it is announced, so that who reads of it can connect.
-        door = opened.enter_context(Door(str(session.folder.path)))
+        door = Door(str(session.folder.path))
+        opened.callback(door.close)
         _announce(config, session, options)
         display = Display(_style(options))
         sink = RunSink(session.recorder, display, config)

@@ -8,12 +8,9 @@ from __future__ import annotations
 import contextlib
 import os
 import socket
-from typing import TYPE_CHECKING, Final, Self
+from typing import Final
 
 from play_launch.control.place import CONTROL_SOCKET, address_of, register
-
-if TYPE_CHECKING:
-    from types import TracebackType
 
 _BACKLOG: Final = 128
 
@@ -49,17 +46,8 @@ class Door:
                 f"it is not registered: {error}"
             )
 
-    def __enter__(self) -> Self:
-        """Return itself."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        """Withdraw and close."""
+    def close(self) -> None:
+        """Withdraw, and listen no longer."""
         self.withdraw()
         if self.socket is not None:
             self.socket.close()

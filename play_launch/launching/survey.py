@@ -13,7 +13,7 @@ from play_launch.install.command import ExecutableNotFoundError
 from play_launch.install.parameter_file import ParameterFileError, parameter_file_of
 from play_launch.launching.command import Command, container_command, process_command
 from play_launch.launching.needs import shares_memory
-from play_launch.process.kin import MEMBER_VARIABLE
+from play_launch.process.kin import MEMBER_VARIABLE, mark_for
 from play_launch.wire.channel import CONTROL_FD_VARIABLE
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ def _process(config: ProcessConfig, machine: Machine) -> Start:
 
 
 def _marked(command: Command, config: ContainerConfig | ProcessConfig) -> Command:
-    return command.with_variables({MEMBER_VARIABLE: f"{SUPERVISOR}:{config.full_name}"})
+    return command.with_variables({MEMBER_VARIABLE: mark_for(SUPERVISOR, config.full_name)})
 
 
 def _file(text: str | None) -> Path | None:

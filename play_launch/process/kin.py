@@ -23,6 +23,11 @@ MEMBER_VARIABLE: Final = "PLAY_LAUNCH_MEMBER"
 """Names the child that a process came of, and the supervisor of it."""
 
 
+def mark_for(supervisor: object, name: str) -> str:
+    """Make that variable's value of the supervisor's pid, or what stands for it, and a name."""
+    return f"{supervisor}:{name}"
+
+
 class Kin:
     """Finds what came of one child; belongs to the loop's thread."""
 

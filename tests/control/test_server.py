@@ -80,7 +80,7 @@ def links(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 async def served(folder: Path) -> AsyncIterator[Session]:
     folder.mkdir(parents=True, exist_ok=True)
     session = Session()
-    with await asyncio.to_thread(Door, str(folder)) as door:
+    with contextlib.closing(await asyncio.to_thread(Door, str(folder))) as door:
         async with serving(door, ABOUT, session):
             yield session
 
@@ -104,7 +104,7 @@ def until_somebody_is_at(door: Door) -> None:
 
 def test_who_comes_before_somebody_answers_waits_for_it(tmp_path: Path) -> None:
     async def main() -> None:
-        with await asyncio.to_thread(Door, str(tmp_path)) as door:
+        with contextlib.closing(await asyncio.to_thread(Door, str(tmp_path))) as door:
             early = asyncio.create_task(asyncio.to_thread(connect))
             await asyncio.to_thread(until_somebody_is_at, door)
             assert not early.done()
@@ -119,7 +119,7 @@ def test_who_comes_to_a_run_that_ends_before_it_answers_hears_of_that(
     tmp_path: Path, links: Path
 ) -> None:
     with ThreadPoolExecutor(1) as pool:
-        with Door(str(tmp_path)) as door:
+        with contextlib.closing(Door(str(tmp_path))) as door:
             early = pool.submit(connect)
             until_somebody_is_at(door)
         with pytest.raises(NoSessionError, match="has just ended"):

@@ -119,7 +119,8 @@ def links(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 async def shown(folder: Path, size: tuple[int, int] = (80, 24)) -> AsyncIterator[Scene]:
     session = Session()
     async with contextlib.AsyncExitStack() as opened:
-        door = opened.enter_context(await asyncio.to_thread(Door, str(folder)))
+        door = await asyncio.to_thread(Door, str(folder))
+        opened.callback(door.close)
         await opened.enter_async_context(serving(door, ABOUT, session))
         client = opened.enter_context(await asyncio.to_thread(connect_to, str(folder)))
         app = TopApp(client)
