@@ -88,10 +88,38 @@ RlimitsSection: type[Section] = type(
 )
 
 
-class ResourcesSection(Section):
+class LimitsSection(Section):
+    """Limits of a control group, wherever they stand."""
+
+    advice: ClassVar[Mapping[str, str]] = {
+        "cpu_quota": "cpu_max",
+        "cpu_shares": "cpu_weight",
+        "pids_limit": "pids_max",
+        "memory_limit": "memory_max",
+    }
+
+    cpu_max: CpuMax | None = optional(kinds.CPU_MAX)
+    cpu_weight: int | None = optional(kinds.WEIGHT)
+    cpuset: tuple[int, ...] | None = optional(kinds.CPUS)
+    io_weight: int | None = optional(kinds.WEIGHT)
+    pids_max: float | None = optional(kinds.PIDS_MAX)
+    memory_high: float | None = optional(kinds.MEMORY_LIMIT)
+    memory_max: float | None = optional(kinds.MEMORY_LIMIT)
+
+
+class GroupLimitsSection(LimitsSection):
+    """`defaults` and entries of `per_node` of `cgroups`."""
+
+    advice: ClassVar[Mapping[str, str]] = {**LimitsSection.advice, "cpus": "cpuset"}
+
+    cpuset_cpus: tuple[int, ...] | None = optional(kinds.CPUS)
+
+
+class ResourcesSection(LimitsSection):
     """`resources`: what a process asks of the kernel for itself."""
 
     advice: ClassVar[Mapping[str, str]] = {
+        **LimitsSection.advice,
         "priority": "scheduler",
         "policy": "scheduler",
         "cpus": "cpu_affinity",
@@ -102,10 +130,6 @@ class ResourcesSection(Section):
         "ulimit": "rlimits",
         "ulimits": "rlimits",
         "cpuset_cpus": "cpuset",
-        "cpu_quota": "cpu_max",
-        "cpu_shares": "cpu_weight",
-        "pids_limit": "pids_max",
-        "memory_limit": "memory_max",
         "memory": "memory_max",
     }
 
@@ -116,34 +140,6 @@ class ResourcesSection(Section):
     oom_score_adj: int | None = optional(kinds.integer(-1000, 1000))
     lock_memory: bool | None = optional(kinds.BOOLEAN)
     rlimits: Section | None = nested(RlimitsSection)
-    cpu_max: CpuMax | None = optional(kinds.CPU_MAX)
-    cpu_weight: int | None = optional(kinds.WEIGHT)
-    cpuset: tuple[int, ...] | None = optional(kinds.CPUS)
-    io_weight: int | None = optional(kinds.WEIGHT)
-    pids_max: float | None = optional(kinds.PIDS_MAX)
-    memory_high: float | None = optional(kinds.MEMORY_LIMIT)
-    memory_max: float | None = optional(kinds.MEMORY_LIMIT)
-
-
-class GroupLimitsSection(Section):
-    """Limits of control groups: `defaults` and entries of `per_node` of `cgroups`."""
-
-    advice: ClassVar[Mapping[str, str]] = {
-        "cpus": "cpuset",
-        "cpu_quota": "cpu_max",
-        "cpu_shares": "cpu_weight",
-        "pids_limit": "pids_max",
-        "memory_limit": "memory_max",
-    }
-
-    cpu_max: CpuMax | None = optional(kinds.CPU_MAX)
-    cpu_weight: int | None = optional(kinds.WEIGHT)
-    cpuset: tuple[int, ...] | None = optional(kinds.CPUS)
-    io_weight: int | None = optional(kinds.WEIGHT)
-    pids_max: float | None = optional(kinds.PIDS_MAX)
-    memory_high: float | None = optional(kinds.MEMORY_LIMIT)
-    memory_max: float | None = optional(kinds.MEMORY_LIMIT)
-    cpuset_cpus: tuple[int, ...] | None = optional(kinds.CPUS)
 
 
 class CgroupsSection(Section):

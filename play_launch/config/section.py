@@ -58,14 +58,18 @@ def nested(section: type[Section]) -> Any:
 
 
 class Section:
-    """A mapping of the configuration; `advice` says what to write instead of some foreign keys."""
+    """A mapping of the configuration; `advice` says what to write instead of some foreign keys.
+
+    A section that is made of another one has its keys, too, after its own.
+    """
 
     keys: ClassVar[Mapping[str, Key]] = {}
     advice: ClassVar[Mapping[str, str]] = {}
 
     def __init_subclass__(cls) -> None:
-        cls.keys = {name: key for name, key in vars(cls).items() if isinstance(key, Key)}
-        for name in cls.keys:
+        own = {name: key for name, key in vars(cls).items() if isinstance(key, Key)}
+        cls.keys = {**own, **cls.keys}
+        for name in own:
             # What an instance has without the key.
             setattr(cls, name, None)
 

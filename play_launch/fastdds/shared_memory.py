@@ -128,7 +128,7 @@ def _turn() -> Iterator[None]:
 def _sweep_segment(name: str, report: SweepReport) -> None:
     with ExitStack() as held:
         lock = f"{name}_el"
-        state = _take_lock(lock, held)
+        state = _take_lock(SHARED_MEMORY / lock, held)
         if state is _Lock.ABSENT and _Mappings().users(name):
             state = _Lock.BUSY
         if state is _Lock.ABSENT and _exists(lock):
@@ -191,7 +191,8 @@ class _Port:
             _remove(self.semaphore, report)
 
     def _take_locks(self, held: ExitStack) -> None:
-        self._locks = {_take_lock(f"{self.name}{suffix}", held) for suffix in ("_el", "_sl")}
+        paths = [SHARED_MEMORY / f"{self.name}{suffix}" for suffix in ("_el", "_sl")]
+        self._locks = {_take_lock(path, held) for path in paths}
 
 
 def _sweep_ports(names: list[str], report: SweepReport) -> None:
@@ -218,9 +219,8 @@ class _Lock(Enum):
     ABSENT = "absent"
 
 
-def _take_lock(name: str, held: ExitStack) -> _Lock:
+def _take_lock(path: Path, held: ExitStack) -> _Lock:
     """Lock a lock file as its owner would, until `held` is closed; never create it."""
-    path = SHARED_MEMORY / name
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW)
     except FileNotFoundError:
@@ -327,15 +327,8 @@ def _remove(name: str, report: SweepReport) -> None:
 
 def _is_left(lock: Path) -> bool:
     """Whether nobody holds the lock that the owner of a segment holds for all of its life."""
-    try:
-        descriptor = os.open(lock, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW)
-    except OSError:
-        return False
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except OSError:
-        return False
-    finally:
-        os.close(descriptor)
+    with ExitStack() as held:
+        if _take_lock(lock, held) is not _Lock.TAKEN:
+            return False
     # A receiver that shares its port holds the other lock with others, so that ours is no proof.
     return lock.name.endswith("_el") and not lock.with_name(f"{lock.name[:-3]}_sl").exists()

@@ -13,11 +13,10 @@ from typing import TYPE_CHECKING, Final, assert_never
 
 from msgspec.structs import replace
 
-from play_launch.actors.container.load_request import load_request
 from play_launch.actors.container.node_facts import NOTHING, Facts
 from play_launch.actors.container.node_reports import MirroredNode, NodeReports
 from play_launch.actors.container.node_words import words_of
-from play_launch.actors.container.questions import Questions
+from play_launch.actors.container.requests import Requests
 from play_launch.actors.container.suspect_nodes import SuspectNodes
 from play_launch.actors.ports import StartError
 from play_launch.actors.restarter import CrashFollower
@@ -27,11 +26,7 @@ from play_launch.core.lifecycle import is_silent, step
 from play_launch.core.node_report import NodeReport, report_of
 from play_launch.core.node_table import NodeAction, NodeInput
 from play_launch.core.outlook import NodeFacts
-from play_launch.core.questions import Asked
 from play_launch.core.restart import GiveUp, Restart
-from play_launch.wire.channel import ControlError
-from play_launch.wire.codec import EncodeError
-from play_launch.wire.messages import Accepted, Cancel, Outgoing, Rejected, Status, Unload
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -46,7 +41,7 @@ if TYPE_CHECKING:
     from play_launch.core.node_key import NodeKey
     from play_launch.core.order import Verdict
     from play_launch.core.probe import Finding
-    from play_launch.wire.messages import NodeStatus
+    from play_launch.wire.messages import Accepted, NodeStatus, Outgoing, Rejected, Status
 
 _log = logging.getLogger(__name__)
 _reported = logging.getLogger(REPORTED_LOGGER)
@@ -94,11 +89,9 @@ class ContainerNodes:
         self._deliver = deliver
         self._order = order
         self._groups = groups
-        self._send: Callable[[Outgoing], None] | None = None
         self._stopping = False
         self._lost_loading: list[NodeKey] = []
-        self._questions = Questions(config.full_name)
-        self._to_ask: dict[NodeKey, MirroredNode] = {}
+        self._requests = Requests(config.full_name)
         self._nodes = {node.key: self._mirror(node) for node in config.composable_nodes}
         self.suspects = SuspectNodes(config, probes, self, deliver)
         """Those that may have taken the container down; its `run` has to run."""
@@ -109,6 +102,11 @@ class ContainerNodes:
 
     def _mirror(self, config: ComposableNodeConfig) -> MirroredNode:
         return MirroredNode(config, CrashFollower(config.on_crash, config.restart, self._jitter))
+
+    @property
+    def _is_ready(self) -> bool:
+        """Whether the container takes loads."""
+        return self._requests.are_heard and not self._stopping
 
     def declare(self, config: ComposableNodeConfig, *, anew: bool = False) -> None:
         """Take in a node, which is loaded as soon as the container is ready.
@@ -125,7 +123,7 @@ class ContainerNodes:
             return
         node = self._nodes[config.key] = self._mirror(config)
         self._reports.state(node, NOTHING)
-        if self._send is not None and not self._stopping:
+        if self._is_ready:
             self._begin(node)
 
     def withdraw(self, key: NodeKey) -> None:
@@ -149,7 +147,7 @@ class ContainerNodes:
 
     def container_ready(self, send: Callable[[Outgoing], None]) -> None:
         """Ask for all nodes at once, in the order of their declaration."""
-        self._send = send
+        self._requests.begin(send)
         self._stopping = False
         for node in tuple(self._nodes.values()):
             self._begin(node)
@@ -169,7 +167,7 @@ class ContainerNodes:
         """Load a node that waited for what it depends on, or let it fail."""
         if verdict.fails:
             self.refuse(node.key, verdict.reason)
-        elif self._send is not None and not self._stopping and not self.suspects.holds(node.key):
+        elif self._is_ready and not self.suspects.holds(node.key):
             self._apply(node, NodeInput.CONTAINER_READY)
 
     def container_stops(self) -> None:
@@ -184,9 +182,7 @@ class ContainerNodes:
     def container_lost(self, reason: str) -> None:
         """The container process is gone, and with it all nodes."""
         self._lost_loading = self._under_way()
-        self._send = None
-        self._questions.clear()
-        self._to_ask.clear()
+        self._requests.end()
         for node in self._nodes.values():
             node.reload_at = None
             self._apply(node, NodeInput.CONTAINER_LOST, Facts(reason=reason))
@@ -219,7 +215,7 @@ class ContainerNodes:
 
     def load_cleared(self) -> None:
         """Load the nodes whose library was found to be good, if it is their turn."""
-        if self._send is None or self._stopping:
+        if not self._is_ready:
             return
         since = self._clock() - _ALONE_LIMIT
         for key in self.suspects.due(self._under_way(since)):
@@ -241,24 +237,23 @@ class ContainerNodes:
         """Have a node unloaded; it does not come back with its container either."""
         self._nodes[key].reload_at = None
         self._apply(self._nodes[key], NodeInput.UNLOAD_REQUESTED)
-        self._ask()
+        self._requests.ask()
 
     def _want(self, key: NodeKey, said: NodeInput) -> None:
         if self._nodes[key].is_withdrawn:  # it is about to be forgotten
             return
-        is_ready = self._send is not None and not self._stopping
         self._nodes[key].reload_at = None
         self._nodes[key].follower.forget()
-        self._apply(self._nodes[key], said if is_ready else NodeInput.WANTED)
-        self._ask()
+        self._apply(self._nodes[key], said if self._is_ready else NodeInput.WANTED)
+        self._requests.ask()
 
     def hear(self, message: Accepted | Rejected | ComponentEvent | Status) -> None:
         """Take what the container said."""
         if isinstance(message, ComponentEvent):
             self._reports.event(message)
-        for word in words_of(message, self._nodes, self._questions, self._container):
+        for word in words_of(message, self._nodes, self._requests.questions, self._container):
             self._apply(*word)
-        self._ask()
+        self._requests.ask()
         self.load_cleared()
 
     def hear_silence(self, listed: Iterable[NodeStatus]) -> None:
@@ -293,7 +288,7 @@ class ContainerNodes:
                 self._reload(node)
             if is_silent(node.record, now):
                 self._apply(node, NodeInput.SILENT)
-        self._ask()
+        self._requests.ask()
         self.load_cleared()
 
     def _apply(self, node: MirroredNode, said: NodeInput, facts: Facts = NOTHING) -> None:
@@ -360,11 +355,11 @@ class ContainerNodes:
                 _log.warning(text, node.name, self._container)
                 self._send_load(node, "the container did not know the load; sent anew")
             case NodeAction.SEND_QUERY:
-                self._to_ask[node.key] = node
+                self._requests.ask_about(node)
             case NodeAction.SEND_CANCEL:
-                self._request(Cancel(unique_id=node.record.unique_id))
+                self._requests.cancel(node)
             case NodeAction.SEND_UNLOAD:
-                self._request(Unload(unique_id=node.record.unique_id))
+                self._requests.unload(node)
             case NodeAction.FOLLOW_UP:
                 self._follow_up(node, facts)
             case _:
@@ -378,32 +373,8 @@ class ContainerNodes:
             self._apply(node, NodeInput.REJECTED, Facts(attempt=attempt, reason=str(error)))
             return
         self._reports.state(node, Facts(reason=reason))
-        self._request(load_request(node.config, attempt, entry), node)
-
-    def _request(self, message: Outgoing, node: MirroredNode | None = None) -> None:
-        if self._send is None:
-            return
-        try:
-            self._send(message)
-        except EncodeError as error:
-            if node is None:
-                raise
-            facts = Facts(attempt=node.record.attempt, reason=str(error))
-            self._apply(node, NodeInput.REJECTED, facts)
-        except ControlError as error:
-            # Whoever reads the channel learns it as well and deals with the container.
-            _log.debug("%s: a request was not sent: %s", self._container, error)
-
-    def _ask(self) -> None:
-        """Put one question about all nodes that one is due for."""
-        if not self._to_ask:
-            return
-        asked = tuple(
-            Asked(node.key, node.record.attempt, node.record.unique_id)
-            for node in self._to_ask.values()
-        )
-        self._to_ask.clear()
-        self._request(self._questions.put(asked))
+        if why := self._requests.load(node, entry):
+            self._apply(node, NodeInput.REJECTED, Facts(attempt=attempt, reason=why))
 
     def _follow_up(self, node: MirroredNode, facts: Facts) -> None:
         """Decide what follows from a crash or a failed reload, report it, do it."""

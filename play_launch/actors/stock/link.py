@@ -12,6 +12,7 @@ import logging
 from collections import Counter
 from typing import TYPE_CHECKING, Any, assert_never
 
+from play_launch.actors.stock.asking import Silence, first_list
 from play_launch.actors.stock.ports import STOCK_LIMITS, StockLimits
 from play_launch.actors.stock.reports import ContainerIdentity, Request, StockReports
 from play_launch.core.composition import Composition
@@ -53,11 +54,6 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-
-_FIRST_LISTS = 8
-"""How many first questions may be open."""
-_BREATH = 0.05
-"""Seconds from one of them to the next at least: while the graph changes, it changes a lot."""
 _UNLOADS = 2
 """How often a node is asked to go when a container is let go."""
 
@@ -107,8 +103,7 @@ class StockLink:
         self._tasks: set[asyncio.Task[None]] = set()
         self._late_list: asyncio.Future[Any] | None = None
         self._changed = asyncio.Event()
-        self._heard_at = self._loop.time()
-        self._is_reported_silent = False
+        self._silence = Silence(container.name, limits.silence, self._loop.time)
         self._is_closed = False
         self.is_greeted = False
         self.on_list: Callable[[tuple[ListedNode, ...]], None] = lambda _: None
@@ -133,10 +128,10 @@ class StockLink:
 
     async def _ask_for_hello(self) -> Hello:
         await self._services.ready()
-        nodes = await self._first_list()
+        nodes = await first_list(self._services, self._limits)
         self._composition.serially = not await self._services.constructs_in_background()
         self._composition.begin(nodes)
-        self._heard_at = self._loop.time()
+        self._silence.heard()
         self.is_greeted = True
         self._start(self._look_now_and_then())
         there = f"{len(nodes)} node(s) were there already"
@@ -218,33 +213,6 @@ class StockLink:
         """Compare what is known with the container's list, now."""
         if self.is_greeted and not self._is_closed:
             self._do(self._composition.look())
-
-    async def _first_list(self) -> tuple[ListedNode, ...]:
-        # The services of a container that has just been killed are still in the graph, so the first
-        # questions may have gone to nobody. ListNodes may be asked any number of times.
-        asked: list[asyncio.Future[Any]] = []
-        pause = self._limits.first_list
-        try:
-            while True:
-                asked.append(self._services.list_nodes())
-                changed = self._loop.create_task(self._services.graph_change())
-                try:
-                    await asyncio.sleep(_BREATH)
-                    await asyncio.wait(
-                        [*asked, changed], timeout=pause, return_when=asyncio.FIRST_COMPLETED
-                    )
-                finally:
-                    changed.cancel()
-                for future in asked:
-                    if future.done():
-                        nodes: tuple[ListedNode, ...] = future.result()
-                        return nodes
-                pause = min(2 * pause, self._limits.list_nodes)
-                while len(asked) > _FIRST_LISTS:
-                    asked.pop(0).cancel()
-        finally:
-            for future in asked:
-                future.cancel()
 
     def _overdue(self) -> list[int]:
         """The attempts that have been silent for as long as silence is just silence."""
@@ -344,7 +312,7 @@ class StockLink:
     def _loaded(self, attempt: int, reply: asyncio.Future[LoadReply]) -> None:
         if reply.cancelled() or self._is_closed:
             return
-        self._heard()
+        self._silence.heard()
         answer = reply.result()
         self._do(
             self._composition.answered(
@@ -362,7 +330,7 @@ class StockLink:
         await asyncio.wait({reply}, timeout=self._limits.unload_node)
         success, reason = False, f"no answer within {self._limits.unload_node:g} s"
         if reply.done():
-            self._heard()
+            self._silence.heard()
             success, reason = reply.result().success, reply.result().error_message
         if not success:
             _log.warning("%s: node %d is not unloaded: %s", self._name, unique_id, reason)
@@ -380,13 +348,14 @@ class StockLink:
         if self._late_list is not None:
             self._late_list.cancel()
         self._late_list = reply
-        self._report_silence()
+        if self._composition.current is None:
+            self._silence.report()
         self._do(self._composition.list_unanswered(serial))
 
     def _listed(self, serial: int, reply: asyncio.Future[tuple[ListedNode, ...]]) -> None:
         if reply.cancelled() or self._is_closed:
             return
-        self._heard()
+        self._silence.heard()
         nodes = reply.result()
         for attempt, request in self._requests.items():
             if self._composition.stage(attempt) is Stage.SENT and self._is_overdue(request):
@@ -409,23 +378,6 @@ class StockLink:
                         len(servers),
                         self._name,
                     )
-
-    def _heard(self) -> None:
-        self._heard_at = self._loop.time()
-        if self._is_reported_silent:
-            self._is_reported_silent = False
-            _log.warning("%s answers again", self._name)
-
-    def _report_silence(self) -> None:
-        silent = self._loop.time() - self._heard_at
-        if self._composition.current is None and silent > self._limits.silence:
-            if not self._is_reported_silent:
-                _log.warning(
-                    "%s has not answered for %.0f s: its executor is busy, or it is frozen",
-                    self._name,
-                    silent,
-                )
-            self._is_reported_silent = True
 
     def _start(self, work: Coroutine[Any, Any, None]) -> None:
         task = self._loop.create_task(work)

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from play_launch.config.schema import (
-        GroupLimitsSection,
+        LimitsSection,
         ResourcesSection,
         SchedulerSection,
     )
@@ -131,9 +131,7 @@ def _given(base: Resources, section: ResourcesSection, at: At) -> dict[str, Any]
     return given
 
 
-def refined_limits(
-    base: GroupLimits, section: ResourcesSection | GroupLimitsSection
-) -> GroupLimits:
+def refined_limits(base: GroupLimits, section: LimitsSection) -> GroupLimits:
     """Return `base` with what `section` says instead."""
     given = section.given
     if "cpuset_cpus" in given:
