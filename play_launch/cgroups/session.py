@@ -91,7 +91,9 @@ class SessionGroups:
             self._open(frozenset(controllers))
         except GroupError as error:
             self.end()
-            self._report(f"processes run without control groups: {error}")
+            if policy.required:
+                raise
+            self._warn(f"processes run without control groups: {error}")
 
     def _find(self, policy: GroupPolicy) -> None:
         seen = own_hierarchy()
