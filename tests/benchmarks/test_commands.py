@@ -59,9 +59,12 @@ def test_crashes_of_every_place_are_measured(tmp_path: Path, mode: str) -> None:
         assert row["crashes"] >= 3
         assert row["crashes"] == 3 or row["restarts"] > 0
         assert row["event_ms"]["count"] == row["crashes"]
-        assert row["loaded_ms"]["count"] + row["restarts"] >= row["crashes"]
         assert row["event_ms"]["min"] > 0
-        assert row["loaded_ms"]["min"] > row["event_ms"]["min"]
+        # What crashes while others are not there again after a restart is not measured.
+        if row["restarts"] == 0:
+            assert row["loaded_ms"]["count"] == row["crashes"]
+        if row["loaded_ms"]:
+            assert row["loaded_ms"]["min"] > row["event_ms"]["min"]
 
 
 def test_dying_without_quiescing_is_measured(tmp_path: Path) -> None:

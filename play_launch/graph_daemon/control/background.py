@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from play_launch.graph_daemon.contract import DaemonAddress
 
-START_LIMIT: Final = 30.0
+START_LIMIT: Final = 60.0
 """Seconds until a daemon must serve; on a machine under full load loading ROS takes some."""
 _LAST_WORDS: Final = 3.0
 _LINES_OF_LOG: Final = 5
