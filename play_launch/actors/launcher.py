@@ -43,7 +43,7 @@ from play_launch.launching.needs import (
     uses_fastdds,
 )
 from play_launch.launching.survey import allocator_for
-from play_launch.process.child import spawn
+from play_launch.process.child import INHERITED, spawn
 from play_launch.process.guard import SessionGuard
 from play_launch.process.identity import read_stat
 from play_launch.process.kin import mark_for
@@ -56,7 +56,7 @@ from play_launch.process.machine import (
 from play_launch.process.program import SpawnError
 from play_launch.process.stop import StopPolicy, stop
 from play_launch.recording.versions import OURSELVES, installed_versions
-from play_launch.wire.channel import ControlChannel, control_pair
+from play_launch.wire.channel import CONTROL_FD_VARIABLE, ControlChannel, control_pair
 from play_launch.wire.messages import Hello
 
 if TYPE_CHECKING:
@@ -243,7 +243,7 @@ class NativeLauncher:
             raise StartError(f"no control channel: {error.strerror}", permanent=False) from error
         with ExitStack() as opened:
             opened.callback(pair.close)
-            command = command.with_variables(pair.environment)
+            command = command.with_variables({CONTROL_FD_VARIABLE: str(INHERITED)})
             process = self._spawn(
                 command, on_output, group, entry, name=config.full_name, control_fd=pair.child_fd
             )
@@ -345,7 +345,7 @@ class NativeLauncher:
                 cwd=command.cwd,
                 emulate_tty=command.emulate_tty,
                 guard=self._guards[-1],
-                pass_fds=() if control_fd is None else (control_fd,),
+                descriptors={} if control_fd is None else {INHERITED: control_fd},
                 on_output=on_output,
                 # Our containers end in order when their control channel does.
                 leaves_by_itself=control_fd is not None,

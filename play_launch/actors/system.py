@@ -228,7 +228,7 @@ class System:
                 await self._applying.close()
         view = self._publisher.view_before_stop
         return Outcome(
-            exit_code=exit_code(view, self._stop.signum),
+            exit_code=exit_code(view, self._publisher.view, self._stop.signum),
             view=view,
             final_view=self._publisher.view,
             reason=self._stop.reason,

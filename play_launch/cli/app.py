@@ -31,7 +31,7 @@ Examples:
 \b
 Exit codes:
   0      everything was up
-  1      a node failed
+  1      a node failed, or something crashed while it was stopped
   2      wrong usage or configuration; nothing was started
   3      ended with nodes missing
   128+n  ended by signal n (130 after Ctrl-C)

@@ -61,12 +61,14 @@ def add_arguments(parser: ArgumentParser, verb: str) -> None:
 def run(client: ControlClient, options: Namespace) -> int:
     """Compare or change, and print what differs and what was done."""
     config = {"config": _bundled(options)}
-    plan = client.ask("diff", config)["plan"]
+    compared = client.ask("diff", config)
+    plan, applying = compared["plan"], compared.get("applying")
     is_diff = options.verb == "diff" or options.dry_run
     if is_diff or not options.json:
-        _print_plan(plan, options)
+        _print_plan(plan, applying, options)
     if is_diff:
-        return DIFFERS if plan["steps"] and options.verb == "diff" else OK
+        differs = plan["steps"] or applying is not None
+        return DIFFERS if differs and options.verb == "diff" else OK
     request = {
         **config,
         "timeout": options.timeout,
@@ -141,12 +143,12 @@ def _evaluated(options: Namespace) -> ReplayConfig:
     return parse_config(made.text.encode(), _NOWHERE / f"{found.name}.yaml")
 
 
-def _print_plan(plan: Any, options: Namespace) -> None:
+def _print_plan(plan: Any, applying: Any, options: Namespace) -> None:
     if options.json:
-        sys.stdout.write(f"{json.dumps(plan)}\n")
+        sys.stdout.write(f"{json.dumps({**plan, 'applying': applying})}\n")
         return
     colour = is_terminal(sys.stdout) and wants_colour(sys.stdout)
-    for line in plan_lines(plan, colour=colour):
+    for line in plan_lines(plan, colour=colour, applying=applying):
         sys.stdout.write(f"{printable(line, colour=colour)}\n")
     sys.stdout.flush()
 

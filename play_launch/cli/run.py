@@ -24,6 +24,8 @@ from play_launch.control.door import Door
 from play_launch.control.feed import Feed
 from play_launch.core.events import GroupSample, OutputLine
 from play_launch.core.group_totals import GroupTotals
+from play_launch.process import open_files
+from play_launch.process.time_slice import ask_for_short_turns
 from play_launch.recording.log_handler import log_published
 from play_launch.recording.resolved_form import resolved_form
 from play_launch.recording.session import Session, SessionDescription, open_session
@@ -111,6 +113,10 @@ def run(config: ReplayConfig, options: RunOptions) -> int:
     Raises ``RecordingError`` when the session cannot be recorded from the start; nothing has been
     started then.
     """
+    open_files.raise_limit()
+    if os.getpriority(os.PRIO_PROCESS, 0) >= 0:
+        # What is started later is given back its turns by who starts it, see `SessionGuard`.
+        ask_for_short_turns()
     with RunSignals() as signals, contextlib.ExitStack() as opened:
         session = open_session(
             _description(config),

@@ -55,11 +55,13 @@ class Changes:
         self._on_end = on_end
         self._number = 0
         self._under_way: asyncio.Task[Applied] | None = None
+        self._is_applied: str | None = None
+        """The file that is being applied."""
 
     async def diff(self, arguments: dict[str, Any], _peer: Peer, _stream: Stream) -> object:
-        """Say what differs; raises ControlError."""
+        """Say what differs, and what is being applied; raises ControlError."""
         target = await self._target(arguments)
-        return {"plan": _plain(self._applying.plan(target))}
+        return {"plan": _plain(self._applying.plan(target)), "applying": self._is_applied}
 
     async def apply(self, arguments: dict[str, Any], peer: Peer, stream: Stream) -> object:
         """Change what differs; raises ControlError."""
@@ -89,6 +91,8 @@ class Changes:
             ControlError: When it cannot begin.
         """
         target = self._as_started(target)
+        while not self._applying.idle.is_set():
+            await self._applying.idle.wait()
         if self._applying.plan(target).to_do:
             task = await self._begin(target, peer)
             await asyncio.wait({task})
@@ -119,9 +123,14 @@ class Changes:
             self._applying.apply(target, limit=limit, rolls_back=rolls_back, on_outcome=on_outcome)
         )
         self._under_way = task
+        self._is_applied = str(target.source)
+        task.add_done_callback(self._is_over)
         task.add_done_callback(lambda done: record.publish(*_end(done)))
         task.add_done_callback(lambda _: self._on_end(self._applying.config))
         return task
+
+    def _is_over(self, _task: asyncio.Task[Applied]) -> None:
+        self._is_applied = None
 
     async def _target(self, arguments: dict[str, Any]) -> ReplayConfig:
         try:

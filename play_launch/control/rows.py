@@ -14,6 +14,7 @@ from play_launch.core.events import (
     ProcessSample,
     SubjectKind,
 )
+from play_launch.core.exit_status import UNKNOWN_STATUS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -168,11 +169,12 @@ def _of_life(process: ProcessView, clock: Clock) -> dict[str, Any]:
         ProcessEventKind.RESTARTING,
         ProcessEventKind.GAVE_UP,
     }
+    is_known = process.exit_code != UNKNOWN_STATUS
     return {
         "pid": process.pid or None,
         "restarts": process.restarts,
         "uptime_s": None if age is None else round(age, 3),
-        "exit_code": process.exit_code if has_ended else None,
+        "exit_code": process.exit_code if has_ended and is_known else None,
         "signal": process.signal or None if has_ended else None,
     }
 

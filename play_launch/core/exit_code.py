@@ -3,7 +3,8 @@
 ====== ======================================================================
 0      everything that was declared was there when the run ended
 1      a node failed: it did not load, or crashed and is not loaded again,
-       or did not get where ``autostart`` should bring it
+       or did not get where ``autostart`` should bring it; or something that
+       still ran crashed while it was stopped
 3      nobody failed, but something was missing: a node that is not loaded
        (yet, or not any more), a container or a process between two starts
 128+n  the run was ended by signal n
@@ -18,11 +19,16 @@ never gets that far.)
 
 from __future__ import annotations
 
+import signal
 from enum import IntEnum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
+
+from play_launch.core.events import NodeState, ProcessEventKind
 
 if TYPE_CHECKING:
-    from play_launch.core.view import SystemView
+    from collections.abc import Iterator
+
+    from play_launch.core.view import ProcessView, SystemView
 
 
 class ExitCode(IntEnum):
@@ -35,11 +41,16 @@ class ExitCode(IntEnum):
     SIGNAL_BASE = 128
 
 
-def exit_code(view: SystemView, signum: int | None) -> int:
+ENDING_SIGNALS: Final = frozenset({signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL})
+"""Those of a stop, and of whoever helps along: a death of one of them is no crash."""
+
+
+def exit_code(view: SystemView, final: SystemView, signum: int | None) -> int:
     """Give the exit code.
 
     Args:
         view: The system at the moment in which the run began to end, so before it was stopped.
+        final: The system after that.
         signum: The signal that ended the run; None when it ended by itself or by its duration.
     """
     if signum is not None:
@@ -47,6 +58,42 @@ def exit_code(view: SystemView, signum: int | None) -> int:
     expected = view.expected
     if expected.failed or expected.gave_up or expected.failed_processes or view.failed_managed:
         return ExitCode.NODE_FAILED
+    if crashed_while_stopped(view, final):
+        return ExitCode.NODE_FAILED
     if not expected.is_complete:
         return ExitCode.NODES_MISSING
     return ExitCode.OK
+
+
+def crashed_while_stopped(view: SystemView, final: SystemView) -> list[str]:
+    """Name what ran when the end began, and crashed before it had stopped; see `exit_code`."""
+    return [
+        *(
+            name
+            for name, before, after in _processes(view, final)
+            if before.pid
+            and after.kind is ProcessEventKind.EXITED
+            and after.signal
+            and after.signal not in ENDING_SIGNALS
+        ),
+        *(
+            str(key)
+            for name, container in view.containers.items()
+            for key, node in container.nodes.items()
+            if node.state is NodeState.LOADED
+            and (after := final.containers.get(name)) is not None
+            and key in after.nodes
+            and after.nodes[key].state is NodeState.CRASHED
+        ),
+    ]
+
+
+def _processes(
+    view: SystemView, final: SystemView
+) -> Iterator[tuple[str, ProcessView, ProcessView]]:
+    for name, container in view.containers.items():
+        if name in final.containers:
+            yield name, container.process, final.containers[name].process
+    for name, process in view.processes.items():
+        if name in final.processes:
+            yield name, process, final.processes[name]

@@ -11,7 +11,7 @@ import socket
 
 from play_launch.graph_daemon.contract import DOMAIN_VARIABLE, WARM, DaemonAddress
 from play_launch.graph_daemon.server.daemon import Daemon
-from play_launch.graph_daemon.server.time_slice import ask_for_short_turns
+from play_launch.process.time_slice import ask_for_short_turns
 
 
 def main() -> None:

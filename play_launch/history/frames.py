@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
+from play_launch.core.exit_status import UNKNOWN_STATUS
+
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
@@ -100,7 +102,7 @@ def ending(signal: int, exit_code: int, reason: str) -> str:
             return signals.Signals(signal).name
         except ValueError:
             return f"signal {signal}"
-    return f"exit status {exit_code}"
+    return "unknown exit status" if exit_code == UNKNOWN_STATUS else f"exit status {exit_code}"
 
 
 def signature_of(what: str, frames: Iterable[Frame], who: str) -> Signature:

@@ -11,6 +11,7 @@ import threading
 import tty
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from play_launch.cgroups.deaths import why_killed
@@ -36,6 +37,10 @@ if TYPE_CHECKING:
     from play_launch.cgroups.group import Group
     from play_launch.process.zygote import Zygote
 
+INHERITED = 3
+"""The number that a child has the one descriptor under that it gets beside its standard streams.
+
+Ours may be above the limit of its process, see `play_launch.process.open_files`."""
 OUTPUT_GRACE = 0.5
 """Seconds that output is read on after everything we could kill is dead."""
 _STRAGGLER_ROUNDS = 5
@@ -262,7 +267,7 @@ def spawn(
     env: Mapping[str, str],
     guard: SessionGuard | Path | None,
     cwd: Path | None = None,
-    pass_fds: Sequence[int] = (),
+    descriptors: Mapping[int, int] = MappingProxyType({}),
     on_output: OutputCallback | None = None,
     leaves_by_itself: bool = False,
     zygote: Zygote | None = None,
@@ -281,7 +286,8 @@ def spawn(
             the kernel kill the child alone when the thread that called this ends
             (PR_SET_PDEATHSIG). None starts it without that.
         cwd: Its working directory; not with a zygote.
-        pass_fds: Descriptors that it inherits under the same numbers. All others are closed.
+        descriptors: What it inherits beside its standard streams, by the number that it has there;
+            without a `SessionGuard` that is our own. All others are closed.
         on_output: Gets its lines; None sends its output to /dev/null.
         leaves_by_itself: Whether it ends by itself when we are gone, see `SessionGuard.spawn`.
         zygote: Who is forked for it; only with a `SessionGuard`.
@@ -314,11 +320,10 @@ def spawn(
             if pipes:
                 standard[1:] = pipes[Stream.STDOUT][1], pipes[Stream.STDERR][1]
             if isinstance(guard, SessionGuard):
-                descriptors = {**dict(enumerate(standard)), **{fd: fd for fd in pass_fds}}
                 pid = guard.spawn(
                     argv,
                     env,
-                    descriptors,
+                    {**dict(enumerate(standard)), **descriptors},
                     leaves_by_itself=leaves_by_itself,
                     zygote=zygote,
                     cwd=cwd,
@@ -326,7 +331,7 @@ def spawn(
                 )
             else:
                 pid = _fork(
-                    argv, env=env, guard=guard, cwd=cwd, standard=standard, pass_fds=pass_fds
+                    argv, env=env, guard=guard, cwd=cwd, standard=standard, kept=[*descriptors]
                 )
         except OSError as error:
             raise SpawnError.of(argv, error) from None
@@ -366,7 +371,7 @@ def _fork(
     guard: Path | None,
     cwd: Path | None,
     standard: Sequence[int],
-    pass_fds: Sequence[int],
+    kept: Sequence[int],
 ) -> int:
     command = list(argv)
     if guard is not None:
@@ -381,7 +386,7 @@ def _fork(
         stderr=standard[2],
         start_new_session=True,
         close_fds=True,
-        pass_fds=tuple(pass_fds),
+        pass_fds=tuple(kept),
     )
     # The pidfd alone is waited for. A Popen without a return code would wait for the bare pid
     # when it is collected.

@@ -6,26 +6,32 @@ import os
 import signal as signals
 from dataclasses import dataclass
 
+from play_launch.core.exit_status import UNKNOWN_STATUS
+
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Exit:
     """The end of a process: an exit status, or the number of the signal that killed it.
 
-    `code` is 0 where a signal ended it, `signal` is 0 where none did. Where somebody else took
-    the status away, `is_lost` is set and `code` is 255.
+    `code` is 0 where a signal ended it, `signal` is 0 where none did. It is `UNKNOWN_STATUS` where
+    nobody can say how it ended: its guard was killed, or somebody else took the status.
     `hint` is what the machine has to do with it.
     """
 
     code: int = 0
     signal: int = 0
     core_dumped: bool = False
-    is_lost: bool = False
     hint: str = ""
 
     @property
     def ok(self) -> bool:
         """Whether it ended with status 0."""
         return self.code == 0 and self.signal == 0
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether nobody can say how it ended."""
+        return self.code == UNKNOWN_STATUS
 
     @classmethod
     def of(cls, si_code: int, si_status: int) -> Exit:
@@ -37,11 +43,11 @@ class Exit:
     @classmethod
     def lost(cls) -> Exit:
         """The process ended, and nobody can say how."""
-        return cls(code=255, is_lost=True)
+        return cls(code=UNKNOWN_STATUS)
 
     def __str__(self) -> str:
         if self.is_lost:
-            return "ended, with a status that somebody else took"
+            return "ended, with an unknown exit status"
         if not self.signal:
             return f"exited with status {self.code}"
         core = ", core dumped" if self.core_dumped else ""

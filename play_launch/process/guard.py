@@ -17,7 +17,9 @@ import subprocess
 from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING, BinaryIO, Final, Protocol, Self
 
+from play_launch.process import open_files
 from play_launch.process.exit import Exit
+from play_launch.process.time_slice import ask_for_short_turns
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -125,6 +127,10 @@ class SessionGuard:
                 start_new_session=True,
             )
             on_failure.pop_all()
+        # Before it is asked for anything: all that it starts inherits its limit.
+        open_files.give_back(process.pid)
+        # We wait for its answers, and what it starts shares the processors as anything else does.
+        ask_for_short_turns(process.pid, children_too=False)
         return cls(ours, process, answer_limit)
 
     @property

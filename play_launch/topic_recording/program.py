@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from play_launch.install.environment import child_environment
 from play_launch.install.ros import ros_installation, spawn_guard, topic_recorder
-from play_launch.process.child import spawn
+from play_launch.process.child import INHERITED, spawn
 from play_launch.process.guard import SessionGuard
 from play_launch.topic_recording.link import RecorderLink
 
@@ -63,10 +63,10 @@ class Program:
         with theirs:
             try:
                 child = spawn(
-                    recorder_argv(self._program, self._record, theirs.fileno()),
+                    recorder_argv(self._program, self._record, INHERITED),
                     env=self._environment,
                     guard=self._guard,
-                    pass_fds=(theirs.fileno(),),
+                    descriptors={INHERITED: theirs.fileno()},
                     on_output=_on_output,
                     leaves_by_itself=True,
                 )

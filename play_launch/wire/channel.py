@@ -86,12 +86,12 @@ class ControlPair:
 
     @property
     def child_fd(self) -> int:
-        """The container's end; it keeps its number there."""
+        """The container's end."""
         return self._theirs.fileno()
 
     @property
     def environment(self) -> dict[str, str]:
-        """What passes it to the container."""
+        """What passes it to a container that has it under the same number."""
         return {CONTROL_FD_VARIABLE: str(self.child_fd)}
 
     def close_child_end(self) -> None:

@@ -108,7 +108,7 @@ async def run_system(
         say("deaf to the first request")
         await stop.hurry.wait()
     view = publisher.view
-    return Outcome(exit_code=exit_code(view, stop.signum), view=view, final_view=view)
+    return Outcome(exit_code=exit_code(view, view, stop.signum), view=view, final_view=view)
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@ import signal
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 
 from play_launch.core.events import (
     ContainerState,
@@ -109,8 +110,37 @@ def test_output_changes_nothing() -> None:
     ],
 )
 def test_exit_code(events: list[RunEvent], code: ExitCode) -> None:
-    assert exit_code(fold(*events), None) == code
-    assert exit_code(fold(*events), signal.SIGINT) == 130
+    view = fold(*events)
+    assert exit_code(view, view, None) == code
+    assert exit_code(view, view, signal.SIGINT) == 130
+
+
+@pytest.mark.parametrize(
+    ("end", "code"),
+    [
+        (process(ProcessEventKind.EXITED, signal=11), ExitCode.NODE_FAILED),
+        (process(ProcessEventKind.EXITED, signal=9), ExitCode.OK),
+        (process(ProcessEventKind.EXITED, signal=15), ExitCode.OK),
+        (process(ProcessEventKind.EXITED, exit_code=3), ExitCode.OK),
+    ],
+)
+def test_only_a_crash_makes_a_stop_a_failure(end: ProcessEvent, code: ExitCode) -> None:
+    before = SystemView().after(replace(end, kind=ProcessEventKind.STARTED, pid=7))
+    assert exit_code(before, before.after(end), None) == code
+    # Of a container as well.
+    runs = SystemView().after(replace(RUNS, container=end.name))
+    before = runs.after(replace(end, kind=ProcessEventKind.STARTED, pid=7))
+    after = before.after(end)
+    assert exit_code(before, after, None) == code
+    # Who had ended before was judged before.
+    assert exit_code(after, after, None) == ExitCode.OK
+
+
+def test_a_node_of_its_own_process_can_crash_while_it_is_stopped() -> None:
+    before = fold(RUNS, node(NodeState.LOADED))
+    after = before.after(node(NodeState.CRASHED, stamp_ns=2))
+    assert exit_code(before, after, None) == ExitCode.NODE_FAILED
+    assert exit_code(before, before.after(node(NodeState.UNLOADED)), None) == ExitCode.OK
 
 
 def test_who_is_given_up_while_it_still_runs_stays_given_up_when_it_ends() -> None:
@@ -133,10 +163,10 @@ def test_who_is_given_up_while_it_still_runs_stays_given_up_when_it_ends() -> No
 def test_what_was_taken_out_counts_no_more() -> None:
     view = fold(process(ProcessEventKind.EXITED, signal=9))
     (name,) = view.processes
-    assert exit_code(view, None) == ExitCode.NODE_FAILED
+    assert exit_code(view, view, None) == ExitCode.NODE_FAILED
     view = view.after(Withdrawn(stamp_ns=2, kind=SubjectKind.PROCESS, key=name))
     assert not view.processes
-    assert exit_code(view, None) == ExitCode.OK
+    assert exit_code(view, view, None) == ExitCode.OK
     for key in (NodeKey("/c", "/a"), NodeKey("/c", "/b")):
         view = view.after(NodeStateChanged(stamp_ns=3, key=key, state=NodeState.CRASHED))
     view = view.after(Withdrawn(stamp_ns=4, kind=SubjectKind.NODE, key="/c:/a"))

@@ -106,7 +106,7 @@ async def test_a_child_gets_its_environment_and_directory_and_nothing_else(
         env={"COLOUR": "red", "LC_CTYPE": "C.UTF-8"},
         guard=either,
         cwd=tmp_path,
-        pass_fds=[write_end],
+        descriptors={write_end: write_end},
         on_output=output,
     )
     assert (await finished(child)).ok, output.texts(Stream.STDERR)

@@ -20,7 +20,7 @@ from play_launch.process.exit import Exit
             Exit(signal=signal.SIGRTMIN + 2),
             f"exited with signal {signal.SIGRTMIN + 2} (SIGRTMIN+2)",
         ),
-        (Exit.lost(), "ended, with a status that somebody else took"),
+        (Exit.lost(), "ended, with an unknown exit status"),
     ],
 )
 def test_an_end_is_told_in_words(end: Exit, text: str) -> None:

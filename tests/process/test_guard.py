@@ -204,7 +204,7 @@ async def test_who_leaves_by_itself_has_time_for_that(guard: Path, tmp_path: Pat
         python(f"import os, time; os.read({read_end}, 1); time.sleep(0.1); open('{mark}', 'w')"),
         env=environment(),
         guard=session,
-        pass_fds=[read_end],
+        descriptors={read_end: read_end},
         leaves_by_itself=True,
     )
     stubborn = spawn(shell("sleep 600"), env=environment(), guard=session, leaves_by_itself=True)

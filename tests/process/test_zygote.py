@@ -130,7 +130,7 @@ async def running(
                     "PLAY_LAUNCH_CONTROL_FD": str(theirs.fileno()),
                 },
                 guard=session,
-                pass_fds=[theirs.fileno()],
+                descriptors={theirs.fileno(): theirs.fileno()},
                 on_output=output,
                 leaves_by_itself=True,
                 zygote=zygote,

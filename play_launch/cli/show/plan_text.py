@@ -22,8 +22,15 @@ _COUNTED: Final = {"+": "to add", "~": "to change", "-": "to remove"}
 _LONGEST_VALUE: Final = 120
 
 
-def plan_lines(plan: Mapping[str, Any], *, colour: bool) -> Iterator[str]:
-    """Describe all that differs; the last line counts."""
+def plan_lines(
+    plan: Mapping[str, Any], *, colour: bool, applying: str | None = None
+) -> Iterator[str]:
+    """Describe all that differs; the last line counts.
+
+    ``applying`` is the file that is being applied meanwhile: what is compared is from before.
+    """
+    if applying is not None:
+        yield f"{applying} is being applied; compared with the configuration from before"
     counts: Counter[str] = Counter()
     for step in plan["steps"]:
         sign = _SIGNS.get(step["action"], "~")
@@ -31,7 +38,7 @@ def plan_lines(plan: Mapping[str, Any], *, colour: bool) -> Iterator[str]:
             counts[sign] += 1
         yield from _step(step, sign, colour=colour)
     if not plan["steps"]:
-        yield "nothing differs"
+        yield "nothing differs" if applying is None else "nothing else differs"
         return
     numbers = [f"{counts[sign]} {what}" for sign, what in _COUNTED.items()]
     yield ", ".join(numbers)

@@ -15,6 +15,7 @@ from play_launch.cli.find_mistakes import counted
 from play_launch.cli.show.sizes import size
 from play_launch.cli.show.status import container_at_end, process_at_end
 from play_launch.core.events import NodeState, ProcessEventKind, SubjectKind
+from play_launch.core.exit_status import UNKNOWN_STATUS
 from play_launch.core.node_key import NodeKey
 
 if TYPE_CHECKING:
@@ -169,10 +170,11 @@ def _process_object(
 
 
 def _end_object(process: ProcessView) -> dict[str, object]:
-    """Say how its last process ended; null where it never ran, or does not die."""
+    """Say how its last process ended; null where that is not known, or it never did."""
     has_ended = process.kind is ProcessEventKind.EXITED
+    is_known = not process.signal and process.exit_code != UNKNOWN_STATUS
     return {
-        "exit_code": process.exit_code if has_ended and not process.signal else None,
+        "exit_code": process.exit_code if has_ended and is_known else None,
         "signal": process.signal if has_ended and process.signal else None,
     }
 

@@ -40,13 +40,30 @@ def printable(text: str, *, colour: bool) -> str:
 def wants_colour(stream: IO[str]) -> bool:
     """Whether to colour what goes to ``stream``: a terminal that can, and nobody objects.
 
-    ``NO_COLOR`` (see https://no-color.org) and ``TERM=dumb`` object; ``FORCE_COLOR`` insists.
+    ``NO_COLOR`` (see https://no-color.org) and a terminal of a type without colours (``TERM=dumb``,
+    ``TERM=vt100``) object; ``FORCE_COLOR`` insists.
     """
     if os.environ.get("NO_COLOR"):
         return False
     if os.environ.get("FORCE_COLOR"):
         return True
-    return is_terminal(stream) and os.environ.get("TERM") != "dumb"
+    return is_terminal(stream) and has_colours(os.environ.get("TERM", ""))
+
+
+def has_colours(term: str) -> bool:
+    """Whether a type of terminal has colours; one that terminfo does not know has."""
+    if term in {"", "dumb", "unknown"}:
+        return not term
+    try:
+        import curses  # noqa: PLC0415 - for terminals only
+    except ImportError:  # Python can be built without
+        return True
+    try:
+        # The descriptor is for settings of its own, which nobody asks for.
+        curses.setupterm(term, 1)
+    except curses.error:
+        return True
+    return curses.tigetnum("colors") > 1
 
 
 def is_terminal(stream: IO[str]) -> bool:

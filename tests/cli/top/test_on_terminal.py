@@ -147,8 +147,12 @@ def test_a_window_that_is_closed_ends_it(robot: Replay, before: str) -> None:
     assert robot.process.poll() is None
 
 
-def test_without_colours_nothing_is_lost(robot: Replay) -> None:
-    with top_of(robot, NO_COLOR="1") as terminal:
+@pytest.mark.parametrize("environment", [{"NO_COLOR": "1"}, {"TERM": "vt100"}], ids=str)
+def test_without_colours_nothing_is_lost(robot: Replay, environment: dict[str, str]) -> None:
+    known = [sys.executable, "-c", "import curses; curses.setupterm('vt100', 1)"]
+    if "TERM" in environment and subprocess.run(known, check=False).returncode:
+        pytest.skip("terminfo does not know vt100 here")
+    with top_of(robot, **environment) as terminal:
         terminal.until_seen("/sleeper")
         until(lambda: terminal.look(2, 0).reverse, "the selected row")
         assert not COLOURS.search(terminal.raw)

@@ -5,12 +5,13 @@ from __future__ import annotations
 import platform
 import subprocess
 import sys
+from pathlib import Path
 
 ASKING = """
 import os
 from pathlib import Path
 from threading import Thread
-from play_launch.graph_daemon.server.time_slice import ask_for_short_turns
+from play_launch.process.time_slice import ask_for_short_turns
 
 nice = os.getpriority(os.PRIO_PROCESS, 0)
 os.nice(3)
@@ -39,3 +40,32 @@ def test_a_thread_and_those_it_starts_get_them() -> None:
         assert taken == "True"
     # Kernels without the scheduler's debugging do not show it.
     assert slices in ([], ["100000"]) or kernel() < (6, 12)
+
+
+STARTING = """
+import asyncio, os, sys
+from pathlib import Path
+from play_launch.process.child import spawn
+from play_launch.process.guard import SessionGuard
+from play_launch.process.time_slice import ask_for_short_turns
+
+def slice_of(pid):
+    lines = Path(f"/proc/{pid}/sched").read_text().splitlines()
+    return next((line.split()[-1] for line in lines if line.startswith("se.slice")), "")
+
+async def main():
+    usual = slice_of("self")
+    ask_for_short_turns()
+    guard = SessionGuard.start(Path(sys.argv[1]))
+    child = spawn(["sleep", "1000"], env=os.environ, guard=guard)
+    print(slice_of(guard.pid), slice_of(child.pid) == usual)
+    guard.close()
+
+asyncio.run(main())
+"""
+
+
+def test_what_a_guard_starts_has_the_usual_turns(guard: Path) -> None:
+    command = [sys.executable, "-c", STARTING, str(guard)]
+    words = subprocess.run(command, check=True, capture_output=True, text=True, timeout=60).stdout
+    assert words.split() in (["100000", "True"], ["True"]) or kernel() < (6, 12)
