@@ -8,29 +8,27 @@ import time
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from play_launch.actors.ports import StartError
 from play_launch.cgroups.base import GroupError
+from play_launch.cgroups.group import Group
 from play_launch.cgroups.names import SessionName
 from play_launch.cgroups.session import SessionGroups, needed_controllers
 from play_launch.cgroups.usage import usage_of
 from play_launch.config.model import ContainerConfig
 from play_launch.core.events import SubjectKind
-from play_launch.launching.needs import group_limits, shares_memory, wants_groups
+from play_launch.launching.needs import group_limits, wants_groups
+from play_launch.launching.stalls import stalls
 from play_launch.process.identity import ProcessIdentity, read_stat
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from play_launch.cgroups.group import Group
     from play_launch.config.model import ComposableNodeConfig, ProcessConfig, ReplayConfig
     from play_launch.core.events import GroupSample
     from play_launch.core.node_key import NodeKey
     from play_launch.process.guard import SessionGuard
-
-STALLING_PERCENT: Final = 20
-"""Of a CPU. A node that gets less is throttled for most of each period."""
 
 _log = logging.getLogger(__name__)
 
@@ -49,14 +47,17 @@ class Groups:
         self._groups = SessionGroups(
             name, lambda pid, start_time: ProcessIdentity(pid, start_time).is_alive()
         )
-        self._warned: set[str] = set()
-        self._guard: SessionGuard | None = None
+        self._warned: set[tuple[str, str]] = set()
+        self._entrusted: tuple[SessionGuard, int] | None = None
 
     def entrust(self, guard: SessionGuard) -> None:
-        """Have a guard remove them, should we die; does so once for each."""
+        """Have a guard remove them, should we die; does so once for each, and for each group."""
         folder = self._groups.folder
-        if folder is not None and guard is not self._guard:
-            self._guard = guard
+        if folder is None:
+            return
+        entrusted = guard, Group(folder).number  # it may have been removed, and made anew
+        if entrusted != self._entrusted:
+            self._entrusted = entrusted
             with suppress(OSError):  # removed by somebody else: nothing is left to be done
                 guard.entrust(folder)
 
@@ -67,22 +68,11 @@ class Groups:
             self._warn_of_stalls(config)
 
     def _warn_of_stalls(self, config: ReplayConfig) -> None:
-        for container in filter(shares_memory, config.containers):
-            for node in container.composable_nodes:
-                limit = node.resources.group.cpu_max
-                name = node.declared_full_name
-                if limit and limit.percent < STALLING_PERCENT and name not in self._warned:
-                    self._warned.add(name)
-                    _log.warning(
-                        "%s: cpu_max gives it %.3g %% of a CPU: while it is held back it keeps the "
-                        "locks that it shares with the other nodes of %s (allocator, middleware), "
-                        "which wait for up to %.0f ms; fix: a shorter period such as "
-                        '"1000 10000", cpu_weight instead, or a container of its own',
-                        name,
-                        limit.percent,
-                        container.full_name,
-                        (limit.period - limit.quota) / 1000,
-                    )
+        for container in config.containers:
+            for name, why in stalls(container):
+                if (name, why) not in self._warned:
+                    self._warned.add((name, why))
+                    _log.warning("%s: %s", name, why)
 
     def of_container(self, config: ContainerConfig) -> tuple[Group | None, tuple[str, ...]]:
         """Make that of a container; gives it and what its process asks for. Raises StartError."""

@@ -56,6 +56,7 @@ class SessionGroups:
         self._base = Path()
         self._top = Path()
         self._found: frozenset[str] = frozenset()
+        self._controllers: frozenset[str] = frozenset()
         self._is_open = False
         self._moved = False
         self._made: tuple[Path, ...] = ()
@@ -63,6 +64,8 @@ class SessionGroups:
         self._reported: set[str] = set()
         self._given: set[str] = set()
         """Names of members and nodes that were given one."""
+        self._with_nodes: set[str] = set()
+        """Names of members whose nodes have groups, too."""
         self._limits: dict[int, GroupLimits] = {}
         """Of the nodes that have a group, by their attempts."""
 
@@ -114,10 +117,24 @@ class SessionGroups:
     def _open(self, controllers: frozenset[str]) -> None:
         if controllers - self._found and self._policy and self._policy.base_path is None:
             self._make_room()
-        session = Group(self._base / str(self._name))
+        self._session = session = Group(self._base / str(self._name))
+        self._controllers = controllers
+        self._make_session(session)
+
+    def _make_session(self, session: Group) -> None:
+        Group(self._base).make()  # another session may have ended meanwhile that had made it
         session.make()
-        self._session = session
-        self._enable(session, controllers)
+        self._enable(session, self._controllers)
+
+    def _restore(self, session: Group) -> None:
+        """Make the group of the session anew, if somebody has removed it."""
+        if session.path.is_dir():
+            return
+        _log.warning("somebody has removed the control group %s; it is made anew", session.path)
+        try:
+            self._make_session(session)
+        except GroupError as error:
+            self._report(str(error))
 
     def _make_room(self) -> None:
         """Move who is in our own group into a leaf: a group with controllers has no processes."""
@@ -157,13 +174,16 @@ class SessionGroups:
         """
         if self._session is None:
             return None
+        self._restore(self._session)
         group = Group(self._session.path / group_name(full_name), limits, on_end)
         self._given.add(full_name)
         group.kill()
         group.remove()  # of its predecessor
         self._make(full_name, group)
         if not has_nodes:
+            self._with_nodes.discard(full_name)
             return group, self._entry(group)
+        self._with_nodes.add(full_name)
         leaf = Group(group.path / CONTAINER)
         self._make(full_name, leaf)
         return group, self._entry(leaf)
@@ -179,6 +199,8 @@ class SessionGroups:
             return None
         self._limits[attempt] = limits
         self._given.add(full_name)
+        assert self._session is not None
+        self._restore(self._session)
         self._make(full_name, group)
         return self._entry(group)
 
@@ -214,10 +236,10 @@ class SessionGroups:
     ) -> Group | None:
         if self._session is None:
             return None
-        above = self._session.path / group_name(container)
-        # The container may have been started before there were groups.
-        if not (above / CONTAINER).is_dir():
+        # It may be no isolated one, or have been started before there were groups.
+        if container not in self._with_nodes:
             return None
+        above = self._session.path / group_name(container)
         return Group(above / node_group_name(full_name, attempt), limits)
 
     def _entry(self, group: Group) -> str:
@@ -225,8 +247,10 @@ class SessionGroups:
         return f"{'required_' if is_required else ''}cgroup {group.path}"
 
     def _make(self, full_name: str, group: Group) -> None:
+        above = Group(group.path.parent)
         try:
-            self._enable(Group(group.path.parent), group.limits.controllers())
+            above.make()  # of a container, it may have been removed by somebody
+            self._enable(above, group.limits.controllers())
             group.make()
         except GroupError as error:
             self._report(f"{full_name}: {error}")

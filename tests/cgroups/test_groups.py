@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -145,6 +146,38 @@ def test_who_was_frozen_by_somebody_is_ended(base: Path) -> None:
     assert not below(base)
 
 
+def test_nodes_in_the_process_of_their_container_have_no_groups(base: Path) -> None:
+    groups = begun(base)
+    groups.member("/box", NO_LIMITS)
+    assert groups.node("/box", "/n", 1, NO_LIMITS) is None
+    assert groups.node("/elsewhere", "/n", 2, NO_LIMITS) is None
+    groups.end()
+
+
+def test_groups_that_somebody_removed_are_made_anew(
+    base: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    groups = begun(base / "ours")
+    assert groups.folder is not None
+    groups.member("/box", NO_LIMITS, has_nodes=True)
+    for gone in (groups.folder, base / "ours"):
+        caplog.clear()
+        assert Group(gone).remove()
+        made = groups.member("/a", NO_LIMITS)
+        assert made is not None
+        with born(made[1], "true") as process:
+            assert process.wait() == 0
+        (record,) = caplog.records
+        assert record.message.startswith("somebody has removed the control group")
+        assert Group(groups.folder).remove()
+        entry = groups.node("/box", "/n", 1, NO_LIMITS)
+        assert entry is not None
+        with born(entry, "true") as process:
+            assert process.wait() == 0
+    groups.end()
+    assert not below(base)
+
+
 def until_in(group: Group, process: subprocess.Popen[str]) -> None:
     """Wait until a process that is about to enter a group is in there."""
     while process.pid not in group.residents():
@@ -258,6 +291,32 @@ def test_killed_supervisors_are_swept(base: Path, moment: str) -> None:
         assert not below(base)
         if moment == "in its group":
             assert not ProcessIdentity(pid, start_time).is_alive()
+
+
+def test_a_supervisor_may_be_killed_at_any_instant(base: Path) -> None:
+    """Of what it does with groups: whatever it has left, the next one removes it."""
+    for trial in range(TRIALS):
+        read_end, write_end = os.pipe()
+        supervisor = os.fork()
+        if supervisor == 0:
+            with forked():
+                os.write(write_end, b".")
+                while True:
+                    groups = begun(base)
+                    groups.member("/driver", NO_LIMITS)
+                    groups.member("/box", NO_LIMITS, has_nodes=True)
+                    groups.node("/box", "/a", 1, NO_LIMITS)
+                    groups.end()
+        os.close(write_end)
+        os.read(read_end, 1)
+        os.close(read_end)
+        time.sleep(trial * 1e-4)  # it needs some milliseconds for a round
+        os.kill(supervisor, signal.SIGKILL)
+        os.waitpid(supervisor, 0)
+        groups = begun(base)
+        assert len(below(base)) == 1
+        groups.end()
+        assert not below(base)
 
 
 @contextmanager

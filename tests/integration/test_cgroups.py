@@ -174,10 +174,14 @@ def test_what_somebody_does_to_the_groups_loses_nothing(base: Path, tmp_path: Pa
         pids |= until_up(replay, "/a")
         os.kill(pids["/shell"], signal.SIGKILL)
         pids |= until_up(replay, "/shell")
+        # Each is born in one that was made anew.
+        (restored,) = (session / "shared").glob("a.*")
+        until(lambda: pids["/a"] in pids_in(restored), "the new group of the node")
+        until(lambda: pids["/shell"] in pids_in(session / "shell"), "that of the process")
     assert not sessions(base) or sessions(base) == [elsewhere.path]
     assert not elsewhere.processes(), "nothing of it is left, wherever it was"
     said = [each["message"] for each in replay.seen if each["event"] == "log"]
-    assert any("shell cannot be made: No such file or directory; fix: " in text for text in said)
+    assert any("somebody has removed the control group" in text for text in said)
 
 
 def until_up(replay: Replay, *names: str) -> dict[str, int]:
