@@ -30,9 +30,10 @@ def ways() -> list[Way]:
     own, rest = {"cpu_affinity": [first]}, {"cpu_affinity": others}
     no_real_time = "" if _may_be_real_time() else "the kernel refuses real-time priorities"
     one_cpu = "" if others else "there is one CPU only"
-    groups = _groups_problem()
+    groups = groups_problem()
     return [
         Way("alone", is_alone=True),
+        Way("alone, fifo 80", fifo, is_alone=True, obstacle=no_real_time),
         Way("beside the greedy node"),
         Way(f"greedy: nice {_HIGHEST_NICE}", greedy={"nice": _HIGHEST_NICE}),
         Way("greedy: policy idle", greedy={"scheduler": {"policy": "idle"}}),
@@ -61,7 +62,8 @@ def _may_be_real_time() -> bool:
     return os.waitpid(pid, 0)[1] == 0
 
 
-def _groups_problem() -> str:
+def groups_problem() -> str:
+    """Say why there are no control groups with limits; empty: there are."""
     group = own_group()
     if group.problem:
         return group.problem.partition(";")[0]

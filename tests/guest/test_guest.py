@@ -11,7 +11,7 @@ import pytest
 
 RUNNER = Path(__file__).parent / "run"
 SKIPPED = 77
-LIMIT = 1500
+LIMIT = 4000
 
 
 @pytest.mark.skipif(
