@@ -95,7 +95,8 @@ def _stamp(path: Path) -> tuple[int, int, int] | None:
         status = path.stat()
     except OSError:
         return None  # editors remove a file and write it anew
-    return status.st_mtime_ns, status.st_size, status.st_ino
+    # Not the time of its content: who copies a file in place may keep that.
+    return status.st_ctime_ns, status.st_size, status.st_ino
 
 
 def _are_the_same(contents: Contents) -> bool:

@@ -1,4 +1,4 @@
-"""Who compares while another configuration is being applied is told so."""
+"""What is asked, and what is saved, while another configuration is being applied."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 from pathlib import Path
+from typing import Any
 
 from tests.support.replay import COMMAND, replaying
 from tests.support.waiting import until
@@ -39,6 +40,34 @@ def test_diff_says_that_a_configuration_is_being_applied(tmp_path: Path) -> None
         assert diff(after, *session) == (0, "nothing differs\n")
         last = replay.read_until(lambda each: each.get("text") == "deaf", "the next process")
         os.kill(last["pid"], signal.SIGKILL)
+
+
+def test_what_is_saved_meanwhile_is_applied_afterwards(tmp_path: Path) -> None:
+    watched, other = write(tmp_path / "watched.yaml", "# 1"), write(tmp_path / "other.yaml", "# 2")
+
+    def is_deaf(event: dict[str, Any]) -> bool:
+        return bool(event.get("text") == "deaf")
+
+    def is_stopping(event: dict[str, Any]) -> bool:
+        return bool(event["event"] == "process" and event["kind"] == "stopping")
+
+    with replaying(watched, tmp_path / "logs", "--watch") as replay:
+        pid = replay.read_until(is_deaf, "a deaf process")["pid"]
+        session = ["--session", str(replay.pid)]
+        until(lambda: diff(watched, *session)[0] == 0, "a session that answers")
+        command = [str(COMMAND), "apply", str(other), "--timeout", "600", *session]
+        applying = subprocess.Popen(command)
+        until(lambda: diff(watched, *session)[0] == 1, "a configuration that is applied")
+        write(watched, "# 3")
+        os.kill(pid, signal.SIGKILL)
+        assert applying.wait(60) == 0
+        for text in ("# 2", "# 3"):
+            pid = replay.read_until(is_deaf, f"the process {text}")["pid"]
+            words = Path(f"/proc/{pid}/cmdline").read_text(encoding="utf-8").split("\0")
+            assert words[2].endswith(text)
+            if text == "# 2":
+                replay.read_until(is_stopping, "the request to end")
+            os.kill(pid, signal.SIGKILL)
 
 
 def diff(*arguments: str | Path) -> tuple[int, str]:
