@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from play_launch.config import ReplayConfig, load_config
+from play_launch.config import ConfigError, ReplayConfig, load_config
 from play_launch.config.group_values import parse_cpu_max
 from play_launch.core.group_limits import CpuMax, GroupLimits, GroupPolicy
 
@@ -103,3 +103,31 @@ def test_what_is_written_is_read(limit: CpuMax) -> None:
 def test_no_limits(text: str) -> None:
     with pytest.raises(ValueError, match=r"\w"):
         parse_cpu_max(text)
+
+
+@pytest.mark.parametrize(
+    ("resources", "why"),
+    [
+        ("cpuset: 0-3, cpu_affinity: [4, 5]", "cpu_affinity: none of these CPUs is in its cpuset"),
+        ("memory_high: 2 GiB, memory_max: 1 GiB", "memory_high: is never reached"),
+    ],
+)
+def test_limits_that_contradict_one_another_are_refused(
+    tmp_path: Path, resources: str, why: str
+) -> None:
+    text = f"version: 1\nnodes:\n  - {{command: [x], resources: {{{resources}}}}}\n"
+    with pytest.raises(ConfigError, match=why):
+        read(tmp_path, text)
+
+
+@pytest.mark.parametrize(
+    "resources",
+    [
+        "cpuset: 0-3, cpu_affinity: [3, 4]",
+        "memory_high: 1 GiB, memory_max: 1 GiB",
+        "memory_high: max, memory_max: 1 GiB",
+    ],
+)
+def test_limits_of_which_some_holds_are_taken(tmp_path: Path, resources: str) -> None:
+    text = f"version: 1\nnodes:\n  - {{command: [x], resources: {{{resources}}}}}\n"
+    assert read(tmp_path, text).nodes[0].resources

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any, Final
 from msgspec.structs import replace
 
 from play_launch.config.model import Isolation
-from play_launch.core.group_limits import LIMIT_KEYS
+from play_launch.core.cpu_list import cpu_text
+from play_launch.core.group_limits import LIMIT_KEYS, NO_LIMIT
 from play_launch.core.resources import Resources, Scheduler
 
 if TYPE_CHECKING:
@@ -82,7 +83,20 @@ def refined_resources(
         if refuse(where, process):
             return base
         base = replace(base, **_given(base, section, where))
+        _refuse_contradictions(base, where)
     return base
+
+
+def _refuse_contradictions(resources: Resources, at: At) -> None:
+    """Report what the kernel takes, or refuses, without anything of it ever holding."""
+    group, cpus = resources.group, set(resources.cpu_affinity)
+    if cpus and group.cpuset and not cpus.intersection(group.cpuset):
+        at.blame("cpu_affinity").problem(
+            f"none of these CPUs is in its cpuset, {cpu_text(group.cpuset)}; give one of the two"
+        )
+    high, most = group.memory_high, group.memory_max
+    if high is not None and most is not None and most < high < NO_LIMIT:
+        at.blame("memory_high").problem("is never reached: it is above memory_max")
 
 
 def refuse_inherited(resources: Resources, at: At, process: Process) -> None:
