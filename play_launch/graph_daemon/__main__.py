@@ -11,7 +11,7 @@ import socket
 
 from play_launch.graph_daemon.contract import DOMAIN_VARIABLE, WARM, DaemonAddress
 from play_launch.graph_daemon.server.daemon import Daemon
-from play_launch.process.time_slice import ask_for_short_turns
+from play_launch.process.time_slice import ask_for_more_turns, ask_for_short_turns
 
 
 def main() -> None:
@@ -24,6 +24,7 @@ def main() -> None:
     options = parser.parse_args()
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s")
     # Before there are other threads.
+    ask_for_more_turns()
     ask_for_short_turns()
     address = DaemonAddress(options.domain)
     os.environ[DOMAIN_VARIABLE] = str(address.domain)

@@ -1,11 +1,16 @@
-"""The daemon asks for short turns, and for nothing else."""
+"""The daemon asks for short turns, and for more of them where it may."""
 
 from __future__ import annotations
 
+import os
 import platform
 import subprocess
 import sys
 from pathlib import Path
+
+import pytest
+
+from play_launch.process.time_slice import NICE
 
 ASKING = """
 import os
@@ -69,3 +74,48 @@ def test_what_a_guard_starts_has_the_usual_turns(guard: Path) -> None:
     command = [sys.executable, "-c", STARTING, str(guard)]
     words = subprocess.run(command, check=True, capture_output=True, text=True, timeout=60).stdout
     assert words.split() in (["100000", "True"], ["True"]) or kernel() < (6, 12)
+
+
+PREFERRING = """
+import ctypes, os, resource, sys
+from pathlib import Path
+from threading import Thread
+from play_launch.process.time_slice import ask_for_more_turns, ask_for_short_turns
+
+os.setsid()
+given = int(sys.argv[2])
+os.setpriority(os.PRIO_PROCESS, 0, given)
+if sys.argv[1] == "without":
+    resource.setrlimit(resource.RLIMIT_NICE, (0, 0))
+    os.setuid(65534)
+permitted = ask_for_more_turns()
+ask_for_short_turns()
+def show():
+    group = Path("/proc/self/autogroup")
+    print(permitted, os.getpriority(os.PRIO_PROCESS, 0),
+          group.read_text().split()[-1] if group.exists() else "none")
+thread = Thread(target=show)
+thread.start()
+thread.join()
+"""
+
+
+def preferred(right: str, nice: int) -> list[str]:
+    command = [sys.executable, "-c", PREFERRING, right, str(nice)]
+    return subprocess.run(command, check=True, capture_output=True, text=True).stdout.split()
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs root, for nice values below 0")
+def test_whoever_may_is_preferred_in_its_group_and_with_it() -> None:
+    permitted, nice, group = preferred("with", 0)
+    assert (permitted, nice) == ("True", str(NICE))
+    assert group in (str(NICE), "none")
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to give the right up")
+def test_whoever_may_not_goes_on_as_before() -> None:
+    assert preferred("without", 0)[:2] == ["False", "0"]
+
+
+def test_a_nice_value_that_somebody_gave_is_left_alone() -> None:
+    assert preferred("with", 4)[:2] == ["False", "4"]
