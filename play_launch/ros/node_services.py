@@ -6,6 +6,8 @@ import os
 import time
 from typing import TYPE_CHECKING, Any, Final, Self
 
+from play_launch.fastdds.own_participant import as_our_own
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -26,16 +28,18 @@ class NodeServices:
         from rclpy.context import Context  # noqa: PLC0415
         from rclpy.executors import SingleThreadedExecutor  # noqa: PLC0415
         from rclpy.node import Node  # noqa: PLC0415
+        from rclpy.utilities import get_rmw_implementation_identifier  # noqa: PLC0415
 
         self._context = Context()
-        self._context.init(args=None)
-        self._node = Node(
-            f"_play_launch_command_{os.getpid()}",
-            context=self._context,
-            use_global_arguments=False,
-            enable_rosout=False,
-            start_parameter_services=False,
-        )
+        with as_our_own(os.environ, get_rmw_implementation_identifier()):
+            self._context.init(args=None)
+            self._node = Node(
+                f"_play_launch_command_{os.getpid()}",
+                context=self._context,
+                use_global_arguments=False,
+                enable_rosout=False,
+                start_parameter_services=False,
+            )
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
 

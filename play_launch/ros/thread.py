@@ -14,7 +14,7 @@ from collections import deque
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 
-from play_launch.fastdds.announcement import quick_announcement
+from play_launch.fastdds.own_participant import as_our_own
 from play_launch.fastdds.waits import end_participants_safely
 from play_launch.ros.graph import GraphEvents
 from play_launch.ros.graph_guard import GraphGuardError
@@ -208,15 +208,15 @@ class RosThread:
         from rclpy.utilities import get_rmw_implementation_identifier  # noqa: PLC0415
 
         context = Context()
-        rclpy.init(
-            args=[],
-            context=context,
-            domain_id=self._domain_id,
-            signal_handler_options=SignalHandlerOptions.NO,
-        )
         self.rmw_implementation = get_rmw_implementation_identifier()
-        end_participants_safely()
-        with quick_announcement(os.environ, self.rmw_implementation):
+        with as_our_own(os.environ, self.rmw_implementation):
+            rclpy.init(
+                args=[],
+                context=context,
+                domain_id=self._domain_id,
+                signal_handler_options=SignalHandlerOptions.NO,
+            )
+            end_participants_safely()
             node = Node(
                 self.name,
                 context=context,

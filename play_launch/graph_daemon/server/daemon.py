@@ -12,9 +12,8 @@ import time
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Final
 
+from play_launch.fastdds.own_participant import OwnParticipant, decide
 from play_launch.fastdds.profiles import files_here
-from play_launch.fastdds.transports import VARIABLE as TRANSPORTS
-from play_launch.fastdds.transports import choose_transports
 from play_launch.graph_daemon.contract import IDLE_TIMEOUT, LISTENING, WARM
 from play_launch.graph_daemon.server.clients import Limits, Server
 from play_launch.graph_daemon.server.interfaces import InterfaceWatch
@@ -77,7 +76,7 @@ class DaemonStatus:
     idle_timeout: float
     """Seconds without a request after which the daemon ends; 0 for never."""
     transports: str
-    """Value of FASTDDS_BUILTIN_TRANSPORTS in the daemon, empty when it is not set."""
+    """As a value of FASTDDS_BUILTIN_TRANSPORTS, empty when they are not the daemon's choice."""
     transports_reason: str
     """Why; empty with another middleware than Fast DDS, where the variable means nothing."""
     settings: dict[str, str] = field(default_factory=dict)
@@ -124,10 +123,7 @@ class Daemon:
         )
 
         self._rmw = rmw_implementation()
-        # Before the first node is made.
-        self._transports = choose_transports(os.environ, files_here(), self._rmw)
-        if self._transports is not None:
-            os.environ.update(self._transports.variables)
+        self._participant = decide(os.environ, files_here(), self._rmw) or OwnParticipant("", "")
         self._end = asyncio.Event()
         self._service = GraphService(
             graph_functions(lambda: self._service.graph),
@@ -161,7 +157,6 @@ class Daemon:
         service, server = self._service, self._server
         known = service.population()
         pulse = service.pulse
-        chosen = self._transports
         return DaemonStatus(
             pid=os.getpid(),
             domain=self._address.domain,
@@ -182,8 +177,8 @@ class Daemon:
             connections=server.connections,
             resets=server.resets,
             idle_timeout=self._idle_timeout,
-            transports="" if chosen is None else os.environ.get(TRANSPORTS, ""),
-            transports_reason="" if chosen is None else chosen.reason,
+            transports=self._participant.transports,
+            transports_reason=self._participant.reason,
             settings=compared_settings(os.environ, self._rmw),
         )
 

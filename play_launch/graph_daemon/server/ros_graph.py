@@ -20,7 +20,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from play_launch.fastdds.announcement import quick_announcement
+from play_launch.fastdds.own_participant import as_our_own
 from play_launch.fastdds.waits import end_participants_safely
 from play_launch.graph_daemon.contract import GRAPH_METHODS, NODE_PREFIX
 from play_launch.graph_daemon.server.marshal import to_wire
@@ -73,10 +73,10 @@ class RosGraph:
         self._on_change = on_change
         self._stopping = threading.Event()
         self._context = Context()
-        rclpy.init(args=[], context=self._context)
-        end_participants_safely()
         try:
-            with quick_announcement(os.environ, rmw_implementation()):
+            with as_our_own(os.environ, rmw_implementation()):
+                rclpy.init(args=[], context=self._context)
+                end_participants_safely()
                 self._node = Node(
                     f"{NODE_PREFIX}{domain}_{uuid4().hex}",
                     context=self._context,
