@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import ctypes
+import functools
 from typing import TYPE_CHECKING, Any, Final
 
 from play_launch.config.model import FOR_ALL, ParameterType, ParameterValue
@@ -84,6 +85,23 @@ class _Parameters(ctypes.Structure):
     )
 
 
+@functools.cache
+def _libraries() -> tuple[ctypes.CDLL, ctypes.CDLL]:
+    """Return the utilities and the parser of rcl, with the types of what is called in them."""
+    utilities, parser = ctypes.CDLL(_UTILITIES), ctypes.CDLL(_PARSER)
+    utilities.rcutils_get_default_allocator.restype = _Allocator
+    utilities.rcutils_get_error_string.restype = _ErrorString
+    parser.rcl_yaml_node_struct_init.argtypes = [_Allocator]
+    parser.rcl_yaml_node_struct_init.restype = ctypes.POINTER(_Parameters)
+    parser.rcl_yaml_node_struct_fini.argtypes = [ctypes.POINTER(_Parameters)]
+    parser.rcl_parse_yaml_file.argtypes = [ctypes.c_char_p, ctypes.POINTER(_Parameters)]
+    parser.rcl_parse_yaml_file.restype = ctypes.c_bool
+    texts = [ctypes.c_char_p] * 3
+    parser.rcl_parse_yaml_value.argtypes = [*texts, ctypes.POINTER(_Parameters)]
+    parser.rcl_parse_yaml_value.restype = ctypes.c_bool
+    return utilities, parser
+
+
 class RclParameters:
     """The parameters that a process gets: sections in the order in which rcl saw them first.
 
@@ -91,18 +109,7 @@ class RclParameters:
     """
 
     def __init__(self) -> None:
-        self._utilities = ctypes.CDLL(_UTILITIES)
-        self._parser = ctypes.CDLL(_PARSER)
-        self._utilities.rcutils_get_default_allocator.restype = _Allocator
-        self._utilities.rcutils_get_error_string.restype = _ErrorString
-        self._parser.rcl_yaml_node_struct_init.argtypes = [_Allocator]
-        self._parser.rcl_yaml_node_struct_init.restype = ctypes.POINTER(_Parameters)
-        self._parser.rcl_yaml_node_struct_fini.argtypes = [ctypes.POINTER(_Parameters)]
-        self._parser.rcl_parse_yaml_file.argtypes = [ctypes.c_char_p, ctypes.POINTER(_Parameters)]
-        self._parser.rcl_parse_yaml_file.restype = ctypes.c_bool
-        texts = [ctypes.c_char_p] * 3
-        self._parser.rcl_parse_yaml_value.argtypes = [*texts, ctypes.POINTER(_Parameters)]
-        self._parser.rcl_parse_yaml_value.restype = ctypes.c_bool
+        self._utilities, self._parser = _libraries()
         self._held = self._parser.rcl_yaml_node_struct_init(
             self._utilities.rcutils_get_default_allocator()
         )
