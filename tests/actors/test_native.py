@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import platform
 import signal
 import sys
 from contextlib import asynccontextmanager
@@ -14,6 +15,7 @@ import psutil
 import pytest
 from msgspec.structs import replace
 
+from play_launch.actors.container.limits import LIMITS, Limits
 from play_launch.actors.launcher import NativeLauncher
 from play_launch.actors.publisher import Publisher
 from play_launch.actors.stop_requests import StopRequests
@@ -21,6 +23,7 @@ from play_launch.actors.system import run_system
 from play_launch.config.model import (
     ComposableNodeConfig,
     ContainerConfig,
+    ContainerType,
     ParameterConfig,
     ParameterType,
     ParameterValue,
@@ -97,11 +100,11 @@ def python(name: str, code: str, *, on_exit: OnExit = OnExit.IGNORE) -> ProcessC
 
 @asynccontextmanager
 async def running_natively(
-    config: ReplayConfig, launcher: NativeLauncher | None = None
+    config: ReplayConfig, launcher: NativeLauncher | None = None, limits: Limits = LIMITS
 ) -> AsyncIterator[Running]:
     watching = Running()
     watching.task = asyncio.create_task(
-        run_system(config, Publisher(watching), watching.stop, launcher=launcher)
+        run_system(config, Publisher(watching), watching.stop, launcher=launcher, limits=limits)
     )
     try:
         async with asyncio.timeout(60):
@@ -245,6 +248,35 @@ def test_a_slow_constructor_is_asked_about_and_loaded_once() -> None:
             assert report.pid == pid_of(sys, "/c")
             assert "its constructor runs for" in report.reason
         assert len(sys.node_events("/slow", NodeState.REQUESTED)) == 1
+
+    asyncio.run(main())
+
+
+@pytest.mark.skipif(platform.machine() not in {"x86_64", "aarch64"}, reason="names of system calls")
+def test_what_a_constructor_waits_for_is_reported_in_every_mode() -> None:
+    types = [each for each in ContainerType if each is not ContainerType.STOCK]
+
+    async def main() -> None:
+        config = system(
+            *(
+                replace(
+                    container(
+                        each, node(f"in_{each}", "SlowConstructor", seconds=3600.0), timeout=0.5
+                    ),
+                    container_type=each,
+                )
+                for each in types
+            )
+        )
+        async with running_natively(config, limits=Limits(report_interval=0.5)) as sys:
+
+            def is_seen(name: str) -> bool:
+                reasons = [event.reason for event in sys.node_events(name, NodeState.LOADING)]
+                return any(each.endswith("; it waits in clock_nanosleep") for each in reasons)
+
+            await sys.until(lambda: all(is_seen(f"/in_{each}") for each in types))
+        for each in types:
+            assert len(sys.node_events(f"/in_{each}", NodeState.REQUESTED)) == 1
 
     asyncio.run(main())
 

@@ -30,6 +30,8 @@ class Facts(Struct, frozen=True, kw_only=True):
     start_time: int = 0
     cpu_time_ns: int = 0
     full_node_name: str = ""
+    is_constructing: bool = False
+    """Whether its constructor runs, and does not wait for its turn."""
 
 
 NOTHING: Final = Facts()
@@ -78,13 +80,15 @@ def facts_of_status(asked: Asked, listed: NodeStatus | None) -> Facts:
         return Facts(attempt=asked.attempt, unique_id=asked.unique_id, reason=reason)
     elapsed, cpu = listed.elapsed_ns / 1e9, listed.cpu_time_ns / 1e9
     slow = f"its constructor runs for {elapsed:.1f} s in pid {listed.pid}, {cpu:.1f} s of it on CPU"
+    is_constructing = listed.state == 0 and not listed.note
     waits = f"{listed.note} ({elapsed:.1f} s so far)" if listed.note else ""
     return Facts(
         attempt=listed.attempt,
         unique_id=listed.unique_id,
-        reason=waits or (slow if listed.state == 0 else ""),
+        reason=waits or (slow if is_constructing else ""),
         pid=listed.pid,
         start_time=listed.start_time,
         cpu_time_ns=listed.cpu_time_ns,
         full_node_name=listed.full_node_name,
+        is_constructing=is_constructing,
     )

@@ -6,9 +6,11 @@ import logging
 from typing import TYPE_CHECKING, Any, Final, assert_never
 
 from msgspec import Struct, field
+from msgspec.structs import replace
 
 from play_launch.actors.container.node_facts import NOTHING, Facts
 from play_launch.actors.resource_report import report_shortfalls
+from play_launch.config.model import ContainerType
 from play_launch.core.events import (
     REPORTED_LOGGER,
     ComponentEvent,
@@ -19,13 +21,15 @@ from play_launch.core.events import (
 )
 from play_launch.core.lifecycle import NodeRecord
 from play_launch.core.node_report import NodeReport
+from play_launch.process.identity import ProcessIdentity
+from play_launch.process.thread_wait import thread_wait
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from play_launch.actors.publisher import Publisher
     from play_launch.actors.restarter import CrashFollower
-    from play_launch.config.model import ComposableNodeConfig
+    from play_launch.config.model import ComposableNodeConfig, ContainerConfig
     from play_launch.core.node_key import NodeKey
     from play_launch.core.probe import Finding
 
@@ -76,9 +80,12 @@ class MirroredNode(Struct):
 class NodeReports:
     """Publishes what happens to the nodes of one container."""
 
-    def __init__(self, container: str, publisher: Publisher, clock: Callable[[], float]) -> None:
-        """Take the container's full name."""
-        self._container = container
+    def __init__(
+        self, config: ContainerConfig, publisher: Publisher, clock: Callable[[], float]
+    ) -> None:
+        """Take the container that they are in."""
+        self._container = config.full_name
+        self._type = config.container_type
         self._publisher = publisher
         self._clock = clock
 
@@ -110,6 +117,15 @@ class NodeReports:
     def resources(self, node: MirroredNode) -> None:
         """Report which of its resources the kernel refused; it is loaded."""
         report_shortfalls(node.name, node.config.resources, node.pid, self._publisher)
+
+    def with_wait(self, facts: Facts) -> Facts:
+        """Add what the constructor waits for, where that can be seen."""
+        if self._type is ContainerType.STOCK or not facts.is_constructing or not facts.pid:
+            return facts
+        # A node with a process of its own is constructed in the first thread.
+        thread = "" if self._type.is_isolated else f"load-{facts.unique_id}"
+        waits = thread_wait(ProcessIdentity(facts.pid, facts.start_time), thread)
+        return replace(facts, reason=f"{facts.reason}; it {waits}") if waits else facts
 
     def silence(self, node: MirroredNode, seconds: float, limit: float) -> None:
         """Report once that its executor has been blocked for ``limit`` seconds, and its return."""

@@ -79,7 +79,7 @@ class ContainerNodes:
         Without ``probes`` every node is loaded whenever the container is ready.
         """
         self._container = config.full_name
-        self._reports = NodeReports(config.full_name, publisher, clock)
+        self._reports = NodeReports(config, publisher, clock)
         self._escalation = escalation
         self._attempts = attempts
         self.patience = patience
@@ -318,6 +318,8 @@ class ContainerNodes:
             self._groups.check(node.key.name, node.pid)
         has_changed = record.state is not before.state
         report = report_of(before.state, said, record.state)
+        if report is NodeReport.SLOW:
+            facts = self._reports.with_wait(facts)
         if report is NodeReport.UNASKED and not self._stopping and not facts.reason:
             facts = replace(facts, reason="not at the supervisor's request")
         over = before.state in _UNDER_WAY and record.state not in _UNDER_WAY
