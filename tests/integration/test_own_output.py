@@ -165,7 +165,8 @@ def test_errors_of_fast_dds_leave_json_as_it_is(tmp_path: Path) -> None:
     events = []
     with subprocess.Popen(
         mounted("mount -t tmpfs tmpfs /dev/shm", *locks, *replay(config, "--json")),
-        env={**os.environ, **double.environment},
+        # With peers our participant has shared memory, as rmw_fastrtps decides.
+        env={**os.environ, **double.environment, "ROS_STATIC_PEERS": "127.0.0.1"},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
