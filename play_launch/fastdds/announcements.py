@@ -31,6 +31,8 @@ _PER_DOMAIN: Final = 250
 _FIRST: Final = 10
 _PARTICIPANTS: Final = 120
 """So many have ports in the range of a domain; with LOCALHOST rmw_fastrtps announces to 32."""
+_PORTS: Final = 65536
+"""Of the last domain, 232, not all participants have one."""
 _LONGEST: Final = 65536
 _LOOK_AT_INTERFACES: Final = 2.0
 """Seconds after which the addresses of this machine are looked at again."""
@@ -86,10 +88,10 @@ class Announcements:
     def _pass_on(self, announcement: bytes, domain: int) -> None:
         first = _BASE + _PER_DOMAIN * domain
         if self._on_loopback:
-            for number in range(_PARTICIPANTS):
-                # Where nobody listens the kernel reports that at the next call.
+            begin = first + _FIRST
+            for port in range(begin, min(begin + 2 * _PARTICIPANTS, _PORTS), 2):
                 with contextlib.suppress(OSError):
-                    self._inbox.sendto(announcement, (_LOOPBACK, first + _FIRST + 2 * number))
+                    self._inbox.sendto(announcement, (_LOOPBACK, port))
             return
         for sender in self._senders():
             # A network may be gone, or have no route for multicast.
@@ -140,7 +142,7 @@ def _domain_named(message: bytes, place: int, order: str) -> int | None:
             # A locator: its kind, the port, 16 octets of an address.
             (port,) = struct.unpack_from(f"{order}I", message, place + 8)
             domain, offset = divmod(port - _BASE, _PER_DOMAIN)
-            return domain if port >= _BASE and offset >= _FIRST else None
+            return domain if _BASE <= port < _PORTS and offset >= _FIRST else None
         place += 4 + length
 
 
