@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 from play_launch.doctor.facts import ContainerFacts
-from play_launch.install.allocator import find_allocator, preloading
+from play_launch.install.allocator import allocating_with, find_allocator
 from play_launch.install.environment import child_environment
 from play_launch.install.ros import NotInstalledError, component_container, spawn_guard
 from play_launch.wire.channel import ControlChannel, ControlError, control_pair
@@ -47,7 +47,7 @@ def probe_container(ros: RosInstallation, environ: Mapping[str, str]) -> Contain
     )
     environment = child_environment(environ, ros, _ALONE)
     if allocator.library is not None:
-        environment = preloading(environment, allocator.library)
+        environment = allocating_with(environment, allocator.library)
     return asyncio.run(_ask(program, environment, facts))
 
 

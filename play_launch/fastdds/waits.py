@@ -1,10 +1,12 @@
-"""Participants of this Python process come to an end.
+"""Participants of this Python process come to an end, and do not wait for themselves.
 
 Where a participant goes while one of its discovery callbacks runs, Fast DDS of the ROS wheels may
 wait in a loop that keeps the mutex from that callback, for seconds or for ever, and rclpy holds
 Python's lock meanwhile: nothing of the process goes on. The cause is a deadline that overflows
-(``overrides/condition_deadline.cpp`` of the container's sources). Our native programs define the
-function that Fast DDS waits with anew; here it is replaced in the Fast DDS that is loaded.
+(``overrides/condition_deadline.cpp`` of the container's sources). And where a reader in shared
+memory dies in the midst of a message, a writer may wait for itself for ever
+(``overrides/owned_lock.cpp``). Our native programs define the functions that Fast DDS waits with
+anew; here they are replaced in the Fast DDS that is loaded.
 """
 
 from __future__ import annotations
@@ -26,7 +28,7 @@ _FASTDDS: Final = ("libfastrtps.so", "libfastdds.so")
 
 
 def end_participants_safely(libraries: tuple[str, ...] = _FASTDDS) -> int:
-    """Replace the wait in the libraries that are loaded, so after the middleware's.
+    """Replace the waits in the libraries that are loaded, so after the middleware's.
 
     Does nothing with another middleware, and where our own library is not installed.
 

@@ -19,6 +19,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from play_launch.install.preload import preloaded_in, preloading
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
 
@@ -102,26 +104,19 @@ def find_allocator(
 
 def for_isolation(environment: Mapping[str, str], library: Path | None) -> dict[str, str]:
     """Return the environment of an isolated container: with the library, or the best without."""
-    return with_own_arenas(environment) if library is None else preloading(environment, library)
+    return (
+        with_own_arenas(environment) if library is None else allocating_with(environment, library)
+    )
 
 
-def preloading(environment: Mapping[str, str], library: Path) -> dict[str, str]:
+def allocating_with(environment: Mapping[str, str], library: Path) -> dict[str, str]:
     """Add the library to what is preloaded, unless such an allocator is preloaded already.
 
     It then does without huge pages, unless the environment says otherwise.
     """
-    changed = dict(environment)
-    preloaded = [name for name in re.split(r"[: ]", changed.get("LD_PRELOAD", "")) if name]
-    if any(_NAME.match(Path(name).name) for name in preloaded):
-        return changed
-    entry = os.fspath(library)
-    if " " in entry:
-        # LD_PRELOAD ends there, but a virtual environment may be in such a folder. A name without
-        # a slash is searched for.
-        searched = [os.fspath(library.parent), *filter(None, [changed.get("LD_LIBRARY_PATH")])]
-        changed["LD_LIBRARY_PATH"] = os.pathsep.join(searched)
-        entry = library.name
-    changed["LD_PRELOAD"] = ":".join([entry, *preloaded])
+    if any(_NAME.match(Path(name).name) for name in preloaded_in(environment)):
+        return dict(environment)
+    changed = preloading(environment, library)
     if library.name.startswith("libmimalloc"):
         changed.setdefault(_HUGE_PAGES, "0")
     return changed

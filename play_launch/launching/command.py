@@ -26,6 +26,7 @@ from play_launch.install.command import (
     stock_container_argv,
 )
 from play_launch.install.environment import child_environment, foreign_python_environment
+from play_launch.install.preload import with_safe_waits
 from play_launch.install.ros import RosInstallation  # noqa: TC001 - as above
 from play_launch.launching.needs import shares_memory
 
@@ -88,6 +89,8 @@ def container_command(
 def container_environment(config: ContainerConfig, machine: Machine) -> dict[str, str]:
     """Make the environment of a container, which the index of components is read in as well."""
     environment = child_environment(machine.environment, machine.ros, config.environment)
+    if config.container_type is ContainerType.STOCK:
+        return with_safe_waits(environment, machine.container)
     if shares_memory(config):
         environment = for_isolation(environment, machine.allocator)
     return environment
@@ -119,4 +122,5 @@ def process_command(
     program = shutil.which(argv[len(config.prefix)], path=environment.get("PATH"))
     if program is not None:
         environment = foreign_python_environment(environment, machine.ros, Path(program))
+    environment = with_safe_waits(environment, machine.container)
     return Command(argv, environment, config.cwd, config.emulate_tty, config.resources)

@@ -1,7 +1,8 @@
-"""Waits of Fast DDS whose deadline has overflowed leave others the mutex."""
+"""Fast DDS in a Python process: overflowed waits leave others the mutex, none is for itself."""
 
 from __future__ import annotations
 
+import errno
 import os
 import subprocess
 import sys
@@ -29,6 +30,22 @@ extern "C" long wait_until(long seconds) {
   if (error != ETIMEDOUT) return -error;
   return (end.tv_sec - begin.tv_sec) * 1000000000L + end.tv_nsec - begin.tv_nsec;
 }
+
+// Takes a mutex between processes twice; returns the error of the second time.
+extern "C" int lock_twice() {
+  pthread_mutex_t mutex;
+  pthread_mutexattr_t attributes;
+  pthread_mutexattr_init(&attributes);
+  pthread_mutexattr_setpshared(&attributes, PTHREAD_PROCESS_SHARED);
+  pthread_mutex_init(&mutex, &attributes);
+  const timespec passed{0, 0};
+  if (pthread_mutex_timedlock(&mutex, &passed) != 0) return -1;
+  const int error = pthread_mutex_timedlock(&mutex, &passed);
+  if (error == 0) pthread_mutex_unlock(&mutex);
+  if (pthread_mutex_trylock(&mutex) == 0) return -2;
+  pthread_mutex_unlock(&mutex);
+  return pthread_mutex_trylock(&mutex) == 0 ? error : -3;
+}
 """
 TRYING = """
 import ctypes, sys
@@ -42,6 +59,7 @@ other.wait_until.argtypes = [ctypes.c_long]
 other.wait_until.restype = ctypes.c_long
 print(end_participants_safely(("libpeculiar",)))
 print(library.wait_until(-1), library.wait_until(1), other.wait_until(-1))
+print(library.lock_twice(), other.lock_twice())
 """
 PAUSE = 10_000_000
 """ns; not less than this passes in a wait whose deadline has overflowed."""
@@ -53,7 +71,7 @@ def python(code: str, *arguments: str | Path) -> list[str]:
 
 
 @pytest.mark.parametrize("binding", ["lazy", "now"])
-def test_a_wait_with_an_overflowed_deadline_pauses(tmp_path: Path, binding: str) -> None:
+def test_the_functions_of_a_library_are_replaced(tmp_path: Path, binding: str) -> None:
     source = tmp_path / "waiting.cpp"
     source.write_text(WAITING)
     libraries = [tmp_path / "libpeculiar.so", tmp_path / "libother.so"]
@@ -61,11 +79,14 @@ def test_a_wait_with_an_overflowed_deadline_pauses(tmp_path: Path, binding: str)
         options = ["-shared", "-fPIC", f"-Wl,-z,{binding},-z,relro", "-o", str(library)]
         compiler = os.environ.get("CXX", "c++")
         subprocess.run([compiler, *options, str(source)], check=True)
-    replaced, overflowed, past, elsewhere = map(int, python(TRYING, *libraries))
+    replaced, overflowed, past, elsewhere, own_lock, other_lock = map(
+        int, python(TRYING, *libraries)
+    )
     assert replaced == 1
     assert overflowed >= PAUSE
     assert past >= 0
     assert elsewhere >= 0, "what others wait for is not touched, and goes on working"
+    assert (own_lock, other_lock) == (0, errno.ETIMEDOUT)
 
 
 @pytest.mark.skipif(

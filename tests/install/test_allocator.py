@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from play_launch.install.allocator import Allocator, find_allocator, for_isolation, preloading
+from play_launch.install.allocator import Allocator, allocating_with, find_allocator, for_isolation
 from play_launch.install.ros import RosSource, ros_installation
 
 PYTHON = Path(sys.executable).resolve()
@@ -84,7 +84,7 @@ def test_a_library_in_a_folder_with_a_space_is_loaded(tmp_path: Path) -> None:
     copy = tmp_path / "a folder" / "libcopy.so"
     copy.parent.mkdir()
     shutil.copy(any_library[0], copy)
-    environment = preloading({"LD_LIBRARY_PATH": "/nowhere"}, copy)
+    environment = allocating_with({"LD_LIBRARY_PATH": "/nowhere"}, copy)
     assert environment["LD_LIBRARY_PATH"] == f"{copy.parent}:/nowhere"
     loaded = subprocess.run(
         ["cat", "/proc/self/maps"], check=True, capture_output=True, text=True, env=environment
@@ -129,7 +129,7 @@ def test_this_machine_is_looked_at_without_an_error() -> None:
     ],
 )
 def test_preloading(before: dict[str, str], after: str) -> None:
-    assert preloading(before, Path("/l/libmimalloc.so.2"))["LD_PRELOAD"] == after
+    assert allocating_with(before, Path("/l/libmimalloc.so.2"))["LD_PRELOAD"] == after
 
 
 @pytest.mark.parametrize(
@@ -143,7 +143,7 @@ def test_preloading(before: dict[str, str], after: str) -> None:
 def test_mimalloc_does_without_huge_pages_unless_asked_for(
     library: str, before: dict[str, str], after: str | None
 ) -> None:
-    assert preloading(before, Path("/l") / library).get("MIMALLOC_ALLOW_THP") == after
+    assert allocating_with(before, Path("/l") / library).get("MIMALLOC_ALLOW_THP") == after
 
 
 @pytest.mark.parametrize(

@@ -1,13 +1,14 @@
-// A library for Python processes with participants of Fast DDS: gives Fast DDS the
-// pthread_cond_timedwait() of overrides/condition_deadline.cpp, which says why. Our own programs
-// define the function before all libraries; in a Python that is running already the C library's
-// comes first, so the entry in the table through which Fast DDS calls it is replaced.
+// A library for Python processes with participants of Fast DDS: gives Fast DDS the functions of
+// overrides/condition_deadline.cpp and overrides/owned_lock.cpp, which say why. Our own programs
+// define them before all libraries; in a Python that is running already the C library's come first,
+// so the entries in the table through which Fast DDS calls them are replaced.
 
 #include <link.h>
 #include <pthread.h>
 #include <sys/mman.h>
 #include <unistd.h>
 
+#include <array>
 #include <atomic>
 #include <cstdint>
 #include <string_view>
@@ -19,7 +20,18 @@ namespace {
 using play_launch::DynamicSymbols;
 using play_launch::library_at;
 
-constexpr std::string_view kName = "pthread_cond_timedwait";
+struct Override {
+  std::string_view name;
+  std::uintptr_t function;
+};
+
+std::array<Override, 3> overrides() noexcept {
+  return {{
+      {"pthread_cond_timedwait", reinterpret_cast<std::uintptr_t>(&::pthread_cond_timedwait)},
+      {"pthread_mutex_timedlock", reinterpret_cast<std::uintptr_t>(&::pthread_mutex_timedlock)},
+      {"pthread_mutex_unlock", reinterpret_cast<std::uintptr_t>(&::pthread_mutex_unlock)},
+  }};
+}
 
 bool is_in_read_only_part(const dl_phdr_info& object, std::uintptr_t address) noexcept {
   for (int i = 0; i < object.dlpi_phnum; ++i) {
@@ -32,7 +44,7 @@ bool is_in_read_only_part(const dl_phdr_info& object, std::uintptr_t address) no
 }
 
 /// False when the kernel refuses to have it written.
-bool replace(const dl_phdr_info& object, std::uintptr_t slot) noexcept {
+bool replace(const dl_phdr_info& object, std::uintptr_t slot, std::uintptr_t function) noexcept {
   const auto page_size = static_cast<std::uintptr_t>(::sysconf(_SC_PAGESIZE));
   auto* const page = reinterpret_cast<void*>(slot & ~(page_size - 1));
   // Libraries whose calls were bound when they were loaded have their table protected since.
@@ -41,8 +53,7 @@ bool replace(const dl_phdr_info& object, std::uintptr_t slot) noexcept {
     return false;
   }
   // Other threads may be calling through it.
-  const auto wait = reinterpret_cast<std::uintptr_t>(&::pthread_cond_timedwait);
-  std::atomic_ref(*reinterpret_cast<std::uintptr_t*>(slot)).store(wait);
+  std::atomic_ref(*reinterpret_cast<std::uintptr_t*>(slot)).store(function);
   if (is_protected) {
     ::mprotect(page, page_size, PROT_READ);
   }
@@ -62,15 +73,20 @@ int visit(dl_phdr_info* object, std::size_t, void* argument) noexcept {
   }
   const ElfW(Phdr)& first = object->dlpi_phdr[0];
   if (const link_map* const library = library_at(object->dlpi_addr + first.p_vaddr)) {
-    const std::uintptr_t slot = DynamicSymbols(*library).call_slot(kName);
-    search.replaced += slot != 0 && replace(*object, slot) ? 1 : 0;
+    const DynamicSymbols symbols(*library);
+    bool any = false;
+    for (const Override& each : overrides()) {
+      const std::uintptr_t slot = symbols.call_slot(each.name);
+      any |= slot != 0 && replace(*object, slot, each.function);
+    }
+    search.replaced += any ? 1 : 0;
   }
   return 0;
 }
 
 }  // namespace
 
-/// Replaces it in the loaded libraries whose file names begin so; returns in how many.
+/// Replaces them in the loaded libraries whose file names begin so; returns in how many.
 extern "C" int play_launch_replace_waits(const char* prefix) {
   Search search{prefix};
   ::dl_iterate_phdr(visit, &search);

@@ -3,6 +3,7 @@
 #include "isolation/quiesce/code_map.hpp"
 
 #include <dlfcn.h>
+#include <pthread.h>
 
 #include <cstdint>
 #include <initializer_list>
@@ -69,6 +70,23 @@ void test_libraries_of_nodes() {
   CHECK(!judge(stack_of({node.compute_for_ever, stand_in::publish}), Caution::lenient).harmless);
 }
 
+/// They stand between the C library's and whoever takes or gives back a mutex.
+void test_our_own_locks() {
+  const auto lock = reinterpret_cast<void (*)()>(&::pthread_mutex_timedlock);
+  const auto unlock = reinterpret_cast<void (*)()>(&::pthread_mutex_unlock);
+  for (const Caution caution : {Caution::careful, Caution::lenient}) {
+    for (const auto function : {lock, unlock}) {
+      CHECK(!judge(stack_of({function, play_launch_test_function_of_a_node}), caution).harmless);
+    }
+    // The first stands for the place where the C library waits.
+    CallStack waiting = stack_of({unnamed, lock, stand_in::publish});
+    CallStack of_a_node = stack_of({unnamed, lock, play_launch_test_function_of_a_node});
+    waiting.frames[0].address = of_a_node.frames[0].address = a_system_call();
+    CHECK(!judge(waiting, caution).harmless);
+    CHECK(judge(of_a_node, caution).harmless);
+  }
+}
+
 void test_who_called_decides() {
   for (const Caution caution : {Caution::careful, Caution::lenient}) {
     CHECK(judge(stack_of({play_launch_test_function_of_a_node}), caution).harmless);
@@ -119,6 +137,7 @@ void test_before_a_wake() {
 
 int main() {
   prepare_code_map();
+  test_our_own_locks();
   test_who_called_decides();
   test_functions_without_a_name_at_the_end_of_unlocking();
   test_functions_without_a_name_of_a_node();

@@ -40,6 +40,9 @@ constexpr std::array kCppRuntime{"libstdc++"sv, "libgcc_s"sv, "libm.so"sv, "libm
                                  "linux-vdso"sv};
 constexpr std::array kCLibrary{"libc.so"sv, "libc-"sv, "libpthread"sv};
 
+/// Functions of the C library that this program defines around it (overrides/owned_lock.cpp).
+constexpr std::string_view kLocks = "pthread_mutex_";
+
 /// Functions that templates of the middleware become in somebody's library; while they run they may
 /// hold the locks of delivery by pointer.
 constexpr std::array kTemplates{"_ZN6rclcpp"sv, "_ZNK6rclcpp"sv, "_ZN11play_launch"sv,
@@ -186,6 +189,9 @@ Place place_of(const CallStack& stack, std::size_t frame, Caution caution) {
   }
   if (begins_with_any(function, kCppHeaders)) {
     return begins_with_any(function, kCallers) ? Place::harmless : Place::header;
+  }
+  if (is_program && function.starts_with(kLocks)) {
+    return innermost ? Place::inside : Place::neutral;
   }
   // This program is no node's; children take none of its locks but those in docs/isolation.md.
   return !is_program && begins_with_any(function, kTemplates) ? Place::inside : Place::harmless;
