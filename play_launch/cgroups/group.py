@@ -10,8 +10,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from play_launch.cgroups.base import GroupError
+from play_launch.cgroups.controllers import lack_of
+from play_launch.cgroups.marks import enabled_for_us, forget_enabled, note_enabled
 from play_launch.cgroups.names import SessionName
-from play_launch.cgroups.refusals import fewer_cpus, no_controller, no_group, no_limit
+from play_launch.cgroups.refusals import (
+    fewer_cpus,
+    no_controller,
+    no_group,
+    no_limit,
+    unavailable_controller,
+)
 from play_launch.core.cpu_list import cpu_text, cpus_in
 from play_launch.core.group_limits import NO_LIMITS, GroupLimits
 
@@ -64,18 +72,25 @@ class Group:
         for controller in sorted(wanted - self._words("cgroup.subtree_control")):
             if controller not in there:
                 if self.path == top:
-                    yield no_controller(controller, self.path, None)
+                    yield unavailable_controller(controller, self.path, lack_of(controller))
                 continue
             try:
                 self._write("cgroup.subtree_control", f"+{controller}")
             except OSError as error:
                 yield no_controller(controller, self.path, error)
+            else:
+                note_enabled(self.path, controller)
 
     def disable(self, controllers: Iterable[str]) -> None:
         """Take controllers from the groups below, as far as the kernel agrees."""
         for controller in controllers:
             with suppress(OSError):
                 self._write("cgroup.subtree_control", f"-{controller}")
+
+    def disable_ours(self) -> None:
+        """Take those from the groups below that a session of ours has enabled."""
+        self.disable(enabled_for_us(self.path))
+        forget_enabled(self.path)
 
     @property
     def enabled(self) -> frozenset[str]:

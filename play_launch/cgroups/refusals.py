@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import errno
 import os
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, assert_never
 
 from play_launch.cgroups.base import READ_ONLY_FIX, SCOPE_FIX
+from play_launch.cgroups.controllers import VERSION_2_FIX, Lack, switched_on
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -30,15 +31,29 @@ _FILES: Final = {
 }
 
 
-def no_controller(controller: str, group: Path, error: OSError | None) -> str:
-    """Say that a controller cannot be had below a group: `error` is what enabling it gave."""
-    what = f"{_KEYS.get(controller, controller)} cannot hold: the controller {controller} "
-    match None if error is None else error.errno:
-        case None | errno.ENOENT:
-            return (
-                f"{what}is not available in {group}: it is not delegated, or used by version 1 of "
-                f"control groups; fix: {_DROP_IN}, or boot with cgroup_no_v1=all"
-            )
+def unavailable_controller(controller: str, group: Path, lack: Lack) -> str:
+    """Say that a group has not got a controller."""
+    what = f"{_cannot_hold(controller)}is not available in {group}: "
+    match lack:
+        case Lack.IN_VERSION_1:
+            return f"{what}version 1 of control groups uses it; fix: {VERSION_2_FIX}"
+        case Lack.SWITCHED_OFF:
+            return f"{what}it is switched off in the kernel; fix: {switched_on(controller)}"
+        case Lack.NOT_GIVEN:
+            return f"{what}it is not delegated, or the kernel has none; fix: {_DROP_IN}"
+    assert_never(lack)
+
+
+def _cannot_hold(controller: str) -> str:
+    return f"{_KEYS.get(controller, controller)} cannot hold: the controller {controller} "
+
+
+def no_controller(controller: str, group: Path, error: OSError) -> str:
+    """Say that a controller cannot be enabled below a group."""
+    what = _cannot_hold(controller)
+    match error.errno:
+        case errno.ENOENT:
+            return unavailable_controller(controller, group, Lack.NOT_GIVEN)
         case errno.EBUSY:
             return f"{what}cannot be enabled in {group}, which has processes; fix: {SCOPE_FIX}"
         case errno.EACCES | errno.EPERM:
@@ -53,7 +68,6 @@ def no_controller(controller: str, group: Path, error: OSError | None) -> str:
                 "refuses it while real-time processes are in other groups than the root; fix: a "
                 "kernel without that option, or with rt_group_sched=0"
             )
-    assert error is not None
     return f"{what}cannot be enabled in {group}: {os.strerror(error.errno or 0)}"
 
 

@@ -18,6 +18,7 @@ from play_launch.cgroups.base import (
 )
 from play_launch.cgroups.deaths import why_killed
 from play_launch.cgroups.group import Group
+from play_launch.cgroups.marks import is_ours, note_made
 from play_launch.cgroups.names import (
     CONTAINER,
     SUPERVISOR,
@@ -55,11 +56,8 @@ class SessionGroups:
         self._session: Group | None = None
         self._base = Path()
         self._top = Path()
-        self._found: frozenset[str] = frozenset()
         self._controllers: frozenset[str] = frozenset()
         self._is_open = False
-        self._moved = False
-        self._made: tuple[Path, ...] = ()
         self._policy: GroupPolicy | None = None
         self._reported: set[str] = set()
         self._given: set[str] = set()
@@ -106,8 +104,8 @@ class SessionGroups:
                 raise GroupError(why)
         else:
             self._base, self._top = policy.base_path, seen.mount
-            self._made = _make_base(self._base, seen)
-        self._found = Group(self._base).enabled
+            _check_base(self._base, seen)
+            _make_noted(self._base)
         self._is_open = True
         swept = sweep(self._base, self._name.namespace, self._lives)
         if swept:
@@ -115,14 +113,15 @@ class SessionGroups:
         _check_entry(self._base, seen.own)
 
     def _open(self, controllers: frozenset[str]) -> None:
-        if controllers - self._found and self._policy and self._policy.base_path is None:
+        is_found = self._policy is not None and self._policy.base_path is None
+        if is_found and controllers - Group(self._base).enabled:
             self._make_room()
         self._session = session = Group(self._base / str(self._name))
         self._controllers = controllers
         self._make_session(session)
 
     def _make_session(self, session: Group) -> None:
-        Group(self._base).make()  # another session may have ended meanwhile that had made it
+        _make_noted(self._base)  # another session may have ended meanwhile that had made it
         session.make()
         self._enable(session, self._controllers)
 
@@ -142,14 +141,13 @@ class SessionGroups:
         if not (self._base / "cgroup.type").exists():
             return  # the root of all groups may have them
         leaf = Group(self._base / SUPERVISOR)
-        leaf.make()
+        _make_noted(leaf.path)
         try:
             for _ in range(_MOVES):
                 pids = base.residents()
                 if not pids:
                     break
                 leaf.move_here(pids)
-                self._moved = True
         except OSError as error:
             raise GroupError(no_group(leaf.path, error)) from None
 
@@ -290,13 +288,15 @@ class SessionGroups:
             return
         if any(SessionName.parsed(name) for name in names):
             return
-        base.disable(base.enabled - self._found)
-        if self._moved and not base.enabled:
-            leaf = Group(self._base / SUPERVISOR)
+        base.disable_ours()
+        leaf = Group(self._base / SUPERVISOR)
+        if is_ours(leaf.path) and not base.enabled:
             with suppress(OSError):
                 base.move_here(leaf.processes())
             leaf.remove()
-        for folder in self._made:
+        for folder in (self._base, *self._base.parents):
+            if not is_ours(folder):
+                break
             with suppress(OSError):  # somebody else uses it by now
                 folder.rmdir()
 
@@ -306,19 +306,23 @@ def needed_controllers(limits: Iterable[GroupLimits]) -> frozenset[str]:
     return frozenset().union(*(each.controllers() for each in limits))
 
 
-def _make_base(base: Path, seen: Hierarchy) -> tuple[Path, ...]:
-    """Make the group of that path; gives what was not there, from below. Raises GroupError."""
+def _check_base(base: Path, seen: Hierarchy) -> None:
     if not base.is_relative_to(seen.mount):
         raise GroupError(
             f"{base} is not in the hierarchy of cgroup v2, which is mounted at {seen.mount}; "
             "fix: a base_path below that, or base_path: auto"
         )
-    missing = tuple(each for each in (base, *base.parents) if not each.exists())
+
+
+def _make_noted(group: Path) -> None:
+    """Make a group and those above it, each with a note that it is ours; raises GroupError."""
+    missing = [each for each in (group, *group.parents) if not each.exists()]
     try:
-        base.mkdir(parents=True, exist_ok=True)
+        group.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise GroupError(no_group(base, error)) from None
-    return missing
+        raise GroupError(no_group(group, error)) from None
+    for each in missing:
+        note_made(each)
 
 
 def _check_entry(base: Path, own: Path) -> None:

@@ -63,6 +63,26 @@ def validate_mapping(section: type[SomeSection], at: At) -> SomeSection | None:
     return None if refused else checked
 
 
+def well_formed(section: type[SomeSection], at: At | None) -> SomeSection | None:
+    """Return `section` of the keys whose values are right; None where no mapping stands there.
+
+    For reading on after a mistake, in a section that requires no key: the rest of what is said
+    there still decides what is wrong elsewhere.
+    """
+    if at is None or not isinstance(at.node, Mapping):
+        return None
+    values = {
+        entry.key: _plain(entry.value, section.keys[entry.key].schema)
+        for entry, _ in at.entries()
+        if entry.key in section.keys
+    }
+    try:
+        return section.of(values)
+    except ValidationError as error:
+        wrong = {each["loc"][0] for each in error.errors(include_url=False, include_input=False)}
+        return section.of({key: value for key, value in values.items() if key not in wrong})
+
+
 def items_of(at: At | None, what: str) -> Iterator[At]:
     """Yield each element of the list; report if it is none."""
     if at is None:

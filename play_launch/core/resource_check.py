@@ -5,6 +5,7 @@ The kernel's rules are those of sched(7), setpriority(2), ioprio_set(2), proc(5)
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
@@ -98,9 +99,17 @@ def _scheduler(wanted: Scheduler | None, held: Scheduler) -> str:
 
 def _rlimit(limit: ResourceLimit, soft: float, hard: float) -> str:
     unit, conf = _for_files(limit)
+    why, fix = "with CAP_SYS_RESOURCE only", _allow(limit.name.upper(), unit, conf)
+    if limit.name == "nofile":
+        # That holds for whoever has the capability, too.
+        why += ", and to fs.nr_open at most, which is never unlimited"
+        if math.isfinite(limit.hard):
+            fix += f"; where fs.nr_open is less, sysctl fs.nr_open={limit.hard:.0f}"
+        else:
+            fix = "a number of files"
     return (
         f"rlimit {limit.name} is {_pair(soft, hard)}, not {_pair(limit.soft, limit.hard)}: a hard "
-        f"limit is raised with CAP_SYS_RESOURCE only; fix: {_allow(limit.name.upper(), unit, conf)}"
+        f"limit is raised {why}; fix: {fix}"
     )
 
 

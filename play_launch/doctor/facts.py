@@ -14,6 +14,8 @@ from play_launch.doctor.surroundings import Surroundings
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from play_launch.cgroups.controllers import Lack
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PythonFacts:
@@ -79,6 +81,8 @@ class GroupFacts:
     """The group below which those of a session are made; empty where none is mounted."""
     controllers: tuple[str, ...] = ()
     """Those that groups below it can have."""
+    lacks: Mapping[str, Lack] = field(default_factory=dict)
+    """Why the kernel cannot give others."""
     problem: str = ""
     """Why none can be made there, ``; fix: `` and the fix; empty: they can."""
 

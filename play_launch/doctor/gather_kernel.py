@@ -15,6 +15,7 @@ from play_launch.cgroups.base import (
     own_base,
     own_hierarchy,
 )
+from play_launch.cgroups.controllers import lacks
 from play_launch.doctor.facts import GroupFacts, KeySupport
 from play_launch.doctor.surroundings import Surroundings, surroundings_of
 
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 _OWN_GROUPS: Final = Path("/proc/self/cgroup")
+_CONTROLLERS: Final = Path("/proc/cgroups")
 _CPUS: Final = Path("/proc/cpuinfo")
 _REAL_TIME: Final = Path("/proc/sys/kernel")
 
@@ -45,6 +47,7 @@ def own_group() -> GroupFacts:
     return GroupFacts(
         folder=str(base),
         controllers=tuple(_text(base / "cgroup.controllers").split()),
+        lacks=lacks(_text(_CONTROLLERS)),
         problem=obstacle(base, facts_of(base, found.mount)),
     )
 

@@ -26,7 +26,7 @@ def judge(facts: MachineFacts) -> list[Finding]:
         *judge_ros(facts.ros),
         *judge_container(facts.container, facts.python.packages.get("play-launch-py", "")),
         *judge_kernel(facts.kernel),
-        *judge_limits(facts.limits),
+        *judge_limits(facts.limits, facts.surroundings),
         *judge_rights(facts),
         *judge_shared_memory(facts.shared_memory, facts.ros.rmw_in_use),
         *judge_network(facts.network, facts.ros.rmw_in_use),

@@ -7,22 +7,20 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
+from play_launch.cgroups.controllers import VERSION_2_FIX, Lack, switched_on
 from play_launch.core.resources import nice_limit
 from play_launch.doctor.facts import KeySupport
 from play_launch.doctor.finding import Finding, ok, size_text
 from play_launch.doctor.rights import Right, how_to_get
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
 
     from play_launch.doctor.facts import GroupFacts, LimitFacts, MachineFacts
     from play_launch.doctor.surroundings import Surroundings
 
 _HIGHEST_PRIORITY: Final = 99
 _CONTROLLERS: Final = ("cpu", "cpuset", "io", "memory", "pids")
-_VERSION_2: Final = (
-    "boot with the kernel's parameter systemd.unified_cgroup_hierarchy=1, or cgroup_no_v1=all"
-)
 _KEYS: Final[Mapping[KeySupport, str]] = {
     KeySupport.NO_CPU: "the CPU has none (no pku in /proc/cpuinfo)",
     KeySupport.NO_KERNEL: "the CPU has them (pku in /proc/cpuinfo), the kernel does not (no ospke)",
@@ -64,12 +62,27 @@ def _control_groups(facts: GroupFacts, started_by: Surroundings) -> Finding:
     where = f"version 2, {facts.folder}, ours"
     has = [each for each in _CONTROLLERS if each in facts.controllers]
     missing = [each for each in _CONTROLLERS if each not in facts.controllers]
-    if not has:
-        return ok(subject, f"{where}, without controllers: no limits for groups", _VERSION_2)
-    if missing:
-        fix = how_to_get(Right.CONTROLLERS, started_by)
-        return ok(subject, f"{where}, with {', '.join(has)}; without {', '.join(missing)}", fix)
-    return ok(subject, f"{where}, with {', '.join(has)}")
+    if not missing:
+        return ok(subject, f"{where}, with {', '.join(has)}")
+    if has:
+        says = f"{where}, with {', '.join(has)}; without {', '.join(missing)}"
+    else:
+        says = f"{where}, without controllers: no limits for groups"
+    return ok(subject, says, "\n".join(_fixes(missing, facts.lacks, started_by)))
+
+
+def _fixes(
+    missing: list[str], lacks: Mapping[str, Lack], started_by: Surroundings
+) -> Iterator[str]:
+    """Give what brings controllers here, a line for each cause."""
+    found = [lacks.get(each, Lack.NOT_GIVEN) for each in missing]
+    if Lack.IN_VERSION_1 in found:
+        yield VERSION_2_FIX
+    for controller, lack in zip(missing, found, strict=True):
+        if lack is Lack.SWITCHED_OFF:
+            yield switched_on(controller)
+    if Lack.NOT_GIVEN in found:
+        yield how_to_get(Right.CONTROLLERS, started_by)
 
 
 def _real_time(facts: LimitFacts, started_by: Surroundings) -> Finding:

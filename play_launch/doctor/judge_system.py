@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 from play_launch.core.domain import LARGEST_DOMAIN
 from play_launch.doctor.finding import Finding, fail, ok, size_text, warn
+from play_launch.doctor.rights import Right, how_to_get
 from play_launch.fastdds.middleware import is_fastdds
 from play_launch.process.machine import (
     ADDRESS_SPACE_FIX,
@@ -15,6 +17,7 @@ from play_launch.process.machine import (
     address_space_problem,
     full_shared_memory,
 )
+from play_launch.process.open_files import ENOUGH as RAISED_FILES
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -27,6 +30,7 @@ if TYPE_CHECKING:
         RecordingFacts,
         SharedMemoryFacts,
     )
+    from play_launch.doctor.surroundings import Surroundings
 
 ENOUGH_FILES: Final = 4096
 """A system of 150 processes needs some ten for each in the supervisor, and hundreds in a node."""
@@ -69,24 +73,12 @@ def judge_kernel(facts: KernelFacts) -> list[Finding]:
     return findings
 
 
-def judge_limits(facts: LimitFacts) -> list[Finding]:
+def judge_limits(facts: LimitFacts, started_by: Surroundings) -> list[Finding]:
     """Judge the limits of getrlimit(2)."""
     findings = [
         _address_space(facts.address_space),
-        _at_least(
-            "open files",
-            facts.nofile,
-            ENOUGH_FILES,
-            "a large system runs out of descriptors in the middle of its start",
-            f"ulimit -n {ENOUGH_FILES}, or LimitNOFILE= in the systemd unit",
-        ),
-        _at_least(
-            "processes",
-            facts.nproc,
-            ENOUGH_PROCESSES,
-            "a large system runs out of threads in the middle of its start",
-            f"ulimit -u {ENOUGH_PROCESSES}, or TasksMax= in the systemd unit",
-        ),
+        _open_files(facts.nofile, started_by),
+        _processes(facts.nproc, started_by),
     ]
     if facts.core.soft == 0:
         says = "off; a crash is recorded with its backtrace all the same (ulimit -c unlimited)"
@@ -186,6 +178,35 @@ def _address_space(limit: Limit) -> Finding:
         ADDRESS_SPACE_FIX,
         write=size_text,
     )
+
+
+def _open_files(limit: Limit, started_by: Surroundings) -> Finding:
+    subject, soft, hard = "open files", limit.soft, limit.hard
+    if soft is None or soft >= ENOUGH_FILES:
+        return ok(subject, "unlimited" if soft is None else f"{soft:,}")
+    if hard is None or hard >= ENOUGH_FILES:
+        raised = RAISED_FILES if hard is None else min(hard, RAISED_FILES)
+        says = f"{soft:,} for each process; replay raises its own to {raised:,}"
+        return ok(subject, says, "rlimits: {nofile: 65536} for a container of a hundred nodes")
+    return warn(
+        subject,
+        f"{soft:,} (at most {hard:,})",
+        "a large system runs out of descriptors in the middle of its start",
+        how_to_get(Right.OPEN_FILES, started_by),
+    )
+
+
+def _processes(limit: Limit, started_by: Surroundings) -> Finding:
+    finding = _at_least(
+        "processes",
+        limit,
+        ENOUGH_PROCESSES,
+        "a large system runs out of threads in the middle of its start",
+        f"ulimit -u {ENOUGH_PROCESSES}",
+    )
+    if finding.fix and limit.hard is not None and limit.hard < ENOUGH_PROCESSES:
+        return replace(finding, fix=how_to_get(Right.PROCESSES, started_by))
+    return finding
 
 
 def _loopback(facts: NetworkFacts) -> Finding:

@@ -17,6 +17,8 @@ class Right(Enum):
     REAL_TIME = auto()
     NICE = auto()
     LOCKED_MEMORY = auto()
+    OPEN_FILES = auto()
+    PROCESSES = auto()
     CONTROL_GROUPS = auto()
     """Groups below our own, with controllers."""
     CONTROLLERS = auto()
@@ -56,6 +58,8 @@ _WAYS: Final[Mapping[Right, Mapping[Surroundings, str]]] = {
     Right.LOCKED_MEMORY: _limit(
         "MEMLOCK", "infinity", "memlock unlimited", "--ulimit memlock=-1:-1"
     ),
+    Right.OPEN_FILES: _limit("NOFILE", "65536", "nofile 65536", "--ulimit nofile=65536:65536"),
+    Right.PROCESSES: _limit("NPROC", "infinity", "nproc unlimited", "--ulimit nproc=-1:-1"),
     Right.CONTROL_GROUPS: {
         Surroundings.LOGIN: "systemd-run --user --scope -p Delegate=yes play-launch replay ...",
         Surroundings.SYSTEM_SERVICE: f"Delegate=yes {_UNIT.format(which='it')}",

@@ -17,8 +17,12 @@ if TYPE_CHECKING:
 
 _WATCHDOG: Final = 30
 """Seconds. Three pulses of the supervisor fit in there."""
-_START: Final = 60
-"""Seconds without a pulse while it starts; each pulse extends the time by half of them."""
+_START: Final = 120
+"""Seconds to the first pulse, each of which extends the time: interpreter, modules, configuration.
+
+From a slow disk, and beside everything else that starts at boot, that takes long: six times what it
+took in a machine that is emulated, ten times as slow as others.
+"""
 _ON_THIS_MACHINE: Final = frozenset({"LOCALHOST", "OFF"})
 _MAIN: Final = "$MAINPID"
 """systemd puts the supervisor's pid in its place."""
@@ -130,8 +134,8 @@ def _service(service: Service) -> Iterator[Setting]:
 
 def _life(service: Service) -> Iterator[Setting]:
     yield Setting(
-        "While the system starts or reloads, play-launch has this time extended as long as it is "
-        "well.",
+        "From a cold start to the first sign of life. From then on, while the system starts or "
+        "reloads,\nplay-launch has the time extended as long as it is well.",
         (f"TimeoutStartSec={_START}",),
     )
     yield Setting(

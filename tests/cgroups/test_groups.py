@@ -16,36 +16,17 @@ import pytest
 
 from play_launch.cgroups.base import GroupError
 from play_launch.cgroups.group import Group
-from play_launch.cgroups.names import SUPERVISOR, SessionName
-from play_launch.cgroups.session import SessionGroups
+from play_launch.cgroups.names import SUPERVISOR
 from play_launch.cgroups.usage import group_of as group_of_pid
 from play_launch.cgroups.usage import usage_of
 from play_launch.core.group_limits import NO_LIMITS, CpuMax, GroupLimits, GroupPolicy
 from play_launch.process.identity import ProcessIdentity, read_stat
+from tests.cgroups.sessions import begun, below, session_groups
 from tests.support.control_groups import group_of
 from tests.support.waiting import until
 
 NOBODY = 65534
 TRIALS = 50
-
-
-def lives(pid: int, start_time: int) -> bool:
-    return ProcessIdentity(pid, start_time).is_alive()
-
-
-def session_groups() -> SessionGroups:
-    """Those of a session whose supervisor is this process."""
-    namespace = Path("/proc/self/ns/pid").stat().st_ino
-    return SessionGroups(
-        SessionName(namespace, os.getpid(), read_stat(os.getpid()).start_time), lives
-    )
-
-
-def begun(base: Path, **policy: bool) -> SessionGroups:
-    groups = session_groups()
-    groups.begin(GroupPolicy(enabled=True, base_path=base, **policy), ())
-    assert groups.is_on
-    return groups
 
 
 def born(entry: str, *command: str) -> subprocess.Popen[str]:
@@ -57,10 +38,6 @@ def born(entry: str, *command: str) -> subprocess.Popen[str]:
         text=True,
         start_new_session=True,
     )
-
-
-def below(base: Path) -> list[str]:
-    return sorted(each.name for each in base.iterdir() if each.is_dir())
 
 
 def test_a_session_from_begin_to_end(base: Path) -> None:
@@ -233,30 +210,6 @@ def test_limits_that_the_kernel_has_not_are_reported_once(
     assert all("; fix: " in text for text in said)
     with pytest.raises(GroupError, match="cpu_max and cpu_weight cannot hold"):
         begun(base, required=True).member("/a", limits)
-
-
-@pytest.mark.parametrize(
-    ("path", "why"),
-    [
-        ("/tmp/no_group", "is not in the hierarchy of cgroup v2"),
-        ("cgroup.procs/x", "cannot be made: Not a directory"),
-    ],
-)
-def test_a_base_that_is_none(
-    base: Path, path: str, why: str, caplog: pytest.LogCaptureFixture
-) -> None:
-    policy = GroupPolicy(enabled=True, base_path=base / path)
-    groups = session_groups()
-    groups.begin(policy, ())
-    assert not groups.is_on
-    assert groups.member("/a", NO_LIMITS) is None
-    groups.end()
-    (record,) = caplog.records
-    assert record.message.startswith("processes run without control groups: ")
-    assert why in record.message
-    assert "; fix: " in record.message
-    with pytest.raises(GroupError, match=why):
-        session_groups().begin(GroupPolicy(enabled=True, base_path=base / path, required=True), ())
 
 
 @pytest.mark.parametrize("moment", ["in its group", "before"])

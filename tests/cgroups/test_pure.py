@@ -11,9 +11,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from play_launch.cgroups.base import OwnGroup, hierarchy, obstacle, own_base
+from play_launch.cgroups.controllers import Lack, lacks
 from play_launch.cgroups.deaths import memory_reason
 from play_launch.cgroups.names import SUPERVISOR, SessionName, group_name, node_group_name
-from play_launch.cgroups.refusals import fewer_cpus, no_controller, no_entry, no_group, no_limit
+from play_launch.cgroups.refusals import (
+    fewer_cpus,
+    no_controller,
+    no_entry,
+    no_group,
+    no_limit,
+    unavailable_controller,
+)
 from play_launch.cgroups.sweep import dead_sessions
 from play_launch.core.cpu_list import cpu_text, cpus_in
 from play_launch.core.group_limits import GroupLimits
@@ -133,9 +141,15 @@ def test_every_refusal_has_its_fix_or_its_reason(number: int) -> None:
 
 def test_refusals_name_what_does_not_hold() -> None:
     group = Path("/m/g")
-    missing = no_controller("cpuset", group, None)
-    assert missing.startswith("cpuset cannot hold: the controller cpuset is not available in /m/g")
-    assert "Delegate=cpu cpuset io memory pids" in missing
+    fixes = {
+        Lack.NOT_GIVEN: "Delegate=cpu cpuset io memory pids",
+        Lack.IN_VERSION_1: "cgroup_no_v1=all",
+        Lack.SWITCHED_OFF: "cgroup_disable=cpuset",
+    }
+    for lack, fix in fixes.items():
+        missing = unavailable_controller("cpuset", group, lack)
+        assert missing.startswith("cpuset cannot hold: the controller cpuset is not available in ")
+        assert [each for each in fixes.values() if each in missing] == [fix]
     busy = no_controller("memory", group, OSError(errno.EBUSY, ""))
     assert busy.startswith("memory_high and memory_max cannot hold")
     assert "which has processes; fix: start it by systemd-run" in busy
@@ -148,6 +162,29 @@ def test_refusals_name_what_does_not_hold() -> None:
         assert "systemd" not in said
     assert fewer_cpus("0-7", "0-1").endswith("there are 0-1; fix: name those")
     assert "/m/cgroup.procs" in no_entry(group, group.parent)
+
+
+CONTROLLERS_OF_A_KERNEL = """\
+#subsys_name\thierarchy\tnum_cgroups\tenabled
+cpuset\t3\t1\t1
+cpu\t0\t9\t1
+blkio\t7\t1\t1
+memory\t0\t1\t0
+"""
+
+
+def test_a_kernel_says_where_its_controllers_are() -> None:
+    found = lacks(CONTROLLERS_OF_A_KERNEL)
+    assert found == {
+        "cpuset": Lack.IN_VERSION_1,
+        "io": Lack.IN_VERSION_1,
+        "memory": Lack.SWITCHED_OFF,  # as on a Raspberry Pi
+    }
+
+
+@given(st.text())
+def test_any_list_of_controllers_is_read(text: str) -> None:
+    assert set(lacks(text).values()) <= {Lack.IN_VERSION_1, Lack.SWITCHED_OFF}
 
 
 @given(

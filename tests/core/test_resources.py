@@ -148,3 +148,15 @@ def test_a_process_that_has_ended_has_nothing() -> None:
 @pytest.mark.parametrize("policy", SchedulerPolicy)
 def test_only_real_time_policies_show_a_priority(policy: SchedulerPolicy) -> None:
     assert str(Scheduler(policy, 7)) == (f"{policy} 7" if policy.is_real_time else policy)
+
+
+@pytest.mark.parametrize(
+    ("hard", "fix"),
+    [(2_000_000, "sysctl fs.nr_open=2000000"), (math.inf, "; fix: a number of files")],
+)
+def test_open_files_have_a_limit_that_no_capability_raises(hard: float, fix: str) -> None:
+    wanted = Resources(rlimits=(ResourceLimit("nofile", 1024, hard),))
+    held = replace(granted(wanted), rlimits={"nofile": (1024, 4096)})
+    (said,) = shortfalls(wanted, held)
+    assert "with CAP_SYS_RESOURCE only, and to fs.nr_open at most" in said
+    assert said.endswith(fix)

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from play_launch.cgroups.controllers import Lack
 from play_launch.doctor.facts import KeySupport, Limit, MachineFacts
 from play_launch.doctor.finding import Finding, Level, can_run
 from play_launch.doctor.judge import judge
@@ -89,6 +90,7 @@ SMALL = Limit(soft=1024, hard=4096)
 NONE = Limit(soft=0, hard=0)
 
 TAKEN = "not ours; fix: take it"
+CONTROLLERS = ("cpu", "cpuset", "io", "memory", "pids")
 
 # What is changed, whom it concerns, how bad it is, and a part of the whole finding.
 CASES: list[tuple[MachineFacts, str, Level, str]] = [
@@ -152,7 +154,19 @@ CASES: list[tuple[MachineFacts, str, Level, str]] = [
         OK,
         "take it\nas a system service",
     ),
-    (groups(controllers=()), "control groups", OK, "cgroup_no_v1=all"),
+    (groups(controllers=()), "control groups", OK, "Delegate=cpu cpuset io memory pids"),
+    (
+        groups(controllers=(), lacks=dict.fromkeys(CONTROLLERS, Lack.IN_VERSION_1)),
+        "control groups",
+        OK,
+        "no limits for groups |  | boot with the kernel's parameter systemd.unified_cgroup",
+    ),
+    (
+        groups(controllers=("cpu", "cpuset", "io", "pids"), lacks={"memory": Lack.SWITCHED_OFF}),
+        "control groups",
+        OK,
+        "without memory |  | boot without the kernel's parameter cgroup_disable=memory",
+    ),
     (groups(controllers=("cpu", "pids")), "control groups", OK, "without cpuset, io, memory"),
     (replace(MACHINE, keys=KeySupport.NO_CPU), "protection keys", OK, "no pku"),
     (replace(MACHINE, keys=KeySupport.REFUSED), "protection keys", OK, "is ordinary memory"),
@@ -164,10 +178,16 @@ CASES: list[tuple[MachineFacts, str, Level, str]] = [
     (limits(address_space=Limit(soft=512 << 20, hard=None)), "address space", FAIL, "512 MiB"),
     (limits(address_space=Limit(soft=2 << 30, hard=None)), "address space", WARN, "2.0 GiB"),
     (limits(address_space=Limit(soft=8 << 30, hard=None)), "address space", OK, "8.0 GiB"),
-    (limits(nofile=SMALL), "open files", WARN, "1,024 (at most 4,096)"),
+    (limits(nofile=SMALL), "open files", OK, "replay raises its own to 4,096"),
     (limits(nofile=Limit(soft=4096, hard=None)), "open files", OK, "4,096"),
-    (limits(nofile=Limit(soft=10, hard=None)), "open files", WARN, "at most unlimited"),
-    (limits(nproc=SMALL), "processes", WARN, "ulimit -u"),
+    (limits(nofile=Limit(soft=1024, hard=2048)), "open files", WARN, "1,024 (at most 2,048)"),
+    (limits(nofile=Limit(soft=10, hard=20)), "open files", WARN, "LimitNOFILE=65536"),
+    # As nearly everywhere.
+    (limits(nofile=Limit(soft=1024, hard=2**20)), "open files", OK, "raises its own to 65,536"),
+    (limits(nofile=Limit(soft=1024, hard=None)), "open files", OK, "raises its own to 65,536"),
+    (limits(nproc=SMALL), "processes", WARN, "1,024 (at most 4,096) |"),
+    (limits(nproc=SMALL), "processes", WARN, "ulimit -u 4096"),
+    (limits(nproc=Limit(soft=9, hard=9)), "processes", WARN, "LimitNPROC=infinity"),
     (limits(core=NONE), "core dumps", OK, "backtrace"),
     (limits(memlock=Limit(soft=8 << 20, hard=None)), "locked memory", OK, "8 MiB"),
     (limits(memlock=SMALL), "locked memory", OK, '"<user> - memlock unlimited"'),

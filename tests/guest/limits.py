@@ -152,8 +152,13 @@ def who_is_in_the_base_makes_room() -> None:
     leaf = Group(scope.path / SUPERVISOR)
     assert sorted(leaf.residents()) == sorted([os.getpid(), neighbour.pid])
     _, process = started(groups, "/a", GroupLimits(cpu_weight=50), "sleep", "600")
+    # One that begins meanwhile, and ends last, leaves the group as the first one found it.
+    other = SessionGroups(SessionName(1, 2, 3), lambda *_: True)
+    other.begin(GroupPolicy(required=True), ALL)
     groups.end()
     assert process.wait() == -signal.SIGKILL
+    assert sorted(scope.enabled) == sorted(ALL)
+    other.end()
     assert not scope.enabled
     assert sorted(scope.residents()) == sorted([os.getpid(), neighbour.pid])
     assert not leaf.path.exists()

@@ -90,6 +90,13 @@ def test_every_choice_has_a_reason() -> None:
             assert before.startswith(("# ", "Limit")), line
 
 
+def test_a_slow_machine_has_time_to_start() -> None:
+    found = settings_of(unit_text(service()))
+    # More than systemd gives by itself, which is 90 s, and only to the first pulse.
+    assert int(found["Service.TimeoutStartSec"][0]) >= 120
+    assert int(found["Service.WatchdogSec"][0]) < 120
+
+
 def test_a_system_service_runs_as_its_user_and_a_user_s_own_does_not_say() -> None:
     found = settings_of(unit_text(service()))
     assert found["Service.User"] == ["robot"]

@@ -18,7 +18,7 @@ from play_launch.config.resolve.record import resolve_record
 from play_launch.config.resolve.resources import node_process, refined_resources
 from play_launch.config.schema import DocumentSection, LoadingSection
 from play_launch.config.source import path_from, read_bytes
-from play_launch.config.validation import items_of, validate_mapping
+from play_launch.config.validation import items_of, validate_mapping, well_formed
 from play_launch.config.values import resolve_environment
 from play_launch.config.yaml.tree import At, Mapping, Sequence
 
@@ -52,7 +52,10 @@ def resolve_document(
     environment = resolve_environment(at.value("environment"))
     names = NodeNames()
     start_rules = StartRules(names.__contains__)
-    given = None if document is None else document.composable_node_loading
+    if document is None:
+        given = well_formed(LoadingSection, at.value(_LOADING))
+    else:
+        given = document.composable_node_loading
     loading = given or LoadingSection()
     groups = GroupRules(loading.cgroups, at.blame(_LOADING).value("cgroups"))
     shared = Shared(ParameterFiles(report, read), environment, start_rules, names, groups)

@@ -1,0 +1,73 @@
+"""The group below which sessions make theirs: found, made, left as it was."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from play_launch.cgroups.base import GroupError
+from play_launch.cgroups.names import SessionName
+from play_launch.cgroups.session import SessionGroups
+from play_launch.core.group_limits import NO_LIMITS, GroupPolicy
+from tests.cgroups.sessions import below, lives, session_groups
+
+
+@pytest.mark.parametrize(
+    ("path", "why"),
+    [
+        ("/tmp/no_group", "is not in the hierarchy of cgroup v2"),
+        ("cgroup.procs/x", "cannot be made: Not a directory"),
+    ],
+)
+def test_a_base_that_is_none(
+    base: Path, path: str, why: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    policy = GroupPolicy(enabled=True, base_path=base / path)
+    groups = session_groups()
+    groups.begin(policy, ())
+    assert not groups.is_on
+    assert groups.member("/a", NO_LIMITS) is None
+    groups.end()
+    (record,) = caplog.records
+    assert record.message.startswith("processes run without control groups: ")
+    assert why in record.message
+    assert "; fix: " in record.message
+    with pytest.raises(GroupError, match=why):
+        session_groups().begin(GroupPolicy(enabled=True, base_path=base / path, required=True), ())
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_the_last_of_two_sessions_removes_a_base_that_one_of_them_made(
+    base: Path, first: int
+) -> None:
+    policy = GroupPolicy(enabled=True, required=True, base_path=base / "robot" / "inner")
+    ours = SessionName(1, 2, 3)
+    sessions = [session_groups(), SessionGroups(ours, lambda *_: True)]
+    for each in sessions:
+        each.begin(policy, ())
+    sessions.pop(first).end()
+    (left,) = sessions
+    made = left.member("/a", NO_LIMITS)
+    assert made is not None
+    assert made[0].path.is_dir()
+    left.end()
+    assert below(base) == []
+
+
+def test_what_a_killed_supervisor_did_to_the_base_is_undone_and_no_more(base: Path) -> None:
+    (base / "somebody_s").mkdir()
+    path = base / "somebody_s" / "robot"
+    policy = GroupPolicy(enabled=True, required=True, base_path=path)
+    # By its start time it is somebody who had our pid before.
+    namespace = Path("/proc/self/ns/pid").stat().st_ino
+    dead = SessionName(namespace, os.getpid(), 0)
+    SessionGroups(dead, lives).begin(policy, ())
+    assert below(path)
+    later = session_groups()
+    later.begin(policy, ())
+    later.end()
+    assert below(base) == ["somebody_s"]
+    assert below(base / "somebody_s") == []
+    (base / "somebody_s").rmdir()
