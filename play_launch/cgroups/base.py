@@ -63,14 +63,19 @@ class OwnGroup(Struct, frozen=True, kw_only=True):
 
 def hierarchy(mountinfo: str, cgroup: str) -> Hierarchy | None:
     """Find it in ``/proc/self/mountinfo`` and ``/proc/self/cgroup``; None: there is none."""
-    own = next((line[3:] for line in cgroup.splitlines() if line.startswith("0::")), None)
-    if own is None:
+    own = own_path(cgroup)
+    inside = PurePosixPath(own)
+    if not own or ".." in inside.parts:  # above the root of the namespace that it is seen from
         return None
     for root, mount in _mounts(mountinfo.splitlines()):
-        inside = PurePosixPath(own)
         if inside.is_relative_to(root):
             return Hierarchy(Path(mount), Path(mount) / inside.relative_to(root))
     return None
+
+
+def own_path(cgroup: str) -> str:
+    """Give the group of the process of that file in ``/proc``; empty: it does not say."""
+    return next((line[3:] for line in cgroup.splitlines() if line.startswith("0::")), "")
 
 
 def _mounts(lines: Iterable[str]) -> Iterable[tuple[str, str]]:
@@ -88,15 +93,32 @@ def _plain(text: str) -> str:
 def own_hierarchy() -> Hierarchy:
     """Find it on this machine; raises GroupError."""
     try:
-        found = hierarchy(
-            Path("/proc/self/mountinfo").read_text(encoding="utf-8", errors="surrogateescape"),
-            Path("/proc/self/cgroup").read_text(encoding="utf-8", errors="surrogateescape"),
+        mountinfo, cgroup = (
+            Path("/proc/self", each).read_text(encoding="utf-8", errors="surrogateescape")
+            for each in ("mountinfo", "cgroup")
         )
     except OSError as error:
-        raise GroupError(f"there are no control groups: {error}; fix: {_MOUNT_FIX}") from None
+        raise GroupError(
+            f"the control group of play-launch is not known: {error}; fix: a /proc that its user "
+            "may read"
+        ) from None
+    found = hierarchy(mountinfo, cgroup)
     if found is None:
-        raise GroupError(f"no hierarchy of cgroup v2 is mounted; fix: {_MOUNT_FIX}")
+        raise GroupError(no_hierarchy(mountinfo, cgroup))
     return found
+
+
+def no_hierarchy(mountinfo: str, cgroup: str) -> str:
+    """Say why there is none that we are in, and the fix. Pure."""
+    mounts = [mount for _, mount in _mounts(mountinfo.splitlines())]
+    if not mounts:
+        return f"no hierarchy of cgroup v2 is mounted; fix: {_MOUNT_FIX}"
+    own = own_path(cgroup) or "none of version 2"
+    return (
+        f"the control group of play-launch is not below {mounts[0]}: /proc/self/cgroup names "
+        f"{own}; fix: start it in a group below that (echo 0 > {mounts[0]}/cgroup.procs in its "
+        "shell)"
+    )
 
 
 def facts_of(group: Path, mount: Path) -> OwnGroup:

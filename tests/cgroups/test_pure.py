@@ -10,7 +10,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from play_launch.cgroups.base import OwnGroup, hierarchy, obstacle, own_base
+from play_launch.cgroups.base import (
+    Hierarchy,
+    OwnGroup,
+    hierarchy,
+    no_hierarchy,
+    obstacle,
+    own_base,
+)
 from play_launch.cgroups.controllers import Lack, lacks
 from play_launch.cgroups.deaths import memory_reason
 from play_launch.cgroups.names import SUPERVISOR, SessionName, group_name, node_group_name
@@ -94,6 +101,24 @@ def test_the_hierarchy_is_found() -> None:
     assert hierarchy(bound, "0::/elsewhere\n") is None
     assert hierarchy(MOUNTS, "4:memory:/x\n") is None
     assert hierarchy("", "0::/\n") is None
+
+
+@pytest.mark.parametrize(
+    ("cgroup", "named"),
+    [
+        ("", "none of version 2"),
+        ("4:memory:/x\n", "none of version 2"),
+        # As from within a namespace that was entered without moving into its groups.
+        ("0::/../elsewhere\n", "/../elsewhere"),
+    ],
+)
+def test_who_is_in_no_group_that_is_seen_hears_where_it_is(cgroup: str, named: str) -> None:
+    mounted = "30 23 0:26 / /m rw - cgroup2 none rw\n"
+    assert hierarchy(mounted, "0::/a\n") == Hierarchy(Path("/m"), Path("/m/a"))
+    assert hierarchy(mounted, cgroup) is None
+    said = no_hierarchy(mounted, cgroup)
+    assert f"is not below /m: /proc/self/cgroup names {named}; fix: start it in a group" in said
+    assert "no hierarchy of cgroup v2 is mounted; fix: mount" in no_hierarchy("", cgroup)
 
 
 def test_who_is_in_the_leaf_already_uses_the_group_above() -> None:
