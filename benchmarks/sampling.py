@@ -2,9 +2,9 @@
 
     python -m benchmarks.sampling [--seconds N] [--runs N] [--containers N] [--nodes N] [--json]
 
-Runs with and without samples alternate. The CPU time is that of the supervisor, its recorder and
-its display included, over that many seconds, which begin some seconds after the last node was
-loaded.
+Runs with samples, with samples and a control group for each process, and without alternate. The
+CPU time is that of the supervisor, its recorder and its display included, over that many seconds,
+which begin some seconds after the last node was loaded.
 """
 
 from __future__ import annotations
@@ -19,9 +19,11 @@ from pathlib import Path
 from benchmarks.bring_up import configuration, shares
 from benchmarks.running import running
 from benchmarks.statistics import header, row
+from play_launch.doctor.gather_kernel import own_group
 
 RATE = 0.001
 """Of the talkers, in Hz: they say nothing while they are measured."""
+LOADING = "composable_node_loading:\n"
 
 
 def cpu_seconds(pid: int) -> float:
@@ -61,13 +63,23 @@ def main() -> None:
 
     text = configuration(shares(options.nodes, options.containers), options.type)
     text = text.replace("rate: 1.0", f"rate: {RATE}")
-    figures: dict[str, list[Mapping[str, float]]] = {"sampled": [], "not sampled": []}
+    with_groups = text.replace(LOADING, f"{LOADING}  cgroups: {{enabled: true}}\n")
+    assert with_groups != text
+    ways = {
+        "sampled": (text, "1 s"),
+        "sampled, with groups": (with_groups, "1 s"),
+        "not sampled": (text, "never"),
+    }
+    if why := own_group().problem:
+        print(f"sampled, with groups: not measured, {why}")
+        del ways["sampled, with groups"]
+    figures: dict[str, list[Mapping[str, float]]] = {name: [] for name in ways}
     with tempfile.TemporaryDirectory() as folder:
         for number in range(options.runs):
-            for name, period in (("sampled", "1 s"), ("not sampled", "never")):
-                config = Path(folder, f"{period[:1]}.yaml")
-                config.write_text(f"{text}record: {{sampling: {{period: {period}}}}}\n", "utf-8")
-                logs = Path(folder, f"logs-{number}-{period[:1]}")
+            for index, (name, (system, period)) in enumerate(ways.items()):
+                config = Path(folder, f"{index}.yaml")
+                config.write_text(f"{system}record: {{sampling: {{period: {period}}}}}\n", "utf-8")
+                logs = Path(folder, f"logs-{number}-{index}")
                 figures[name].append(
                     at_rest(
                         config,
