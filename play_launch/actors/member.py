@@ -345,8 +345,7 @@ class Member:
             if self._stopped is not None:
                 await self._stopped.wait()
             await self._reports.gone(process)
-        if self.wanted:
-            await self._clean_up()
+        await self._clean_up()
 
     def _ended(self, exit_: Exit) -> None:
         self._has_ended = True

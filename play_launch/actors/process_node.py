@@ -50,6 +50,7 @@ class ProcessMember(Member):
         self._launcher = launcher
         self._respawns = config.on_exit is OnExit.RESTART
         self._began = 0.0
+        self._was_killed = False
 
     def adopt(self, config: ProcessConfig) -> None:
         """Take another configuration; what its process reads holds from the next start on."""
@@ -69,6 +70,8 @@ class ProcessMember(Member):
         self._apply(MemberInput.READY)
 
     def _death_of(self, exit_: Exit) -> Death:
+        is_asked = self.state in {ContainerState.STOPPING, ContainerState.KILLING}
+        self._was_killed = (exit_.signal != 0 or exit_.is_lost) and not is_asked
         lived = self._loop.time() - self._began
         return death_of_process(exit_, lived, respawn=self._respawns)
 
@@ -81,3 +84,9 @@ class ProcessMember(Member):
         # After that was published: the exit code of the run is that of the system as it is now.
         if self._config.on_exit is OnExit.SHUTDOWN and not was_stopped:
             self._stop.request(reason=f"{self.name} has ended")
+
+    async def _clean_up(self) -> None:
+        # Who writes to it, in this system or another, would go on writing into its memory, and may
+        # wait for itself there if it is none of ours (docs/fastdds.md).
+        if self._was_killed:
+            await self._launcher.clean_up()

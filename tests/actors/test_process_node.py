@@ -91,6 +91,23 @@ def test_it_is_respawned_within_the_bounds() -> None:
     assert sys.outcome.exit_code == 1
 
 
+@pytest.mark.parametrize(
+    ("exit_", "on_exit", "times"),
+    [
+        (Exit(), OnExit.IGNORE, 0),
+        (Exit(code=3), OnExit.RESTART, 0),
+        (Exit(signal=11), OnExit.IGNORE, 1),
+        (Exit(signal=9), OnExit.RESTART, 3),
+    ],
+)
+def test_what_it_left_in_shared_memory_is_removed_when_it_was_killed(
+    exit_: Exit, on_exit: OnExit, times: int
+) -> None:
+    fakes = ending(exit_)
+    run(to_the_end(fakes, on_exit, max_restarts=2))
+    assert fakes.cleaned - 2 == times, "besides the beginning and the end of the run"
+
+
 def test_a_program_that_is_not_there_is_not_respawned() -> None:
     sys = run(to_the_end(ending(Exit(code=127)), OnExit.RESTART))
     assert sys.process_events("/p") == [STARTED, EXITED, GAVE_UP]

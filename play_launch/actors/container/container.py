@@ -240,7 +240,8 @@ class ContainerMember(Member):
 
     async def _clean_up(self) -> None:
         # A lock that a killed participant left would keep the next one waiting.
-        await self._launcher.clean_up()
+        if self.wanted:
+            await self._launcher.clean_up()
 
     def _counts(self) -> bool:
         return not (self._blames_loads and self.nodes.suspects.excuse_death())
