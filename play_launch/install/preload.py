@@ -40,7 +40,7 @@ def preloading(
         searched = [os.fspath(library.parent), *filter(None, [changed.get("LD_LIBRARY_PATH")])]
         changed["LD_LIBRARY_PATH"] = os.pathsep.join(searched)
         entry = library.name
-    names = preloaded_in(changed)
+    names = [name for name in preloaded_in(changed) if name != entry]
     changed[VARIABLE] = ":".join([*names, entry] if last else [entry, *names])
     return changed
 
@@ -53,5 +53,6 @@ def with_safe_waits(environment: Mapping[str, str], container: Path) -> dict[str
     if not asks_for_fastdds(environment) or environment.get(WAITS_SWITCH) == "0":
         return dict(environment)
     changed = preloading(environment, container.with_name(_WAITS_LIBRARY), last=True)
-    changed[_ASAN_OPTIONS] = ":".join([_ANY_ORDER, *filter(None, [changed.get(_ASAN_OPTIONS)])])
+    others = changed.get(_ASAN_OPTIONS, "").removeprefix(_ANY_ORDER).removeprefix(":")
+    changed[_ASAN_OPTIONS] = f"{_ANY_ORDER}:{others}" if others else _ANY_ORDER
     return changed

@@ -30,7 +30,7 @@ _READ_BEFORE_MAIN: Final = re.compile(
     r"|OPENSSL_.*|LTTNG_.*|HOME|RMW_IMPLEMENTATION|RCL_ASSERT_RMW_ID_MATCHES"
 )
 """Variables that are read when a container's program is loaded, before its main()."""
-_PRELOADED_BY_US: Final = re.compile(r"lib(?:mimalloc|jemalloc)\.so[.\d]*")
+_PRELOADED_BY_US: Final = re.compile(r"lib(?:mimalloc|jemalloc|fastdds_waits)\.so[.\d]*")
 
 _log = logging.getLogger(__name__)
 

@@ -63,6 +63,12 @@ def test_ordinary_processes_get_it_with_fast_dds(
     assert with_safe_waits(before, CONTAINER) == (before if after is None else before | after)
 
 
+@pytest.mark.parametrize("before", [{}, {"LD_PRELOAD": "libx.so", "ASAN_OPTIONS": "a=1:b=2"}])
+def test_a_session_in_a_session_preloads_it_once(before: dict[str, str]) -> None:
+    once = with_safe_waits(before, CONTAINER)
+    assert with_safe_waits(once, CONTAINER) == once
+
+
 def test_a_program_gets_its_own_mutex_again() -> None:
     environment = with_safe_waits(os.environ, component_container())
     command = [sys.executable, "-c", LOCKING_TWICE]

@@ -272,7 +272,7 @@ def test_a_node_that_is_killed_from_outside_comes_back(tmp_path: Path) -> None:
 
 def test_ignored_it_stays_away(tmp_path: Path) -> None:
     config = on_crash(tmp_path, "ignore", kind="isolated_mt", how="exception")
-    with replaying(config, tmp_path / "logs", "--duration", "3s") as replay:
+    with replaying(config, tmp_path / "logs", "--duration", "12s") as replay:
         replay.read_all()
     assert len(components(replay, "/crasher", "crashed")) == 1
     assert len(components(replay, "/crasher", "loaded")) == 1
@@ -283,7 +283,7 @@ def test_ignored_it_stays_away(tmp_path: Path) -> None:
 
 def test_its_container_is_stopped_and_the_others_run_on(tmp_path: Path) -> None:
     config = on_crash(tmp_path, "stop_container")
-    with replaying(config, tmp_path / "logs", "--duration", "4s") as replay:
+    with replaying(config, tmp_path / "logs", "--duration", "12s") as replay:
         exited = replay.read_until(is_process("/lab", "exited"), "the container's end")
         assert (exited["exit_code"], exited["signal"]) == (0, 0)
         assert psutil.pid_exists(pid_of(replay, "/bystander"))

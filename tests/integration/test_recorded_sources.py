@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import signal
 import subprocess
 from typing import TYPE_CHECKING
 
@@ -12,7 +13,7 @@ import pytest
 from mcap.reader import make_reader
 
 from play_launch.recording.facts import REDACTED
-from tests.support.replay import COMMAND, replaying
+from tests.support.replay import COMMAND, Replay, replaying
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -45,6 +46,11 @@ def write(robot: Path) -> Path:
     return robot / "robot.yaml"
 
 
+def end(replay: Replay) -> None:
+    replay.process.send_signal(signal.SIGINT)
+    replay.read_all()
+
+
 def resolved(bag: Path) -> dict[str, object]:
     with bag.open("rb") as file:
         attached = {each.name: each.data for each in make_reader(file).iter_attachments()}
@@ -60,9 +66,9 @@ def test_a_recording_holds_all_that_a_configuration_was_made_of(
     robot = write(tmp_path / "robot")
     monkeypatch.setenv("PL_TEST_TOKEN", SECRET)
     monkeypatch.setenv("PL_TEST_SECONDS", "1000")
-    with replaying(robot, tmp_path / "first", "who:=talker", "--duration", "5s") as first:
+    with replaying(robot, tmp_path / "first", "who:=talker") as first:
         first.read_until_states({"/talker": "loaded"})
-        first.process.wait()
+        end(first)
     assert SECRET.encode() not in first.bag.read_bytes()
     then = resolved(first.bag)
     assert then["taken"] == {
@@ -72,11 +78,11 @@ def test_a_recording_holds_all_that_a_configuration_was_made_of(
     }
     shutil.rmtree(robot.parent)
     monkeypatch.delenv("PL_TEST_SECONDS")
-    with replaying(first.bag, tmp_path / "second", "--duration", "5s") as second:
+    with replaying(first.bag, tmp_path / "second") as second:
         second.read_until_states({"/talker": "loaded"})
-        second.process.wait()
+        end(second)
     assert resolved(second.bag) == then
-    with replaying(second.bag, tmp_path / "third", "who:=other", "--duration", "5s") as third:
+    with replaying(second.bag, tmp_path / "third", "who:=other") as third:
         third.read_until_states({"/other": "loaded"})
 
 

@@ -389,6 +389,7 @@ def test_what_is_read_before_main_makes_the_difference(
         ("/a b/libmimalloc.so.3", False),
         ("/a/libmimalloc.so.3", True),
         ("libjemalloc.so.2", True),
+        ("/a/libmimalloc.so.3:/p/libfastdds_waits.so", True),
         ("/a/libmimalloc.so.3:libasan.so", False),
         ("/lib/libmimalloc-spy.so", False),
     ],
