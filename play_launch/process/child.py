@@ -14,7 +14,7 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from play_launch.cgroups.deaths import why_killed
+from play_launch.cgroups.deaths import why_failed, why_killed
 from play_launch.core.events import Stream
 from play_launch.process.exit import Exit
 from play_launch.process.guard import Ourselves, Parent, SessionGuard
@@ -197,9 +197,11 @@ class Child:
         self._finishing = self._loop.create_task(self._finish())
 
     def _explained(self, ended: Exit) -> Exit:
-        if self._group is not None and ended.signal == signal.SIGKILL and not self._was_killed:
-            return replace(ended, hint=why_killed(self._group))
-        return explained(ended)
+        if self._group is None or ended.ok or self._was_killed:
+            return explained(ended)
+        killed = ended.signal == signal.SIGKILL
+        hint = why_killed(self._group) if killed else why_failed(self._group)
+        return replace(ended, hint=hint) if hint else explained(ended)
 
     async def _finish(self) -> None:
         assert self._exit is not None

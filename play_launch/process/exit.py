@@ -48,10 +48,10 @@ class Exit:
     def __str__(self) -> str:
         if self.is_lost:
             return "ended, with an unknown exit status"
-        if not self.signal:
-            return f"exited with status {self.code}"
-        core = ", core dumped" if self.core_dumped else ""
         hint = f": {self.hint}" if self.hint else ""
+        if not self.signal:
+            return f"exited with status {self.code}{hint}"
+        core = ", core dumped" if self.core_dumped else ""
         return f"exited with signal {self.signal} ({_signal_name(self.signal)}{core}){hint}"
 
     def __repr__(self) -> str:

@@ -19,7 +19,7 @@ from play_launch.cgroups.base import (
     own_base,
 )
 from play_launch.cgroups.controllers import Lack, lacks
-from play_launch.cgroups.deaths import memory_reason
+from play_launch.cgroups.deaths import memory_reason, processes_reason
 from play_launch.cgroups.names import SUPERVISOR, SessionName, group_name, node_group_name
 from play_launch.cgroups.refusals import (
     fewer_cpus,
@@ -31,7 +31,7 @@ from play_launch.cgroups.refusals import (
 )
 from play_launch.cgroups.sweep import dead_sessions
 from play_launch.core.cpu_list import cpu_text, cpus_in
-from play_launch.core.group_limits import GroupLimits
+from play_launch.core.group_limits import NO_LIMIT, GroupLimits
 
 numbers = st.integers(1, 2**40)
 sessions = st.builds(SessionName, numbers, numbers, numbers)
@@ -220,6 +220,14 @@ def test_a_kill_for_memory_is_reported_as_such(events: dict[str, int], limit: in
     said = memory_reason(events, limit)
     assert bool(said) == (events.get("oom_kill", 0) > 0)
     assert ("memory.max" in said) == bool(said and events.get("oom") and limit)
+
+
+@given(st.integers(0, 3), st.none() | st.just(NO_LIMIT) | st.integers(1, 9))
+def test_an_end_for_want_of_processes_is_reported_as_such(hits: int, limit: float | None) -> None:
+    said = processes_reason({"max": hits}, limit)
+    assert bool(said) == (hits > 0 and limit is not None and limit < NO_LIMIT)
+    assert not said or said.startswith(f"pids_max {limit} of its control group was reached ")
+    assert ("once" in said) == (bool(said) and hits == 1)
 
 
 def test_sizes_are_written_as_people_do() -> None:

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 import time
 from collections.abc import Iterator
@@ -24,7 +25,7 @@ from play_launch.history.session import PastSession
 from tests.support.control_groups import control_group
 from tests.support.replay import Replay, replaying
 
-NEEDED = {"cpu", "cpuset", "memory"}
+NEEDED = {"cpu", "cpuset", "memory", "pids"}
 FILL = "import os; os.write(1, b'begun\\n'); data = b'x' * (200 << 20)"
 RATE = 1000.0
 PLACES = {"first": 0, "second": 3, "apart": 6}
@@ -82,7 +83,12 @@ def system(base: Path, environment: dict[str, str]) -> dict[str, Any]:
                 "resources": {"memory_max": "64 MiB"},
                 "on_exit": "restart",
                 "restart": {"max_restarts": 1, "backoff": {"initial": "10 ms"}},
-            }
+            },
+            {
+                "name": "alone",
+                "command": ["sh", "-c", "echo begun; sleep 600 & wait"],
+                "resources": {"pids_max": 1},
+            },
         ],
     }
 
@@ -153,6 +159,16 @@ def test_limits_hold_and_neighbours_go_on(base: Path, tmp_path: Path) -> None:
     assert [event["kind"] for event in ends] == ["exited", "exited"]
     killed = "killed by the kernel: memory.max 64 MiB of its control group"
     assert all(killed in event["message"] for event in ends), ends
+    (alone,) = (
+        event
+        for event in replay.seen
+        if event["event"] == "process" and (event["name"], event["kind"]) == ("/alone", "exited")
+    )
+    assert re.search(
+        "exited with status [0-9]+: pids_max 1 of its control group was reached once; fix: a "
+        "larger one$",
+        alone["message"],
+    )
     in_the_recording(replay)
 
 
