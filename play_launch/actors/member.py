@@ -28,7 +28,6 @@ from play_launch.actors.sources import Source, Sources
 from play_launch.actors.turn import StartTurn
 from play_launch.core.events import REPORTED_LOGGER, ContainerState, ProcessEventKind
 from play_launch.core.member import MemberAction, MemberInput, MemberRecord, step
-from play_launch.core.restart import GiveUp
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -51,6 +50,7 @@ LATE: Final = 5.0
 """Seconds after which what is due counts as forgotten."""
 
 _AT_REST: Final = frozenset({ContainerState.STOPPED, ContainerState.GAVE_UP})
+_ENDS: Final = frozenset({ContainerState.STOPPING, ContainerState.GAVE_UP})
 
 
 class Member:
@@ -367,27 +367,19 @@ class Member:
         self._is_decided = True
         self._kill_due = None
         self._death_reason = death.reason
-        if self.state in {ContainerState.STOPPING, ContainerState.GAVE_UP}:
-            self._apply(MemberInput.DIED_FOR_GOOD, death.reason)
-            return
-        if death.permanent or self._is_fatal:
-            self._apply(MemberInput.DIED_FOR_GOOD, death.reason)
-            return
-        if death.by_itself:
-            if death.reason:
-                _reported.warning(
-                    "%s: stopped, and is not started again: %s", self.name, death.reason
-                )
-            self._apply(MemberInput.ENDED, death.reason)
-            return
-        verdict = self._restarter.decide(
-            now=self._loop.time(), lived=death.lived, counts=self._counts()
+        sequel = self._restarter.follow_up(
+            death,
+            now=self._loop.time(),
+            is_over=self._is_fatal or self.state in _ENDS,
+            counts=self._counts,
         )
-        if isinstance(verdict, GiveUp):
-            self._apply(MemberInput.DIED_FOR_GOOD, f"{death.reason}; {verdict.reason}")
-            return
-        self._delay = verdict.delay
-        self._apply(MemberInput.DIED_RESTART, f"{death.reason}; {self._sequel(verdict.delay)}")
+        reason = sequel.reason
+        if sequel.delay is not None:
+            self._delay = sequel.delay
+            reason = f"{reason}; {self._sequel(sequel.delay)}"
+        elif sequel.said is MemberInput.ENDED and reason:
+            _reported.warning("%s: stopped, and is not started again: %s", self.name, reason)
+        self._apply(sequel.said, reason)
 
     def _sequel(self, delay: float) -> str:
         return f"starts again in {delay:.2f} s"

@@ -5,13 +5,27 @@ from __future__ import annotations
 import random
 from typing import TYPE_CHECKING
 
+from msgspec import Struct
 from msgspec.structs import replace
 
 from play_launch.core.crash import FollowUp, OnCrash, follow_up
-from play_launch.core.restart import GiveUp, Restart, RestartHistory, RestartLimits, decide
+from play_launch.core.member import MemberInput
+from play_launch.core.restart import GiveUp, RestartHistory, RestartLimits, decide
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from play_launch.actors.death import Death
+
+
+class Sequel(Struct, frozen=True):
+    """What follows from the end of a member's process."""
+
+    said: MemberInput
+    """The row of its table."""
+    reason: str
+    delay: float | None = None
+    """Seconds to the next start; None: there is none."""
 
 
 class Restarter:
@@ -36,17 +50,32 @@ class Restarter:
         """Somebody asked for a start: what was before that counts no more."""
         self._history = RestartHistory(total=self._history.total)
 
-    def decide(self, *, now: float, lived: float, counts: bool = True) -> Restart | GiveUp:
-        """Decide about a death now, after that many seconds of life; see `core.restart`."""
+    def follow_up(
+        self, death: Death, *, now: float, is_over: bool, counts: Callable[[], bool]
+    ) -> Sequel:
+        """Decide about a death now; see `core.restart`.
+
+        Args:
+            death: How its process ended.
+            now: Seconds of a clock.
+            is_over: Whether it is not started again, however it died.
+            counts: Is asked, where it may be started again, whether that uses up a restart.
+        """
+        if is_over or death.permanent:
+            return Sequel(MemberInput.DIED_FOR_GOOD, death.reason)
+        if death.by_itself:
+            return Sequel(MemberInput.ENDED, death.reason)
         self._history, verdict = decide(
             self._history,
             self._limits,
             now=now,
-            lived=lived,
+            lived=death.lived,
             jitter=self._jitter(),
-            counts=counts,
+            counts=counts(),
         )
-        return verdict
+        if isinstance(verdict, GiveUp):
+            return Sequel(MemberInput.DIED_FOR_GOOD, f"{death.reason}; {verdict.reason}")
+        return Sequel(MemberInput.DIED_RESTART, death.reason, verdict.delay)
 
 
 class CrashFollower:
