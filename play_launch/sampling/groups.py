@@ -9,7 +9,8 @@ from msgspec import Struct
 
 from play_launch.cgroups.group import Group
 from play_launch.cgroups.names import CONTAINER
-from play_launch.cgroups.usage import GroupUsage, group_of, usage_of
+from play_launch.cgroups.refusals import taken_controller
+from play_launch.cgroups.usage import GroupUsage, group_of, usage_of, withdrawn
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -55,7 +56,8 @@ class GroupSampler:
         Nothing is read for processes that have no group of their own.
 
         Returns:
-            The samples, and what is new: kills for want of memory, and hits of ``pids_max``.
+            The samples, and what is new: kills for want of memory, hits of ``pids_max``, and
+            controllers that somebody has taken away.
         """
         now = self._clock()
         before, self._known = self._known, {}
@@ -74,6 +76,7 @@ class GroupSampler:
             if usage == _NOTHING:
                 continue  # it is removed
             known.usage = usage
+            news += _taken(target.key, known.group, withdrawn(last, usage))
             known.due = now + (PERIOD if _held_back(usage) == _held_back(last) else 0.0)
             samples.append(usage.sample(stamp_ns, target.kind, target.key, known.number))
             news += _news(target.key, known)
@@ -91,6 +94,13 @@ def _looked_for(target: Target, known: _Known | int, now: float) -> _Known | int
 def _held_back(usage: GroupUsage) -> tuple[int, int, int]:
     """Count what a limit did."""
     return usage.throttled_periods or 0, usage.oom_kills or 0, usage.pids_max_hits or 0
+
+
+def _taken(name: str, group: Group, controllers: Sequence[str]) -> Iterator[str]:
+    for controller in controllers:
+        # Not where the group was removed while it was read.
+        if controller not in group.text("cgroup.controllers").split() and group.path.is_dir():
+            yield f"{name}: {taken_controller(controller)}"
 
 
 def _news(name: str, known: _Known) -> Iterator[str]:

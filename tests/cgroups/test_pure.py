@@ -27,9 +27,11 @@ from play_launch.cgroups.refusals import (
     no_entry,
     no_group,
     no_limit,
+    taken_controller,
     unavailable_controller,
 )
 from play_launch.cgroups.sweep import dead_sessions
+from play_launch.cgroups.usage import GroupUsage, withdrawn
 from play_launch.core.cpu_list import cpu_text, cpus_in
 from play_launch.core.group_limits import NO_LIMIT, GroupLimits
 
@@ -228,6 +230,20 @@ def test_an_end_for_want_of_processes_is_reported_as_such(hits: int, limit: floa
     assert bool(said) == (hits > 0 and limit is not None and limit < NO_LIMIT)
     assert not said or said.startswith(f"pids_max {limit} of its control group was reached ")
     assert ("once" in said) == (bool(said) and hits == 1)
+
+
+@given(st.builds(GroupUsage), st.builds(GroupUsage))
+def test_controllers_are_withdrawn_whose_numbers_there_were(
+    before: GroupUsage, now: GroupUsage
+) -> None:
+    assert withdrawn(GroupUsage(), now) == ()
+    assert withdrawn(before, before) == ()
+    missing = withdrawn(before, now)
+    assert ("memory" in missing) == (before.memory_bytes is not None and now.memory_bytes is None)
+    assert set(missing) <= {"cpu", "memory", "pids"}
+    for each in missing:
+        assert f"the controller {each} from" in taken_controller(each)
+        assert "; fix: " in taken_controller(each)
 
 
 def test_sizes_are_written_as_people_do() -> None:
