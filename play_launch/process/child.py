@@ -19,6 +19,7 @@ from play_launch.core.events import Stream
 from play_launch.process.exit import Exit
 from play_launch.process.guard import Ourselves, Parent, SessionGuard
 from play_launch.process.identity import ProcessIdentity, ProcessStat, read_stat
+from play_launch.process.killer import killer_hint, memory_pressure, oom_kills
 from play_launch.process.kin import MEMBER_VARIABLE, Kin
 from play_launch.process.lines import LineReader, OutputCallback
 from play_launch.process.machine import explained
@@ -78,6 +79,7 @@ class Child:
         self._group = group
         self._kin = Kin(identity.pid, parent, mark)
         self._was_killed = False
+        self._oom_kills = oom_kills()
         self._readers = tuple(readers)
         self._loop = asyncio.get_running_loop()
         self._exit: Exit | None = None
@@ -128,6 +130,7 @@ class Child:
         """Send a signal to the process alone; False when it has ended."""
         if self._pidfd < 0:
             return False
+        self._was_killed = self._was_killed or number is signal.SIGKILL
         try:
             signal.pidfd_send_signal(self._pidfd, number)
         except ProcessLookupError:
@@ -197,11 +200,18 @@ class Child:
         self._finishing = self._loop.create_task(self._finish())
 
     def _explained(self, ended: Exit) -> Exit:
-        if self._group is None or ended.ok or self._was_killed:
-            return explained(ended)
-        killed = ended.signal == signal.SIGKILL
-        hint = why_killed(self._group) if killed else why_failed(self._group)
+        if ended.ok or self._was_killed:
+            return ended
+        hint = self._hint_of_group(ended)
+        if not hint and ended.signal == signal.SIGKILL:
+            hint = killer_hint(self._oom_kills, oom_kills(), memory_pressure())
         return replace(ended, hint=hint) if hint else explained(ended)
+
+    def _hint_of_group(self, ended: Exit) -> str:
+        if self._group is None:
+            return ""
+        killed = ended.signal == signal.SIGKILL
+        return why_killed(self._group) if killed else why_failed(self._group)
 
     async def _finish(self) -> None:
         assert self._exit is not None

@@ -44,9 +44,9 @@ class RecorderLimits(Struct, frozen=True):
     events that say what happened."""
     batch: float = 0.05
     """Seconds to gather events before they are written together."""
-    flush: float = 0.1
+    flush: float = 0.05
     """Seconds that a written message may wait for the end of its chunk. Together with ``batch``
-    this is what a SIGKILL can cost; it leaves 0.1 s of the promised 0.25 s to a busy machine."""
+    this is what a SIGKILL can cost; it leaves 0.15 s of the promised 0.25 s to a busy machine."""
     failure_gap: float = 0.01
     """Least seconds between two chunks that end early because of a failure."""
     retry: float = 0.5
