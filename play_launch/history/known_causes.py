@@ -51,8 +51,8 @@ KNOWN_CAUSES: Final = (
     KnownCause(
         "missing_library",
         re.compile(
-            r"cannot open shared object file|no components in the ament index|has no component '"
-            r"|does not exist: \S+\.so|no such library"
+            r"cannot open shared object file(?!\): ignored)|no components in the ament index"
+            r"|has no component '|does not exist: \S+\.so|no such library"
         ),
         "a library is missing",
         "install the package, or add its prefix to AMENT_PREFIX_PATH or LD_LIBRARY_PATH",
@@ -88,8 +88,10 @@ KNOWN_CAUSES: Final = (
         "end that program, or choose another port",
     ),
 )
-"""In the order in which they are looked for."""
+"""In the order in which they are looked for. A library of ``LD_PRELOAD`` that the loader ignores is
+none of them: the program runs without it."""
 
+_KILLED: Final = "(SIGKILL)"
 BY_NAME: Final = {each.name: each for each in KNOWN_CAUSES}
 
 
@@ -101,8 +103,13 @@ class Said(NamedTuple):
 
 
 def known_by(cause: str, last_lines: Sequence[str]) -> Said | None:
-    """Find the known cause that the reason names, else the latest line that names one."""
-    for text in (cause, *reversed(last_lines)):
+    """Find the known cause that the reason names, else the latest line that names one.
+
+    Lines explain how a program ended by itself. A SIGKILL comes from somebody else, whatever the
+    program complained about before.
+    """
+    lines = () if _KILLED in cause else reversed(last_lines)
+    for text in (cause, *lines):
         for each in KNOWN_CAUSES:
             if each.says.search(text):
                 return Said(each, text)

@@ -43,24 +43,24 @@ def killer_hint(before: int | None, now: int | None, pressure: float | None) -> 
     """Say who may have sent a SIGKILL; empty: nothing is known.
 
     Args:
-        before: `oom_kills` when the process began.
+        before: `oom_kills` when the process began. What was killed since may be somebody else,
+            long ago, or in a control group with a limit of its own: the count does not say.
         now: The same at its end.
         pressure: `memory_pressure` at its end.
     """
     if before is None or now is None:
         return ""
-    if now > before:
-        whom = "a process" if now == before + 1 else f"{now - before} processes"
-        return (
-            f"the machine was out of memory, and the kernel killed {whom} while it ran; fix: less "
-            "memory for others, more swap, or memory_max for who takes it"
-        )
-    sender = "sent by a process, not by the kernel for want of memory"
-    if pressure is None or pressure < _MUCH:
-        return sender
+    waited = ""
+    if pressure is not None and pressure >= _MUCH:
+        waited = f"; processes waited for memory in {pressure:.0f} % of the last 10 s"
+    if now == before:
+        who_else = ", at which systemd-oomd or earlyoom may kill" if waited else ""
+        return f"sent by a process, not by the kernel for want of memory{waited}{who_else}"
+    whom = "a process" if now == before + 1 else f"{now - before} processes"
     return (
-        f"{sender}; processes waited for memory in {pressure:.0f} % of the last 10 s, at which "
-        "systemd-oomd or earlyoom may kill"
+        f"the kernel killed {whom} of this machine for want of memory while it ran, perhaps this "
+        f"one{waited}; fix: look in the kernel's log (journalctl -k -g 'Killed process'), and give "
+        "whatever takes the memory a memory_max"
     )
 
 

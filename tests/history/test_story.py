@@ -312,6 +312,10 @@ def test_only_failures_gives_the_same_failures(tmp_path: Path) -> None:
         ("free(): invalid pointer", "heap_broken"),
         ("bind: Address already in use", "address_in_use"),
         ("exited with status 127: its program was not found", "missing_program"),
+        (
+            "object 'libx.so' cannot be preloaded (cannot open shared object file): ignored.",
+            "",
+        ),
         ("all is well", ""),
     ],
 )
@@ -319,3 +323,11 @@ def test_well_known_causes(text: str, name: str) -> None:
     assert known_cause(text, ()) == name
     assert known_cause("exited with status 1", ("before", text, "after")) == name
     assert not name or BY_NAME[name].means
+
+
+@pytest.mark.parametrize("line", ["free(): invalid pointer", "bind: Address already in use"])
+def test_a_line_is_no_cause_of_a_kill_from_outside(line: str) -> None:
+    killed = "exited with signal 9 (SIGKILL): sent by a process, not by the kernel"
+    assert known_cause(killed, (line,)) == ""
+    # A reason that names one itself keeps it.
+    assert known_cause(f"{killed}: out of memory", (line,)) == "out_of_memory"

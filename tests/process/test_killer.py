@@ -15,8 +15,10 @@ from play_launch.process.killer import killer_hint, memory_pressure, oom_kills
         (3, 3, None, "sent by a process, not by the kernel"),
         (3, 3, 9.9, "sent by a process, not by the kernel"),
         (3, 3, 55.4, "waited for memory in 55 % of the last 10 s"),
-        (3, 4, None, "out of memory, and the kernel killed a process while it ran"),
-        (3, 5, 80.0, "the kernel killed 2 processes while it ran"),
+        (3, 4, None, "the kernel killed a process of this machine for want of memory while it ran"),
+        (3, 4, 2.0, "perhaps this one; fix: "),
+        (3, 5, 80.0, "2 processes of this machine"),
+        (3, 5, 80.0, "perhaps this one; processes waited for memory in 80 % of the last 10 s; fix"),
     ],
 )
 def test_the_counters_of_the_kernel_say_who(
@@ -25,7 +27,8 @@ def test_the_counters_of_the_kernel_say_who(
     hint = killer_hint(before, now, pressure)
     assert says in hint
     assert bool(says) == bool(hint)
-    assert ("systemd-oomd" in hint) == ("%" in hint)
+    assert ("systemd-oomd" in hint) == ("%" in hint and before == now)
+    assert ("%" in hint) == (pressure is not None and pressure > 10)
 
 
 def test_this_kernel_counts() -> None:

@@ -142,7 +142,7 @@ def test_a_file_that_is_removed_is_reported_once(
         writer.flush()
         slow_disk.begun.acquire()
         shutil.rmtree(tmp_path / "session", ignore_errors=True)
-    with pytest.raises(WriteFailedError, match="No such file"):
+    with pytest.raises(WriteFailedError, match="or its folder, was removed"):
         writer.close()
     writer.abandon()
     (error,) = caplog.records
