@@ -160,7 +160,7 @@ class BagReader:
                 self._before = part.number
             except NotARecordingError as error:
                 unreadable.append(error)
-                self._damaged(0, str(error.__cause__ or "it is not an MCAP file"))
+                self._damaged(0, str(error).removeprefix(f"{part.path}: "))
             are_complete.append(self.is_complete)
         if len(unreadable) == len(parts):
             raise unreadable[0]

@@ -104,6 +104,20 @@ def test_a_missing_file_is_named_and_what_the_next_one_repeats_is_read(tmp_path:
     ]
 
 
+def test_something_else_in_the_place_of_a_file_is_named(tmp_path: Path) -> None:
+    three_parts(tmp_path)
+    place = tmp_path / "session_1.mcap"
+    place.unlink()
+    place.mkdir()
+    for reason in ("it is no regular file", "Too many levels of symbolic links"):
+        reader = BagReader(tmp_path)
+        assert len(list(reader.messages())) == 4 + 3
+        assert [str(damage) for damage in reader.damages] == [f"session_1.mcap: byte 0: {reason}"]
+        if place.is_dir():
+            place.rmdir()
+            place.symlink_to(place)
+
+
 def test_a_file_that_is_none_takes_no_other_along(tmp_path: Path) -> None:
     three_parts(tmp_path)
     (tmp_path / "session_1.mcap").write_bytes(b"")
