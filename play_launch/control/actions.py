@@ -51,6 +51,7 @@ _MOST_NAMED: Final = 10
 _IN_STATE: Final = frozenset({ContainerState.STOPPED, ContainerState.GAVE_UP})
 
 _TAKEN_OUT: Final = Verdict(is_done=False, reason="it was taken out of the system")
+_BEING_STOPPED: Final = Verdict(is_done=False, reason="the session is being stopped")
 """By a configuration that was applied meanwhile."""
 
 
@@ -72,8 +73,7 @@ class Actions:
         """Carry an action out; raises ControlError."""
         limit = seconds_argument(arguments, "timeout", USUAL_LIMIT)
         targets = self._targets(action, names_argument(arguments))
-        if self._system.is_stopping:
-            raise ControlError(Code.REFUSED, "the session is being stopped")
+        self._refuse_if_stopping()
         number = signal_argument(arguments) if action is Action.SIGNAL else None
         self._refuse_if_senseless(action, targets)
         besides = "" if number is None else number.name
@@ -106,11 +106,22 @@ class Actions:
         targets = [*members_of(expected, processes), *nodes_of(expected)]
         if names:
             targets = self._targets(None, names)
+        self._refuse_if_stopping()
         verdicts: dict[Target, Verdict] = {}
+
+        def judged(target: Target) -> Verdict | None:
+            verdict = judge(target)
+            is_up = verdict is not None and verdict.is_done
+            return _BEING_STOPPED if self._system.is_stopping and not is_up else verdict
+
         with changes_of_state(self._feed) as changed:
-            waiting = until_judged(targets, judge, verdicts, changed)
+            waiting = until_judged(targets, judged, verdicts, changed)
             await within(limit, waiting, targets, verdicts)
         return results_or_failure(targets, verdicts)
+
+    def _refuse_if_stopping(self) -> None:
+        if self._system.is_stopping:
+            raise ControlError(Code.REFUSED, _BEING_STOPPED.reason)
 
     def _targets(self, action: Action | None, names: Sequence[str]) -> list[Target]:
         if not names:

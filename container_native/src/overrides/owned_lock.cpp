@@ -28,15 +28,14 @@ const auto next_unlock = play_launch::next_function<"pthread_mutex_unlock">(&pth
 constexpr int kKinds = 0xff;
 constexpr int kShared = 0x80;
 
-/// The last mutex between processes that this thread has taken here, and how often besides.
+/// The last mutex between processes that this thread has taken here, and how often besides. A
+/// thread that died with it may have left it to the next one on its stack, so it holds only for the
+/// owner.
 struct Held {
   const pthread_mutex_t* mutex = nullptr;
   unsigned again = 0;
 };
 constinit thread_local Held held;
-
-/// A thread that died with an entry may have left it to the next one on its stack.
-bool is_owner(const pthread_mutex_t& mutex) noexcept { return mutex.__data.__owner == ::gettid(); }
 
 }  // namespace
 
@@ -44,7 +43,7 @@ extern "C" {
 
 [[gnu::visibility("default")]] int pthread_mutex_timedlock(pthread_mutex_t* mutex,
                                                            const timespec* deadline) noexcept {
-  if (held.mutex == mutex && is_owner(*mutex)) {
+  if (held.mutex == mutex && mutex->__data.__owner == ::gettid()) {
     ++held.again;
     return 0;
   }
@@ -57,7 +56,7 @@ extern "C" {
 
 [[gnu::visibility("default")]] int pthread_mutex_unlock(pthread_mutex_t* mutex) noexcept {
   if (held.mutex == mutex) [[unlikely]] {
-    if (held.again > 0 && is_owner(*mutex)) {
+    if (held.again > 0 && mutex->__data.__owner == ::gettid()) {
       --held.again;
       return 0;
     }

@@ -40,8 +40,9 @@ constexpr std::array kCppRuntime{"libstdc++"sv, "libgcc_s"sv, "libm.so"sv, "libm
                                  "linux-vdso"sv};
 constexpr std::array kCLibrary{"libc.so"sv, "libc-"sv, "libpthread"sv};
 
-/// Functions of the C library that this program defines around it (overrides/owned_lock.cpp).
-constexpr std::string_view kLocks = "pthread_mutex_";
+/// Functions of the C library that this program defines around it (overrides/owned_lock.cpp), and
+/// what they call on the way there in a build without optimisation.
+constexpr std::array kLocks{"pthread_mutex_"sv, "_ZN11play_launch12NextFunction"sv};
 
 /// Functions that templates of the middleware become in somebody's library; while they run they may
 /// hold the locks of delivery by pointer.
@@ -190,7 +191,7 @@ Place place_of(const CallStack& stack, std::size_t frame, Caution caution) {
   if (begins_with_any(function, kCppHeaders)) {
     return begins_with_any(function, kCallers) ? Place::harmless : Place::header;
   }
-  if (is_program && function.starts_with(kLocks)) {
+  if (is_program && begins_with_any(function, kLocks)) {
     return innermost ? Place::inside : Place::neutral;
   }
   // This program is no node's; children take none of its locks but those in docs/isolation.md.
