@@ -11,7 +11,6 @@ import socket
 import subprocess
 import sys
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,7 @@ import pytest
 
 from play_launch.control.client import connect_to
 from play_launch.control.place import LINKS, address_of
-from play_launch.control.protocol import LONGEST_REQUEST, ControlError, encode
+from play_launch.control.protocol import LONGEST_REQUEST, encode
 from play_launch.history.session import PastSession
 from play_launch.recording import topics
 from tests.support.replay import COMMAND, Replay, alive, replaying
@@ -379,25 +378,6 @@ def test_bad_clients_do_not_affect_the_run(config: Path, tmp_path: Path) -> None
         del before["/talker"], after["/talker"]
         assert after == before
         assert psutil.Process(replay.pid).memory_info().rss < 200_000_000
-
-
-def test_nobody_waits_for_what_does_not_come_up_any_more(tmp_path: Path) -> None:
-    deaf, config = tmp_path / "deaf.py", tmp_path / "robot.yaml"
-    deaf.write_text(DEAF, encoding="utf-8")
-    config.write_text(
-        f"version: 1\nstop: {{sigint: 5 s}}\nnodes:\n"
-        f"- {{name: deaf, command: [{sys.executable}, {deaf}]}}\n"
-        f"- {{name: late, command: [sleep, '1000'], start_delay: 1000 s}}\n",
-        encoding="utf-8",
-    )
-    with replaying(config, tmp_path / "logs") as replay:
-        replay.read_until(lambda event: event.get("text") == "deaf now", "a deaf process")
-        folder = str(replay.log_dir / "latest")
-        with connect_to(folder) as waiting, ThreadPoolExecutor(1) as thread:
-            answer = thread.submit(waiting.ask, "wait", {"timeout": 600.0}, limit=600.0)
-            replay.process.send_signal(signal.SIGINT)
-            with pytest.raises(ControlError, match="the session is being stopped"):
-                answer.result(timeout=60)
 
 
 def test_of_two_sessions_one_is_chosen(
