@@ -29,8 +29,7 @@ def find(words: list[str]) -> Path:
         if path.is_file():
             return path
         hint = "; give PACKAGE FILE, or a path" if path.parent == Path() else ""
-        kind = "is a directory" if path.is_dir() else "there is no such launch file"
-        raise LaunchFileError(Failure(f"{path}: {kind}{hint}"))
+        raise LaunchFileError(Failure(f"{path}: {_why_not(path)}{hint}"))
     package, name = words
     share = share_folder(package)
     if share is None:
@@ -45,6 +44,16 @@ def find(words: list[str]) -> Path:
             Failure(f"{package} has several files {name}: {several}; give a path")
         )
     return found[0]
+
+
+def _why_not(path: Path) -> str:
+    if not path.exists():
+        return "there is no such launch file"
+    try:
+        text_of(str(path))
+    except UnreadableError as error:
+        return str(error)
+    return "is no regular file"
 
 
 def is_launch_file(path: Path) -> bool:

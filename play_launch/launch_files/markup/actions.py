@@ -12,7 +12,7 @@ from play_launch.launch_files.markup.given_parameters import global_value
 from play_launch.launch_files.markup.grammar import check
 from play_launch.launch_files.markup.namespaces import joined
 from play_launch.launch_files.markup.template import unescaped
-from play_launch.launch_files.markup.trouble import Trouble
+from play_launch.launch_files.markup.trouble import Exceeded, Trouble
 from play_launch.launch_files.markup.typing_rules import coerced
 from play_launch.launch_files.reading import UnreadableError, text_of
 from play_launch.launch_files.records import Argument, Event, StartCondition
@@ -38,11 +38,13 @@ def visit(entity: Entity, context: Context) -> None:
         Trouble: With a place, and the includes in `context.chain`.
     """
     try:
+        context.count_action()
         if not programs.is_wanted(entity, context):
             return
         _ACTIONS[entity.tag](entity, context)
     except Trouble as trouble:
-        if context.only_arguments and entity.tag != "group":
+        is_passed_over = context.only_arguments and entity.tag != "group"
+        if is_passed_over and not isinstance(trouble, Exceeded):
             return
         if trouble.place is None:
             trouble.place = entity.place

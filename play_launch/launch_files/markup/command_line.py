@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from play_launch.launch_files.markup.template import Call, parse
 from play_launch.launch_files.markup.trouble import Trouble
@@ -12,11 +12,15 @@ if TYPE_CHECKING:
     from play_launch.launch_files.markup.context import Context
 
 
+LONGEST: Final = 128 * 2**10
+"""Characters of a command line between two substitutions; Linux takes no longer word."""
+
+
 def words_of(text: str, context: Context) -> list[str]:
     """Return the words of a command line, as launch splits it.
 
     Raises:
-        Trouble: When quotes are not closed.
+        Trouble: When quotes are not closed, or it is too long.
     """
     words: list[str] = []
     word: list[str] = []
@@ -29,10 +33,7 @@ def words_of(text: str, context: Context) -> list[str]:
         if isinstance(part, Call):
             word.append(context.carried_out((part,)))
             continue
-        try:
-            tokens = shlex.split(part)
-        except ValueError as error:
-            raise Trouble(f"{text!r}: {error}") from error
+        tokens = split(part)
         if not tokens:
             # Nothing but spaces: two substitutions are two words.
             finish()
@@ -49,3 +50,17 @@ def words_of(text: str, context: Context) -> list[str]:
     if word:
         finish()
     return words
+
+
+def split(text: str) -> list[str]:
+    """Return the words of a text as a shell splits it.
+
+    Raises:
+        Trouble: When quotes are not closed, or it is too long.
+    """
+    if len(text) > LONGEST:
+        raise Trouble(f"a command line of {len(text)} characters; at most {LONGEST}")
+    try:
+        return shlex.split(text)
+    except ValueError as error:
+        raise Trouble(f"{text!r}: {error}") from error

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import time
 from typing import TYPE_CHECKING, Any, Final
 
 from msgspec import Struct, field
@@ -11,7 +12,7 @@ from msgspec import Struct, field
 from play_launch.config.sources.surroundings import share_folder
 from play_launch.launch_files.losses import Losses
 from play_launch.launch_files.markup.template import Call, parse
-from play_launch.launch_files.markup.trouble import Trouble
+from play_launch.launch_files.markup.trouble import Exceeded, Trouble
 from play_launch.launch_files.records import Description, Origin, Place, StartCondition
 
 if TYPE_CHECKING:
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 
 LONGEST: Final = 16 * 2**20
 """Characters of a text with its substitutions carried out."""
+MOST_ACTIONS: Final = 200_000
+"""How many actions are carried out; the largest systems have some thousands."""
 
 
 class Deferred(Struct):
@@ -60,10 +63,27 @@ class Context(Struct):
     """Whether arguments are looked for only, so that what fails is passed over."""
     deadline: float = math.inf
     """When programs have to be done, by the monotonic clock."""
+    limit: float = math.inf
+    """Seconds that the evaluation may take; `deadline` is their end."""
     given: frozenset[str] = frozenset()
     """Names of the arguments of the command line."""
     _scopes: list[tuple[dict[str, Any], dict[str, str]]] = field(default_factory=list)
     _units: int = 0
+    _actions: int = 0
+
+    def count_action(self) -> None:
+        """Count an action that is to be carried out.
+
+        Raises:
+            Exceeded: When it is one too many, or comes too late.
+        """
+        self._actions += 1
+        if self._actions > MOST_ACTIONS:
+            raise Exceeded(
+                f"more than {MOST_ACTIONS} actions; do files include one another many times?"
+            )
+        if self.limit > 0 and time.monotonic() > self.deadline:
+            raise Exceeded(f"it is not evaluated after {self.limit:g} s")
 
     def origin(self, entity: Entity) -> Origin:
         """Return where an entity stands, with the includes that led there."""

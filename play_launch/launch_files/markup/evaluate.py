@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
+    from play_launch.launch_files.markup.context import Context
     from play_launch.launch_files.records import Description
 
 
@@ -29,8 +30,8 @@ def evaluate(
 ) -> Description:
     """Return what a launch file describes; programs of `$(command ...)` are run, nothing else is.
 
-    `limit` is the seconds after which they are ended; with 0 none is run. With `only_arguments`,
-    what needs an argument that is not given is passed over.
+    `limit` is the seconds that all of it may take; with 0 it may take long, but no program is run.
+    With `only_arguments`, what needs an argument that is not given is passed over.
 
     Raises:
         LaunchFileError: For the first mistake, with file, line and the chain of includes.
@@ -38,7 +39,7 @@ def evaluate(
     file = os.path.abspath(path)  # noqa: PTH100 - links stay as they are
     context = beginning(arguments, file, environ)
     context.only_arguments = only_arguments
-    context.deadline = time.monotonic() + limit
+    context.limit, context.deadline = limit, time.monotonic() + limit
     try:
         include_file(file, context)
         # Timers, in the order in which they fire: their scopes have ended.
@@ -50,10 +51,15 @@ def evaluate(
             for entity in waiting.entities:
                 visit(entity, context)
     except Trouble as trouble:
-        origin = Origin(trouble.place or Place(file), context.chain)
+        origin = Origin(trouble.place or Place(file), _chain(context))
         raise LaunchFileError(Failure(str(trouble), origin)) from trouble
     except RecursionError as error:
-        failure = Failure("nested too deeply", Origin(Place(context.file), context.chain))
+        failure = Failure("nested too deeply", Origin(Place(context.file), _chain(context)))
         raise LaunchFileError(failure) from error
     context.description.losses = list(context.losses)
     return context.description
+
+
+def _chain(context: Context) -> tuple[Place, ...]:
+    # What includes itself is named once.
+    return tuple(dict.fromkeys(context.chain))

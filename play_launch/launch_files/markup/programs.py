@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import os
 import re
-import shlex
 from typing import TYPE_CHECKING, Any
 
 from play_launch.config.model import FOR_ALL
 from play_launch.launch_files.markup import given_parameters
-from play_launch.launch_files.markup.command_line import words_of
+from play_launch.launch_files.markup.command_line import split, words_of
 from play_launch.launch_files.markup.namespaces import joined
 from play_launch.launch_files.markup.trouble import Trouble
 from play_launch.launch_files.markup.typing_rules import coerced, condition, truth
@@ -192,14 +191,14 @@ def _timeout(key: str, typed: dict[str, Any], context: Context) -> float | None:
 
 def _prefix(program: str, entity: Entity, context: Context) -> list[str]:
     if "launch-prefix" in entity.attributes:
-        return shlex.split(context.text(entity.attributes["launch-prefix"]))
+        return split(context.text(entity.attributes["launch-prefix"]))
     words = str(context.configurations.get("launch-prefix", ""))
     only = str(context.configurations.get("launch-prefix-filter", ""))
     try:
         applies = re.match(only, os.path.basename(program)) is not None  # noqa: PTH119 - as launch
     except re.error as error:
         raise Trouble(f"launch-prefix-filter is no regular expression: {error}") from error
-    return shlex.split(words) if words and applies else []
+    return split(words) if words and applies else []
 
 
 def _remappings(entity: Entity, context: Context) -> list[tuple[str, str]]:

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
-import os
 import re
-import shlex
 import shutil
-import signal
-import subprocess
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from play_launch.core.ament_index import ament_prefixes
 from play_launch.launch_files.markup import expression
+from play_launch.launch_files.markup.run_command import run_command
 from play_launch.launch_files.markup.trouble import Trouble
 from play_launch.launch_files.markup.typing_rules import truth
 from play_launch.launch_files.reading import UnreadableError, text_of
@@ -28,8 +23,6 @@ if TYPE_CHECKING:
 
     Function = Callable[[Context, list[str]], str]
 
-COMMAND_LIMIT: Final = 60.0
-"""Seconds that a program of `$(command ...)` may take."""
 _NO_NAME: Final = re.compile(r"[^A-Za-z0-9_]")
 
 
@@ -117,49 +110,6 @@ def _file_content(_: Context, arguments: list[str]) -> str:
         raise Trouble(f"the file {arguments[0]}: {error}") from error
 
 
-def _command(context: Context, arguments: list[str]) -> str:
-    on_stderr = arguments[1] if len(arguments) == 2 else "fail"
-    if on_stderr not in ("fail", "ignore", "warn", "capture"):
-        raise Trouble(f"{on_stderr} is none of fail, ignore, warn and capture")
-    limit = min(COMMAND_LIMIT, context.deadline - time.monotonic())
-    if limit <= 0:
-        raise Trouble(f"there is no time left to run {arguments[0]!r}")
-    try:
-        process = subprocess.Popen(
-            shlex.split(arguments[0]),
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT if on_stderr == "capture" else subprocess.PIPE,
-            text=True,
-            env=context.environment,
-            start_new_session=True,
-        )
-    except (OSError, ValueError, IndexError) as error:
-        raise Trouble(f"{arguments[0]!r} cannot be run: {error}") from error
-    try:
-        written, complaints = process.communicate(timeout=limit)
-    except subprocess.TimeoutExpired as error:
-        raise Trouble(f"{arguments[0]!r} takes longer than {limit:.0f} s") from error
-    except ValueError as error:
-        raise Trouble(f"{arguments[0]!r} writes no UTF-8") from error
-    finally:
-        _end(process)
-    said = (complaints or "").strip()
-    if process.returncode != 0:
-        raise Trouble(f"{arguments[0]!r} exited with {process.returncode}: {said[-500:]}")
-    if said and on_stderr == "fail":
-        raise Trouble(f"{arguments[0]!r} wrote to stderr: {said[-500:]}")
-    return written
-
-
-def _end(process: subprocess.Popen[str]) -> None:
-    """End what is left of a program and of what it has started in its session's group."""
-    with contextlib.suppress(ProcessLookupError):
-        # Until it is waited for, or while others are in it, the number is that group's.
-        os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
-
-
 def _eval(_: Context, arguments: list[str]) -> str:
     modules = {
         each.strip() for each in (arguments[1] if len(arguments) == 2 else "math").split(",")
@@ -221,7 +171,7 @@ _FUNCTIONS: Final[dict[str, tuple[Function, int, int]]] = {
     "exec-in-pkg": (_executable, 2, 2),
     "find-exec": (_on_path, 1, 1),
     "file-content": (_file_content, 1, 1),
-    "command": (_command, 1, 2),
+    "command": (run_command, 1, 2),
     "eval": (_eval, 1, 2),
     "anon": (_anonymous, 1, 1),
     "param": (_parameter, 1, 2),

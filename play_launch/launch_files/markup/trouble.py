@@ -14,3 +14,7 @@ class Trouble(Exception):  # noqa: N818 - it becomes a Failure
     def __init__(self, message: str, place: Place | None = None) -> None:
         super().__init__(message)
         self.place = place
+
+
+class Exceeded(Trouble):
+    """A launch file takes more than it may; nothing after it is looked at."""

@@ -13,6 +13,7 @@ from contextlib import suppress
 import msgspec
 
 from play_launch.launch_files.records import Description, Failure, Origin, Place, encode
+from play_launch.launch_files.ros_launch import memory
 from play_launch.launch_files.ros_launch.driver import SIZE, Job, evaluate
 
 
@@ -21,6 +22,7 @@ def main() -> None:
     descriptor, own = os.dup(1), os.getpid()
     os.dup2(2, 1)
     job = msgspec.json.decode(sys.argv[1], type=Job)
+    memory.bound()
     # Nothing in the launch file shall take these for its own.
     sys.argv[1:] = []
 

@@ -30,6 +30,11 @@ if TYPE_CHECKING:
 
 _MOST: Final = 20_000
 """How many events are followed; a handler that starts what it handles has no end."""
+_OF_A_PROCESS: Final = 4
+"""Steps that each process of the description takes: it starts, it exits, and an event of both."""
+_MOST_IN_TURN: Final = 100
+"""How many events are followed where each comes of the one before."""
+_TOO_MANY_IN_TURN: Final = f"what follows {_MOST_IN_TURN} events, one after the other"
 
 
 class Completion:
@@ -135,6 +140,7 @@ class Happenings:
     def run(self) -> None:
         """Let everything happen that can, until nothing is left."""
         started = exited = 0
+        most = _MOST + _OF_A_PROCESS * len(self._processes)
         while True:
             if self._events:
                 self._handle(self._events.popleft())
@@ -150,8 +156,8 @@ class Happenings:
                 self._unheard.report([action for action, _ in self._processes])
                 return
             self._count += 1
-            if self._count > _MOST:
-                self._scene.lost(None, f"events that follow the first {_MOST}")
+            if self._count > most:
+                self._scene.lost(None, f"events that follow the first {most}")
                 return
 
     def _start(self, action: Any, process: Process) -> None:
@@ -195,6 +201,9 @@ class Happenings:
                     known.part, "it follows its own processes, and there is no end of it"
                 )
                 continue
+            if len(makers) >= _MOST_IN_TURN:
+                self._scene.lost(known.part, _TOO_MANY_IN_TURN)
+                continue
             together = self._scene.causes.followed_by(known.conditions, conditions)
             before, self._handling = self._handling, makers | {id(handler)}
             with self._scene.causes.under(together):
@@ -215,7 +224,11 @@ class Happenings:
     def _carry_out(self, yields: Callable[[], Any], known: _Registered) -> None:
         """Visit what a handler or a timer yields, where it was registered."""
         scene = self._scene
+        if len(scene.causes.now) > _MOST_IN_TURN:
+            scene.lost(known.part, _TOO_MANY_IN_TURN)
+            return
         before, scene.places.includes = scene.places.includes, list(known.includes)
+        scene.places.visited = scene.places.of_part(known.part)
         scene.context._push_locals()  # noqa: SLF001 - as LaunchService does
         try:
             entities = yields()

@@ -29,12 +29,13 @@ class Places:
     """What is known about places while a description is loaded and visited.
 
     `files` are the launch files read so far. `includes` are the places of the includes that led to
-    what is visited, the outermost first.
+    what is visited, the outermost first. `visited` is where that stands, as far as it is known.
     """
 
     def __init__(self, library_folders: tuple[str, ...]) -> None:
         self.files: list[str] = []
         self.includes: list[Place] = []
+        self.visited = NOWHERE
         self._within: list[Place] = []
         self._libraries = (*library_folders, _OWN)
         self._elements: dict[int, tuple[Any, Place]] = {}
@@ -137,8 +138,10 @@ class Places:
         return _origin(place if place.file else own, includes)
 
     def of_visited(self) -> Origin:
-        """Return where the last file is that was read, for what happens in no launch file."""
-        return self.origin(self._within[-1] if self._within else self._last_file())
+        """Return what is going on, for what happens in no launch file."""
+        if self._within:
+            return self.origin(self._within[-1])
+        return self.origin(self.visited if self.visited.file else self._last_file())
 
     def _last_file(self) -> Place:
         return Place(self.files[-1]) if self.files else NOWHERE

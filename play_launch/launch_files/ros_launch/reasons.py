@@ -10,6 +10,7 @@ from xml.etree.ElementTree import ParseError
 import yaml
 
 from play_launch.launch_files.records import Place
+from play_launch.launch_files.ros_launch.memory import most_memory
 
 if TYPE_CHECKING:
     from play_launch.launch_files.ros_launch.places import Places
@@ -50,6 +51,12 @@ def reason_of(error: BaseException, places: Places) -> tuple[str, Place]:
     if isinstance(error, UnicodeDecodeError):
         where = places.of_traceback(error.__traceback__)
         return f"is not UTF-8 at byte {error.start}", where if where.file else Place(file)
+    if isinstance(error, MemoryError):
+        what = f"it takes more than {most_memory() / 2**30:.3g} GiB of memory"
+        return what, places.of_traceback(error.__traceback__)
+    if isinstance(error, RecursionError):
+        what = "it is nested too deeply, or calls itself without end"
+        return what, places.of_traceback(error.__traceback__)
     if isinstance(error, OSError) and error.strerror and error.filename:
         named = os.fsdecode(error.filename)
         return f"{error.strerror}: {named}", places.of_traceback(error.__traceback__)
@@ -64,4 +71,7 @@ def _text(error: BaseException) -> str:
         return f"{text}: ROS's launch is not installed here; source a ROS installation"
     if text.startswith("Required launch argument"):
         return f"{text.rstrip('.')}; give it as name:=value"
+    if type(error).__module__.split(".")[0] == "lark":
+        # What the grammar expects follows in many lines.
+        return f"a substitution is not written as launch wants it: {text.splitlines()[0]}"
     return text if kind in _SAID and text else f"{kind}: {text}" if text else kind

@@ -31,6 +31,7 @@ class Visitor:
         place = places.of_part(entity)
         is_include = isinstance(entity, IncludeLaunchDescription) and bool(place.file)
         before, self.happenings.current_part = self.happenings.current_part, entity
+        visited, places.visited = places.visited, place if place.file else places.visited
         if is_include:
             if len(places.includes) >= _DEEPEST:
                 raise RuntimeError(f"includes are nested deeper than {_DEEPEST}")
@@ -44,6 +45,7 @@ class Visitor:
             raise
         finally:
             self.happenings.current_part = before
+            places.visited = visited
             if is_include:
                 places.includes.pop()
                 self._scene.passed.pop()

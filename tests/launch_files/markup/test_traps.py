@@ -302,6 +302,11 @@ HOSTILE = {
     "nothing.yaml": "",
     "list.yaml": "[1, 2]",
     "substitutions.xml": f"<launch><log message='{'$(var ' * 200}'/></launch>",
+    "output.xml": "<launch><log message=\"$(command 'yes')\"/></launch>",
+    "errors.xml": "<launch><log message=\"$(command 'sh -c 'yes >&2'')\"/></launch>",
+    "command_line.xml": f"<launch><executable cmd='echo {'x' * 3_000_000}'/></launch>",
+    "prefix.xml": ('<launch><node pkg="pkg" exec="talker" launch-prefix="\'not closed"/></launch>'),
+    "zero.xml": "<launch><include file='/dev/zero'/></launch>",
 }
 
 
@@ -311,6 +316,39 @@ def test_hostile_files_are_refused_at_once(name: str, tmp_path: Path) -> None:
     path.write_text(HOSTILE[name], encoding="utf-8")
     with pytest.raises(LaunchFileError):
         evaluate(path, {})
+
+
+def doubling(folder: Path, levels: int) -> Path:
+    """Write launch files that include one another twice each, down to one with a program."""
+    text = "<launch><executable cmd='true'/></launch>"
+    for level in range(levels):
+        (folder / f"{level}.xml").write_text(text, encoding="utf-8")
+        text = "<launch>" + f"<include file='$(dirname)/{level}.xml'/>" * 2 + "</launch>"
+    path = folder / "a.launch.xml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("only_arguments", [False, True])
+def test_includes_that_double_end(
+    tmp_path: Path, only_arguments: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = doubling(tmp_path, 60)
+    with pytest.raises(LaunchFileError, match=r"it is not evaluated after 0\.1 s"):
+        evaluate(path, {}, limit=0.1, only_arguments=only_arguments)
+    monkeypatch.setattr("play_launch.launch_files.markup.context.MOST_ACTIONS", 100)
+    with pytest.raises(LaunchFileError, match="more than 100 actions"):
+        # As for completion, which has no limit of time.
+        evaluate(path, {}, limit=0, only_arguments=only_arguments)
+
+
+def test_a_cycle_of_includes_is_named_once(tmp_path: Path) -> None:
+    for name, other in ("ab", "ba"):
+        text = f"<launch>\n<include file='$(dirname)/{other}.xml'/></launch>"
+        (tmp_path / f"{name}.xml").write_text(text, encoding="utf-8")
+    with pytest.raises(LaunchFileError) as caught:
+        evaluate(tmp_path / "a.xml", {})
+    assert str(caught.value).count("included from") <= 2
 
 
 def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:

@@ -47,7 +47,7 @@ def test_python_that_ends_its_process(prefix: Prefix) -> None:
         pytest.param(
             "a.launch.xml",
             '<launch>\n  <let name="x" value="$(command \'sleep 1000\')"/>\n</launch>\n',
-            "a.launch.xml",
+            "a.launch.xml:2",
             marks=needs_launch,
         ),
     ],
@@ -184,3 +184,66 @@ def generate_launch_description():
     return LaunchDescription([ExecuteProcess(cmd=["echo", "x" * 1000]) for _ in range(1000)])
 """)
     assert len(prefix.evaluate("a.launch.py", text).units) == 1000
+
+
+def test_memory_without_end(prefix: Prefix) -> None:
+    """Memory that is never written to, so that the test takes none."""
+    text = "held = []\nwhile True:\n    held.append(bytes(2**28))\n"
+    error = prefix.error("a.launch.py", text)
+    assert error.startswith("a.launch.py:3: it takes more than ")
+    assert error.endswith(" GiB of memory")
+
+
+def test_what_calls_itself(prefix: Prefix) -> None:
+    error = prefix.error("a.launch.py", "def f():\n    f()\nf()\n")
+    assert error == "a.launch.py:2: it is nested too deeply, or calls itself without end"
+
+
+@needs_launch
+@pytest.mark.parametrize("name", ["pipe", "pipe.launch.py", "pipe.launch.xml", "pipe.launch.yaml"])
+def test_an_included_pipe_is_not_opened(prefix: Prefix, name: str) -> None:
+    os.mkfifo(prefix.folder / name)
+    text = f'<launch>\n  <include file="$(dirname)/{name}"/>\n</launch>\n'
+    error = prefix.error("a.launch.xml", text)
+    assert error == f"a.launch.xml:2: the launch file {name}: is a pipe, not a regular file"
+
+
+@needs_launch
+def test_an_included_device_is_not_read(prefix: Prefix) -> None:
+    text = '<launch>\n  <include file="/dev/zero"/>\n</launch>\n'
+    error = prefix.error("a.launch.xml", text)
+    assert error == "a.launch.xml:2: the launch file /dev/zero: is a device, not a regular file"
+
+
+@needs_launch
+def test_a_substitution_that_is_not_closed(prefix: Prefix) -> None:
+    text = "<launch>\n  <log message='$(var x'/>\n</launch>\n"
+    error = prefix.error("a.launch.xml", text)
+    assert error.startswith("a.launch.xml:2: a substitution is not written as launch wants it: ")
+    assert "\n" not in error
+
+
+def test_many_processes_are_all_followed(prefix: Prefix) -> None:
+    text = python("""
+def generate_launch_description():
+    return LaunchDescription([ExecuteProcess(cmd=["true", str(n)]) for n in range(6000)])
+""")
+    found = prefix.evaluate("a.launch.py", text)
+    assert len(found.units) == 6000
+    assert found.losses == []
+
+
+def test_a_process_after_another_without_end(prefix: Prefix) -> None:
+    text = python("""
+from launch.event_handlers import OnProcessExit
+def another(*_):
+    process = ExecuteProcess(cmd=["true"])
+    handler = OnProcessExit(target_action=process, on_exit=another)
+    return [RegisterEventHandler(handler), process]
+def generate_launch_description():
+    return LaunchDescription(another())
+""")
+    found = prefix.evaluate("a.launch.py", text)
+    said = [each for each in found.losses if not each.is_note]
+    assert any(each.what.startswith("what follows 100 events") for each in said)
+    assert all("a.launch.py:" in each.where for each in said)

@@ -12,5 +12,9 @@ class Parser:
     def load_parser_implementations(cls) -> None:
         pass
 
+    @classmethod
+    def load(cls, file: Any) -> Any:
+        raise NotImplementedError
+
     def parse_action(self, entity: Any) -> Any:
         raise NotImplementedError
