@@ -23,7 +23,7 @@ import signal
 from enum import IntEnum
 from typing import TYPE_CHECKING, Final
 
-from play_launch.core.events import NodeState, ProcessEventKind
+from play_launch.core.events import ProcessEventKind
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -77,13 +77,10 @@ def crashed_while_stopped(view: SystemView, final: SystemView) -> list[str]:
             and after.signal not in ENDING_SIGNALS
         ),
         *(
-            str(key)
+            str(node.key)
             for name, container in view.containers.items()
-            for key, node in container.nodes.items()
-            if node.state is NodeState.LOADED
-            and (after := final.containers.get(name)) is not None
-            and key in after.nodes
-            and after.nodes[key].state is NodeState.CRASHED
+            if name in final.containers
+            for node in final.containers[name].crashed_since(container)
         ),
     ]
 

@@ -24,6 +24,8 @@ class NodeReport(StrEnum):
     FORGOTTEN = auto()
     """The container lives and does not know the node any more."""
     CRASHED = auto()
+    FAULTED = auto()
+    """It crashed instead of leaving for the one that replaces it."""
     GAVE_UP = auto()
     UNLOADED = auto()
     UNASKED = auto()
@@ -51,6 +53,8 @@ def report_of(before: NodeState, said: NodeInput, after: NodeState) -> NodeRepor
         return None
     if said is NodeInput.STATUS_LOADED and after is NodeState.LOADED:
         return NodeReport.CONFIRMED
+    if said is NodeInput.CRASHED and after is NodeState.REQUESTED:
+        return NodeReport.FAULTED
     if said in _UNKNOWN and after in {NodeState.LOAD_FAILED, NodeState.LOST}:
         return NodeReport.FORGOTTEN
     if said is NodeInput.UNLOADED and before in _THERE and after is NodeState.UNLOADED:

@@ -155,6 +155,14 @@ class ContainerView(Struct, frozen=True, kw_only=True):
         """How often its nodes crashed."""
         return sum(node.crashes for node in self.nodes.values())
 
+    def crashed_since(self, before: ContainerView) -> tuple[NodeView, ...]:
+        """Its nodes that crashed after it was as ``before``, whatever became of them."""
+        return tuple(
+            node
+            for key, node in self.nodes.items()
+            if key in before.nodes and node.crashes > before.nodes[key].crashes
+        )
+
     def without(self, keys: frozenset[str]) -> ContainerView:
         """The same without some of its nodes."""
         left = {key: node for key, node in self.nodes.items() if str(key) not in keys}

@@ -269,7 +269,7 @@ def test_a_node_that_crashes_while_its_container_stops_is_left_alone() -> None:
     assert len(loads(the_container(sys))) == 1
     assert crashes(sys, "/a") == 1
     assert sys.outcome is not None
-    assert sys.outcome.exit_code == 0
+    assert sys.outcome.exit_code == 1
 
 
 def test_a_pending_reload_dies_with_its_container_and_the_new_one_loads_it() -> None:

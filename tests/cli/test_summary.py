@@ -91,6 +91,7 @@ def test_the_summary_for_machines_has_the_same() -> None:
         "pid": 0,
         "mechanism": "",
         "crashes": 0,
+        "crashed_when_stopped": [],
         "details": [
             {
                 "key": f"/bad:/bad/n{number}",

@@ -139,9 +139,9 @@ def test_a_constructor_and_a_destructor_are_no_exception(spawn: StartContainer) 
         assert "write to the private memory of /mapper" in failed.error_message
         node = container.loaded("Trespasser", parameters={"in_destructor": True})
         container.send(ControlUnload(unique_id=node.unique_id))
-        unloaded = container.event(UNLOADED, unique_id=node.unique_id)
+        crashed = container.event(CRASHED, unique_id=node.unique_id)
         assert "it did not leave in order: SIGSEGV (write to the private memory of /mapper" in (
-            unloaded.error_message
+            crashed.error_message
         )
 
 

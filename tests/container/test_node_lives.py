@@ -120,6 +120,31 @@ def test_a_node_is_killed_at_a_certain_place(
         assert all(life in LIVES for life in lives(container))
 
 
+@both_modes
+@pytest.mark.parametrize(
+    ("how", "end", "signum", "code"),
+    [
+        ("segv", CRASHED, signal.SIGSEGV, 0),
+        ("exception", CRASHED, signal.SIGABRT, 0),
+        ("exit", CRASHED, 0, 3),
+        ("kill", UNLOADED, signal.SIGKILL, 0),
+        ("term", UNLOADED, signal.SIGTERM, 0),
+    ],
+)
+def test_a_destructor_that_faults_is_a_crash(
+    spawn: StartContainer, mode: str, how: str, end: int, signum: int, code: int
+) -> None:
+    container = start_isolated(spawn, mode)
+    with survives(container):
+        node = container.loaded("Crasher", parameters={"how": how, "in_destructor": True})
+        container.send(ControlUnload(unique_id=node.unique_id))
+        event = end_of(container, node.attempt)
+        assert (event.event_type, event.signal, event.exit_code) == (end, signum, code)
+        assert event.error_message.startswith("it did not leave in order")
+        assert bool(event.backtrace) == (how in {"segv", "exception"})
+        assert only_these_remain(container)
+
+
 def terminate(node: NodeStatus) -> None:
     """Send SIGTERM to that process, if it is still there."""
     try:

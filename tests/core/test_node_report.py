@@ -29,12 +29,17 @@ State, Said, R = NodeState, NodeInput, NodeReport
         (State.UNLOADING, Said.UNLOADED, R.UNLOADED),
         (State.LOADED, Said.CONTAINER_LOST, R.LOST),
         (State.PENDING, Said.CONTAINER_READY, None),
+        (State.UNLOADING, Said.CRASHED, R.CRASHED),
     ],
 )
 def test_what_a_reader_is_shown(
     before: NodeState, said: NodeInput, report: NodeReport | None
 ) -> None:
     assert report_of(before, said, TABLE[before][said].state) is report
+
+
+def test_who_crashes_instead_of_making_room_is_shown_although_another_follows() -> None:
+    assert report_of(State.UNLOADING, Said.CRASHED, State.REQUESTED) is R.FAULTED
 
 
 @pytest.mark.parametrize(("before", "said"), list(itertools.product(NodeState, NodeInput)))

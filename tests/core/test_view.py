@@ -19,7 +19,7 @@ from play_launch.core.events import (
     SubjectKind,
     Withdrawn,
 )
-from play_launch.core.exit_code import ExitCode, exit_code
+from play_launch.core.exit_code import ExitCode, crashed_while_stopped, exit_code
 from play_launch.core.node_key import NodeKey
 from play_launch.core.view import SystemView
 
@@ -138,9 +138,17 @@ def test_only_a_crash_makes_a_stop_a_failure(end: ProcessEvent, code: ExitCode) 
 
 def test_a_node_of_its_own_process_can_crash_while_it_is_stopped() -> None:
     before = fold(RUNS, node(NodeState.LOADED))
-    after = before.after(node(NodeState.CRASHED, stamp_ns=2))
+    after = before.after(node(NodeState.CRASHED, stamp_ns=2, crashes=1))
     assert exit_code(before, after, None) == ExitCode.NODE_FAILED
+    assert crashed_while_stopped(before, after) == [str(node(NodeState.CRASHED).key)]
+    # Its container is gone then, too.
+    lost = after.after(node(NodeState.LOST, stamp_ns=3, crashes=1))
+    assert exit_code(before, lost, None) == ExitCode.NODE_FAILED
     assert exit_code(before, before.after(node(NodeState.UNLOADED)), None) == ExitCode.OK
+    # One that had crashed before, and was there again, left in order.
+    again = before.after(node(NodeState.LOADED, stamp_ns=2, crashes=1))
+    left = again.after(node(NodeState.UNLOADED, stamp_ns=3, crashes=1))
+    assert exit_code(again, left, None) == ExitCode.OK
 
 
 def test_who_is_given_up_while_it_still_runs_stays_given_up_when_it_ends() -> None:

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <chrono>
+#include <csignal>
 #include <exception>
 #include <utility>
 
@@ -61,6 +62,22 @@ void add_death(ComponentEvent& event, const NodeDeath& death) {
 /// How the end of a node is reported that left because it should.
 std::uint8_t last_event_type(const NodeEntry& entry) {
   return entry.refused ? ComponentEvent::LOAD_FAILED : ComponentEvent::UNLOADED;
+}
+
+/// Whether a node that should leave faulted instead. Who does not leave in time is ended by us, by
+/// systemd or by a person, with one of these signals: that is no fault of its code.
+bool faulted(const NodeDeath& death) {
+  switch (death.signal) {
+    case 0:
+      return death.exit_code != 0;
+    case SIGHUP:
+    case SIGINT:
+    case SIGKILL:
+    case SIGTERM:
+      return false;
+    default:
+      return true;
+  }
 }
 
 std::string no_such_node(std::uint64_t unique_id) {
@@ -311,9 +328,11 @@ void ObservableComponentManager::on_crashed(std::uint64_t unique_id, const NodeD
   }
   ComponentEvent event = event_of(*entry, ComponentEvent::CRASHED);
   event.error_message = death.reason;
-  // Nobody wants a node back that he sent away, or did not let in.
   if (entry->retired || entry->refused) {
-    event.event_type = last_event_type(*entry);
+    // Nobody wants it back, but a destructor that faults is a crash to whoever looks for one.
+    if (entry->refused || !faulted(death)) {
+      event.event_type = last_event_type(*entry);
+    }
     event.error_message = (entry->verdict.empty() ? "" : entry->verdict + "; ") +
                           "it did not leave in order: " + death.reason;
   }

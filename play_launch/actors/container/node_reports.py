@@ -162,6 +162,8 @@ class NodeReports:
             case NodeReport.CRASHED:
                 # Not as an error: the state that follows is reported as one, with the sequel.
                 _log.info("%s crashed: %s", name, why)
+            case NodeReport.FAULTED:
+                _log.error("%s crashed as it was unloaded: %s", name, why)
             case NodeReport.GAVE_UP:
                 _reported.error("%s is not loaded again: %s", name, why)
             case NodeReport.UNASKED if not is_stopping:

@@ -328,7 +328,7 @@ class ContainerNodes:
         if has_changed and record.state in _ENDED:
             why = self._groups.leave(node.key, before.attempt)
             facts = replace(facts, reason=why or facts.reason)
-        if has_changed and record.state is NodeState.CRASHED:
+        if has_changed and said is NodeInput.CRASHED:
             node.crashes += 1
         if NodeAction.SEND_LOAD in result.actions and record.is_reload:
             node.reloads += 1

@@ -121,7 +121,8 @@ def _node_line(event: NodeStateChanged, before: SystemView, after: SystemView) -
         case NodeState.LOAD_FAILED | NodeState.CRASHED | NodeState.GAVE_UP if not repeated:
             text = f"{event.node} {_VERBS[event.state]}{reason}"
             return Line(event.stamp_ns, event.container, text, ERROR)
-        case NodeState.LOST if not repeated:
+        # Who had crashed was gone before its container went.
+        case NodeState.LOST if not repeated and not (was and was.state is NodeState.CRASHED):
             return Line(event.stamp_ns, event.container, f"{event.node} lost{reason}", WARN)
         # In an orderly stop nobody wonders; an unload that was asked for has no reason.
         case NodeState.UNLOADED if reason and container.state is ContainerState.RUNNING:

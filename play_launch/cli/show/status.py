@@ -73,8 +73,10 @@ def container_at_end(before: ContainerView, after: ContainerView) -> str:
     state = "" if is_complete(before) else container_status(before)
     if state and before.state in {ContainerState.STARTING, ContainerState.STOPPING}:
         state = f"was {state}"
+    crashed = after.crashed_since(before)
+    crashes = f"crashed when stopped: {_names(crashed)}" if crashed else ""
     stopped = stop_problem(after.process) if before.process.pid else ""
-    return "; ".join(each for each in (state, stopped) if each)
+    return "; ".join(each for each in (state, crashes, stopped) if each)
 
 
 def process_at_end(before: ProcessView, after: ProcessView, *, dismissed: bool = False) -> str:

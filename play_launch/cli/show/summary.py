@@ -143,6 +143,7 @@ def _container_object(container: ContainerView, final: ContainerView) -> dict[st
         "pid": container.process.pid,
         "mechanism": container.mechanism,
         "crashes": container.crashes,
+        "crashed_when_stopped": [node.node for node in final.crashed_since(container)],
         "details": [
             {
                 "key": str(node.key),
