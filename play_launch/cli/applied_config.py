@@ -11,7 +11,7 @@ from play_launch.cdr.text import text_bytes
 from play_launch.recording.resolved_form import resolved_form
 
 if TYPE_CHECKING:
-    from play_launch.config import ReplayConfig
+    from play_launch.config.model import ReplayConfig
     from play_launch.recording.topic_requests import TopicRequests
 
 FOLDER: Final = "applied"

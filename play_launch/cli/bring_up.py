@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from play_launch.cli.watch import Watched
-    from play_launch.config import ReplayConfig
+    from play_launch.config.model import ReplayConfig
     from play_launch.systemd.notification import ServiceManager
 
 
@@ -66,7 +66,8 @@ def bring_up(
 
 
 def _load(path: Path, duration: str | None, arguments: Sequence[str]) -> ReplayConfig:
-    from play_launch.config import ConfigError, load_config  # noqa: PLC0415
+    from play_launch.config.load import load_config  # noqa: PLC0415
+    from play_launch.config.problems import ConfigError  # noqa: PLC0415
     from play_launch.config.sources.surroundings import (  # noqa: PLC0415
         Surroundings,
         parse_arguments,

@@ -90,8 +90,8 @@ def run(client: ControlClient, options: Namespace) -> int:
 
 def _bundled(options: Namespace) -> dict[str, Any]:
     """Read the configuration here: environment and working directory are the user's."""
-    from play_launch.config import ConfigError  # noqa: PLC0415 - takes its time
     from play_launch.config.bundle import bundled  # noqa: PLC0415
+    from play_launch.config.problems import ConfigError  # noqa: PLC0415 - takes its time
 
     named = [each for each in options.target if ":=" not in each]
     try:
@@ -111,7 +111,7 @@ def _is_launch_file(named: list[str]) -> bool:
 
 
 def _read(words: list[str]) -> ReplayConfig:
-    from play_launch.config import load_config  # noqa: PLC0415 - takes its time
+    from play_launch.config.load import load_config  # noqa: PLC0415 - takes its time
     from play_launch.config.sources.surroundings import (  # noqa: PLC0415
         Surroundings,
         parse_arguments,

@@ -10,7 +10,7 @@ from play_launch.core.dependency import Otherwise, StartRule
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from play_launch.config import ReplayConfig
+    from play_launch.config.model import ReplayConfig
     from play_launch.core.dependency import Dependency
 
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from play_launch.config import ReplayConfig
+    from play_launch.config.model import ReplayConfig
 
 
 class GraphForm(StrEnum):
@@ -35,7 +35,8 @@ def find_mistakes(
     explain: bool = False,
 ) -> int:
     """Report every mistake in a configuration and return the exit code."""
-    from play_launch.config import ConfigError, load_config  # noqa: PLC0415
+    from play_launch.config.load import load_config  # noqa: PLC0415
+    from play_launch.config.problems import ConfigError  # noqa: PLC0415
     from play_launch.config.sources.surroundings import (  # noqa: PLC0415
         Surroundings,
         parse_arguments,

@@ -12,7 +12,7 @@ from play_launch.core.events import ContainerState
 if TYPE_CHECKING:
     from play_launch.actors.publisher import Publisher
     from play_launch.actors.stop_requests import StopRequests
-    from play_launch.config import ReplayConfig
+    from play_launch.config.model import ReplayConfig
     from play_launch.core.events import RunEvent
     from play_launch.core.view import SystemView
     from play_launch.recording.session import Session

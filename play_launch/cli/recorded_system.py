@@ -17,7 +17,7 @@ from play_launch.recording.resolved_form import resolved_form
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from play_launch.config import ReplayConfig
+    from play_launch.config.model import ReplayConfig
 
 _MATTERS: Final = ("ROS_", "RMW_", "FASTRTPS_", "FASTDDS_", "CYCLONEDDS_", "ZENOH_", "RCUTILS_")
 """Variables by which the same system may behave differently."""

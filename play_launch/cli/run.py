@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from play_launch.actors.stop_requests import StopRequests
     from play_launch.actors.system import Outcome, System
     from play_launch.cli.watch import Watched
-    from play_launch.config import ReplayConfig
+    from play_launch.config.model import ReplayConfig
     from play_launch.core.events import EventSink, LogRecord, RunEvent, SubjectKind
     from play_launch.core.group_totals import GroupTotal
     from play_launch.core.view import SystemView

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from play_launch.actors.publisher import Publisher
     from play_launch.actors.system import System
     from play_launch.cli.watch import Watched
-    from play_launch.config import ReplayConfig
+    from play_launch.config.model import ReplayConfig
     from play_launch.control.door import Door
     from play_launch.control.feed import Feed
     from play_launch.recording.session import Session

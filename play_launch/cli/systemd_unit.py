@@ -19,7 +19,7 @@ from play_launch.cli.target import complain
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from play_launch.config import ReplayConfig
+    from play_launch.config.model import ReplayConfig
     from play_launch.systemd.environment import Carried
 
 _COMMAND = "play-launch"
@@ -79,7 +79,8 @@ def systemd_unit(
 
 
 def _loaded(path: Path, arguments: Sequence[str]) -> ReplayConfig:
-    from play_launch.config import ConfigError, load_config  # noqa: PLC0415
+    from play_launch.config.load import load_config  # noqa: PLC0415
+    from play_launch.config.problems import ConfigError  # noqa: PLC0415
     from play_launch.config.sources.surroundings import (  # noqa: PLC0415
         Surroundings,
         parse_arguments,

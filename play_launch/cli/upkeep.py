@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from play_launch.config import KeepConfig
+    from play_launch.config.model import KeepConfig
     from play_launch.core.events import Stream
     from play_launch.core.view import SystemView
     from play_launch.process.lines import Line

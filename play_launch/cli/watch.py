@@ -9,14 +9,15 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
-from play_launch.config import ConfigError, load_config
+from play_launch.config.load import load_config
+from play_launch.config.problems import ConfigError
 from play_launch.config.source import Refused, read_bytes
 from play_launch.config.sources.surroundings import Surroundings
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Iterable, Mapping
 
-    from play_launch.config import ReplayConfig
+    from play_launch.config.model import ReplayConfig
 
 PERIOD: Final = 0.3
 """Seconds between two looks. What changed is read when two looks in a row see the same."""

@@ -31,7 +31,7 @@ from play_launch.topic_recording.program import recorder_argv
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Mapping
 
-    from play_launch.config import ReplayConfig
+    from play_launch.config.model import ReplayConfig
 
 _RECORDER: Final = "topic recorder"
 

@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from msgspec import Struct
 
-from play_launch.config import ConfigError, Problem
 from play_launch.config.load import parse_config
-from play_launch.config.problems import Place
+from play_launch.config.problems import ConfigError, Place, Problem
 from play_launch.config.source import MCAP_MESSAGE, Refused, read_bytes
 from play_launch.config.sources.surroundings import Surroundings, share_folder
 from play_launch.history.bag_reader import BagReader, NotARecordingError
@@ -28,7 +27,7 @@ if TYPE_CHECKING:
 
     from mcap.records import Attachment
 
-    from play_launch.config import ReplayConfig
+    from play_launch.config.model import ReplayConfig
 
 _CONFIG: Final = "config."
 

@@ -12,7 +12,7 @@ from play_launch.process.stop import StopPolicy
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from play_launch.config import ReplayConfig
+    from play_launch.config.model import ReplayConfig
     from play_launch.core.resources import Resources
 
 _HIGHEST_PRIORITY: Final = 99

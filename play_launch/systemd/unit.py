@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
-from play_launch.config import ReplayConfig  # noqa: TC001 - as above
+from play_launch.config.model import ReplayConfig  # noqa: TC001 - as above
 from play_launch.systemd.environment import Carried  # noqa: TC001 - as above
 from play_launch.systemd.needs import Setting, settings, stop_seconds
 from play_launch.systemd.quoting import argument, quoted, specified

@@ -12,7 +12,7 @@ import pytest
 
 from play_launch.actors.parameter_files import ParameterFiles
 from play_launch.actors.ports import StartError
-from play_launch.config import load_config
+from play_launch.config.load import load_config
 from tests.support.replay import COMMAND
 
 CONFIG = """

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from play_launch.archive.folders import SessionEntry
 from play_launch.archive.retention import sessions_to_remove
-from play_launch.config import KeepConfig
+from play_launch.config.model import KeepConfig
 
 SESSIONS = st.lists(
     st.builds(

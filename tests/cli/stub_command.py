@@ -34,7 +34,7 @@ from play_launch.core.view import SystemView
 if TYPE_CHECKING:
     from play_launch.actors.publisher import Publisher
     from play_launch.actors.stop_requests import StopRequests
-    from play_launch.config import ReplayConfig
+    from play_launch.config.model import ReplayConfig
 
 
 @dataclass(frozen=True)

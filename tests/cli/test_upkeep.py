@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from play_launch.cli.upkeep import look_after_sessions
-from play_launch.config import KeepConfig
+from play_launch.config.model import KeepConfig
 from play_launch.core.view import SystemView
 from play_launch.install.ros import spawn_guard
 from tests.archive.scenes import begin_session, cut_off_session, name_of, past_session

@@ -9,8 +9,11 @@ import yaml
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from play_launch.config import ConfigError, ReplayConfig, describe, parse_config
 from play_launch.config import schema as keys
+from play_launch.config.description import describe
+from play_launch.config.load import parse_config
+from play_launch.config.model import ReplayConfig
+from play_launch.config.problems import ConfigError
 
 SOURCE = Path("demo.yaml")
 FULL = (Path(__file__).parent / "good" / "full.yaml").read_text(encoding="utf-8")

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from play_launch.config import ConfigError, load_config, parse_config
+from play_launch.config.load import load_config, parse_config
+from play_launch.config.problems import ConfigError
 
 CORPUS = Path(__file__).parent / "corpus"
 

@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from play_launch.config import ConfigError, describe, load_config
 from play_launch.config.bundle import bundled, unbundled
+from play_launch.config.description import describe
+from play_launch.config.load import load_config
+from play_launch.config.problems import ConfigError
 from play_launch.config.sources.surroundings import Surroundings
 
 if TYPE_CHECKING:

@@ -8,18 +8,16 @@ from pathlib import Path
 
 import pytest
 
-from play_launch.config import (
+from play_launch.config.description import describe
+from play_launch.config.load import load_config, parse_config
+from play_launch.config.model import (
     ContainerType,
-    OnExit,
     Output,
     ParameterConfig,
     ReplayConfig,
-    RestartLimits,
     StopLimits,
-    describe,
-    load_config,
-    parse_config,
 )
+from play_launch.core.restart import OnExit, RestartLimits
 
 GOOD = Path(__file__).parent / "good"
 FULL = GOOD / "full.yaml"

@@ -12,8 +12,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from play_launch.config import ConfigError, describe, load_config, parse_config
-from play_launch.config.problems import Place
+from play_launch.config.description import describe
+from play_launch.config.load import load_config, parse_config
+from play_launch.config.problems import ConfigError, Place
 from play_launch.config.source import Refused
 from play_launch.config.sources.documents import DEEPEST_INCLUSION, MOST_INCLUSIONS
 from play_launch.config.sources.surroundings import MOST_SUBSTITUTED, Surroundings
@@ -22,7 +23,7 @@ from play_launch.config.yaml.compose import MOST_VALUES
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from play_launch.config import ReplayConfig
+    from play_launch.config.model import ReplayConfig
 
 BASE = """version: 1
 name: base

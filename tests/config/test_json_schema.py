@@ -11,9 +11,11 @@ import pytest
 import yaml
 
 from play_launch.cli.schema import SCHEMA_FILE, schema_text
-from play_launch.config import ConfigError, parse_config, schema
+from play_launch.config import schema
 from play_launch.config.json_schema.export import json_schema
 from play_launch.config.json_schema.texts import TEXTS
+from play_launch.config.load import parse_config
+from play_launch.config.problems import ConfigError
 from play_launch.config.section import Section
 from tests.config.schema_check import problems
 

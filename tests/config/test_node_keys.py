@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from play_launch.config import parse_config
+from play_launch.config.load import parse_config
 
 if TYPE_CHECKING:
     from play_launch.core.node_key import NodeKey

@@ -11,7 +11,9 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from play_launch.config import ConfigError, ParameterType, ParameterValue, load_config, parse_config
+from play_launch.config.load import load_config, parse_config
+from play_launch.config.model import ParameterType, ParameterValue
+from play_launch.config.problems import ConfigError
 from play_launch.config.resolve.parameter_files import matches
 
 NAMES = st.from_regex(r"[a-z][a-z_]{0,8}", fullmatch=True)

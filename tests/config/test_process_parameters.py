@@ -9,8 +9,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from play_launch.config import ConfigError, ReplayConfig, load_config
-from play_launch.config.model import FOR_ALL, ContainerConfig, ParameterSection, ProcessConfig
+from play_launch.config.load import load_config
+from play_launch.config.model import (
+    FOR_ALL,
+    ContainerConfig,
+    ParameterSection,
+    ProcessConfig,
+    ReplayConfig,
+)
+from play_launch.config.problems import ConfigError
 from play_launch.config.resolve.parameter_files import matches
 from play_launch.install.parameter_file import parameter_file_of
 from play_launch.launch_files.configuration.options import Options

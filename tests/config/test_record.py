@@ -10,17 +10,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from play_launch.config import (
+from play_launch.config.description import describe
+from play_launch.config.load import parse_config
+from play_launch.config.model import (
+    DEFAULT_TOPICS,
     BeforeCrashConfig,
-    ConfigError,
     KeepConfig,
     RecordConfig,
     RotateConfig,
     SamplingConfig,
-    describe,
-    parse_config,
 )
-from play_launch.config.model import DEFAULT_TOPICS
+from play_launch.config.problems import ConfigError
 from play_launch.config.values import LARGEST_SIZE, parse_size
 
 UNITS = {"B": 1, "kB": 10**3, "MB": 10**6, "GB": 10**9, "KiB": 2**10, "MiB": 2**20, "GiB": 2**30}

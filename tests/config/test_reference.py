@@ -10,16 +10,19 @@ from pathlib import Path
 
 import pytest
 
-from play_launch.config import ConfigError, ParameterType, load_config, schema
+from play_launch.config import schema
+from play_launch.config.load import load_config
 from play_launch.config.model import (
     DEFAULT_TOPICS,
     BeforeCrashConfig,
     ContainerConfig,
     ContainerType,
     Isolation,
+    ParameterType,
     RecordConfig,
     StopLimits,
 )
+from play_launch.config.problems import ConfigError
 from play_launch.config.schema import DependencySection
 from play_launch.config.section import Section
 from play_launch.config.source import LARGEST_FILE

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from play_launch.config import ConfigError, Problem, load_config, parse_config
+from play_launch.config.load import load_config, parse_config
+from play_launch.config.problems import ConfigError, Problem
 from play_launch.config.source import LARGEST_FILE, Refused, read_bytes
 
 GOOD = b"version: 1\nnodes:\n  - command: [x]\n"

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from play_launch.config import ContainerConfig, ContainerType, describe, parse_config
+from play_launch.config.description import describe
+from play_launch.config.load import parse_config
+from play_launch.config.model import ContainerConfig, ContainerType
 
 TEXT = b"""
 version: 1

@@ -10,7 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from play_launch.config import ConfigError, ParameterType, parse_config
+from play_launch.config.load import parse_config
+from play_launch.config.model import ParameterType
+from play_launch.config.problems import ConfigError
 from play_launch.config.sources.substitution import (
     DEEPEST_DEFAULT,
     Lookup,
@@ -25,7 +27,7 @@ from play_launch.config.sources.surroundings import (
 )
 
 if TYPE_CHECKING:
-    from play_launch.config import ParameterValue, ReplayConfig
+    from play_launch.config.model import ParameterValue, ReplayConfig
 
 VARIABLES = {"HOME": "/h", "EMPTY": "", "TRICK": "${env:HOME}"}
 ARGUMENTS = {"rate": "10.0", "side": "left", "empty": ""}

@@ -10,8 +10,9 @@ import pytest
 from msgspec.structs import replace
 
 from play_launch.cli.recorded_system import differences
-from play_launch.config import ConfigError, load_config
 from play_launch.config.description import describe
+from play_launch.config.load import load_config
+from play_launch.config.problems import ConfigError
 from play_launch.history.recorded_config import RecordedConfig, recorded_config
 from play_launch.recording.bag import McapBagWriter
 from play_launch.recording.facts import versions
@@ -20,7 +21,7 @@ from play_launch.recording.session import SessionDescription, write_head
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from play_launch.config import ReplayConfig
+    from play_launch.config.model import ReplayConfig
 
 CONFIG = """version: 1
 containers:

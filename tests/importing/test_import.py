@@ -12,8 +12,10 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from play_launch.config import ConfigError, ParameterType, ReplayConfig, describe, load_config
-from play_launch.config.problems import Report
+from play_launch.config.description import describe
+from play_launch.config.load import load_config
+from play_launch.config.model import ParameterType, ReplayConfig
+from play_launch.config.problems import ConfigError, Report
 from play_launch.config.sources.substitution import Lookup, substitute
 from play_launch.config.yaml.compose import Reading, compose
 from play_launch.config.yaml.tree import At, Mapping

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from play_launch.config import load_config
+from play_launch.config.load import load_config
 from tests.launch_files import system
 from tests.support.replay import COMMAND, replaying
 

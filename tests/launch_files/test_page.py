@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from play_launch.config import load_config
+from play_launch.config.load import load_config
 from tests.launch_files import system
 from tests.launch_files.test_commands import run
 

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from play_launch.config import ReplayConfig, load_config
-from play_launch.config.model import ParameterType, ParameterValue
+from play_launch.config.load import load_config
+from play_launch.config.model import ParameterType, ParameterValue, ReplayConfig
 from play_launch.core.dependency import Condition, Otherwise
 from play_launch.core.managed import Autostart
 from play_launch.core.restart import OnExit

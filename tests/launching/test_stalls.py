@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from play_launch.config import parse_config
+from play_launch.config.load import parse_config
 from play_launch.config.model import ContainerConfig
 from play_launch.launching.stalls import stalls
 

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from play_launch.config import parse_config
+from play_launch.config.load import parse_config
 from play_launch.core.restart import RestartLimits
 from play_launch.plan.plan import plan
 from play_launch.plan.progress import after

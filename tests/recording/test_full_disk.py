@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from play_launch.config import RecordConfig, RotateConfig
+from play_launch.config.model import RecordConfig, RotateConfig
 from play_launch.core.events import LogRecord, OutputLine, Stream
 from play_launch.history.bag_reader import BagReader
 from play_launch.recording.recorder import RecorderLimits

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from play_launch.config import ReplayConfig
 from play_launch.config.load import parse_config
+from play_launch.config.model import ReplayConfig
 from play_launch.systemd.needs import settings, stop_seconds
 
 SLEEP: dict[str, Any] = {"command": ["sleep", "9"]}

@@ -10,7 +10,7 @@ from typing import Any
 
 from play_launch.actors.ports import StartError
 from play_launch.actors.system import System
-from play_launch.config import ReplayConfig
+from play_launch.config.model import ReplayConfig
 from play_launch.core.events import ContainerState
 from play_launch.process.exit import Exit
 from play_launch.systemd.notification import ServiceManager

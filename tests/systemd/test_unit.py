@@ -13,8 +13,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from play_launch.config import ConfigError
 from play_launch.config.load import parse_config
+from play_launch.config.problems import ConfigError
 from play_launch.systemd.environment import Carried
 from play_launch.systemd.quoting import is_acceptable
 from play_launch.systemd.unit import Service, unit_text

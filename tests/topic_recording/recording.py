@@ -12,7 +12,7 @@ from typing import Any
 
 from rclpy.publisher import Publisher
 
-from play_launch.config import parse_config
+from play_launch.config.load import parse_config
 from play_launch.config.model import ReplayConfig
 from play_launch.recording.bag import McapBagWriter
 from play_launch.recording.chunk import TopicChunk
