@@ -1,27 +1,15 @@
-"""``play-launch dump``: a launch file becomes a configuration."""
+"""``play-launch dump``, as typer sees it; `dump_launch_file` does it."""
 
 from __future__ import annotations
 
-import json
-import shlex
-from pathlib import Path  # noqa: TC003 - typer evaluates the annotations
 from typing import Annotated
 
 import typer
 
 from play_launch.cli import shared_options as options  # noqa: TC001 - typer evaluates them
-from play_launch.cli.show.terminal import say
-from play_launch.cli.target import (
-    USUAL_LIMIT,
-    Target,
-    argument_values,
-    complain,
-    evaluated,
-    say_arguments,
-    target_of,
-    unread,
-)
-from play_launch.launch_files.configuration.options import Containers, Options
+from play_launch.cli.dump_launch_file import dump_launch_file
+from play_launch.cli.target import USUAL_LIMIT
+from play_launch.launch_files.configuration.options import Containers
 
 
 def dump(  # noqa: PLR0917 - typer calls it by keywords
@@ -46,33 +34,15 @@ def dump(  # noqa: PLR0917 - typer calls it by keywords
     cannot be evaluated, or the result has mistakes that `check` finds. What the launch file keeps
     in temporary files, and long texts, are written into a folder beside the configuration.
     """
-    from play_launch.cli.hand_over import hand_over  # noqa: PLC0415 - after --show-args
-    from play_launch.launch_files.configuration.write import written  # noqa: PLC0415
-
-    found = target_of(target)
-    description = evaluated(found, timeout, only_arguments=show_args)
-    arguments = argument_values(description.arguments)
-    if show_args:
-        if as_json:
-            say(json.dumps({"arguments": arguments}, ensure_ascii=False))
-        else:
-            say_arguments(description.arguments)
-        return
-    for name in unread(found, description):
-        complain(f"note: no launch file declares the argument {name}")
-    made = written(description, _options(output, container_type, inline=inline), _heading(found))
-    more = {"arguments": arguments, "files": description.files}
-    hand_over(made, output, strict=strict, as_json=as_json, more=more)
-
-
-def _heading(target: Target) -> str:
-    return f"From {shlex.join(target.words)}, by play-launch dump."
-
-
-def _options(output: Path | None, container_type: Containers, *, inline: bool) -> Options:
-    if output is None or (output.exists() and not output.is_file()):
-        # Nothing can stand beside what goes to stdout, or to a device.
-        return Options(containers=container_type, inline=inline)
-    folder = output.absolute().parent
-    files = folder / f"{output.stem or output.name}.files"
-    return Options(containers=container_type, inline=inline, folder=folder, files=files)
+    raise typer.Exit(
+        dump_launch_file(
+            target,
+            output=output,
+            container_type=container_type,
+            inline=inline,
+            strict=strict,
+            show_args=show_args,
+            timeout=timeout,
+            as_json=as_json,
+        )
+    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import os
 import signal
 import sys
 
@@ -54,8 +55,20 @@ def _run() -> None:
     gc.disable()
     code = run_plainly(sys.argv[1:])
     if code is not None:
-        sys.exit(code)
+        _end(code)
     gc.enable()
     from play_launch.cli.app import main as run  # noqa: PLC0415
 
     run()
+
+
+def _end(code: int) -> None:
+    """End with that exit code, and where nothing runs any more, without taking Python apart.
+
+    That takes up to 30 ms, a fifth of a short command.
+    """
+    if sys.argv[1] in {"check", "dump"}:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+    sys.exit(code)

@@ -7,9 +7,8 @@ import json
 import os
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING
 
-import typer
 from msgspec.structs import asdict
 
 from play_launch.cli.failure import fail
@@ -30,8 +29,8 @@ def hand_over(
     strict: bool,
     as_json: bool,
     more: Mapping[str, object] | None = None,
-) -> NoReturn:
-    """Write the configuration, report what it does not say, and end with the exit code.
+) -> ExitCode:
+    """Write the configuration, report what it does not say, and return the exit code.
 
     With `strict` nothing is written when anything was lost. `more` goes into the JSON.
     """
@@ -48,7 +47,7 @@ def hand_over(
             say(made.text.rstrip("\n"))
         report_losses(made)
         complain(sizes(made))
-    raise typer.Exit(ExitCode.USAGE if made.problems or is_refused else ExitCode.OK)
+    return ExitCode.USAGE if made.problems or is_refused else ExitCode.OK
 
 
 def _make_folder(folder: Path) -> None:

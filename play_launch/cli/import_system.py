@@ -38,4 +38,4 @@ def import_system(
         imported = read.import_system(file, stock=stock)
     except read.NotImportableError as error:
         fail(str(error))
-    hand_over(imported, output, strict=strict, as_json=as_json)
+    raise typer.Exit(hand_over(imported, output, strict=strict, as_json=as_json))

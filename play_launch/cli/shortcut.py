@@ -1,4 +1,4 @@
-"""Reads plain command lines of ``replay`` and ``check`` without typer.
+"""Reads plain command lines of ``replay``, ``check``, ``launch`` and ``dump`` without typer.
 
 Importing typer takes as long as a container takes to start, or longer than a small configuration
 takes to check. Whatever is not plain (help, mistakes, ``--option=value``) is left to typer, which
@@ -14,16 +14,43 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
+
+def _containers(value: str) -> Any:
+    from play_launch.launch_files.configuration.options import Containers  # noqa: PLC0415
+
+    return Containers(value)
+
+
+_OF_RUNS: Mapping[str, tuple[str, Callable[[str], Any] | None]] = {
+    "--log-dir": ("log_dir", Path),
+    "--duration": ("duration", str),
+    "--quiet": ("quiet", None),
+    "-q": ("quiet", None),
+    "--json": ("as_json", None),
+}
+_OF_LAUNCH_FILES: Mapping[str, tuple[str, Callable[[str], Any] | None]] = {
+    "--container-type": ("container_type", _containers),
+    "--strict": ("strict", None),
+    "--show-args": ("show_args", None),
+    "-s": ("show_args", None),
+    "--timeout": ("timeout", str),
+    "--json": ("as_json", None),
+}
 _OPTIONS: Mapping[str, Mapping[str, tuple[str, Callable[[str], Any] | None]]] = {
-    "replay": {
-        "--log-dir": ("log_dir", Path),
-        "--duration": ("duration", str),
-        "--quiet": ("quiet", None),
-        "-q": ("quiet", None),
-        "--json": ("as_json", None),
-        "--watch": ("watch", None),
-    },
+    "replay": {**_OF_RUNS, "--watch": ("watch", None)},
     "check": {"--json": ("as_json", None), "--explain": ("explain", None)},
+    "launch": {
+        **_OF_RUNS,
+        **_OF_LAUNCH_FILES,
+        "--dry-run": ("dry_run", None),
+        "-n": ("dry_run", None),
+    },
+    "dump": {
+        **_OF_LAUNCH_FILES,
+        "--output": ("output", Path),
+        "-o": ("output", Path),
+        "--inline": ("inline", None),
+    },
 }
 """The parameter of each option, and how its value is read; None where it has no value."""
 
@@ -34,15 +61,13 @@ def plain_parameters(verb: str, arguments: Sequence[str]) -> dict[str, Any] | No
     if options is None:
         return None
     found: dict[str, Any] = {}
+    words: list[str] = []
     rest = iter(arguments)
     for argument in rest:
         if not argument.startswith("-"):
             if not argument:
                 return None
-            if "config" in found:
-                found.setdefault("arguments", []).append(argument)
-            else:
-                found["config"] = Path(argument)
+            words.append(argument)
             continue
         name, read = options.get(argument, ("", None))
         if not name:
@@ -50,21 +75,39 @@ def plain_parameters(verb: str, arguments: Sequence[str]) -> dict[str, Any] | No
         value = next(rest, "-") if read else ""
         if value.startswith("-"):
             return None
-        found[name] = read(value) if read else True
-    return found if "config" in found else None
+        try:
+            found[name] = read(value) if read else True
+        except ValueError:
+            return None
+    if not words:
+        return None
+    if verb in {"launch", "dump"}:
+        return {"target": words, **found}
+    if words[1:]:
+        found["arguments"] = words[1:]
+    return {"config": Path(words[0]), **found}
 
 
 def run_plainly(arguments: Sequence[str]) -> int | None:
-    """Carry out a plain ``replay`` or ``check`` and return its exit code; None: ask typer."""
+    """Carry out a plain command line and return its exit code; None: ask typer."""
     if not arguments:
         return None
     parameters = plain_parameters(arguments[0], arguments[1:])
     if parameters is None:
         return None
-    if arguments[0] == "check":
-        from play_launch.cli.find_mistakes import find_mistakes  # noqa: PLC0415
+    match arguments[0]:
+        case "check":
+            from play_launch.cli.find_mistakes import find_mistakes  # noqa: PLC0415
 
-        return find_mistakes(**parameters)
+            return find_mistakes(**parameters)
+        case "dump":
+            from play_launch.cli.dump_launch_file import dump_launch_file  # noqa: PLC0415
+
+            return dump_launch_file(**parameters)
+        case "launch":
+            from play_launch.cli.bring_up_launch_file import bring_up_launch_file  # noqa: PLC0415
+
+            return bring_up_launch_file(**parameters)
     from play_launch.actors import head_start  # noqa: PLC0415 - before all that takes its time
     from play_launch.systemd.notification import claim  # noqa: PLC0415 - as above
 

@@ -143,10 +143,11 @@ class _Unit(Struct, kw_only=True, omit_defaults=True):
 
     `id` is unique in a description. `where` is for reports, and empty for the place of `origin`. An
     empty `name` is the program's own; `namespace` is absolute, or empty for the program's own.
-    `sources` are the parameters as the launch file gives them, in order. `parameters` are those
-    that the node itself gets of them, as rcl reads them. Remappings are in the order in which they
-    count, the first of each name holds. `autostart` is how far the launch file brings a managed
-    node. It starts when all of `start` has happened, one after the other.
+    `sources` are the parameters as the launch file gives them, in order; of a composable node whose
+    `parameters` are known, its files suffice. `parameters` are those that the node itself gets of
+    them, as rcl reads them. Remappings are in the order in which they count, the first of each name
+    holds. `autostart` is how far the launch file brings a managed node. It starts when all of
+    `start` has happened, one after the other.
     """
 
     id: str = ""

@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 
 from play_launch.cli.app import app
 from play_launch.cli.shortcut import plain_parameters
+from play_launch.launch_files.configuration.options import Containers
 
-VERBS = ("replay", "check")
+VERBS = ("replay", "check", "launch", "dump")
 OPTIONS = [
     "--json",
     "--explain",
@@ -27,8 +28,28 @@ OPTIONS = [
     "--duration",
     "--log",
     "-h",
+    "--container-type",
+    "--strict",
+    "-s",
+    "-n",
+    "-o",
+    "--timeout",
 ]
-VALUES = ["a.yaml", "x:=1", "y:=", "b.yaml", "../x", "~/y", "$HOME", "10s", "-5s", "", "-", "--"]
+VALUES = [
+    "a.yaml",
+    "x:=1",
+    "y:=",
+    "b.yaml",
+    "../x",
+    "~/y",
+    "$HOME",
+    "10s",
+    "stock",
+    "-5s",
+    "",
+    "-",
+    "--",
+]
 WORDS = st.sampled_from(OPTIONS) | st.sampled_from(VALUES)
 
 
@@ -37,8 +58,11 @@ def by_typer(verb: str, arguments: list[str]) -> dict[str, Any]:
     context = group.make_context("play-launch", [verb, *arguments])
     command = group.get_command(context, verb)
     made = command.make_context(verb, list(arguments), parent=context)
-    given = {name: value for name, value in made.params.items() if value not in (None, False, ())}
-    return {name: list(value) if name == "arguments" else value for name, value in given.items()}
+    return {
+        name: list(value) if name in {"arguments", "target"} else value
+        for name, value in made.params.items()
+        if made.get_parameter_source(name).name == "COMMANDLINE"
+    }
 
 
 @pytest.mark.parametrize("verb", VERBS)
@@ -69,6 +93,21 @@ def test_what_is_usual_is_plain() -> None:
     }
 
 
+def test_launch_files_are_given_as_plainly() -> None:
+    words = ["demo", "a.launch.py", "x:=1"]
+    assert plain_parameters("dump", [*words, "-o", "a.yaml", "--inline"]) == {
+        "target": words,
+        "output": Path("a.yaml"),
+        "inline": True,
+    }
+    assert plain_parameters("launch", [*words, "-n", "--container-type", "stock"]) == {
+        "target": words,
+        "dry_run": True,
+        "container_type": Containers.STOCK,
+    }
+    assert plain_parameters("launch", [*words, "--container-type", "wrong"]) is None
+
+
 @pytest.mark.parametrize("arguments", [[], ["--help"], ["a.yaml", ""], ["a.yaml", "--bogus"]])
 def test_the_rest_is_typers(arguments: list[str]) -> None:
     assert all(plain_parameters(verb, arguments) is None for verb in VERBS)
@@ -78,8 +117,9 @@ def test_a_check_needs_neither_typer_nor_ros(tmp_path: Path) -> None:
     path = tmp_path / "small.yaml"
     path.write_text("version: 1\ncontainers: [{name: c}]\n", encoding="utf-8")
     program = (
-        "import sys\n"
+        "import os, sys\n"
         "from play_launch.cli.entry import main\n"
+        "os._exit = sys.exit\n"
         "try:\n    main()\nexcept SystemExit as end:\n    assert end.code == 0\n"
         "print(sorted({'typer', 'rich', 'rclpy', 'asyncio', 'mcap'} & set(sys.modules)))\n"
     )

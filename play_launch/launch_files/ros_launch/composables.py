@@ -5,60 +5,88 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from launch.utilities import normalize_to_list_of_substitutions, perform_substitutions
-from launch_ros.actions import ComposableNodeContainer
-from launch_ros.actions.load_composable_nodes import get_composable_node_load_request
-from launch_ros.utilities import evaluate_parameters, to_parameters_list
+from launch_ros.actions import ComposableNodeContainer, load_composable_nodes
 
-from play_launch.launch_files.records import Composable, Parameter, Values
-from play_launch.launch_files.ros_launch.rcl_parameters import message_parameter
+from play_launch.launch_files.records import Composable
+from play_launch.launch_files.ros_launch.rcl_parameters import parameter_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from play_launch.launch_files.records import Source
+    from play_launch.launch_files.records import Parameter, ParameterFile
     from play_launch.launch_files.ros_launch.scene import Scene
 
 
-def record_composables(scene: Scene, action: Any) -> list[Composable]:
-    """Return the records of the nodes that a LoadComposableNodes action loads."""
-    container = _container(scene, action)
-    found = []
-    for description in action._LoadComposableNodes__composable_node_descriptions:  # noqa: SLF001
-        # The request takes the place of a temporary file whose description is gone with it.
-        request = get_composable_node_load_request(description, scene.context)
-        if request is not None:
-            found.append(_record(scene, action, description, request, container))
-    return found
+class Composables:
+    """Makes the records of one evaluation.
 
+    Parameters are taken before launch_ros makes messages of them, which takes longer than all the
+    rest. Their files are looked at then as well, as temporary ones do not stay.
+    """
 
-def _container(scene: Scene, action: Any) -> str:
-    target = action._LoadComposableNodes__target_container  # noqa: SLF001
-    if isinstance(target, ComposableNodeContainer):
-        name = target.node_name
-    else:
-        name = perform_substitutions(scene.context, normalize_to_list_of_substitutions(target))
-    return name if name.startswith("/") else f"/{name}"
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+        self._taken: list[tuple[list[Parameter], list[ParameterFile]]] = []
+        self._to_parameters_list = load_composable_nodes.to_parameters_list
+        load_composable_nodes.to_parameters_list = self._take
 
+    def _take(
+        self, context: Any, name: str, namespace: str, evaluated: Iterable[Any]
+    ) -> list[object]:
+        sources = list(evaluated)
+        found = self._to_parameters_list(context, name, namespace, sources)
+        # As they are given; launch_ros resolves links in those of the context, which come first.
+        for number, each in enumerate(context.launch_configurations.get("global_params") or ()):
+            if not isinstance(each, tuple) and number < len(sources):
+                sources[number] = each
+        files = [
+            self._scene.parameter_file(str(each)) for each in sources if not isinstance(each, dict)
+        ]
+        self._taken.append((_last_of_each(found), files))
+        return []
 
-def _record(
-    scene: Scene, action: Any, description: Any, request: Any, container: str
-) -> Composable:
-    places = scene.places
-    place = places.of_part(description)
-    return Composable(
-        id=scene.next_id("c"),
-        origin=places.origin(place if place.file else places.of_part(action)),
-        start=list(scene.causes.now),
-        package=request.package_name,
-        plugin=request.plugin_name,
-        name=request.node_name,
-        namespace=request.node_namespace,
-        container=container,
-        remappings=[_pair(rule) for rule in request.remap_rules],
-        sources=list(_sources(scene, description, request)),
-        parameters=_parameters(request.parameters),
-        extra_arguments=_parameters(request.extra_arguments),
-    )
+    def of(self, action: Any) -> list[Composable]:
+        """Return the records of the nodes that a LoadComposableNodes action loads."""
+        container = self._container(action)
+        found = []
+        for description in action._LoadComposableNodes__composable_node_descriptions:  # noqa: SLF001
+            self._taken.clear()
+            request = load_composable_nodes.get_composable_node_load_request(
+                description, self._scene.context
+            )
+            if request is not None:
+                found.append(self._record(action, description, request, container))
+        return found
+
+    def _container(self, action: Any) -> str:
+        target = action._LoadComposableNodes__target_container  # noqa: SLF001
+        if isinstance(target, ComposableNodeContainer):
+            name = target.node_name
+        else:
+            parts = normalize_to_list_of_substitutions(target)
+            name = perform_substitutions(self._scene.context, parts)
+        return name if name.startswith("/") else f"/{name}"
+
+    def _record(self, action: Any, description: Any, request: Any, container: str) -> Composable:
+        has_extra = description.extra_arguments is not None
+        extra = self._taken.pop()[0] if has_extra else []
+        parameters, files = self._taken.pop() if self._taken else ([], [])
+        places = self._scene.places
+        place = places.of_part(description)
+        return Composable(
+            id=self._scene.next_id("c"),
+            origin=places.origin(place if place.file else places.of_part(action)),
+            start=list(self._scene.causes.now),
+            package=request.package_name,
+            plugin=request.plugin_name,
+            name=request.node_name,
+            namespace=request.node_namespace,
+            container=container,
+            remappings=[_pair(rule) for rule in request.remap_rules],
+            sources=list(files),
+            parameters=parameters,
+            extra_arguments=extra,
+        )
 
 
 def _pair(rule: str) -> tuple[str, str]:
@@ -66,27 +94,7 @@ def _pair(rule: str) -> tuple[str, str]:
     return source, target
 
 
-def _parameters(messages: Iterable[Any]) -> list[Parameter]:
+def _last_of_each(parameters: Iterable[Any]) -> list[Parameter]:
     """Return what a component gets of a request: of a name that stands twice, the last value."""
-    found = (message_parameter(message) for message in messages)
+    found = map(parameter_of, parameters)
     return list({each.name: each for each in found if each is not None}.values())
-
-
-def _sources(scene: Scene, description: Any, request: Any) -> Iterable[Source]:
-    """Return the sources of the parameters in their order, those of the context first."""
-    for each in scene.context.launch_configurations.get("global_params", None) or ():
-        if isinstance(each, tuple):
-            yield from _values(scene, request, {each[0]: each[1]})
-        else:
-            yield scene.parameter_file(str(each))
-    for each in evaluate_parameters(scene.context, description.parameters or ()):
-        if isinstance(each, dict):
-            yield from _values(scene, request, each)
-        else:
-            yield scene.parameter_file(str(each))
-
-
-def _values(scene: Scene, request: Any, values: dict[str, Any]) -> Iterable[Values]:
-    names = (request.node_name, request.node_namespace)
-    found = to_parameters_list(scene.context, *names, [values])
-    yield Values(tuple(_parameters(each.to_parameter_msg() for each in found)))

@@ -7,15 +7,12 @@ import importlib.util
 import logging
 import os
 import signal
-import struct
 import tempfile
 import time
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
-
-from msgspec import Struct
 
 from play_launch.launch_files.records import Description, Failure
 from play_launch.launch_files.ros_launch.places import Places
@@ -25,28 +22,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from types import FrameType
 
+    from play_launch.launch_files.ros_launch.job import Job
+
 _USER: Final = "launch.user"
 """The logger of what launch files say themselves."""
 _NO_DESCRIPTION: Final = '(description: "no description given")'
 _PACKAGES: Final = ("launch", "launch_ros", "launch_xml", "launch_yaml", "osrf_pycommon")
-
-SIZE: Final = struct.Struct("=Q")
-"""The size of the answer, which stands before it: a fork of the launch file may hold the pipe."""
-
-
-class Job(Struct, frozen=True, kw_only=True):
-    """What is to be evaluated.
-
-    `limit` is seconds. `only_arguments` reads the file without visiting it. `is_faster` evaluates
-    with what `faster` replaces.
-    """
-
-    path: str
-    arguments: tuple[tuple[str, str], ...] = ()
-    temporary: str
-    limit: float
-    is_faster: bool = True
-    only_arguments: bool = False
 
 
 def evaluate(job: Job, answer: Callable[[Description | Failure], None]) -> None:

@@ -16,7 +16,7 @@ from launch.event_handlers import OnIncludeLaunchDescription, OnProcessExit
 from launch.utilities import perform_substitutions, type_utils
 
 from play_launch.launch_files.records import Event
-from play_launch.launch_files.ros_launch.composables import record_composables
+from play_launch.launch_files.ros_launch.composables import Composables
 from play_launch.launch_files.ros_launch.processes import record_process
 
 if TYPE_CHECKING:
@@ -84,8 +84,10 @@ def _processes(scene: Scene, happenings: Happenings) -> None:
 
 
 def _composables(scene: Scene) -> None:
+    composables = Composables(scene)
+
     def execute(self: Any, context: Any) -> None:  # noqa: ARG001
-        for composable in record_composables(scene, self):
+        for composable in composables.of(self):
             scene.add(composable)
 
     _replace(launch_ros.actions.LoadComposableNodes, "execute", execute)

@@ -18,7 +18,7 @@ import msgspec
 from play_launch.install.ros import spawn_guard
 from play_launch.launch_files.records import Description, Failure, LaunchFileError, Origin, Place
 from play_launch.launch_files.records import decode as decode_records
-from play_launch.launch_files.ros_launch.driver import SIZE, Job
+from play_launch.launch_files.ros_launch.job import SIZE, Job
 from play_launch.launch_files.ros_launch.temporary import temporary_folder
 from play_launch.process.guard import SessionGuard
 
@@ -95,6 +95,9 @@ def _run(job: Job, text: str) -> Description | Failure:
                     pid = guard.spawn(argv, os.environ, streams, leaves_by_itself=False)
             finally:
                 os.close(write)
+            if not job.only_arguments:
+                # What the answer is written with, while the other process imports launch.
+                import play_launch.launch_files.configuration.write  # noqa: F401, PLC0415
             content = _read(answer.fileno(), job.limit + _GRACE)
         if content is None:
             return _failure(job, f"it is not evaluated after {job.limit:g} s, and does not say why")

@@ -1,26 +1,35 @@
-"""Three things that ROS's launch does more often than it needs to, done once.
+"""What ROS's launch does more often than it needs to, done once.
 
-A command `dump` of Autoware's planning simulator takes 1.3 s of CPU, where launch takes 11 s. The
-answers are the same; a test compares them.
+The answers are the same; a test compares them. The figures are in `docs/benchmarks.md`.
 """
 
 from __future__ import annotations
 
 import functools
+import importlib.metadata
+import io
+import pickle
 import sys
-from typing import Any
+from typing import Any, Final
 
 import yaml
 
 from play_launch.launch_files.markup import template
 
+_REMEMBERED: Final = 256
+"""How many texts in YAML are kept with what they mean."""
+
 
 def install(*, only_arguments: bool) -> None:
-    """Replace them in the modules of launch; a search for arguments needs the first."""
+    """Replace it in the modules of launch; a search for arguments needs the first."""
     if not only_arguments:
         _check_no_arguments_ahead()
     _parse_substitutions_once()
     _read_yaml_by_libyaml()
+    _write_yaml_by_libyaml()
+    # Of all packages of Python, for each kind of extension again.
+    once = functools.cache(importlib.metadata.entry_points)
+    importlib.metadata.entry_points = once  # type: ignore[assignment] # overloads
 
 
 def _check_no_arguments_ahead() -> None:
@@ -95,14 +104,49 @@ def _made(parts: template.Template) -> list[Any]:
 
 
 def _read_yaml_by_libyaml() -> None:
-    """Read YAML by libyaml, with what has been added to PyYAML's own safe loader until then."""
+    """Read YAML by libyaml, each text once: a parameter file is read for each node that gets it.
+
+    What has been added to PyYAML's own safe loader until then is known here as well.
+    """
     if not hasattr(yaml, "CSafeLoader"):
         return
     loader = type("Loader", (yaml.CSafeLoader,), {})
 
-    def safe_load(stream: Any) -> Any:
+    def load(stream: Any) -> Any:
         for name in ("yaml_constructors", "yaml_multi_constructors", "yaml_implicit_resolvers"):
             setattr(loader, name, getattr(yaml.SafeLoader, name))
         return yaml.load(stream, loader)  # noqa: S506 - safe
 
+    @functools.lru_cache(_REMEMBERED)
+    def loaded(text: str) -> bytes:
+        return pickle.dumps(load(text))
+
+    def safe_load(stream: Any) -> Any:
+        text = stream.read() if isinstance(stream, io.TextIOWrapper) else stream
+        if not isinstance(text, str):
+            return load(stream)
+        try:
+            # Its own for each caller, who may change it.
+            return pickle.loads(loaded(text))  # noqa: S301 - ours
+        except Exception:  # noqa: BLE001 - errors are those of PyYAML, with the name of the file
+            if text is not stream:
+                stream.seek(0)
+            return load(stream)
+
     yaml.safe_load = safe_load
+
+
+def _write_yaml_by_libyaml() -> None:
+    """Write YAML by libyaml, as launch_ros does with the parameters of each node."""
+    if not hasattr(yaml, "CDumper"):
+        return
+    dumper: Any = type("Dumper", (yaml.CDumper,), {})
+    dump = yaml.dump
+
+    @functools.wraps(dump)
+    def dump_by_libyaml(data: Any, stream: Any = None, Dumper: Any = None, **named: Any) -> Any:  # noqa: N803
+        for name in ("yaml_representers", "yaml_multi_representers", "yaml_implicit_resolvers"):
+            setattr(dumper, name, getattr(yaml.Dumper, name))
+        return dump(data, stream, dumper if Dumper in {None, yaml.Dumper} else Dumper, **named)
+
+    yaml.dump = dump_by_libyaml

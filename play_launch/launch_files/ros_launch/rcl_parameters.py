@@ -6,7 +6,7 @@ ends the node that gets it, so its error is reported in rcl's words.
 
 from __future__ import annotations
 
-import base64
+import array
 import ctypes
 import functools
 from typing import TYPE_CHECKING, Any, Final
@@ -180,18 +180,14 @@ def _value(variant: _Variant) -> ParameterValue | None:
     return None
 
 
-def message_parameter(message: Any) -> Parameter | None:
-    """Return what a `rcl_interfaces/msg/Parameter` holds; None where it is not set."""
-    value = message.value
-    if not value.type:
+def parameter_of(given: Any) -> Parameter | None:
+    """Return what a `rclpy.Parameter` holds; None where it is not set."""
+    value, number = given.value, given.type_.value
+    if not number:
         return None
-    kind = ParameterType(value.type)
-    payload = getattr(value, kind.field)
+    kind = ParameterType(number)
     if kind is ParameterType.BYTE_ARRAY:
-        content = b"".join(
-            bytes(item) if isinstance(item, bytes) else bytes([item]) for item in payload
-        )
-        return Parameter(message.name, kind, base64.b64encode(content).decode("ascii"))
-    if kind.name.endswith("_ARRAY"):
-        return parameter(message.name, ParameterValue(kind, tuple(item for item in payload)))
-    return parameter(message.name, ParameterValue(kind, payload))
+        value = b"".join(value)
+    elif isinstance(value, list | tuple | array.array):
+        value = tuple(value)
+    return parameter(given.name, ParameterValue(kind, value))

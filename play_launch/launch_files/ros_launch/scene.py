@@ -53,6 +53,7 @@ class Scene:
         self.written: set[str] = set()
         self._folder = Path.cwd()
         self._numbers = 0
+        self._declared: set[str] = set()
 
     def next_id(self, kind: str) -> str:
         """Return an id for a record: its kind and its number in the order of the launch."""
@@ -93,7 +94,8 @@ class Scene:
 
     def declared(self, action: Any, default: str | None) -> None:
         """Note a launch argument that may be given."""
-        if all(each.name != action.name for each in self.description.arguments):
+        if action.name not in self._declared:
+            self._declared.add(action.name)
             origin = self.places.origin(self.places.of_part(action))
             choices = tuple(map(str, action.choices or ()))
             # launch puts the choices behind the description.

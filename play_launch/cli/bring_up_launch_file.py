@@ -1,0 +1,81 @@
+"""What ``play-launch launch`` does: a launch file is evaluated and brought up."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from play_launch.cli.failure import fail
+from play_launch.cli.target import (
+    USUAL_LIMIT,
+    complain,
+    evaluated,
+    report_losses,
+    say_arguments,
+    sizes,
+    target_of,
+    unread,
+)
+from play_launch.core.exit_code import ExitCode
+from play_launch.launch_files.configuration.options import Containers, Options
+from play_launch.systemd.notification import claim
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+
+def bring_up_launch_file(
+    target: Sequence[str],
+    *,
+    container_type: Containers = Containers.SAME,
+    dry_run: bool = False,
+    strict: bool = False,
+    show_args: bool = False,
+    timeout: str = USUAL_LIMIT,
+    log_dir: Path | None = None,
+    duration: str | None = None,
+    quiet: bool = False,
+    as_json: bool = False,
+) -> int:
+    """Evaluate a launch file, bring up what it describes, and return the exit code."""
+    # What the launch file starts while it is evaluated is no service either.
+    manager = claim(os.environ)
+    found = target_of(target)
+    description = evaluated(found, timeout, only_arguments=show_args)
+    if show_args:
+        say_arguments(description.arguments)
+        return ExitCode.OK
+    for name in unread(found, description):
+        complain(f"note: no launch file declares the argument {name}")
+    from play_launch.launch_files.configuration.write import written  # noqa: PLC0415
+
+    with tempfile.TemporaryDirectory(prefix="play-launch-") as name:
+        folder = Path(name)
+        chosen = Options(containers=container_type, folder=folder, files=folder / "files")
+        made = written(
+            description, chosen, f"From {shlex.join(found.words)}, by play-launch launch."
+        )
+        report_losses(made)
+        complain(sizes(made))
+        if made.problems:
+            fail(
+                "the launch file describes something that cannot be brought up; nothing was started"
+            )
+        if strict and made.lost:
+            fail("something gets lost; nothing was started")
+        config = folder / f"{found.name}.yaml"
+        config.write_text(made.text, encoding="utf-8")
+        for path, content in made.files.items():
+            path.parent.mkdir(exist_ok=True)
+            path.write_bytes(content)
+        if dry_run:
+            from play_launch.cli.find_mistakes import find_mistakes  # noqa: PLC0415
+
+            # What cannot be started is reported; a dry run starts nothing in any case.
+            return find_mistakes(config, explain=True, as_json=as_json)
+        from play_launch.cli.bring_up import bring_up  # noqa: PLC0415
+
+        return bring_up(config, log_dir, duration, quiet=quiet, as_json=as_json, manager=manager)

@@ -1,0 +1,69 @@
+"""What ``play-launch dump`` does: a launch file becomes a configuration."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from typing import TYPE_CHECKING
+
+from play_launch.cli.show.terminal import say
+from play_launch.cli.target import (
+    USUAL_LIMIT,
+    Target,
+    argument_values,
+    complain,
+    evaluated,
+    say_arguments,
+    target_of,
+    unread,
+)
+from play_launch.core.exit_code import ExitCode
+from play_launch.launch_files.configuration.options import Containers, Options
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+
+def dump_launch_file(
+    target: Sequence[str],
+    *,
+    output: Path | None = None,
+    container_type: Containers = Containers.SAME,
+    inline: bool = False,
+    strict: bool = False,
+    show_args: bool = False,
+    timeout: str = USUAL_LIMIT,
+    as_json: bool = False,
+) -> int:
+    """Evaluate a launch file, write the configuration, and return the exit code."""
+    from play_launch.cli.hand_over import hand_over  # noqa: PLC0415 - after --show-args
+    from play_launch.launch_files.configuration.write import written  # noqa: PLC0415
+
+    found = target_of(target)
+    description = evaluated(found, timeout, only_arguments=show_args)
+    arguments = argument_values(description.arguments)
+    if show_args:
+        if as_json:
+            say(json.dumps({"arguments": arguments}, ensure_ascii=False))
+        else:
+            say_arguments(description.arguments)
+        return ExitCode.OK
+    for name in unread(found, description):
+        complain(f"note: no launch file declares the argument {name}")
+    made = written(description, _options(output, container_type, inline=inline), _heading(found))
+    more = {"arguments": arguments, "files": description.files}
+    return hand_over(made, output, strict=strict, as_json=as_json, more=more)
+
+
+def _heading(target: Target) -> str:
+    return f"From {shlex.join(target.words)}, by play-launch dump."
+
+
+def _options(output: Path | None, container_type: Containers, *, inline: bool) -> Options:
+    if output is None or (output.exists() and not output.is_file()):
+        # Nothing can stand beside what goes to stdout, or to a device.
+        return Options(containers=container_type, inline=inline)
+    folder = output.absolute().parent
+    files = folder / f"{output.stem or output.name}.files"
+    return Options(containers=container_type, inline=inline, folder=folder, files=files)
