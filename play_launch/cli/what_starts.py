@@ -78,6 +78,10 @@ def helpers(config: ReplayConfig) -> list[str]:
         found.append("spawn_guard: the parent of the topic recorder")
     if config.graph_daemon:
         found.append("play_launch.graph_daemon: unless one serves the domain; outlives the session")
+    found.append("play_launch.archive: completes or removes earlier recordings, after bring-up")
+    found.append(
+        "play_launch.fastdds: removes what is left in shared memory, after a SIGKILL of replay"
+    )
     return found
 
 

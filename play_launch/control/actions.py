@@ -51,8 +51,8 @@ _MOST_NAMED: Final = 10
 _IN_STATE: Final = frozenset({ContainerState.STOPPED, ContainerState.GAVE_UP})
 
 _TAKEN_OUT: Final = Verdict(is_done=False, reason="it was taken out of the system")
-_BEING_STOPPED: Final = Verdict(is_done=False, reason="the session is being stopped")
 """By a configuration that was applied meanwhile."""
+_BEING_STOPPED: Final = Verdict(is_done=False, reason="the session is being stopped")
 
 
 class Actions:

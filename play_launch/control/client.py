@@ -11,10 +11,12 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
 from play_launch.control.place import (
     CONTROL_SOCKET,
     Link,
+    Registrant,
     address_of,
     forget,
     peer_of,
     registered,
+    registrant_of,
 )
 from play_launch.control.protocol import (
     LONGEST_ANSWER,
@@ -251,17 +253,21 @@ def _registered_at(link: Link) -> ControlClient:
     try:
         return connect_to(link.folder)
     except NoSessionError as error:
-        if forget(link.pid):
-            raise
-        raise NoSessionError(f"{error}; {_out_of_reach(link.pid)}") from None
+        raise NoSessionError(_without_session(link, error) or str(error)) from None
 
 
-def _out_of_reach(pid: int) -> str:
-    """Say what is left to do where the process lives that has registered a session."""
-    return (
-        f"process {pid}, which registered it, still runs: if that is play-launch, its folder was "
-        f"moved or removed; kill -INT {pid} ends it in order"
-    )
+def _without_session(link: Link, error: NoSessionError) -> str:
+    """Say what there is in place of a registered session; empty: nothing known or to be done."""
+    match registrant_of(link):
+        case Registrant.GONE:
+            forget(link)
+            return str(error)
+        case Registrant.ALIVE:
+            return (
+                f"{error}; process {link.pid}, which registered it, still runs: its folder was "
+                f"moved or removed; kill -INT {link.pid} ends it in order"
+            )
+    return ""
 
 
 def connect_to(folder: str) -> ControlClient:
@@ -317,8 +323,8 @@ def _look() -> tuple[list[ControlClient], list[str]]:
         try:
             clients.append(connect_to(link.folder))
         except NoSessionError as error:
-            is_over = forget(link.pid)
-            reasons.append(str(error) if is_over else f"{error}; {_out_of_reach(link.pid)}")
+            if reason := _without_session(link, error):
+                reasons.append(reason)
         except ControlError as error:
             reasons.append(f"{link.folder} (pid {link.pid}): {error}")
     return clients, reasons

@@ -1,8 +1,10 @@
 """Where running sessions are found: a socket in the folder of each, and a link to each folder.
 
-The links are in one folder for each user, ``/dev/shm/play_launch-<uid>/<pid>``: why there, says
+The links are in one folder for each user, ``/dev/shm/play_launch-<uid>``: why there, says
 docs/decisions/control.md. A link says where to look; whether a session runs says its socket, which
-answers as long as its process lives.
+answers as long as its process lives. The name of a link is ``<pid>-<start time>-<PID namespace>``:
+which process registered the session, also where its pid has a new owner, or another one in another
+container with the same ``/dev/shm``.
 """
 
 from __future__ import annotations
@@ -11,7 +13,8 @@ import contextlib
 import os
 import socket
 import struct
-from typing import TYPE_CHECKING, Final, NamedTuple
+from enum import Enum
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -20,6 +23,9 @@ CONTROL_SOCKET: Final = "control.sock"
 """In the folder of a session; a killed supervisor leaves it behind."""
 LINKS: Final = "PLAY_LAUNCH_SESSIONS_DIR"
 """Environment variable: where the links are instead, for systems that are to be kept apart."""
+_NUMBERS: Final = 3
+_START_TIME: Final = 19
+"""Index in what follows the name of the program in /proc/<pid>/stat."""
 _CREDENTIALS: Final = struct.Struct("3i")
 
 
@@ -36,6 +42,24 @@ class Link(NamedTuple):
 
     pid: int
     folder: str
+    start_time: int
+    """In clock ticks after boot."""
+    namespace: int
+    """Inode of the PID namespace that the pid belongs to."""
+
+    @property
+    def name(self) -> str:
+        """The name of the link."""
+        return f"{self.pid}-{self.start_time}-{self.namespace}"
+
+
+class Registrant(Enum):
+    """What is known of the process that registered a session."""
+
+    GONE = "gone"
+    ALIVE = "alive"
+    UNKNOWN = "unknown"
+    """It is, or was, in another PID namespace."""
 
 
 def links_folder() -> str:
@@ -53,11 +77,12 @@ def register(folder: str) -> str:
     os.makedirs(links, mode=0o700, exist_ok=True)  # noqa: PTH103 - pathlib is slow to import
     if not _is_ours(links):
         raise PermissionError(f"{links} belongs to another user")
-    link = f"{links}/{os.getpid()}"
+    link = Link(os.getpid(), folder, _start_time("self"), _namespace())
+    path = f"{links}/{link.name}"
     with contextlib.suppress(FileNotFoundError):
-        os.unlink(link)  # noqa: PTH108 - of a process that had the same pid
-    os.symlink(folder, link)  # noqa: PTH211
-    return link
+        os.unlink(path)  # noqa: PTH108 - of an earlier session of this process
+    os.symlink(folder, path)  # noqa: PTH211
+    return path
 
 
 def registered() -> list[Link]:
@@ -67,26 +92,33 @@ def registered() -> list[Link]:
     if not _is_ours(links):
         return []
     for name in os.listdir(links):  # noqa: PTH208
-        if not name.isdecimal():
+        numbers = name.split("-")
+        if len(numbers) != _NUMBERS or not all(number.isdecimal() for number in numbers):
             continue
+        pid, start_time, namespace = map(int, numbers)
         with contextlib.suppress(OSError):
             made = os.lstat(f"{links}/{name}").st_mtime_ns
             folder = os.readlink(f"{links}/{name}")  # noqa: PTH115
-            found.append((made, Link(int(name), folder)))
+            found.append((made, Link(pid, folder, start_time, namespace)))
     return [link for _, link in sorted(found)]
 
 
-def forget(pid: int) -> bool:
-    """Remove the link of a process that has ended; False: it lives, and keeps its link."""
+def registrant_of(link: Link) -> Registrant:
+    """Look for the process that registered a session."""
+    # With the /proc of another PID namespace nothing can be said about a pid.
+    if link.namespace != _namespace() or os.readlink("/proc/self") != str(os.getpid()):  # noqa: PTH115
+        return Registrant.UNKNOWN
     try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        with contextlib.suppress(OSError):
-            os.unlink(f"{links_folder()}/{pid}")  # noqa: PTH108
-        return True
-    except OSError:
-        pass
-    return False
+        is_it = _start_time(link.pid) == link.start_time
+    except (FileNotFoundError, ProcessLookupError):
+        is_it = False
+    return Registrant.ALIVE if is_it else Registrant.GONE
+
+
+def forget(link: Link) -> None:
+    """Remove the link of a process that has ended."""
+    with contextlib.suppress(OSError):
+        os.unlink(f"{links_folder()}/{link.name}")  # noqa: PTH108
 
 
 def peer_of(connection: socket.socket) -> Peer:
@@ -116,3 +148,12 @@ def _is_ours(folder: str) -> bool:
     except OSError:
         return False
     return status.st_uid == os.geteuid() and (status.st_mode & 0o170000) == 0o040000
+
+
+def _start_time(pid: int | Literal["self"]) -> int:
+    with open(f"/proc/{pid}/stat", "rb") as file:  # noqa: PTH123
+        return int(file.read().rpartition(b")")[2].split()[_START_TIME])
+
+
+def _namespace() -> int:
+    return os.stat("/proc/self/ns/pid").st_ino  # noqa: PTH116

@@ -19,6 +19,7 @@ from play_launch.control.door import Door
 from play_launch.control.place import CONTROL_SOCKET, LINKS, registered
 from play_launch.control.protocol import LONGEST_REQUEST, Code, ControlError, decode, encode
 from play_launch.control.server import MOST_CLIENTS, MOST_RECEIVED, About, serving
+from tests.control.links import put_link
 from tests.support.waiting import until
 
 if TYPE_CHECKING:
@@ -355,23 +356,6 @@ def test_another_user_is_refused_even_where_the_file_lets_everybody_in(tmp_path:
     with_server(tmp_path, talk)
 
 
-def test_the_socket_of_a_dead_supervisor_is_recognised(tmp_path: Path, links: Path) -> None:
-    left = socket.socket(socket.AF_UNIX)
-    left.bind(os.path.relpath(tmp_path / CONTROL_SOCKET))
-    left.close()
-    links.mkdir(mode=0o700)
-    ended = os.fork()
-    if ended == 0:
-        os._exit(0)
-    os.waitpid(ended, 0)
-    (links / str(ended)).symlink_to(tmp_path)
-    with pytest.raises(NoSessionError, match="its supervisor was killed"):
-        connect(str(tmp_path))
-    with pytest.raises(NoSessionError, match=r"no session is running; (.|\n)*was killed"):
-        connect()
-    assert not registered(), "the link of a dead process is removed"
-
-
 def test_of_several_sessions_one_has_to_be_chosen(tmp_path: Path) -> None:
     async def main() -> None:
         async with served(tmp_path / "a"), served(tmp_path / "b"):
@@ -379,8 +363,7 @@ def test_of_several_sessions_one_has_to_be_chosen(tmp_path: Path) -> None:
 
     def talk() -> None:
         # Both are of this process, so there is one link only: add the other one by hand.
-        links = Path(os.environ[LINKS])
-        (links / "1").symlink_to(tmp_path / "a")
+        put_link(Path(os.environ[LINKS]), 1, tmp_path / "a")
         with pytest.raises(NoSessionError, match="2 sessions are running; choose one") as refused:
             connect()
         assert str(tmp_path / "a") in str(refused.value)
@@ -395,22 +378,6 @@ def test_of_several_sessions_one_has_to_be_chosen(tmp_path: Path) -> None:
             client.close()
 
     asyncio.run(main())
-
-
-def test_links_of_another_user_are_not_followed(
-    tmp_path: Path, links: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    links.mkdir()
-    (links / "1").symlink_to(tmp_path)
-    assert registered()
-    monkeypatch.setattr(os, "geteuid", lambda: 4711)
-    assert not registered()
-    elsewhere = tmp_path / "elsewhere"
-    elsewhere.mkdir()
-    monkeypatch.undo()
-    monkeypatch.setenv(LINKS, str(tmp_path / "link"))
-    (tmp_path / "link").symlink_to(elsewhere)
-    assert not registered()
 
 
 def test_something_else_on_the_socket_is_no_session(tmp_path: Path) -> None:

@@ -256,10 +256,11 @@ def test_what_replay_starts_for_itself_is_named(
         assert all(f"#   {each}\n" in explain(file).stdout for each in found)
         return [each.partition(":")[0] for each in found]
 
-    assert named(path) == ["spawn_guard"]
-    assert named(config) == ["spawn_guard", "component_container --zygote", "spawn_guard"]
+    later = ["play_launch.archive", "play_launch.fastdds"]
+    assert named(path) == ["spawn_guard", *later]
+    assert named(config) == ["spawn_guard", "component_container --zygote", "spawn_guard", *later]
     path.write_text(json.dumps({**system, "graph_daemon": True}), encoding="utf-8")
-    assert named(path) == ["spawn_guard", "play_launch.graph_daemon"]
+    assert named(path) == ["spawn_guard", "play_launch.graph_daemon", *later]
 
 
 def test_what_cannot_be_started_is_named_and_the_rest_explained(tmp_path: Path) -> None:

@@ -15,10 +15,10 @@
 
 // Named as a function of the C++ library's headers that was compiled into this program.
 extern "C" void play_launch_test_header_function() __asm__("_ZNSt5mutex16play_launch_testEv");
-void play_launch_test_header_function() {}
+void play_launch_test_header_function() { __asm__ volatile("nop"); }
 
 extern "C" void play_launch_test_function_of_a_node();
-void play_launch_test_function_of_a_node() {}
+void play_launch_test_function_of_a_node() { __asm__ volatile("nop"); }
 
 namespace {
 
@@ -27,7 +27,7 @@ using namespace play_launch::isolation;
 [[gnu::noinline]] void unnamed() { __asm__ volatile("nop"); }
 [[gnu::noinline]] void also_unnamed() { __asm__ volatile("nop; nop"); }
 
-/// Some bytes into a function, as the frames of a stack are.
+/// A byte into a function, as the frames of a stack are: none here is empty, as it would end there.
 std::uintptr_t within(void (*function)()) { return reinterpret_cast<std::uintptr_t>(function) + 1; }
 
 CallStack stack_of(std::initializer_list<void (*)()> functions) {
