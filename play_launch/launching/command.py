@@ -119,8 +119,10 @@ def process_command(
         prefixes = ament_prefixes(environment)
         executable = find_executable(config.package, config.executable, prefixes)
     argv = process_argv(config, executable=executable, parameter_file=parameter_file)
-    program = shutil.which(argv[len(config.prefix)], path=environment.get("PATH"))
+    name = argv[len(config.prefix)]
+    program = shutil.which(name, path=environment.get("PATH"))
     if program is not None:
         environment = foreign_python_environment(environment, machine.ros, Path(program))
-    environment = with_safe_waits(environment, machine.container)
+    executed = (config.cwd or Path()) / name if "/" in name else program and Path(program)
+    environment = with_safe_waits(environment, machine.container, executed or None)
     return Command(argv, environment, config.cwd, config.emulate_tty, config.resources)
