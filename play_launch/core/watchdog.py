@@ -19,6 +19,12 @@ class WatchLimits(Struct, frozen=True, kw_only=True):
     """From an answer to the next question."""
     patience: float = 3.0
     """From a question to the verdict."""
+    last_look: float = 0.5
+    """The end of the patience, in which both sides are watched for want of a processor."""
+    want: float = 0.1
+    """Of that time, spent waiting for a processor: silence means nothing then."""
+    longest: float = 30.0
+    """Who still does not answer after so many seconds of that is given up all the same."""
     lateness: float = 0.5
     """A look that comes later than this says more about us than about the other side."""
 
@@ -32,6 +38,8 @@ class Verdict(StrEnum):
     WAIT = auto()
     ASK = auto()
     """Put a question now."""
+    SUSPECT = auto()
+    """Note how long both sides have waited for a processor so far; the next look wants to know."""
     FROZEN = auto()
 
 
@@ -42,6 +50,8 @@ class Watch(Struct, frozen=True, kw_only=True):
     """When to look again."""
     asked_at: float | None = None
     """When the open question was put; None without one."""
+    suspected_at: float | None = None
+    """Since when it is watched whether the two sides get a processor."""
 
 
 def begin(now: float, limits: WatchLimits = WATCH_LIMITS) -> Watch:
@@ -54,16 +64,25 @@ def answered(watch: Watch, now: float, limits: WatchLimits = WATCH_LIMITS) -> Wa
     return watch if watch.asked_at is None else begin(now, limits)
 
 
-def look(watch: Watch, now: float, limits: WatchLimits = WATCH_LIMITS) -> tuple[Watch, Verdict]:
+def look(
+    watch: Watch, now: float, limits: WatchLimits = WATCH_LIMITS, *, starved: bool = False
+) -> tuple[Watch, Verdict]:
     """Look at the clock.
 
     When we ourselves did not run for a while (stopped, or starved of CPU time), an answer may be
-    waiting for us; so the other side gets its time once more.
+    waiting for us; so the other side gets its time once more. A machine on which a hundred programs
+    start keeps both sides waiting for a processor turn by turn, for many seconds: ``starved`` says
+    that this was so since the look before, which was SUSPECT.
     """
     if now < watch.due:
         return watch, Verdict.WAIT
+    first_wait = limits.patience - limits.last_look
     if watch.asked_at is None:
-        return Watch(due=now + limits.patience, asked_at=now), Verdict.ASK
+        return Watch(due=now + first_wait, asked_at=now), Verdict.ASK
     if now - watch.due > limits.lateness:
-        return Watch(due=now + limits.patience, asked_at=watch.asked_at), Verdict.WAIT
+        return Watch(due=now + first_wait, asked_at=watch.asked_at), Verdict.WAIT
+    since = now if watch.suspected_at is None else watch.suspected_at
+    if watch.suspected_at is None or (starved and now - since < limits.longest):
+        due = now + limits.last_look
+        return Watch(due=due, asked_at=watch.asked_at, suspected_at=since), Verdict.SUSPECT
     return watch, Verdict.FROZEN

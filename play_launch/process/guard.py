@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, BinaryIO, Final, Protocol, Self
 
 from play_launch.process import open_files
 from play_launch.process.exit import Exit
-from play_launch.process.time_slice import ask_for_short_turns
+from play_launch.process.time_slice import ask_for_short_turns, run_ahead
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -130,7 +130,8 @@ class SessionGuard:
         # Before it is asked for anything: all that it starts inherits its limit.
         open_files.give_back(process.pid)
         # We wait for its answers, and what it starts shares the processors as anything else does.
-        ask_for_short_turns(process.pid, children_too=False)
+        if not run_ahead(process.pid):
+            ask_for_short_turns(process.pid, children_too=False)
         return cls(ours, process, answer_limit)
 
     @property

@@ -84,6 +84,11 @@ def _settings(config: ReplayConfig, asked: list[Resources], *, for_user: bool) -
         "Threads of DDS count as tasks, and a large system has thousands.", ("TasksMax=infinity",)
     )
     raised = list(_raised(config, asked, hard))
+    if not for_user and not any("LimitRTPRIO" in line for each in raised for line in each.lines):
+        yield Setting(
+            "The supervisor goes before what it starts and stops, for that long.",
+            ("LimitRTPRIO=1",),
+        )
     if raised and for_user:
         raised.insert(
             0,

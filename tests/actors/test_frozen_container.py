@@ -7,6 +7,7 @@ import asyncio
 import pytest
 from msgspec.structs import replace
 
+from play_launch.actors.container import watch
 from play_launch.config.model import ContainerType
 from play_launch.core.events import (
     ContainerState,
@@ -16,6 +17,7 @@ from play_launch.core.events import (
 )
 from play_launch.core.node_key import NodeKey
 from play_launch.core.watchdog import WatchLimits
+from play_launch.process.processor_wait import ProcessorWait
 from play_launch.wire.messages import Hello, Query, Status
 
 from .fakes import FakeContainer, FakeLauncher, Held, container, system
@@ -112,6 +114,45 @@ def test_who_answers_is_left_alone_for_ever() -> None:
             assert len(sys.launcher.containers["/c"]) == 1
 
     run(main())
+
+
+@pytest.mark.parametrize("whose", ["ours", "theirs", "theirs, not over"])
+def test_where_processors_are_short_silence_means_nothing(
+    whose: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    class Starved(FakeContainer):
+        """Answers the third question after 20 s."""
+
+        asked = 0
+
+        def on_watch(self, query: Query) -> None:
+            self.asked += 1
+            late = 20.0 if self.asked == 3 else 0.0
+            asyncio.get_running_loop().call_later(late, super().on_watch, query)
+
+    waited = 0.0
+
+    def waits(pid: int) -> tuple[ProcessorWait, ProcessorWait]:
+        nonlocal waited
+        waited += LIMITS.want * 1.01
+        return (
+            ProcessorWait(waited if whose == "ours" else 0.0, wants_one=False),
+            ProcessorWait(waited if whose == "theirs" else 0.0, wants_one="not" in whose),
+        )
+
+    async def main() -> None:
+        async with running(system(container("c", "a")), launcher(Starved)) as sys:
+            await sys.until_loaded(1)
+            monkeypatch.setattr(watch, "waits", waits)
+            await asyncio.sleep(100)
+            (only,) = sys.launcher.containers["/c"]
+            assert isinstance(only, Starved)
+            assert only.asked > 50
+            assert sys.view.loaded == 1
+
+    with caplog.at_level("INFO"):
+        run(main())
+    assert "/c does not answer yet; processors are short" in caplog.text
 
 
 def test_silence_while_it_stops_is_nothing_to_the_watch() -> None:

@@ -14,6 +14,10 @@ def test_a_question_every_interval_and_a_verdict_after_the_patience() -> None:
     watch, verdict = look(watch, 11.0, LIMITS)
     assert verdict is Verdict.ASK
     assert answered(watch, 11.2, LIMITS) == Watch(due=12.2)
+    assert look(watch, 13.4, LIMITS) == (watch, Verdict.WAIT)
+    watch, verdict = look(watch, 13.5, LIMITS)
+    assert verdict is Verdict.SUSPECT
+    assert answered(watch, 13.7, LIMITS) == Watch(due=14.7)
     assert look(watch, 13.9, LIMITS) == (watch, Verdict.WAIT)
     assert look(watch, 14.0, LIMITS) == (watch, Verdict.FROZEN)
 
@@ -27,7 +31,29 @@ def test_when_we_were_late_it_gets_its_time_again() -> None:
     watch, _ = look(begin(0.0, LIMITS), 1.0, LIMITS)
     watch, verdict = look(watch, 60.0, LIMITS)
     assert verdict is Verdict.WAIT
+    watch, verdict = look(watch, 62.5, LIMITS)
+    assert verdict is Verdict.SUSPECT
+    # Late once more, in the last moment.
+    again, verdict = look(watch, 90.0, LIMITS)
+    assert verdict is Verdict.WAIT
+    assert again.suspected_at is None
     assert look(watch, 63.0, LIMITS)[1] is Verdict.FROZEN
+
+
+def test_who_gets_no_processor_is_given_time_but_not_for_ever() -> None:
+    watch, _ = look(begin(0.0, LIMITS), 1.0, LIMITS)
+    verdicts = []
+    while Verdict.FROZEN not in verdicts:
+        watch, verdict = look(watch, watch.due, LIMITS, starved=True)
+        verdicts.append(verdict)
+    assert verdicts == [Verdict.SUSPECT] * (len(verdicts) - 1) + [Verdict.FROZEN]
+    assert watch.due - 1.0 == LIMITS.patience - LIMITS.last_look + LIMITS.longest
+    # As soon as there are processors again, silence means something.
+    watch, _ = look(begin(0.0, LIMITS), 1.0, LIMITS)
+    for starved in (True, True, True):
+        watch, verdict = look(watch, watch.due, LIMITS, starved=starved)
+        assert verdict is Verdict.SUSPECT
+    assert look(watch, watch.due, LIMITS)[1] is Verdict.FROZEN
 
 
 @given(st.lists(st.tuples(st.floats(0, 0.4), st.floats(0, 2.9)), max_size=50))
@@ -39,12 +65,15 @@ def test_who_answers_in_time_is_never_frozen(rounds: list[tuple[float, float]]) 
         watch, verdict = look(watch, now, LIMITS)
         assert verdict is Verdict.ASK
         now += takes
+        if now >= watch.due:
+            watch, verdict = look(watch, watch.due, LIMITS)
+            assert verdict is Verdict.SUSPECT
         assert look(watch, now, LIMITS)[1] is Verdict.WAIT
         watch = answered(watch, now, LIMITS)
 
 
 @given(
-    st.lists(st.floats(0, 2.9), max_size=20), st.lists(st.floats(0, 0.4), min_size=2, max_size=2)
+    st.lists(st.floats(0, 2.9), max_size=20), st.lists(st.floats(0, 0.4), min_size=3, max_size=3)
 )
 def test_who_stops_answering_is_found_within_the_limits(
     answers: list[float], lateness: list[float]
@@ -61,6 +90,6 @@ def test_who_stops_answering_is_found_within_the_limits(
         now = watch.due + late
         watch, verdict = look(watch, now, LIMITS)
         verdicts.append(verdict)
-    assert verdicts == [Verdict.ASK, Verdict.FROZEN]
-    bound = LIMITS.interval + LIMITS.patience + 2 * LIMITS.lateness
+    assert verdicts == [Verdict.ASK, Verdict.SUSPECT, Verdict.FROZEN]
+    bound = LIMITS.interval + LIMITS.patience + 3 * LIMITS.lateness
     assert now - last_answer <= bound

@@ -31,6 +31,8 @@ def _loop_is_never_blocked() -> Iterator[None]:
         # The guard of the session answers as fast as a fork; what it gets is a file in memory.
         blockbuster.functions["socket.socket.recv"].can_block_in("process/guard.py", "_ask")
         blockbuster.functions["io.BufferedWriter.write"].can_block_in("process/guard.py", "_file")
+        # The kernel lists the threads of a process from memory.
+        blockbuster.functions["os.listdir"].can_block_in("process/time_slice.py", "_threads")
         for name in ("os.stat", "os.access"):
             blockbuster.functions[name].can_block_in("process/program.py", "check_program")
         yield

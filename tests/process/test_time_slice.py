@@ -1,11 +1,13 @@
-"""The daemon asks for short turns, and for more of them where it may."""
+"""Whose work is short and waited for gets short turns, more of them, or runs ahead."""
 
 from __future__ import annotations
 
 import os
 import platform
+import shutil
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -36,6 +38,13 @@ def kernel() -> tuple[int, ...]:
     return tuple(int(part) for part in platform.release().split("-")[0].split(".")[:2])
 
 
+def may_be_preferred() -> bool:
+    """Whether we are root with CAP_SYS_NICE (23), which containers usually take away."""
+    status = Path("/proc/self/status").read_text(encoding="utf-8")
+    (effective,) = (line.split()[1] for line in status.splitlines() if line.startswith("CapEff"))
+    return os.geteuid() == 0 and bool(int(effective, 16) >> 23 & 1)
+
+
 def test_a_thread_and_those_it_starts_get_them() -> None:
     command = [sys.executable, "-c", ASKING]
     words = subprocess.run(command, check=True, capture_output=True, text=True).stdout.split()
@@ -52,30 +61,105 @@ import asyncio, os, sys
 from pathlib import Path
 from play_launch.process.child import spawn
 from play_launch.process.guard import SessionGuard
-from play_launch.process.time_slice import ask_for_short_turns
+from play_launch.process.time_slice import ask_for_short_turns, run_ahead
 
-def slice_of(pid):
+def show(pid):
     lines = Path(f"/proc/{pid}/sched").read_text().splitlines()
-    return next((line.split()[-1] for line in lines if line.startswith("se.slice")), "")
+    policy = os.sched_getscheduler(pid) & ~os.SCHED_RESET_ON_FORK
+    slices = [line.split()[-1] for line in lines if line.startswith("se.slice")] or [""]
+    print("ahead" if policy == os.SCHED_RR else slices[0], os.getpriority(os.PRIO_PROCESS, pid))
 
 async def main():
+    if sys.argv[2] == "without":
+        os.setuid(65534)
     ask_for_short_turns()
+    run_ahead()
     guard = SessionGuard.start(Path(sys.argv[1]))
-    child = spawn(["sleep", "1000"], env=os.environ, guard=guard)
-    print(slice_of(guard.pid), slice_of(child.pid))
+    for starter in (guard, None):
+        show(spawn(["sleep", "1000"], env=os.environ, guard=starter).pid)
+    show(guard.pid)
     guard.close()
 
 asyncio.run(main())
 """
 
 
+def started(guard: Path, right: str) -> list[str]:
+    command = [sys.executable, "-c", STARTING, str(guard), right]
+    run = subprocess.run(command, check=True, capture_output=True, text=True, timeout=60)
+    return run.stdout.splitlines()
+
+
 def test_what_a_guard_starts_has_the_usual_turns(guard: Path) -> None:
-    command = [sys.executable, "-c", STARTING, str(guard)]
-    words = subprocess.run(command, check=True, capture_output=True, text=True, timeout=60).stdout
+    right = "with" if may_be_preferred() else "as it is"
+    *of_children, of_guard = started(guard, right)
+    assert not {"ahead 0", "100000 0"} & set(of_children)
+    assert all(each.endswith(" 0") for each in of_children)
+    if right == "with":
+        assert of_guard == "ahead 0"
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to give the right up")
+def test_a_guard_without_the_right_has_short_turns(guard: Path) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        # Where this runs, its own place may be for nobody else.
+        program = Path(shutil.copy(guard, folder))
+        Path(folder).chmod(0o755)
+        of_child, *_, of_guard = started(program, "without")
     # Kernels without the scheduler's debugging do not show it.
-    of_guard, of_child = words.split() or ("100000", "")
-    assert of_child != "100000"
-    assert of_guard == "100000" or kernel() < (6, 12)
+    assert of_guard in ("100000 0", " 0") or kernel() < (6, 12)
+    assert of_child not in ("100000 0", "ahead 0")
+
+
+AHEAD = """
+import os, resource, sys
+from threading import Event, Thread
+from play_launch.process.time_slice import run_ahead, run_along
+
+os.nice(int(sys.argv[2]))
+if sys.argv[1] == "without":
+    resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
+    os.setuid(65534)
+over = Event()
+Thread(target=over.wait).start()
+def show(*results):
+    policies = [os.sched_getscheduler(int(t)) & ~os.SCHED_RESET_ON_FORK
+                for t in os.listdir("/proc/self/task")]
+    late = []
+    thread = Thread(target=lambda: late.append(os.sched_getscheduler(0)))
+    thread.start()
+    thread.join()
+    child = os.fork()
+    if child == 0:
+        os._exit(os.sched_getscheduler(0))
+    child = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    print(*results, *policies, *late, child)
+try:
+    show(run_ahead())
+    run_along()
+    show()
+    show(run_ahead())
+finally:
+    over.set()
+"""
+
+
+def ahead(right: str, nice: int) -> list[str]:
+    command = [sys.executable, "-c", AHEAD, right, str(nice)]
+    run = subprocess.run(command, check=True, capture_output=True, text=True, timeout=60)
+    return run.stdout.splitlines()
+
+
+@pytest.mark.skipif(not may_be_preferred(), reason="needs root with CAP_SYS_NICE")
+def test_whoever_may_runs_ahead_with_all_threads_but_not_with_what_it_starts() -> None:
+    runs_ahead = f"True {os.SCHED_RR} {os.SCHED_RR} {os.SCHED_OTHER} {os.SCHED_OTHER}"
+    assert ahead("with", 0) == [runs_ahead, "0 0 0 0", runs_ahead]
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to give the right up")
+@pytest.mark.parametrize(("right", "nice"), [("without", 0), ("with", 5)])
+def test_whoever_may_not_or_is_to_stand_back_does_not(right: str, nice: int) -> None:
+    assert ahead(right, nice) == ["False 0 0 0 0", "0 0 0 0", "False 0 0 0 0"]
 
 
 PREFERRING = """
@@ -107,7 +191,7 @@ def preferred(right: str, nice: int) -> list[str]:
     return subprocess.run(command, check=True, capture_output=True, text=True).stdout.split()
 
 
-@pytest.mark.skipif(os.geteuid() != 0, reason="needs root, for nice values below 0")
+@pytest.mark.skipif(not may_be_preferred(), reason="needs root with CAP_SYS_NICE")
 def test_whoever_may_is_preferred_in_its_group_and_with_it() -> None:
     permitted, nice, group = preferred("with", 0)
     assert (permitted, nice) == ("True", str(NICE))

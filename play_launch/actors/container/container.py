@@ -197,7 +197,8 @@ class ContainerMember(Member):
             report_shortfalls(self.name, self._config.resources, pid, self._publisher)
             self._launcher.groups.check(self.name, pid)
         if not self._config.prefix:  # a debugger may stop it
-            self._watch.begin(self._link.send)
+            pid = self._hello.pid or (self._process.pid if self._process else 0)
+            self._watch.begin(self._link.send, pid)
         self.nodes.container_ready(self._link.send)
 
     def _lose(self, reason: str, *, comes_back: bool) -> None:

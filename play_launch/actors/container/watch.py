@@ -7,18 +7,27 @@ from typing import TYPE_CHECKING, Final
 
 from play_launch.core.episode import Episode
 from play_launch.core.watchdog import Verdict, Watch, WatchLimits, answered, begin, look
+from play_launch.process.processor_wait import own_wait, processor_wait
 from play_launch.wire.channel import ControlError
 from play_launch.wire.messages import NO_NODE, Query
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from play_launch.process.processor_wait import ProcessorWait
     from play_launch.wire.messages import Outgoing, Status
 
 _log = logging.getLogger(__name__)
 
 _FIRST_QUERY: Final = 1 << 63
 """Our questions are counted from here on, those about nodes from 1."""
+_ANSWERING: Final = frozenset({"control-read", "control-write"})
+"""Threads of a container that have to run for an answer, see control/channel.cpp."""
+
+
+def waits(pid: int) -> tuple[ProcessorWait, ProcessorWait]:
+    """Say how long we, and what answers in that process, have waited for a processor so far."""
+    return own_wait(), processor_wait(pid, _ANSWERING)
 
 
 class ContainerWatch:
@@ -31,7 +40,9 @@ class ContainerWatch:
         self._limits = limits
         self._query_id = _FIRST_QUERY
         self._send: Callable[[Outgoing], None] | None = None
+        self._pid = 0
         self._watch: Watch | None = None
+        self._noted: tuple[ProcessorWait, ProcessorWait] | None = None
         self._leaked = Episode()
         self._unquiesced = Episode()
         self._dead_locks: tuple[str, ...] = ()
@@ -52,9 +63,11 @@ class ContainerWatch:
         more = len(self._dead_locks) - 1
         return (self._dead_locks[0] + (f" (and {more} more)" if more else "")) if more >= 0 else ""
 
-    def begin(self, send: Callable[[Outgoing], None]) -> None:
+    def begin(self, send: Callable[[Outgoing], None], pid: int) -> None:
         """Watch a process that has just said hello."""
         self._send = send
+        self._pid = pid
+        self._noted = None
         self._watch = begin(self._clock(), self._limits)
         self._leaked, self._unquiesced = Episode(), Episode()
         self._dead_locks = ()
@@ -81,16 +94,30 @@ class ContainerWatch:
         """Do what is due; why the process counts as frozen, empty as long as it does not."""
         if self._watch is None:
             return ""
-        self._watch, verdict = look(self._watch, self._clock(), self._limits)
+        now = self._clock()
+        # Reading what the kernel counted takes a look at all threads: only for who is suspected.
+        starved = self._noted is not None and now >= self._watch.due and self._is_starved()
+        self._watch, verdict = look(self._watch, now, self._limits, starved=starved)
         match verdict:
             case Verdict.ASK:
+                self._noted = None
                 self._ask()
+            case Verdict.SUSPECT:
+                if starved:
+                    _log.info("%s does not answer yet; processors are short", self._container)
+                self._noted = waits(self._pid)
             case Verdict.FROZEN:
                 self._watch = None
                 return f"it is frozen: no answer for {self._limits.patience:g} s"
             case Verdict.WAIT:
                 pass
         return ""
+
+    def _is_starved(self) -> bool:
+        assert self._noted is not None
+        both = waits(self._pid)
+        waited = [now.seconds - then.seconds for now, then in zip(both, self._noted, strict=True)]
+        return both[1].wants_one or max(waited) >= self._limits.want
 
     def _ask(self) -> None:
         assert self._send is not None

@@ -1,0 +1,68 @@
+"""Whether threads want a processor and get none, as the kernel's scheduler counts it."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
+
+_MOST: Final = 4096
+"""Bytes; none of the files is longer."""
+_WANTING: Final = frozenset("RD")
+"""States of proc_pid_stat(5): ready to run or running, and waiting for a disk, as for swapped
+memory."""
+
+
+class ProcessorWait(NamedTuple):
+    """How long threads have waited for a processor."""
+
+    seconds: float
+    """Up to when they were given one last, since they began."""
+    wants_one: bool
+    """Whether one of them runs or waits for a processor now; `seconds` lacks that wait."""
+
+
+def own_wait() -> ProcessorWait:
+    """Say it of the calling thread, which has one now."""
+    try:
+        return ProcessorWait(_waited("/proc/thread-self"), wants_one=False)
+    except OSError:
+        return ProcessorWait(0.0, wants_one=False)
+
+
+def processor_wait(pid: int, threads: Collection[str]) -> ProcessorWait:
+    """Say it of the threads of a process that have one of these names; of none: no wait at all.
+
+    Kernels that do not count it (``/proc/<pid>/schedstat``) give 0 seconds.
+    """
+    seconds, wants_one = 0.0, False
+    try:
+        for thread in os.listdir(f"/proc/{pid}/task"):  # noqa: PTH208 (as in identity.py)
+            folder = f"/proc/{pid}/task/{thread}"
+            try:
+                name, _, fields = _read(folder, "stat").partition("(")[2].rpartition(")")
+                if name in threads:
+                    wants_one |= fields.split()[0] in _WANTING
+                    seconds += _waited(folder)
+            except (FileNotFoundError, ProcessLookupError, IndexError):  # it has ended since
+                continue
+    except OSError:
+        pass
+    return ProcessorWait(seconds, wants_one)
+
+
+def _waited(folder: str) -> float:
+    # Documentation/scheduler/sched-stats.rst: nanoseconds on a processor, waiting for one, turns.
+    fields = _read(folder, "schedstat").split()
+    return int(fields[1]) / 1e9 if len(fields) > 1 else 0.0
+
+
+def _read(folder: str, name: str) -> str:
+    """Read one file; the kernel answers from memory, so this does not block."""
+    descriptor = os.open(f"{folder}/{name}", os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
+    try:
+        return os.read(descriptor, _MOST).decode(errors="replace")
+    finally:
+        os.close(descriptor)
