@@ -200,8 +200,19 @@ void test_deaths_of_nodes_that_nobody_wants() {
   const std::uint64_t unloading = bench.loaded("a");
   CHECK(!bench.manager.unload(unloading));
   bench.host.observer->on_crashed(unloading, {0, 11, "in its destructor", {}, {}, {}, false});
-  CHECK(bench.recorder.last().event_type == kUnloaded && bench.recorder.last().signal == 11);
+  CHECK(bench.recorder.last().event_type == ComponentEvent::CRASHED);
+  CHECK(bench.recorder.last().signal == 11);
   CHECK(contains(bench.recorder.last().error_message, "in its destructor"));
+
+  const std::uint64_t terminated = bench.loaded("t");
+  CHECK(!bench.manager.unload(terminated));
+  bench.host.observer->on_crashed(terminated, {0, 15, "by a signal that ends", {}, {}, {}, false});
+  CHECK(bench.recorder.last().event_type == kUnloaded && bench.recorder.last().signal == 15);
+
+  const std::uint64_t exited = bench.loaded("e");
+  CHECK(!bench.manager.unload(exited));
+  bench.host.observer->on_crashed(exited, {3, 0, "exit code 3", {}, {}, {}, false});
+  CHECK(bench.recorder.last().event_type == ComponentEvent::CRASHED);
 
   const std::uint64_t cancelled = bench.load("b");
   CHECK(!bench.manager.cancel(cancelled));
