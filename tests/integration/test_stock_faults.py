@@ -233,5 +233,5 @@ def test_everybody_who_is_declared_is_there_once(run: Run) -> None:
 def test_at_the_end_nodes_go_with_their_container(run: Run) -> None:
     assert run.exit_code == 128 + 15
     for name in ("/after_it", "/honest", "/first", "/heard"):
-        assert run.states(name)[-1] == "unloaded"
+        assert run.states(name)[-1] == "unloaded", run.reasons(name)
     assert run.states("/hanging")[-1] == "lost"

@@ -39,7 +39,7 @@ from composition_interfaces.srv import ListNodes, LoadNode, UnloadNode
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
-from rclpy.utilities import remove_ros_args, try_shutdown
+from rclpy.utilities import ok, remove_ros_args, try_shutdown
 
 STATE = "STOCK_DOUBLE_STATE"
 """Environment variable: a folder for the journal and for what outlives the process."""
@@ -158,8 +158,13 @@ def main() -> None:
     executor = MultiThreadedExecutor(num_threads=8)
     node = StockDouble(options)
     executor.add_node(node)
-    with suppress(KeyboardInterrupt, ExternalShutdownException):
-        executor.spin()
+    try:
+        with suppress(KeyboardInterrupt, ExternalShutdownException):
+            executor.spin()
+    except Exception:
+        # rclpy's executor trips over the end of its context now and then; a container does not.
+        if ok():
+            raise
     # So that it leaves the graph at once, and not when its lease is over.
     node.destroy_node()
     try_shutdown()
