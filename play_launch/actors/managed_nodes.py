@@ -229,8 +229,12 @@ class ManagedNodes:
             with anyio.move_on_after(limit) as asking:
                 hear(await client.state())
             if asking.cancelled_caught:
-                reason = f"its lifecycle services did not answer within {limit:g} s"
-                self._apply(unit, ManagedInput.OVERDUE, reason)
+                reason = (
+                    "its lifecycle services did not answer"
+                    if client.is_offered
+                    else f"nobody offered the service {node.config.name}/get_state"
+                )
+                self._apply(unit, ManagedInput.OVERDUE, f"{reason} within {limit:g} s")
             while True:
                 action = await _next_action(node, client, see)
                 said, reason = await _change(client, action, limit)

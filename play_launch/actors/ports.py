@@ -130,6 +130,9 @@ class ParameterService(Protocol):
 class ManagedNode(Protocol):
     """A way to talk to a managed node."""
 
+    is_offered: bool
+    """Whether somebody has been seen that offers its services."""
+
     async def state(self) -> int:
         """Wait for its services and ask for its state, a number of ``lifecycle_msgs``."""
 

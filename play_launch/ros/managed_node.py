@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import asyncio
 from contextlib import asynccontextmanager, suppress
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
+
+import anyio
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable
@@ -15,8 +17,17 @@ if TYPE_CHECKING:
     from play_launch.ros.thread import RosThread
 
 
+_FIRST_LIMIT: Final = 1.0
+"""Seconds until a state is asked for again; each time twice as many. A node that sees our request
+before it sees where its answer goes drops it."""
+
+
 class ManagedNodeClient:
-    """Talks to the node of a name; belongs to one event loop."""
+    """Talks to the node of a name; belongs to one event loop.
+
+    Attributes:
+        is_offered: Whether somebody has been seen that offers its services.
+    """
 
     def __init__(self, ros: RosThread, name: str, on_state: Callable[[int], None]) -> None:
         """Talk to the node with this full name; ``on_state`` gets every state that it enters.
@@ -27,6 +38,7 @@ class ManagedNodeClient:
         self._name = name
         self._on_state = on_state
         self._heard = 0
+        self.is_offered = False
         self._loop = asyncio.get_running_loop()
         self._entities: dict[str, Any] = {}
         self._changed = asyncio.Event()
@@ -43,9 +55,10 @@ class ManagedNodeClient:
             if await self._ros.call(lambda _: self._is_ready()):
                 break
             await self._changed.wait()
+        self.is_offered = True
         while True:
             heard = self._heard
-            reply = await self._call("get_state", lambda request: request)
+            reply = await self._state_asked_until_answered()
             if self._heard == heard:
                 return int(reply.current_state.id)
 
@@ -71,6 +84,13 @@ class ManagedNodeClient:
     def _is_ready(self) -> bool:
         clients = [self._entities.get(name) for name in ("get_state", "change_state")]
         return all(each is not None and each.service_is_ready() for each in clients)
+
+    async def _state_asked_until_answered(self) -> Any:
+        limit = _FIRST_LIMIT
+        while True:
+            with anyio.move_on_after(limit):
+                return await self._call("get_state", lambda request: request)
+            limit *= 2
 
     async def _call(self, name: str, fill: Callable[[Any], Any]) -> Any:
         def send(_: Node) -> Any:

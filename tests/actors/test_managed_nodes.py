@@ -33,9 +33,13 @@ class FakeNode:
         self.takes = 0.0
         self.is_heard = True
         self.is_open = True
+        self.is_offered = True
+        self.is_silent = False
         self.at = 1
 
     async def state(self) -> int:
+        if self.is_silent:
+            await asyncio.Event().wait()
         return self.at
 
     async def change(self, transition: int) -> bool:
@@ -112,6 +116,11 @@ def test_configure_goes_so_far_and_no_further() -> None:
         ({"refuses": 3}, "its transition activate failed"),
         ({"refuses": 1}, "its transition configure failed"),
         ({"takes": 9.0}, "its transition configure took longer than 5 s"),
+        ({"is_silent": True}, "its lifecycle services did not answer within 5 s"),
+        (
+            {"is_silent": True, "is_offered": False},
+            "nobody offered the service /n/get_state within 5 s",
+        ),
     ],
 )
 def test_a_failure_is_published_and_the_exit_code_says_it(

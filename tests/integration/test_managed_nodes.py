@@ -166,7 +166,33 @@ def test_one_without_services_is_reported(tmp_path: Path) -> None:
     config = write(tmp_path, containers=[container(talker)])
     with replaying(config, tmp_path / "logs") as replay:
         failed = read_until(replay, event="managed", state="failed")
-    assert failed["reason"] == "its lifecycle services did not answer within 0.3 s"
+    assert failed["reason"] == "nobody offered the service /talker/get_state within 0.3 s"
+
+
+LOSES_FIRST_ANSWERS = """
+import rclpy
+from rclpy.lifecycle import LifecycleNode
+
+def lose_the_first_answer_of(service):
+    def lose(response, header):
+        del service.send_response
+    service.send_response = lose
+
+rclpy.init()
+node = LifecycleNode("python")
+for service in node.services:
+    if service.service_name.endswith("/get_state"):
+        lose_the_first_answer_of(service)
+rclpy.spin(node)
+"""
+
+
+def test_an_answer_that_is_lost_is_asked_for_again(tmp_path: Path) -> None:
+    # A node whose middleware does not know us yet drops its answer.
+    command = [sys.executable, "-c", LOSES_FIRST_ANSWERS]
+    process = {"name": "python", "command": command, "autostart": "activate"}
+    with replaying(write(tmp_path, nodes=[process]), tmp_path / "logs") as replay:
+        read_until(replay, event="managed", node="/python", state="active")
 
 
 def test_it_is_activated_again_after_a_crash(tmp_path: Path) -> None:
