@@ -52,6 +52,10 @@ _TRANSITIONS: Final = {
     ManagedAction.ACTIVATE: (3, ManagedInput.IS_ACTIVE),
 }
 """Numbers of ``lifecycle_msgs/msg/Transition``, and where they lead."""
+_UNDER_WAY: Final = {
+    ManagedState.CONFIGURING: ManagedAction.CONFIGURE,
+    ManagedState.ACTIVATING: ManagedAction.ACTIVATE,
+}
 _LOOKS_AGAIN: Final = (1.0, 2.0, 4.0, 8.0)
 """Seconds between looks at a node that is left to itself. A state that it entered before DDS had
 connected its topic with us is never heard of; that takes up to 3.3 s after its services are there,
@@ -217,7 +221,9 @@ class ManagedNodes:
             said = _INPUT_OF_STATE.get(state)
             if said is not None and not scope.cancel_called:
                 known = said
-                self._apply(unit, said, f"it is in the state {said.removeprefix('is_')}")
+                under_way = _UNDER_WAY.get(node.state)
+                how = f"its transition {under_way} led to" if under_way else "it is in"
+                self._apply(unit, said, f"{how} the state {said.removeprefix('is_')}")
 
         def see(state: int) -> None:
             # A transition that failed leads back to where it began, which is no news.

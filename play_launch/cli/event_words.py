@@ -51,6 +51,11 @@ def _words(event: Mapping[str, Any]) -> tuple[str, str]:
             who = f"user {event['uid']}, pid {event['pid']}: {event['command']}"
             text = _because(f"{event['action']} {names} {event['phase']}", event["reason"])
             return OWN_NAME, f"{text} ({who})" if event["phase"] == "requested" else text
+        case "managed" if event["state"] == "failed":
+            return event["node"], f"autostart failed: {event['reason']}"
+        case "managed":
+            is_known = event["state"] not in {"absent", "asked"}
+            return event["node"], f"is {event['state']}" if is_known else "lifecycle state unknown"
         case "graph":
             came = [f"+ {name}" for name in event["appeared"]]
             went = [f"- {name}" for name in event["vanished"]]

@@ -65,7 +65,8 @@ def main(arguments: Sequence[str]) -> int:
         _report(str(error))
         return _FAILED_AS.get(options.verb, FAILED)
     except ControlError as error:
-        _report(str(error))
+        for message in _messages(error):
+            _report(message)
         return _EXIT_CODES.get(error.code, _FAILED_AS.get(options.verb, FAILED))
     except BrokenPipeError:
         # The reader has seen enough (`| head`).
@@ -141,6 +142,15 @@ def add_names(parser: ArgumentParser, what: str, *, optional: bool = False) -> N
         help=f"{what}: full names, patterns such as '/sensing/*', or the last part where only one "
         "has it",
     )
+
+
+def _messages(error: ControlError) -> list[str]:
+    """Say what failed, a line for each of several."""
+    results = error.details.get("results")
+    if error.code != Code.FAILED or not isinstance(results, list):
+        return [str(error)]
+    failed = [f"{each['name']}: {each['reason']}" for each in results if not each["done"]]
+    return failed or [str(error)]
 
 
 def _report(message: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from typing import TYPE_CHECKING, Any, Final
 
@@ -18,6 +19,11 @@ if TYPE_CHECKING:
 _TITLES: Final = ("NAME", "KIND", "STATE", "PID", "UPTIME", "RESTARTS", "CPU", "MEMORY")
 _LEFT: Final = 3
 """Columns of words; those of numbers are flush right."""
+_SAID: Final = {"absent": "", "asked": "its lifecycle state is not known yet"}
+"""States of managed nodes; the others are those of ROS."""
+_GAP: Final = "  "
+_LEAST: Final = 20
+"""Characters of details, also where the terminal is too narrow for them."""
 
 
 def add_arguments(parser: ArgumentParser, verb: str) -> None:  # noqa: ARG001 - as for all verbs
@@ -31,15 +37,39 @@ def run(client: ControlClient, options: Namespace) -> int:
     if options.json:
         sys.stdout.write(f"{json.dumps(rows)}\n")
     else:
-        sys.stdout.write(table(rows))
+        width = os.get_terminal_size(1).columns if sys.stdout.isatty() else None
+        sys.stdout.write(table(rows, width))
     return OK
 
 
-def table(rows: list[dict[str, Any]]) -> str:
-    """Lay rows out for people; nodes stand below their container."""
+def table(rows: list[dict[str, Any]], width: int | None = None) -> str:
+    """Lay rows out for people; nodes stand below their container.
+
+    Details, where there are any, come last and are cut where a terminal of that width ends.
+    """
     cells = [_TITLES, *(_cells(row) for row in rows)]
+    details = [_details(row) for row in rows]
+    details = ["DETAILS" if any(details) else "", *details]
     widths = [max(len(line[column]) for line in cells) for column in range(len(_TITLES))]
-    return "".join(f"{_line(line, widths)}\n" for line in cells)
+    room = None if width is None else max(width - sum(widths) - len(_GAP) * len(widths), _LEAST)
+    return "".join(
+        f"{_line(line, widths)}{_GAP}{_cut(last, room)}".rstrip() + "\n"
+        for line, last in zip(cells, details, strict=True)
+    )
+
+
+def _details(row: dict[str, Any]) -> str:
+    """Say why it is as it is, and how far it was brought as a managed node."""
+    found = []
+    if managed := row.get("managed"):  # an older session sends none
+        state, reason = managed["state"], managed["reason"]
+        said = f"autostart failed: {reason}" if reason else _SAID.get(state, state)
+        found = [said] if said else []
+    return printable("; ".join([*found, *filter(None, [row["reason"]])]), colour=False)
+
+
+def _cut(text: str, room: int | None) -> str:
+    return text if room is None or len(text) <= room else f"{text[: room - 3]}..."
 
 
 def _cells(row: dict[str, Any]) -> tuple[str, ...]:
@@ -62,4 +92,4 @@ def _line(cells: tuple[str, ...], widths: list[int]) -> str:
         cell.ljust(width) if column < _LEFT else cell.rjust(width)
         for column, (cell, width) in enumerate(zip(cells, widths, strict=True))
     ]
-    return "  ".join(laid).rstrip()
+    return _GAP.join(laid)

@@ -72,10 +72,10 @@ def rows_of(
     """
     rows: list[dict[str, Any]] = []
     for container in view.containers.values():
-        rows += _of_container(container, samples, clock)
+        rows += _of_container(container, view, samples, clock)
     # Those that were never started yet are in no event.
     names = dict.fromkeys([*processes, *view.processes])
-    rows += [_of_process(name, view.processes.get(name), samples, clock) for name in names]
+    rows += [_of_process(name, view, samples, clock) for name in names]
     return rows
 
 
@@ -92,7 +92,7 @@ def add_groups(rows: Iterable[dict[str, Any]]) -> None:
 
 
 def _of_container(
-    container: ContainerView, samples: Samples, clock: Clock
+    container: ContainerView, view: SystemView, samples: Samples, clock: Clock
 ) -> Iterator[dict[str, Any]]:
     process = container.process
     yield {
@@ -101,16 +101,17 @@ def _of_container(
         "container": None,
         "state": container.state.value,
         "reason": container.reason,
+        "managed": None,
         **_of_life(process, clock),
         "crashes": container.crashes,
         **_usage(samples.get((SubjectKind.CONTAINER, container.name)), process.pid, clock),
     }
     for node in container.nodes.values():
-        yield _of_node(node, container, samples, clock)
+        yield _of_node(node, container, view, samples, clock)
 
 
 def _of_node(
-    node: NodeView, container: ContainerView, samples: Samples, clock: Clock
+    node: NodeView, container: ContainerView, view: SystemView, samples: Samples, clock: Clock
 ) -> dict[str, Any]:
     is_loaded = node.state is NodeState.LOADED
     is_there = is_loaded or node.state in {NodeState.LOADING, NodeState.UNLOADING}
@@ -122,6 +123,7 @@ def _of_node(
         "container": node.container,
         "state": node.state.value,
         "reason": node.reason,
+        "managed": _managed(view, str(node.key)),
         "pid": pid or None,
         "restarts": node.reloads,
         "uptime_s": round(clock.since(node.since_ns), 3) if is_loaded else None,
@@ -135,15 +137,15 @@ def _of_node(
     }
 
 
-def _of_process(
-    name: str, process: ProcessView | None, samples: Samples, clock: Clock
-) -> dict[str, Any]:
+def _of_process(name: str, view: SystemView, samples: Samples, clock: Clock) -> dict[str, Any]:
+    process = view.processes.get(name)
     row: dict[str, Any] = {"name": name, "kind": PROCESS, "container": None}
     if process is None:
         return {
             **row,
             "state": "pending",
             "reason": "",
+            "managed": None,
             "pid": None,
             "restarts": 0,
             "uptime_s": None,
@@ -156,10 +158,16 @@ def _of_process(
         **row,
         "state": _STATE_OF_PROCESS[process.kind],
         "reason": process.message,
+        "managed": _managed(view, name),
         **_of_life(process, clock),
         "crashes": 0,
         **_usage(samples.get((SubjectKind.PROCESS, name)), process.pid, clock),
     }
+
+
+def _managed(view: SystemView, unit: str) -> dict[str, str] | None:
+    found = view.managed.get(unit)
+    return None if found is None else {"state": found.state.value, "reason": found.reason}
 
 
 def _of_life(process: ProcessView, clock: Clock) -> dict[str, Any]:

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 Target = NodeKey | str
 """A composable node, or the full name of a container or ordinary process."""
 _MOST_LISTED: Final = 10
+_WILD: Final = frozenset("*?[")
 
 
 def members_of(view: SystemView, processes: Iterable[str]) -> list[Target]:
@@ -87,6 +88,8 @@ def _matching(word: str, candidates: Sequence[Target]) -> list[Target]:
 
 
 def _proposal(word: str, candidates: Sequence[Target]) -> str:
+    if _matching(full := f"*/{word}", candidates) and set(word) & _WILD:
+        return f"; patterns are over full names: '{full}'"
     from difflib import get_close_matches  # noqa: PLC0415 - for mistakes only
 
     names = [full_name(each) for each in candidates]

@@ -25,11 +25,15 @@ WAY = [State.ASKED, State.CONFIGURING, State.ACTIVATING, State.ACTIVE]
 
 
 class FakeNode:
-    """Goes where it is told; `refuses` a transition, or takes `takes` seconds for each."""
+    """Goes where it is told; `refuses` a transition, `raises` in one, or takes its time for each.
+
+    `takes` is in seconds.
+    """
 
     def __init__(self, on_state: Callable[[int], None]) -> None:
         self.on_state = on_state
         self.refuses = 0
+        self.raises = 0
         self.takes = 0.0
         self.is_heard = True
         self.is_open = True
@@ -44,6 +48,10 @@ class FakeNode:
 
     async def change(self, transition: int) -> bool:
         await asyncio.sleep(self.takes)
+        if transition == self.raises:
+            self.at = 1
+            self.on_state(self.at)
+            return False
         if transition == self.refuses:
             return False
         self.at = {1: 2, 3: 3}[transition]
@@ -116,6 +124,7 @@ def test_configure_goes_so_far_and_no_further() -> None:
         ({"refuses": 3}, "its transition activate failed"),
         ({"refuses": 1}, "its transition configure failed"),
         ({"takes": 9.0}, "its transition configure took longer than 5 s"),
+        ({"raises": 3}, "its transition activate led to the state unconfigured"),
         ({"is_silent": True}, "its lifecycle services did not answer within 5 s"),
         (
             {"is_silent": True, "is_offered": False},

@@ -57,6 +57,8 @@ def test_each_is_found_once_in_the_order_of_declaration() -> None:
         ("/talker", Code.AMBIGUOUS_NAME, "/sensing/box:/talker"),
         ("/litsener", Code.UNKNOWN_NAME, "did you mean /listener?"),
         ("litsener", Code.UNKNOWN_NAME, "did you mean /listener?"),
+        ("cam*", Code.UNKNOWN_NAME, "patterns are over full names: '*/cam*'"),
+        ("chat:*", Code.UNKNOWN_NAME, "'*/chat:*'"),
         ("/nothing/*", Code.UNKNOWN_NAME, "ps lists"),
         ("/monitor", Code.BAD_ARGUMENTS, "/monitor is no node"),
         ("", Code.UNKNOWN_NAME, "called"),
