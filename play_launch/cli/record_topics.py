@@ -7,7 +7,7 @@ import contextlib
 import logging
 from typing import TYPE_CHECKING, Final
 
-from play_launch.core.events import ContainerState
+from play_launch.core.settled import is_up
 
 if TYPE_CHECKING:
     from play_launch.actors.publisher import Publisher
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 LATEST_START: Final = 3.0
 """Seconds after which it begins even though nodes are still being loaded."""
 _LOOK: Final = 0.1
-_NOT_UP: Final = frozenset({ContainerState.STOPPED, ContainerState.STARTING})
 _log = logging.getLogger(__name__)
 
 
@@ -50,11 +49,6 @@ async def record_topics(
         await topic_session.record_topics(config, requests, snapshots, on_begin=see_failures)
     except Exception:  # noqa: BLE001 - the run must go on whatever fails here
         _log.exception("topics of ROS are not recorded")
-
-
-def is_up(view: SystemView) -> bool:
-    """Whether all containers were started and all loads are done, well or not."""
-    return not view.waiting and all(each.state not in _NOT_UP for each in view.containers.values())
 
 
 class _UntilStop:

@@ -9,13 +9,13 @@ import json
 import math
 import os
 import sys
-import time
 from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
 from play_launch.cli.find_mistakes import describe
 from play_launch.cli.library_output import library_output_logged
+from play_launch.cli.running_ahead import run_ahead_of
 from play_launch.cli.show.display import Display, Style
 from play_launch.cli.show.json_style import JsonStyle, encode
 from play_launch.cli.show.terminal import is_terminal, surviving_the_loss_of_stdout, wants_colour
@@ -26,7 +26,7 @@ from play_launch.control.feed import Feed
 from play_launch.core.events import GroupSample, OutputLine
 from play_launch.core.group_totals import GroupTotals
 from play_launch.process import open_files
-from play_launch.process.time_slice import ask_for_short_turns, run_ahead, run_along
+from play_launch.process.time_slice import ask_for_short_turns, run_ahead
 from play_launch.recording.log_handler import log_published
 from play_launch.recording.resolved_form import resolved_form
 from play_launch.recording.session import Session, SessionDescription, open_session
@@ -47,13 +47,8 @@ if TYPE_CHECKING:
     from play_launch.recording.recorder import Recorder, RecordingSummary
     from play_launch.systemd.notification import ServiceManager
 
-_AHEAD: Final = 30.0
-"""Seconds in which what starts may want more processors than there are."""
-_NEW_THREADS: Final = 1.0
-"""Seconds from one look for threads of our own to the next."""
 _HEAD_START: Final = 1.0
 """Seconds in which the system has the machine for its start."""
-
 
 _BEFORE_TOPICS: Final = 0.1
 """Seconds before the first look whether the start is over, and topics are to be recorded."""
@@ -173,7 +168,7 @@ async def _until_the_end(
         publisher = Publisher(sink)
         async with (
             # To the very end: the watchdog is to be fed while the others come to theirs.
-            _beside(_run_ahead(stop)),
+            _beside(run_ahead_of(publisher, stop)),
             _beside(_report(options.manager, publisher, stop, system, operable)),
             _beside(_sample(config, publisher, folder)),
             _beside(_look_after_sessions(config, publisher, folder.parent)),
@@ -205,17 +200,6 @@ async def _beside(work: Coroutine[None, None, None]) -> AsyncIterator[None]:
     finally:
         task.cancel()
         await asyncio.gather(task, return_exceptions=True)
-
-
-async def _run_ahead(stop: StopRequests) -> None:
-    """Run before what starts, and before what ends, so that both are seen when they happen."""
-    began = time.monotonic()
-    while run_ahead() and time.monotonic() - began < _AHEAD and not stop.requested.is_set():
-        with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for(stop.requested.wait(), _NEW_THREADS)
-    run_along()
-    await stop.requested.wait()
-    run_ahead()
 
 
 async def _report(

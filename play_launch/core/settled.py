@@ -15,7 +15,13 @@ if TYPE_CHECKING:
     from play_launch.core.view import ContainerView, NodeView, SystemView
 
 _NOT_RUNNING = frozenset({ContainerState.STOPPED, ContainerState.GAVE_UP})
+_NOT_UP = frozenset({ContainerState.STOPPED, ContainerState.STARTING})
 _NOT_LOADED = FAILED_STATES | {NodeState.UNLOADED}
+
+
+def is_up(view: SystemView) -> bool:
+    """Whether all containers were started and all loads are done, well or not."""
+    return not view.waiting and all(each.state not in _NOT_UP for each in view.containers.values())
 
 
 def absent(view: SystemView) -> dict[str, str]:
