@@ -69,6 +69,7 @@ LOOKUP = Lookup(VARIABLES.get, ARGUMENTS.get, share)
         ("$$(find-pkg-share demo)", "$(find-pkg-share demo)"),
         ("$$${env:HOME}", "$${env:HOME}"),
         # For a shell.
+        ("$(pkg-config --libs x) $(find_all x)", "$(pkg-config --libs x) $(find_all x)"),
         ("${HOME} $(date) $$ $1 ${X:-y} ${X:0:3} $", "${HOME} $(date) $$ $1 ${X:-y} ${X:0:3} $"),
         ("$(seq 3) $(command -v sh) ${#X}", "$(seq 3) $(command -v sh) ${#X}"),
     ],
@@ -90,6 +91,8 @@ def test_what_it_stands_for(text: str, result: str) -> None:
         ("${arg:none:-x", "not closed"),
         ("$(var side)", "write ${arg:NAME} here"),
         ("$(find-pkg-prefix demo)", "find-pkg-share"),
+        ("$(find-pkg-shar demo)", "write $(find-pkg-share package)"),
+        ("$(find_pkg_share demo)", "write $(find-pkg-share package)"),
         ("$(find-pkg-share)", "expected $(find-pkg-share package)"),
         ("$(find-pkg-share nowhere)", "no package nowhere"),
         ("$(find-pkg-share de/mo)", "expected"),

@@ -84,7 +84,8 @@ class Question(ModalScreen[bool]):
 
     DEFAULT_CSS = """
     Question { align: center middle; background: transparent; }
-    Question > Vertical { width: 60; max-width: 90%; height: auto; border: ascii; padding: 0 1; }
+    Question > Vertical { width: 60; max-width: 90%; height: auto; border: ascii ansi_default;
+                          padding: 0 1; }
     """
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("y", "answer(True)", "yes"),
@@ -112,8 +113,8 @@ class Help(ModalScreen[None]):
 
     DEFAULT_CSS = """
     Help { align: center middle; background: transparent; }
-    Help > Vertical { width: 76; max-width: 100%; height: auto; max-height: 100%; border: ascii;
-                      padding: 0 1; }
+    Help > Vertical { width: 76; max-width: 100%; height: auto; max-height: 100%;
+                      border: ascii ansi_default; padding: 0 1; }
     """
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("escape,q,question_mark,enter,space,ctrl+c", "close", "close")

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 DEEPEST_DEFAULT: Final = 10
 """Substitutions inside the default of one another."""
 _BEGIN: Final = re.compile(
-    r"\$\$(?=[{(])|\$\{(?P<kind>[a-z]+):(?=[A-Za-z_])|\$\((?P<word>[a-z-]+)(?P<space>\s+|(?=\)))"
+    r"\$\$(?=[{(])|\$\{(?P<kind>[a-z]+):(?=[A-Za-z_])|\$\((?P<word>[a-z_-]+)(?P<space>\s+|(?=\)))"
 )
 _BRACE: Final = re.compile(r"[{}]")
 _NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]*", re.ASCII)
@@ -130,6 +130,8 @@ def _parentheses(text: str, found: re.Match[str], lookup: Lookup, needed: bool) 
                 f"$({word} …) is for launch files; write {_OF_LAUNCH_FILES[word]} here, or $$( for "
                 "the characters $( themselves"
             )
+        if word.startswith("find") and "pkg" in word and found["space"]:
+            raise SubstitutionError(f"$({word} …) is no substitution; write $({_SHARE} package)")
         # A command for a shell.
         return text[found.start() : found.end()], found.end()
     package = _PACKAGE.match(text, found.end())

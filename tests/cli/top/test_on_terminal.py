@@ -155,6 +155,11 @@ def test_without_colours_nothing_is_lost(robot: Replay, environment: dict[str, s
     with top_of(robot, **environment) as terminal:
         terminal.until_seen("/sleeper")
         until(lambda: terminal.look(2, 0).reverse, "the selected row")
+        for opens, closes, text in (("x", "n", "y yes"), ("?", "?", "leave; the session")):
+            terminal.press(opens)
+            terminal.until_seen(text)
+            terminal.press(closes)
+            terminal.until_gone(text)
         assert not COLOURS.search(terminal.raw)
         terminal.press("q")
         assert terminal.end() == 0
