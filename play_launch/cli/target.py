@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 from msgspec import Struct
 
 from play_launch.cli.failure import fail
+from play_launch.cli.find_mistakes import counted
 from play_launch.cli.show.terminal import printable, say
 
 if TYPE_CHECKING:
@@ -114,8 +115,9 @@ def report_losses(written: Written) -> None:
 def sizes(written: Written) -> str:
     """Say how much was written."""
     return (
-        f"{written.containers} containers with {written.composable_nodes} nodes, "
-        f"{written.processes} processes; {written.lost} not carried over"
+        f"{counted(written.containers, 'container')} with "
+        f"{counted(written.composable_nodes, 'node')}, {counted(written.processes, 'process')}; "
+        f"{written.lost} not carried over"
     )
 
 

@@ -39,7 +39,7 @@ def robot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_dump_writes_what_replay_brings_up(robot: Path, tmp_path: Path) -> None:
     target = tmp_path / "robot.yaml"
     done = run("dump", robot, "rate:=25.0", "-o", target, "--strict")
-    assert "1 containers with 2 nodes, 2 processes; 0 not carried over" in done.stderr
+    assert "1 container with 2 nodes, 2 processes; 0 not carried over" in done.stderr
     first = target.read_text(encoding="utf-8")
     run("dump", robot, "rate:=25.0", "-o", target)
     assert target.read_text(encoding="utf-8") == first

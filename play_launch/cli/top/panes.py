@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, ClassVar, Final
 from rich.segment import Segment
 from rich.style import Style
 from textual.binding import Binding, BindingType
-from textual.containers import Vertical
+from textual.containers import Vertical, VerticalScroll
 from textual.screen import ModalScreen
 from textual.strip import Strip
 from textual.widget import Widget
@@ -113,8 +113,8 @@ class Help(ModalScreen[None]):
 
     DEFAULT_CSS = """
     Help { align: center middle; background: transparent; }
-    Help > Vertical { width: 76; max-width: 100%; height: auto; max-height: 100%;
-                      border: ascii ansi_default; padding: 0 1; }
+    Help > VerticalScroll { width: 76; max-width: 100%; height: auto; max-height: 100%;
+                            border: ascii ansi_default; padding: 0 1; scrollbar-size: 0 0; }
     """
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("escape,q,question_mark,enter,space,ctrl+c", "close", "close")
@@ -122,7 +122,8 @@ class Help(ModalScreen[None]):
 
     def compose(self) -> ComposeResult:
         """Show the table of keys."""
-        with Vertical():
+        with VerticalScroll() as frame:
+            frame.border_subtitle = "Up Down scroll   Esc close"
             for key, does in KEYS:
                 yield Static(f"{key:<13} {does}", markup=False)
 
