@@ -34,6 +34,9 @@ def bring_up_launch_file(
     dry_run: bool = False,
     strict: bool = False,
     show_args: bool = False,
+    launch_prefix: str = "",
+    launch_prefix_filter: str = "",
+    show_all: bool = False,
     timeout: str = USUAL_LIMIT,
     log_dir: Path | None = None,
     duration: str | None = None,
@@ -43,7 +46,9 @@ def bring_up_launch_file(
     """Evaluate a launch file, bring up what it describes, and return the exit code."""
     # What the launch file starts while it is evaluated is no service either.
     manager = claim(os.environ)
-    found = target_of(target)
+    found = target_of(
+        target, launch_prefix=launch_prefix, launch_prefix_filter=launch_prefix_filter
+    )
     description = evaluated(found, timeout, only_arguments=show_args)
     if show_args:
         say_arguments(description.arguments)
@@ -54,7 +59,9 @@ def bring_up_launch_file(
 
     with tempfile.TemporaryDirectory(prefix="play-launch-") as name:
         folder = Path(name)
-        chosen = Options(containers=container_type, folder=folder, files=folder / "files")
+        chosen = Options(
+            containers=container_type, show_all=show_all, folder=folder, files=folder / "files"
+        )
         made = written(
             description, chosen, f"From {shlex.join(found.words)}, by play-launch launch."
         )

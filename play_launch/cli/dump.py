@@ -24,6 +24,9 @@ def dump(  # noqa: PLR0917 - typer calls it by keywords
     ] = False,
     strict: options.Strict = False,
     show_args: options.ShowArgs = False,
+    launch_prefix: options.LaunchPrefix = "",
+    launch_prefix_filter: options.LaunchPrefixFilter = "",
+    show_all: options.ShowAllOutput = False,
     timeout: options.EvaluationTimeout = USUAL_LIMIT,
     as_json: options.ConfigurationAsJson = False,
 ) -> None:
@@ -42,6 +45,9 @@ def dump(  # noqa: PLR0917 - typer calls it by keywords
             inline=inline,
             strict=strict,
             show_args=show_args,
+            launch_prefix=launch_prefix,
+            launch_prefix_filter=launch_prefix_filter,
+            show_all=show_all,
             timeout=timeout,
             as_json=as_json,
         )

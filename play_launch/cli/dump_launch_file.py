@@ -6,6 +6,8 @@ import json
 import shlex
 from typing import TYPE_CHECKING
 
+from msgspec.structs import replace
+
 from play_launch.cli.show.terminal import say
 from play_launch.cli.target import (
     USUAL_LIMIT,
@@ -33,6 +35,9 @@ def dump_launch_file(
     inline: bool = False,
     strict: bool = False,
     show_args: bool = False,
+    launch_prefix: str = "",
+    launch_prefix_filter: str = "",
+    show_all: bool = False,
     timeout: str = USUAL_LIMIT,
     as_json: bool = False,
 ) -> int:
@@ -40,7 +45,9 @@ def dump_launch_file(
     from play_launch.cli.hand_over import hand_over  # noqa: PLC0415 - after --show-args
     from play_launch.launch_files.configuration.write import written  # noqa: PLC0415
 
-    found = target_of(target)
+    found = target_of(
+        target, launch_prefix=launch_prefix, launch_prefix_filter=launch_prefix_filter
+    )
     description = evaluated(found, timeout, only_arguments=show_args)
     arguments = argument_values(description.arguments)
     if show_args:
@@ -51,7 +58,8 @@ def dump_launch_file(
         return ExitCode.OK
     for name in unread(found, description):
         complain(f"note: no launch file declares the argument {name}")
-    made = written(description, _options(output, container_type, inline=inline), _heading(found))
+    chosen = Options(containers=container_type, show_all=show_all, inline=inline)
+    made = written(description, _placed(chosen, output), _heading(found))
     more = {"arguments": arguments, "files": description.files}
     return hand_over(made, output, strict=strict, as_json=as_json, more=more)
 
@@ -60,10 +68,9 @@ def _heading(target: Target) -> str:
     return f"From {shlex.join(target.words)}, by play-launch dump."
 
 
-def _options(output: Path | None, container_type: Containers, *, inline: bool) -> Options:
+def _placed(options: Options, output: Path | None) -> Options:
     if output is None or (output.exists() and not output.is_file()):
         # Nothing can stand beside what goes to stdout, or to a device.
-        return Options(containers=container_type, inline=inline)
+        return options
     folder = output.absolute().parent
-    files = folder / f"{output.stem or output.name}.files"
-    return Options(containers=container_type, inline=inline, folder=folder, files=files)
+    return replace(options, folder=folder, files=folder / f"{output.stem or output.name}.files")

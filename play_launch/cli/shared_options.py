@@ -83,6 +83,32 @@ ContainerType: TypeAlias = Annotated[
 ShowArgs: TypeAlias = Annotated[
     bool, typer.Option("--show-args", "-s", help="Print which arguments it takes.")
 ]
+LaunchPrefix: TypeAlias = Annotated[
+    str,
+    typer.Option(
+        "--launch-prefix",
+        metavar="COMMAND",
+        help='Put a command before those of all processes, such as "gdb -ex run --args".',
+        show_default=False,
+    ),
+]
+LaunchPrefixFilter: TypeAlias = Annotated[
+    str,
+    typer.Option(
+        "--launch-prefix-filter",
+        metavar="REGEX",
+        help="Of --launch-prefix: only for programs whose names begin with this.",
+        show_default=False,
+    ),
+]
+ShowAllOutput: TypeAlias = Annotated[
+    bool,
+    typer.Option(
+        "--show-all-subprocesses-output",
+        "-a",
+        help="Show what all processes print, also those whose output the launch file only logs.",
+    ),
+]
 EvaluationTimeout: TypeAlias = Annotated[
     str,
     typer.Option(

@@ -34,6 +34,10 @@ _OF_LAUNCH_FILES: Mapping[str, tuple[str, Callable[[str], Any] | None]] = {
     "--show-args": ("show_args", None),
     "-s": ("show_args", None),
     "--timeout": ("timeout", str),
+    "--launch-prefix": ("launch_prefix", str),
+    "--launch-prefix-filter": ("launch_prefix_filter", str),
+    "--show-all-subprocesses-output": ("show_all", None),
+    "-a": ("show_all", None),
     "--json": ("as_json", None),
 }
 _OPTIONS: Mapping[str, Mapping[str, tuple[str, Callable[[str], Any] | None]]] = {

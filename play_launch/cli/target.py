@@ -21,6 +21,16 @@ if TYPE_CHECKING:
 
 USUAL_LIMIT: Final = "2min"
 """How long an evaluation may take; Autoware's largest takes a few seconds."""
+_OF_LAUNCH: Final = frozenset(
+    {
+        "emulate_tty",
+        "launch-prefix",
+        "launch-prefix-filter",
+        "sigkill_timeout",
+        "sigterm_timeout",
+    }
+)
+"""Arguments that hold for all processes; no launch file declares them."""
 
 
 class Target(Struct, frozen=True):
@@ -36,9 +46,10 @@ class Target(Struct, frozen=True):
         return self.path.name.partition(".")[0] or "launch"
 
 
-def target_of(words: Sequence[str]) -> Target:
+def target_of(
+    words: Sequence[str], *, launch_prefix: str = "", launch_prefix_filter: str = ""
+) -> Target:
     """Return what a command line names; mistakes end the process."""
-    from play_launch.config.sources.surroundings import parse_arguments  # noqa: PLC0415
     from play_launch.launch_files.find import find  # noqa: PLC0415 - not for other verbs
     from play_launch.launch_files.records import LaunchFileError  # noqa: PLC0415
 
@@ -46,10 +57,28 @@ def target_of(words: Sequence[str]) -> Target:
     if len(named) not in (1, 2) or list(words[: len(named)]) != named:
         fail("give a launch file, or a package and a launch file, then name:=value")
     try:
-        given = parse_arguments(words[len(named) :])
+        given = _arguments(words[len(named) :])
+        # As `ros2 launch` hands them on.
+        if launch_prefix:
+            given["launch-prefix"] = launch_prefix
+        if launch_prefix_filter:
+            given["launch-prefix-filter"] = launch_prefix_filter
         return Target(find(named), given, tuple(words))
     except (ValueError, LaunchFileError) as error:
         fail(str(error))
+
+
+def _arguments(texts: Sequence[str]) -> dict[str, str]:
+    """Read `name:=value`; any name will do, as in launch. Raises ValueError."""
+    found: dict[str, str] = {}
+    for text in texts:
+        name, _, value = text.partition(":=")
+        if not name or ":=" not in text:
+            raise ValueError(f"'{text}' is not an argument; write name:=value")
+        if name in found:
+            raise ValueError(f"the argument {name} is given twice")
+        found[name] = value
+    return found
 
 
 def evaluated(target: Target, timeout: str, *, only_arguments: bool = False) -> Description:
@@ -73,7 +102,7 @@ def evaluated(target: Target, timeout: str, *, only_arguments: bool = False) -> 
 
 def unread(target: Target, description: Description) -> list[str]:
     """Return the given arguments that no file declares; launch takes them without a word."""
-    declared = {each.name for each in description.arguments}
+    declared = {*_OF_LAUNCH, *(each.name for each in description.arguments)}
     return [name for name in target.arguments if name not in declared]
 
 

@@ -34,6 +34,8 @@ OPTIONS = [
     "-n",
     "-o",
     "--timeout",
+    "--launch-prefix",
+    "-a",
 ]
 VALUES = [
     "a.yaml",

@@ -100,6 +100,25 @@ def test_a_dry_run_starts_nothing(robot: Path) -> None:
     assert "sleep 100" in shown
 
 
+def test_a_prefix_for_programs_and_the_output_of_all(robot: Path) -> None:
+    """As with `ros2 launch`, by its options and by the argument that they stand for."""
+    text = robot.read_text(encoding="utf-8").replace('name="tiny"', 'name="tiny" output="log"')
+    robot.write_text(text, encoding="utf-8")
+    plain = run("dump", robot).stdout
+    assert "output: log" in plain
+    assert "prefix: " not in plain
+    by_options = run(
+        "dump", robot, "-a", "--launch-prefix", "nice -n 3", "--launch-prefix-filter=ti"
+    )
+    assert "output: log" not in by_options.stdout
+    assert by_options.stdout.count('prefix: "nice -n 3"\n') == 1
+    assert "no launch file declares" not in by_options.stderr
+    words = ("launch-prefix:=nice -n 3", "launch-prefix-filter:=ti")
+    by_arguments = run("dump", robot, "-a", *words).stdout
+    assert by_arguments.splitlines()[1:] == by_options.stdout.splitlines()[1:]
+    assert "nice -n 3" in run("launch", robot, "-n", "--launch-prefix", "nice -n 3").stdout
+
+
 def test_an_evaluation_is_no_service(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What a launch file runs does not speak to the manager of services in the name of it."""
     monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))

@@ -279,6 +279,13 @@ def test_arguments_of_a_container_for_ros(tmp_path: Path) -> None:
     assert "__ns:=/x: a name that its arguments give" in name + arguments
 
 
+def test_many_nodes_of_one_name_are_one_loss(tmp_path: Path) -> None:
+    made = write(*(node(name="same") for _ in range(2000)), node(name="other"))
+    assert len(load(made, tmp_path).nodes) == 2
+    (only,) = lost(made)
+    assert "a second node is called /a/same; it is left out, and so are 1998 more" in only
+
+
 def test_what_all_have_in_common_is_written_once(tmp_path: Path) -> None:
     both = [("A", "1"), ("B", "$(x)")]
     made = write(

@@ -183,7 +183,7 @@ class Members:
         if arguments := [*self._without_names(unit, unit.ros_arguments), *extra]:
             entry["ros_arguments"] = arguments
         self._add_level(entry, unit)
-        if unit.output in _INTO_FILES:
+        if unit.output in _INTO_FILES and not self._options.show_all:
             entry["output"] = "log"
 
     def _add_level(self, entry: dict[str, Any], unit: Unit) -> None:

@@ -22,12 +22,14 @@ class Containers(StrEnum):
 class Options(Struct, frozen=True, kw_only=True):
     """How a configuration is written.
 
-    With `inline`, parameter files are copied into the configuration instead of referenced. `folder`
-    is where the configuration will stand; paths below it are written relative to it. `files` is a
-    folder for temporary files and long texts; None: there are to be no files besides.
+    With `show_all`, the output of all processes is shown. With `inline`, parameter files are copied
+    into the configuration instead of referenced. `folder` is where the configuration will stand;
+    paths below it are written relative to it. `files` is a folder for temporary files and long
+    texts; None: there are to be no files besides.
     """
 
     containers: Containers = Containers.SAME
+    show_all: bool = False
     inline: bool = False
     folder: Path = field(default_factory=Path.cwd)
     files: Path | None = None

@@ -140,11 +140,16 @@ def _once(units: list[Unit], losses: Losses) -> list[Unit]:
     """Leave out nodes whose full name another one has: both would misbehave."""
     seen: set[str] = set()
     left = []
+    others: dict[str, list[Unit]] = {}
     for unit in units:
         if unit.full_name and unit.full_name in seen:
-            what = f"a second node is called {unit.full_name}; it is left out"
-            losses.lost(unit.described, what)
+            others.setdefault(unit.full_name, []).append(unit)
         else:
             left.append(unit)
             seen.add(unit.full_name)
+    for name, alike in others.items():
+        what = f"a second node is called {name}; it is left out"
+        if len(alike) > 1:
+            what += f", and so are {len(alike) - 1} more of that name"
+        losses.lost(alike[0].described, what)
     return left

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING, Any, Final
 
+from play_launch.launch_files.log_folder import log_folder
 from play_launch.launch_files.markup import programs
 from play_launch.launch_files.markup.context import Deferred
 from play_launch.launch_files.markup.entity import read_entity
@@ -248,7 +249,7 @@ def _set_remap(entity: Entity, context: Context) -> None:
 
 def _set_log_dir(entity: Entity, context: Context) -> None:
     folder = context.text(entity.attributes["new_log_dir"])
-    present = context.text("$(log_dir)")
+    present = log_folder(context.environment)
     context.environment["ROS_LOG_DIR"] = os.path.join(present, folder)  # noqa: PTH118 - as launch_ros
 
 

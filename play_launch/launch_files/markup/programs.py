@@ -10,6 +10,7 @@ from play_launch.config.model import FOR_ALL
 from play_launch.launch_files.markup import given_parameters
 from play_launch.launch_files.markup.command_line import split, words_of
 from play_launch.launch_files.markup.namespaces import joined
+from play_launch.launch_files.markup.substitutions import executable_in_package
 from play_launch.launch_files.markup.trouble import Trouble
 from play_launch.launch_files.markup.typing_rules import coerced, condition, truth
 from play_launch.launch_files.parameters import evaluate_sources
@@ -125,6 +126,9 @@ def _node(entity: Entity, kind: ProgramKind, context: Context) -> Process:
         names = [("__node", process.name), ("__ns", process.namespace)]
         words = [word for name, value in names if value for word in ("-r", f"{name}:={value}")]
         process.command += ["--ros-args", *words, "--"] if words else []
+    if process.package and process.package != "rclcpp_components":
+        # Containers of ours take the places of those.
+        executable_in_package(context, [program, process.package])
     return process
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from play_launch.core.ament_index import ament_prefixes
+from play_launch.launch_files.log_folder import log_folder
 from play_launch.launch_files.markup import expression
 from play_launch.launch_files.markup.run_command import run_command
 from play_launch.launch_files.markup.trouble import Trouble
@@ -87,7 +88,8 @@ def _prefix(context: Context, arguments: list[str]) -> str:
     return str(Path(_share(context, arguments)).parent.parent)
 
 
-def _executable(context: Context, arguments: list[str]) -> str:
+def executable_in_package(context: Context, arguments: list[str]) -> str:
+    """Return the path of an executable of a package, which are given in this order."""
     program, package = arguments
     folder = Path(_prefix(context, [package])) / "lib" / package
     found = shutil.which(program, path=str(folder))
@@ -139,8 +141,8 @@ def _parameter(context: Context, arguments: list[str]) -> str:
 
 
 def _log_dir(context: Context, _: list[str]) -> str:
-    home = context.environment.get("ROS_HOME") or str(Path("~/.ros").expanduser())
-    return context.environment.get("ROS_LOG_DIR") or f"{home}/log"
+    # Whatever the launch file has set since then.
+    return log_folder(context.initial_environment)
 
 
 def _equal(one: str, other: str) -> bool:
@@ -168,7 +170,7 @@ _FUNCTIONS: Final[dict[str, tuple[Function, int, int]]] = {
     "env": (_env, 1, 2),
     "find-pkg-share": (_share, 1, 1),
     "find-pkg-prefix": (_prefix, 1, 1),
-    "exec-in-pkg": (_executable, 2, 2),
+    "exec-in-pkg": (executable_in_package, 2, 2),
     "find-exec": (_on_path, 1, 1),
     "file-content": (_file_content, 1, 1),
     "command": (run_command, 1, 2),

@@ -14,6 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from play_launch.launch_files.log_folder import log_folder
 from play_launch.launch_files.records import Description, Failure
 from play_launch.launch_files.ros_launch.places import Places
 from play_launch.launch_files.ros_launch.reasons import reason_of, trail
@@ -92,6 +93,8 @@ class HeldErrors(logging.Filter):
         super().__init__()
         self._handler: logging.Handler | None = None
         self._records: list[logging.LogRecord] = []
+        self.warned: Callable[[str], None] | None = None
+        """Who takes the warnings of launch_ros, which name no place."""
 
     def install(self, handler: logging.Handler) -> None:
         """Hold back what a handler would show."""
@@ -99,7 +102,14 @@ class HeldErrors(logging.Filter):
         handler.addFilter(self)
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Hold back an error; let anything else pass."""
+        """Hold back an error, hand on a warning; let anything else pass."""
+        if (
+            self.warned is not None
+            and record.levelno == logging.WARNING
+            and record.name.startswith("launch_ros.")
+        ):
+            self.warned(_text(record))
+            return False
         is_held = record.levelno >= logging.ERROR and record.name != _USER
         if is_held:
             self._records.append(record)
@@ -125,9 +135,10 @@ def _text(record: logging.LogRecord) -> str:
     return ""
 
 
-def _write_no_logs(config: Any, temporary: Path) -> None:
+def _write_no_logs(config: Any) -> None:
     """Have launch log to the screen only; its loggers make a folder in the home otherwise."""
-    config.log_dir = str(temporary)
+    # Its setter wants a folder that exists.
+    config._log_dir = log_folder(os.environ)  # noqa: SLF001
     config.get_log_file_handler = lambda *_: logging.NullHandler()
 
 
@@ -144,7 +155,7 @@ def _evaluate(
     from play_launch.launch_files.ros_launch.scene import Scene  # noqa: PLC0415
     from play_launch.launch_files.ros_launch.visit import Visitor  # noqa: PLC0415
 
-    _write_no_logs(launch.logging.launch_config, Path(job.temporary))
+    _write_no_logs(launch.logging.launch_config)
     held.install(launch.logging.launch_config.get_screen_handler())
     if job.is_faster:
         faster.install(only_arguments=job.only_arguments)
@@ -153,6 +164,7 @@ def _evaluate(
     context = launch.LaunchContext(argv=arguments, noninteractive=True)
     given = frozenset(name for name, _ in job.arguments)
     scene = Scene(context, places, Path(job.temporary), given)
+    held.warned = scene.warned
     # The time is that of the launch file: to import launch takes long where others are busy.
     set_alarm()
     source = AnyLaunchDescriptionSource(job.path)

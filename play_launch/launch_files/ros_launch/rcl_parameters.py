@@ -148,7 +148,7 @@ class RclParameters:
         text: bytes = self._utilities.rcutils_get_error_string().str
         self._utilities.rcutils_reset_error()
         # rcl puts its own source file and line behind it.
-        return text.decode(errors="replace").split(", at ", 1)[0]
+        return text.decode(errors="replace").split(", at ", 1)[0].strip()
 
 
 def _parameters(node: _NodeParameters) -> Iterator[Parameter]:

@@ -92,6 +92,12 @@ class Scene:
         if loss not in self.description.losses:
             self.description.losses.append(loss)
 
+    def warned(self, text: str) -> None:
+        """Note what launch_ros warns of while a part of the description is visited."""
+        loss = Loss(str(self.places.of_visited()), text, is_note=True)
+        if loss not in self.description.losses:
+            self.description.losses.append(loss)
+
     def declared(self, action: Any, default: str | None) -> None:
         """Note a launch argument that may be given."""
         if action.name not in self._declared:

@@ -261,6 +261,14 @@ ns: {one: {ros__parameters: {own: 2}}}
 </launch>""",
         "x.txt": "text",
     },
+    "log folder": {
+        "a.launch.xml": """
+<launch>
+  <node pkg="pkg" exec="talker" args="$(log_dir)/x"/>
+  <set_env name="ROS_LOG_DIR" value="/logs"/>
+  <node pkg="pkg" exec="listener" args="$(launch_log_dir)"/>
+</launch>""",
+    },
 }
 
 MISTAKES: dict[str, tuple[str, str]] = {
@@ -302,6 +310,14 @@ MISTAKES: dict[str, tuple[str, str]] = {
     "package": (
         '<launch><log message="$(find-pkg-share no_such)"/></launch>',
         "no package no_such is installed",
+    ),
+    "node of no package": (
+        '<launch>\n<node pkg="no_such" exec="talker"/></launch>',
+        ":2: no package no_such is installed",
+    ),
+    "no such program": (
+        '<launch>\n<node pkg="pkg" exec="no_such"/></launch>',
+        ":2: there is no executable no_such in ",
     ),
     "evaluation": (
         """<launch><log message="$(eval '1 +')"/></launch>""",

@@ -31,6 +31,27 @@ def test_python_that_ends_its_process(prefix: Prefix) -> None:
     assert "SIGSEGV" in error
 
 
+@needs_launch
+def test_aliases_that_stand_for_very_much(prefix: Prefix) -> None:
+    lines = ["launch:", "- let: {name: x, value: &a [l, l, l, l, l, l, l, l, l]}"]
+    for before, name in zip("abcdefgh", "bcdefghi", strict=True):
+        shared = ", ".join([f"*{before}"] * 9)
+        lines.append(f"- let: {{name: x, value: &{name} [{shared}]}}")
+    with pytest.raises(LaunchFileError, match="has aliases that stand for more than"):
+        prefix.evaluate("a.launch.yaml", "\n".join(lines))
+
+
+@needs_launch
+def test_a_parameter_file_that_is_not_there(prefix: Prefix) -> None:
+    """launch_ros leaves it out, with a warning that names no place."""
+    text = '<launch>\n<node pkg="pkg" exec="talker"><param from="/no/such.yaml"/></node></launch>'
+    found = prefix.evaluate("a.launch.xml", text)
+    (note,) = found.losses
+    assert note.is_note
+    assert note.where.endswith("a.launch.xml:2")
+    assert "/no/such.yaml" in note.what
+
+
 @pytest.mark.parametrize(
     ("name", "text", "where"),
     [
