@@ -47,7 +47,11 @@ def run(client: ControlClient, options: Namespace) -> int:
     is_node = {"component": "loaded", "process": "running"}
     nodes = [row["name"] for row in rows if is_node.get(row["kind"]) == row["state"]]
     if not nodes:
-        raise ControlError(Code.REFUSED, f"{', '.join(wanted) or 'no node'}: no node that runs")
+        found = ", ".join(f"{row['name']} is a {row['kind']}, {row['state']}" for row in rows)
+        is_any = f": {found}" if wanted else ""
+        raise ControlError(
+            Code.REFUSED, f"only loaded components and running processes have parameters{is_any}"
+        )
     if options.what != "dump" and len(nodes) > 1:
         raise ControlError(Code.AMBIGUOUS_NAME, f"{wanted[0]} are {len(nodes)} nodes; name one")
     enter_environment_of(client)

@@ -416,6 +416,8 @@ def test_parameters_are_read_and_set(config: Path, tmp_path: Path) -> None:
             found = json.loads(ask("param", "get", "talker", name, "--json"))
             assert found == {name: value}
             assert isinstance(found[name], type(value))
+        refused = ask("param", "get", "chat", "rate", code=1)
+        assert "processes have parameters: /chat is a container, running" in refused
         assert "has no parameter nothing" in ask("param", "get", "talker", "nothing", code=1)
         assert "and the parameter is a double" in ask(
             "param", "set", "talker", "rate", "fast", code=1
