@@ -10,16 +10,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from play_launch.config.load import load_config
-from play_launch.config.model import ParameterType, ParameterValue, ReplayConfig
+from play_launch.config.model import ParameterType, ParameterValue
 from play_launch.core.dependency import Condition, Otherwise
 from play_launch.core.managed import Autostart
 from play_launch.core.restart import OnExit
 from play_launch.launch_files import records
 from play_launch.launch_files.configuration.options import Containers, Options
 from play_launch.launch_files.configuration.write import Written, written
-from play_launch.launch_files.losses import Losses
-from play_launch.launch_files.parameters import evaluate_sources
 from play_launch.launch_files.records import (
     AtExit,
     Composable,
@@ -36,6 +33,7 @@ from play_launch.launch_files.records import (
     Values,
 )
 from tests.launch_files.values import TEXTS, VALUES, shown
+from tests.launch_files.writing import evaluated, load, lost, node, params, write
 
 NAMES = st.from_regex(r"[a-z][a-z0-9]{0,6}", fullmatch=True)
 TOPICS = st.from_regex(r"[/~]?[a-z]{1,5}(/[a-z]{1,4})?", fullmatch=True).map(
@@ -71,20 +69,6 @@ PROCESSES = st.builds(
 COMPOSABLES = st.builds(
     Composable, package=st.just("p"), plugin=st.just("p::C"), container=st.just("/c"), **COMMON
 )
-
-
-def load(made: Written, folder: Path) -> ReplayConfig:
-    path = folder / "written.yaml"
-    path.write_text(made.text, encoding="utf-8")
-    return load_config(path)
-
-
-def write(*units: Unit, folder: Path = Path("/nowhere"), **options: Any) -> Written:
-    return written(Description(units=list(units)), Options(folder=folder, **options), "From x.")
-
-
-def lost(made: Written) -> list[str]:
-    return [f"{each.where}: {each.what}" for each in made.losses if not each.is_note]
 
 
 def firsts(pairs: list[tuple[str, str]]) -> dict[str, str]:
@@ -133,22 +117,6 @@ def test_what_is_written_is_read_back(
             assert found.restart.initial == unit.respawn_delay
         if unit.respawn and unit.respawn_max_retries >= 0:
             assert found.restart.max_restarts == unit.respawn_max_retries
-
-
-def params(path: Path, text: str) -> ParameterFile:
-    path.write_text(text, encoding="utf-8")
-    return ParameterFile(str(path))
-
-
-def node(**fields: Any) -> Process:
-    return Process(**{"package": "p", "executable": "e", "name": "n", "namespace": "/a"} | fields)
-
-
-def evaluated(unit: Unit) -> Unit:
-    losses = Losses()
-    evaluate_sources(unit, losses)
-    assert not list(losses)
-    return unit
 
 
 def test_a_file_is_referenced_and_what_differs_is_written(tmp_path: Path) -> None:
@@ -277,13 +245,6 @@ def test_arguments_of_a_container_for_ros(tmp_path: Path) -> None:
     name, arguments = lost(made)
     assert "['--fast']" in name + arguments
     assert "__ns:=/x: a name that its arguments give" in name + arguments
-
-
-def test_many_nodes_of_one_name_are_one_loss(tmp_path: Path) -> None:
-    made = write(*(node(name="same") for _ in range(2000)), node(name="other"))
-    assert len(load(made, tmp_path).nodes) == 2
-    (only,) = lost(made)
-    assert "a second node is called /a/same; it is left out, and so are 1998 more" in only
 
 
 def test_what_all_have_in_common_is_written_once(tmp_path: Path) -> None:

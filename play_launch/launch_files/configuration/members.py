@@ -7,16 +7,17 @@ import shlex
 from typing import TYPE_CHECKING, Any, Final
 
 from play_launch.config.model import ParameterType
-from play_launch.config.values import check_node_name, check_topic
+from play_launch.config.values import check_topic
 from play_launch.launch_files.configuration.options import Containers
 from play_launch.launch_files.configuration.process_parameters import add_parameters, add_sections
 from play_launch.launch_files.configuration.sources import values_of
 from play_launch.launch_files.configuration.yaml_text import Commented
-from play_launch.launch_files.records import AtExit, ProgramKind, typed_value
+from play_launch.launch_files.records import AtExit, typed_value
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from play_launch.launch_files.configuration.names import Names
     from play_launch.launch_files.configuration.options import Options
     from play_launch.launch_files.configuration.paths import Paths
     from play_launch.launch_files.configuration.sources import ParameterSources
@@ -39,18 +40,23 @@ _INTO_FILES: Final = frozenset({"log", "own_log"})
 _YEAR: Final = 8760 * 3600.0
 _FOR_ONE_NODE: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]*:[A-Za-z0-9_/~{}]+", re.ASCII)
 """The source of a remapping for one node of a process, `node:topic`."""
-_NOT_IN_NAMES: Final = re.compile(r"[^A-Za-z0-9]+", re.ASCII)
 
 
 class Members:
     """Writes entries; what they do not say is reported."""
 
     def __init__(
-        self, options: Options, paths: Paths, sources: ParameterSources, losses: Losses
+        self,
+        options: Options,
+        paths: Paths,
+        sources: ParameterSources,
+        names: Names,
+        losses: Losses,
     ) -> None:
         self._options = options
         self._paths = paths
         self._sources = sources
+        self._program_names = names
         self._losses = losses
 
     def container(self, unit: Process) -> dict[str, Any]:
@@ -135,7 +141,7 @@ class Members:
             )
             if unit.shell:
                 prefix = []
-            if "name" not in entry and (label := _label(unit)):
+            if "name" not in entry and (label := self._program_names.label(unit)):
                 entry["name"] = label
         else:
             self._lost(unit, "has neither a package nor a command, so nothing can be started")
@@ -275,13 +281,3 @@ def _parted(arguments: Iterable[str]) -> tuple[list[str], list[str]]:
 
 def _backoff(delay: float) -> dict[str, Any]:
     return {"initial": delay, "maximum": max(delay, _LONGEST_PAUSE)}
-
-
-def _label(unit: Process) -> str:
-    if unit.kind is not ProgramKind.PROCESS or not unit.label:
-        return ""
-    label = _NOT_IN_NAMES.sub("_", unit.label).strip("_")
-    try:
-        return check_node_name(label)
-    except ValueError:
-        return ""

@@ -8,6 +8,7 @@ from play_launch.config.resolve.nodes import NodeNames
 from play_launch.config.schema import ComposableNodeSection, ContainerSection, ProcessSection
 from play_launch.launch_files.configuration.common import pull_up, stop_limits
 from play_launch.launch_files.configuration.members import Members
+from play_launch.launch_files.configuration.names import Names
 from play_launch.launch_files.configuration.order import add_order
 from play_launch.launch_files.configuration.paths import Paths
 from play_launch.launch_files.configuration.sources import ParameterSources
@@ -28,8 +29,9 @@ def configuration_of(
     description = with_copies(description, copies, losses)
     paths = Paths(options.folder)
     sources = ParameterSources(options, paths, copies)
-    members = Members(options, paths, sources, losses)
-    return _Builder(_once(description.units, losses), members, losses).built()
+    names = Names(description.units)
+    members = Members(options, paths, sources, names, losses)
+    return _Builder(names.distinct(losses), members, losses).built()
 
 
 class _Builder:
@@ -134,22 +136,3 @@ class _Builder:
             section = ContainerSection if is_container else ProcessSection
         for key in [key for key in entry if key not in section.keys]:
             self._losses.lost(unit.described, f"{key}: {entry.pop(key)}")
-
-
-def _once(units: list[Unit], losses: Losses) -> list[Unit]:
-    """Leave out nodes whose full name another one has: both would misbehave."""
-    seen: set[str] = set()
-    left = []
-    others: dict[str, list[Unit]] = {}
-    for unit in units:
-        if unit.full_name and unit.full_name in seen:
-            others.setdefault(unit.full_name, []).append(unit)
-        else:
-            left.append(unit)
-            seen.add(unit.full_name)
-    for name, alike in others.items():
-        what = f"a second node is called {name}; it is left out"
-        if len(alike) > 1:
-            what += f", and so are {len(alike) - 1} more of that name"
-        losses.lost(alike[0].described, what)
-    return left

@@ -1,0 +1,86 @@
+"""Names that nobody else has: a configuration knows its members by them, ROS and launch do not."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter, defaultdict
+from itertools import count
+from typing import TYPE_CHECKING, Final
+
+from msgspec.structs import replace
+
+from play_launch.config.values import check_node_name
+from play_launch.launch_files.records import Process, ProgramKind
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from play_launch.launch_files.losses import Losses
+    from play_launch.launch_files.records import Unit
+
+_NOT_IN_NAMES: Final = re.compile(r"[^A-Za-z0-9]+", re.ASCII)
+
+
+class Names:
+    """Those of the units of one description."""
+
+    def __init__(self, units: list[Unit]) -> None:
+        """Keep the names of nodes for the first that has each."""
+        self._units = units
+        self._taken = {unit.full_name for unit in units}
+        self._numbers: defaultdict[str, Iterator[int]] = defaultdict(lambda: count(2))
+
+    def distinct(self, losses: Losses) -> list[Unit]:
+        """Return the units with a number for each node from the second of a name on.
+
+        A second container of a name is left out: what is loaded into that name goes to the first.
+        """
+        seen: set[str] = set()
+        found: list[Unit] = []
+        said: dict[str, tuple[str, str]] = {}
+        more: Counter[str] = Counter()
+        for unit in self._units:
+            name = unit.full_name
+            if not name or name not in seen:
+                seen.add(name)
+                found.append(unit)
+                continue
+            what = f"a second container is called {name}; it is left out"
+            if not _is_container(unit):
+                found.append(replace(unit, name=self._free(unit.namespace, unit.name)))
+                what = f"a second node is called {name}; it becomes {found[-1].full_name}"
+            more[name] += name in said
+            said.setdefault(name, (unit.described, what))
+        for name, (where, what) in said.items():
+            losses.lost(where, f"{what}; {more[name]} more of that name" if more[name] else what)
+        return found
+
+    def label(self, unit: Process) -> str:
+        """Return a name for a program that is no node; empty: launch gives it none.
+
+        For launch it is a word in its output, and any number of programs have the same.
+        """
+        if unit.kind is not ProgramKind.PROCESS or not unit.label:
+            return ""
+        label = _NOT_IN_NAMES.sub("_", unit.label).strip("_")
+        try:
+            check_node_name(label)
+        except ValueError:
+            return ""
+        full_name = f"{unit.namespace.rstrip('/')}/{label}"
+        if full_name in self._taken:
+            return self._free(unit.namespace, label)
+        self._taken.add(full_name)
+        return label
+
+    def _free(self, namespace: str, name: str) -> str:
+        """Return the name with the next number that nobody has."""
+        base = f"{namespace.rstrip('/')}/{name}"
+        numbered = (f"_{number}" for number in self._numbers[base])
+        suffix = next(each for each in numbered if base + each not in self._taken)
+        self._taken.add(base + suffix)
+        return name + suffix
+
+
+def _is_container(unit: Unit) -> bool:
+    return isinstance(unit, Process) and unit.kind is ProgramKind.CONTAINER
