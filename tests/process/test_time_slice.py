@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import platform
 import shutil
@@ -12,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from play_launch.process.time_slice import NICE
+from play_launch.process.time_slice import NICE, run_ahead, run_along
 
 ASKING = """
 import os
@@ -173,6 +174,16 @@ def test_whoever_may_runs_ahead_with_all_threads_but_not_with_what_it_starts() -
 @pytest.mark.parametrize(("right", "nice"), [("without", 0), ("with", 5)])
 def test_whoever_may_not_or_is_to_stand_back_does_not(right: str, nice: int) -> None:
     assert ahead(right, nice) == ["False 0 0 0 0", "0 0 0 0", "False 0 0 0 0"]
+
+
+@pytest.mark.parametrize("reason", [errno.EPERM, errno.EINVAL, errno.ENOSYS])
+def test_a_refusal_changes_nothing(reason: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(reason, "refused")
+
+    monkeypatch.setattr(os, "sched_setscheduler", refuse)
+    assert not run_ahead()
+    run_along()
 
 
 PREFERRING = """
