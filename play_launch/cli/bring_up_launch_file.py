@@ -17,7 +17,6 @@ from play_launch.cli.target import (
     say_arguments,
     sizes,
     target_of,
-    unread,
 )
 from play_launch.core.exit_code import ExitCode
 from play_launch.launch_files.configuration.options import Containers, Options
@@ -53,8 +52,6 @@ def bring_up_launch_file(
     if show_args:
         say_arguments(description.arguments)
         return ExitCode.OK
-    for name in unread(found, description):
-        complain(f"note: no launch file declares the argument {name}")
     from play_launch.launch_files.configuration.write import written  # noqa: PLC0415
 
     with tempfile.TemporaryDirectory(prefix="play-launch-") as name:

@@ -13,11 +13,9 @@ from play_launch.cli.target import (
     USUAL_LIMIT,
     Target,
     argument_values,
-    complain,
     evaluated,
     say_arguments,
     target_of,
-    unread,
 )
 from play_launch.core.exit_code import ExitCode
 from play_launch.launch_files.configuration.options import Containers, Options
@@ -56,8 +54,6 @@ def dump_launch_file(
         else:
             say_arguments(description.arguments)
         return ExitCode.OK
-    for name in unread(found, description):
-        complain(f"note: no launch file declares the argument {name}")
     chosen = Options(containers=container_type, show_all=show_all, inline=inline)
     made = written(description, _placed(chosen, output), _heading(found))
     more = {"arguments": arguments, "files": description.files}

@@ -93,17 +93,17 @@ def evaluated(target: Target, timeout: str, *, only_arguments: bool = False) -> 
     except ValueError as error:
         fail(f"--timeout: {error}")
     try:
-        return evaluate(target.path, target.arguments, limit=limit, only_arguments=only_arguments)
+        found = evaluate(target.path, target.arguments, limit=limit, only_arguments=only_arguments)
     except (LaunchFileError, NotInstalledError) as error:
         fail(str(error))
     except OSError as error:
         fail(f"{target.path} cannot be evaluated: {error}")
-
-
-def unread(target: Target, description: Description) -> list[str]:
-    """Return the given arguments that no file declares; launch takes them without a word."""
-    declared = {*_OF_LAUNCH, *(each.name for each in description.arguments)}
-    return [name for name in target.arguments if name not in declared]
+    if not only_arguments:
+        declared = {*_OF_LAUNCH, *(each.name for each in found.arguments)}
+        for name in target.arguments:
+            if name not in declared:  # launch takes it without a word
+                complain(f"note: no launch file declares the argument {name}")
+    return found
 
 
 def say_arguments(arguments: Sequence[Argument]) -> None:

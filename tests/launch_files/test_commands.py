@@ -140,6 +140,13 @@ def test_arguments_are_shown(robot: Path) -> None:
     assert found[0]["place"].endswith("robot.launch.xml:2")
 
 
+@pytest.mark.parametrize("command", [("dump",), ("launch", "-n")])
+def test_an_argument_that_nobody_declares_is_noted(robot: Path, command: tuple[str, ...]) -> None:
+    verb, *more = command
+    stderr = run(verb, robot, "rat:=3.0", *more).stderr
+    assert "note: no launch file declares the argument rat\n" in stderr
+
+
 def test_json_is_for_programs(robot: Path) -> None:
     found: dict[str, Any] = json.loads(run("dump", robot, "--json").stdout)
     assert found["containers"] == 1
