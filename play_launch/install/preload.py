@@ -21,9 +21,6 @@ _ASAN_OPTIONS: Final = "ASAN_OPTIONS"
 _ANY_ORDER: Final = "verify_asan_link_order=0"
 """Else a program with GCC's AddressSanitizer refuses to start behind a preloaded library. Only what
 defines functions that the sanitizer has, too, must not come before it."""
-_ELF: Final = b"\x7fELF"
-_MUSL: Final = b"/ld-musl-"
-_HEAD: Final = 4096
 
 
 def preloaded_in(environment: Mapping[str, str]) -> list[str]:
@@ -48,37 +45,14 @@ def preloading(
     return changed
 
 
-def with_safe_waits(
-    environment: Mapping[str, str], container: Path, program: Path | None = None
-) -> dict[str, str]:
-    """Keep a process from waiting for itself in Fast DDS.
+def with_safe_waits(environment: Mapping[str, str], container: Path) -> dict[str, str]:
+    """Keep a process from waiting for itself in Fast DDS; ``container`` is our own program.
 
-    With another middleware, with musl, or where the switch says so, nothing is changed.
-
-    Args:
-        environment: Of the process.
-        container: Our own program `component_container`.
-        program: What the process executes, where that is known and may be anything.
+    With another middleware, or where the switch says so, nothing is changed.
     """
-    if program is not None and _is_linked_with_musl(program):
-        return dict(environment)
     if not asks_for_fastdds(environment) or environment.get(WAITS_SWITCH) == "0":
         return dict(environment)
     changed = preloading(environment, container.with_name(_WAITS_LIBRARY), last=True)
     others = changed.get(_ASAN_OPTIONS, "").removeprefix(_ANY_ORDER).removeprefix(":")
     changed[_ASAN_OPTIONS] = f"{_ANY_ORDER}:{others}" if others else _ANY_ORDER
     return changed
-
-
-def _is_linked_with_musl(program: Path) -> bool:
-    """Whether musl's dynamic linker would load it, which refuses libraries made for glibc."""
-    try:
-        # Fifos and devices are not opened; whoever executes it reports what is wrong.
-        if not program.is_file():
-            return False
-        with program.open("rb") as file:
-            head = file.read(_HEAD)
-    except OSError:
-        return False
-    # The path of the linker stands right behind the program headers, and nothing else is there.
-    return head.startswith(_ELF) and _MUSL in head

@@ -119,10 +119,8 @@ def process_command(
         prefixes = ament_prefixes(environment)
         executable = find_executable(config.package, config.executable, prefixes)
     argv = process_argv(config, executable=executable, parameter_file=parameter_file)
-    name = argv[len(config.prefix)]
-    program = shutil.which(name, path=environment.get("PATH"))
+    program = shutil.which(argv[len(config.prefix)], path=environment.get("PATH"))
     if program is not None:
         environment = foreign_python_environment(environment, machine.ros, Path(program))
-    executed = (config.cwd or Path()) / name if "/" in name else program and Path(program)
-    environment = with_safe_waits(environment, machine.container, executed or None)
+    environment = with_safe_waits(environment, machine.container)
     return Command(argv, environment, config.cwd, config.emulate_tty, config.resources)

@@ -69,21 +69,6 @@ def test_a_session_in_a_session_preloads_it_once(before: dict[str, str]) -> None
     assert with_safe_waits(once, CONTAINER) == once
 
 
-@pytest.mark.parametrize(
-    ("linker", "is_left_out"),
-    [(b"/lib/ld-musl-x86_64.so.1", True), (b"/lib64/ld-linux-x86-64.so.2", False)],
-)
-def test_a_program_with_musl_is_left_alone(
-    tmp_path: Path, linker: bytes, is_left_out: bool
-) -> None:
-    program = tmp_path / "program"
-    program.write_bytes(b"\x7fELF\x02\x01" + bytes(600) + linker + bytes(4000))
-    assert (not with_safe_waits({}, CONTAINER, program)) is is_left_out
-    program.write_bytes(b"#!/bin/sh\n# /lib/ld-musl-x86_64.so.1")
-    assert with_safe_waits({}, CONTAINER, program)
-    assert with_safe_waits({}, CONTAINER, tmp_path / "missing")
-
-
 def test_a_program_gets_its_own_mutex_again() -> None:
     environment = with_safe_waits(os.environ, component_container())
     command = [sys.executable, "-c", LOCKING_TWICE]
