@@ -210,9 +210,8 @@ void ContainerProcess::stop_nodes() {
   const int status = exit_code(cause, options_.hosted);
   watchdog_.arm(deadline + kTeardownLimit, status, too_long);
   hit(Failpoint::during_stop);
-  host_->hurry(deadline);
-  host_->stop_spinning();
   manager_->begin_stop([this] { stop_.wake(); }, cause == StopCause::context ? why_stopping_ : "");
+  host_->hurry(deadline);  // asks nodes to leave as well: those that the manager knows to leave
   while (!manager_->empty() && Clock::now() < deadline) {
     stop_.wait(deadline);
     if (stop_.times_asked() > asked) {

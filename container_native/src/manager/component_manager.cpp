@@ -235,18 +235,29 @@ void ObservableComponentManager::refuse_loads() {
 
 void ObservableComponentManager::begin_stop(std::function<void()> on_empty,
                                             const std::string& why) {
-  const std::lock_guard lock(mutex_);
-  stopping_ = true;
-  on_empty_ = std::move(on_empty);
-  std::vector<std::uint64_t> unique_ids;
-  for (const auto& [unique_id, entry] : table_.entries()) {
-    unique_ids.push_back(unique_id);
+  std::vector<std::uint64_t> to_unload;
+  {
+    const std::lock_guard lock(mutex_);
+    stopping_ = true;
+    on_empty_ = std::move(on_empty);
+    std::vector<std::uint64_t> unique_ids;
+    for (const auto& [unique_id, entry] : table_.entries()) {
+      unique_ids.push_back(unique_id);
+    }
+    for (const std::uint64_t unique_id : unique_ids) {
+      const bool constructing = table_.find(unique_id)->state == NodeState::constructing;
+      if (table_.retire(unique_id, constructing && why.empty() ? kCancelled : why, Clock::now()) ==
+          NodeTable::Retirement::unload_now) {
+        to_unload.push_back(unique_id);
+      }
+    }
   }
-  for (const std::uint64_t unique_id : unique_ids) {
-    const bool constructing = table_.find(unique_id)->state == NodeState::constructing;
+  // From here on isolated nodes leave: what becomes of them is the end that they were asked for.
+  host_.stop_spinning();
+  const std::lock_guard lock(mutex_);
+  for (const std::uint64_t unique_id : to_unload) {
     std::string why_not;
-    if (table_.retire(unique_id, constructing && why.empty() ? kCancelled : why, Clock::now()) ==
-        NodeTable::Retirement::unload_now) {
+    if (table_.find(unique_id) != nullptr) {
       start_unloading(unique_id, why_not);  // if not, the end of the stop reports the node
     }
   }

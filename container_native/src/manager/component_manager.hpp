@@ -81,9 +81,9 @@ class ObservableComponentManager final : public NodeHostObserver {
   /// Takes up no load any more: a stop was asked for.
   void refuse_loads();
 
-  /// Takes up no load any more and begins to unload all nodes. `on_empty` is called (once, with the
-  /// manager locked) when none is left. `why` goes with the end of each node; empty: somebody
-  /// asked for the stop.
+  /// Takes up no load any more, has nodes spin no more, and begins to unload all. `on_empty` is
+  /// called (once, with the manager locked) when none is left. `why` goes with the end of each
+  /// node; empty: somebody asked for the stop.
   void begin_stop(std::function<void()> on_empty, const std::string& why = "");
   bool empty() const;
 

@@ -2,6 +2,7 @@
 
 #include "manager/component_manager.hpp"
 
+#include <functional>
 #include <map>
 #include <system_error>
 
@@ -23,7 +24,11 @@ class FakeHost final : public NodeHost {
     refuse();
     unloads.push_back(unique_id);
   }
-  void stop_spinning() override {}
+  void stop_spinning() override {
+    if (on_stop) {
+      on_stop();
+    }
+  }
 
   void finish(std::uint64_t unique_id, const std::string& name) {
     if (!observer->on_loaded(unique_id, name)) {
@@ -39,6 +44,7 @@ class FakeHost final : public NodeHost {
   NodeHostObserver* observer = nullptr;
   std::vector<std::uint64_t> loads;
   std::vector<std::uint64_t> unloads;
+  std::function<void()> on_stop;
   bool no_threads = false;
 };
 
@@ -260,6 +266,22 @@ void test_stop() {
   CHECK(empty == 2);
 }
 
+void test_nodes_that_end_as_soon_as_they_spin_no_more() {
+  Bench bench;
+  const std::uint64_t killed = bench.loaded("a");
+  const std::uint64_t faulty = bench.loaded("b");
+  const std::uint64_t other = bench.loaded("c");
+  bench.host.on_stop = [&] {
+    bench.host.observer->on_crashed(killed, {0, 9, "SIGKILL", {}, {}, {}, false});
+    CHECK(bench.recorder.last().event_type == kUnloaded && bench.recorder.last().signal == 9);
+    bench.host.observer->on_crashed(faulty, {0, 11, "SIGSEGV", {}, {}, {}, false});
+    CHECK(bench.recorder.last().event_type == ComponentEvent::CRASHED);
+    CHECK(contains(bench.recorder.last().error_message, "it did not leave in order"));
+  };
+  bench.manager.begin_stop([] {});
+  CHECK(bench.host.unloads == std::vector{other});
+}
+
 void test_snapshots() {
   Bench bench;
   const std::uint64_t first = bench.load("a");
@@ -283,6 +305,7 @@ int main() {
   test_deaths_of_nodes_that_nobody_wants();
   test_death_while_loading();
   test_stop();
+  test_nodes_that_end_as_soon_as_they_spin_no_more();
   test_snapshots();
   return 0;
 }
