@@ -40,11 +40,31 @@ def children(container: Container) -> set[int]:
 def only_these_remain(container: Container, *pids: int) -> bool:
     """Wait until the container has no other processes; what cleans up may take a moment."""
     deadline = time.monotonic() + PATIENCE
-    while children(container) != set(pids):
+    while (found := children(container)) != set(pids):
         if time.monotonic() > deadline:
-            return False
+            others = [_described(pid) for pid in sorted(found - set(pids))]
+            threads = [_described(pid) for pid in _threads(container.process.pid)]
+            raise AssertionError(
+                f"there are also {others}, and {set(pids) - found} are missing; threads of the "
+                f"container: {threads}; log:\n{container.log.read_text()}"
+            )
         time.sleep(PAUSE)
     return True
+
+
+def _threads(pid: int) -> list[int]:
+    return [int(task.name) for task in Path(f"/proc/{pid}/task").iterdir()]
+
+
+def _described(pid: int) -> str:
+    """Name, state, and what it waits for."""
+    try:
+        name, _, rest = Path(f"/proc/{pid}/stat").read_text().rpartition(")")
+        wait = Path(f"/proc/{pid}/wchan").read_text()
+        call = Path(f"/proc/{pid}/syscall").read_text().split(" ", 2)[:2]
+    except OSError as error:
+        return f"{pid} ({error.strerror})"
+    return f"{name}) {rest.split()[0]} {wait} {' '.join(call)}"
 
 
 def start_time(pid: int) -> int:
