@@ -68,7 +68,7 @@ def test_a_thread_and_those_it_starts_get_them() -> None:
 
 
 STARTING = """
-import asyncio, os, sys
+import asyncio, os, signal, sys
 from pathlib import Path
 from play_launch.process.child import spawn
 from play_launch.process.guard import SessionGuard
@@ -87,7 +87,9 @@ async def main():
     run_ahead()
     guard = SessionGuard.start(Path(sys.argv[1]))
     for starter in (guard, None):
-        show(spawn(["sleep", "1000"], env=os.environ, guard=starter).pid)
+        child = spawn(["sleep", "1000"], env=os.environ, guard=starter)
+        show(child.pid)
+        os.kill(child.pid, signal.SIGKILL)
     show(guard.pid)
     guard.close()
 
@@ -133,10 +135,12 @@ if sys.argv[1] == "without":
     resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
     os.setuid(65534)
 over = Event()
-Thread(target=over.wait).start()
+other = Thread(target=over.wait)
+other.start()
 def show(*results):
-    policies = [os.sched_getscheduler(int(t)) & ~os.SCHED_RESET_ON_FORK
-                for t in os.listdir("/proc/self/task")]
+    # A thread that was joined may still be among those of /proc.
+    policies = [os.sched_getscheduler(each) & ~os.SCHED_RESET_ON_FORK
+                for each in (os.getpid(), other.native_id)]
     late = []
     thread = Thread(target=lambda: late.append(os.sched_getscheduler(0)))
     thread.start()
