@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import logging
 import os
+import sys
 from typing import TYPE_CHECKING, Any, Final
 
 from msgspec import Struct
@@ -51,7 +52,9 @@ async def serving(door: Door, about: About, operate: Operate) -> AsyncIterator[N
         return
     server = Server(door.folder, about, operate)
     loop = asyncio.get_running_loop()
-    listener = await loop.create_unix_server(server.connection, sock=door.socket)
+    # The path of the socket goes by a descriptor that may be another file's by now.
+    keep_path: dict[str, Any] = {"cleanup_socket": False} if sys.version_info >= (3, 13) else {}
+    listener = await loop.create_unix_server(server.connection, sock=door.socket, **keep_path)
     try:
         yield
     finally:

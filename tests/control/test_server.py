@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import fcntl
 import os
 import select
 import socket
@@ -112,6 +113,25 @@ def test_who_comes_before_somebody_answers_waits_for_it(tmp_path: Path) -> None:
             async with serving(door, ABOUT, Session()), asyncio.timeout(60):
                 with await early as client:
                     assert await asyncio.to_thread(client.ask, "echo", {"a": 1}) == {"a": 1}
+
+    asyncio.run(main())
+
+
+def test_it_answers_where_the_descriptor_of_its_address_leads_elsewhere_by_now(
+    tmp_path: Path,
+) -> None:
+    async def main() -> None:
+        with Path(os.devnull).open() as other, contextlib.closing(Door(str(tmp_path))) as door:
+            assert door.socket is not None
+            used = int(door.socket.getsockname().split("/")[4])
+            reused = fcntl.fcntl(other, fcntl.F_DUPFD_CLOEXEC, used)
+            try:
+                assert reused == used
+                async with serving(door, ABOUT, Session()), asyncio.timeout(60):
+                    with await asyncio.to_thread(connect) as client:
+                        assert await asyncio.to_thread(client.ask, "echo", {"a": 1}) == {"a": 1}
+            finally:
+                os.close(reused)
 
     asyncio.run(main())
 
