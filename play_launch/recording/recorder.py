@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import threading
 import time
 from datetime import datetime
@@ -190,7 +191,9 @@ class Recorder:
         flushed_at = 0.0
         while True:
             waiting = max(0.0, flush_at - time.monotonic()) if self._unflushed else None
-            if self._wake.wait(waiting):
+            if self.topic_requests:
+                pass  # the last turn left some of them, as events come first
+            elif self._wake.wait(waiting):
                 if self._hurry.is_set():
                     gap = flushed_at + self._limits.failure_gap - time.monotonic()
                     if gap > 0 and not self._end.is_set():
@@ -209,7 +212,9 @@ class Recorder:
             if self._unflushed and (hurried or failed or closing or time.monotonic() >= flush_at):
                 self._flush()
                 flushed_at = time.monotonic()
-            if self.topic_requests.carry_out(self._writer, self._outlast):
+            # At the end there are no other events to wait for it.
+            seconds = math.inf if closing else self._limits.batch
+            if self.topic_requests.carry_out(self._writer, self._outlast, seconds):
                 self._unflushed = 0  # what is before a chunk goes to the file with it
             if closing:
                 return

@@ -28,9 +28,11 @@ _log = logging.getLogger(__name__)
 
 class _Request(NamedTuple):
     carry_out: Callable[[BagWriter], None]
-    """May be called again when it has raised WriteFailedError."""
     give_up: Callable[[], None]
     """Called in its place when nothing is written any more."""
+    is_repeated: bool = False
+    """Whether nothing of it is in the file after a WriteFailedError; else the file holds it back
+    until it takes data again."""
 
 
 class TopicRequests:
@@ -47,14 +49,17 @@ class TopicRequests:
         self._waiting: deque[_Request] = deque()
         self._channels: dict[tuple[str, str], int] = {}
         self._drops: Counter[str] = Counter()
-        self._given_up = 0
         self.messages = 0
         """That were written."""
+
+    def __bool__(self) -> bool:
+        """Whether anything waits."""
+        return bool(self._waiting)
 
     @property
     def dropped(self) -> int:
         """How many messages are not in the recording."""
-        return self._drops.total() + self._given_up
+        return self._drops.total()
 
     def open_channel(
         self, name: str, type_name: str, offered_qos_profiles: str, answer: Callable[[int], None]
@@ -71,19 +76,30 @@ class TopicRequests:
         """Write a chunk and close its file; ``done`` is called in every case."""
 
         def let_go() -> None:
-            os.close(chunk.descriptor)
+            if chunk.descriptor >= 0:
+                os.close(chunk.descriptor)
             done()
 
         def write(writer: BagWriter) -> None:
+            if not _is_whole(chunk):
+                # No room on the disk would help: only failures to write are outlasted.
+                _log.error(
+                    "%d messages of topics are lost: their memory cannot be read", chunk.messages
+                )
+                give_up()
+                return
             writer.append_chunk(chunk)
             self.messages += chunk.messages
             let_go()
 
         def give_up() -> None:
-            self._given_up += chunk.messages
+            names = {channel: name for (name, _), channel in self._channels.items()}
+            for part in chunk.parts:
+                name = names.get(part.channel, f"channel {part.channel}")
+                self.count_topic_drops(name, part.messages)
             let_go()
 
-        self._ask(write, give_up)
+        self._ask(write, give_up, is_repeated=True)
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Put a file of its own into the recording; it is left out when nothing is written."""
@@ -99,21 +115,27 @@ class TopicRequests:
         with self._lock:
             self._drops[topic] += messages
 
-    def carry_out(self, writer: BagWriter, outlast: Callable[[WriteFailedError], None]) -> bool:
-        """Do what waits, in the recorder's thread; return whether there was anything.
+    def carry_out(
+        self, writer: BagWriter, outlast: Callable[[WriteFailedError], None], seconds: float
+    ) -> bool:
+        """Do some of what waits, in the recorder's thread; return whether there was anything.
 
-        ``outlast`` returns when a file that took no data takes it again; the request is repeated.
+        Begins none after so many seconds, but one in any case: events of the run wait meanwhile.
+        ``outlast`` returns when a file that took no data takes it again.
         """
-        anything = False
-        while self._waiting:
-            anything = True
+        until = time.monotonic() + seconds
+        count = len(self._waiting)
+        for number in range(count):
+            if number > 0 and time.monotonic() >= until:
+                break
             try:
                 self._waiting[0].carry_out(writer)
             except WriteFailedError as error:
                 outlast(error)
-                continue
+                if self._waiting[0].is_repeated:
+                    break
             self._waiting.popleft()
-        return anything
+        return count > 0
 
     def finish(self, writer: BagWriter) -> None:
         """Put the drops into the bag; before its end."""
@@ -128,11 +150,17 @@ class TopicRequests:
         while self._waiting:
             self._waiting.popleft().give_up()
 
-    def _ask(self, carry_out: Callable[[BagWriter], None], give_up: Callable[[], None]) -> None:
+    def _ask(
+        self,
+        carry_out: Callable[[BagWriter], None],
+        give_up: Callable[[], None],
+        *,
+        is_repeated: bool = False,
+    ) -> None:
         with self._lock:
             is_open = self._is_open
             if is_open:
-                self._waiting.append(_Request(carry_out, give_up))
+                self._waiting.append(_Request(carry_out, give_up, is_repeated))
         if is_open:
             self._on_request()
         else:
@@ -152,3 +180,10 @@ class TopicRequests:
             channel = 0
         self._channels[topic.name, topic.type_name] = channel
         return channel
+
+
+def _is_whole(chunk: TopicChunk) -> bool:
+    try:
+        return os.fstat(chunk.descriptor).st_size >= chunk.length
+    except OSError:
+        return False
