@@ -140,6 +140,9 @@ class McapBagWriter:
         self._has_index = has_index
         self._ros_distro = ros_distro
         self._topics: dict[int, Topic] = {}
+        self._definitions: dict[str, str] = {}
+        """By type, as they were when its first topic was announced: the package may be built again
+        or removed since, and messages of that topic still have this form."""
         self._head: list[Callable[[Part], None]] = []
         self._has_begun = False
         self._latched = Latched()
@@ -175,10 +178,11 @@ class McapBagWriter:
 
     def register(self, topic: Topic) -> int:
         """Announce a topic; may raise ``SchemaNotFoundError``, and nothing else."""
-        definition = self._definition(topic.type_name)
+        if topic.type_name not in self._definitions:
+            self._definitions[topic.type_name] = self._definition(topic.type_name)
         channel = len(self._topics) + 1
         self._topics[channel] = topic
-        self._part.register(channel, topic, definition)
+        self._part.register(channel, topic, self._definitions[topic.type_name])
         return channel
 
     def write(
@@ -266,7 +270,7 @@ class McapBagWriter:
             if number > 0:
                 part.metadata(PART_METADATA, {"number": str(number)})
             for channel, topic in self._topics.items():
-                part.register(channel, topic, self._definition(topic.type_name))
+                part.register(channel, topic, self._definitions[topic.type_name])
             # They arrived before; but who plays the file back begins with its earliest log time.
             now = time.time_ns()
             for channel, data, publish_time in self._latched:

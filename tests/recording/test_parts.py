@@ -7,7 +7,7 @@ import os
 from typing import TYPE_CHECKING
 
 import pytest
-from mcap.records import Attachment, Metadata
+from mcap.records import Attachment, Metadata, Schema
 from rosbags.highlevel import AnyReader
 
 from play_launch.cdr.log import log_message
@@ -17,7 +17,8 @@ from play_launch.recording.convert import convert
 from play_launch.recording.mcap_file import MAGIC
 from play_launch.recording.part import part_number, part_path
 from play_launch.recording.recorder import Recorder, RecorderLimits
-from play_launch.recording.topics import OUTPUT, STATES
+from play_launch.recording.schema import message_definition
+from play_launch.recording.topics import OUTPUT, STATES, Topic
 from tests.recording.reading import messages, raw_messages, records
 
 if TYPE_CHECKING:
@@ -65,6 +66,39 @@ def test_each_file_is_complete_by_itself(tmp_path: Path) -> None:
         metadata = {one.name: one.metadata for one in records(path) if isinstance(one, Metadata)}
         assert metadata.pop("play_launch.session") == {"id": "1"}
         assert metadata == ({"play_launch.part": {"number": str(number)}} if number else {})
+
+
+@pytest.mark.parametrize("change", ["int64 other\n", None])
+def test_definitions_in_each_file_are_those_of_the_beginning(
+    tmp_path: Path, change: str | None
+) -> None:
+    """The package of a type is built again, or removed, while the session runs."""
+    file = tmp_path / "share" / "a_msgs" / "msg" / "Wheel.msg"
+    file.parent.mkdir(parents=True)
+    file.write_text("int32 left\n")
+    writer = McapBagWriter(
+        tmp_path / "x.mcap",
+        rotation=Rotation(size=1),
+        definition=lambda type_name: message_definition(type_name, (tmp_path,)),
+    )
+    channel = writer.register(Topic("/one", "a_msgs/msg/Wheel"))
+    if change is None:
+        file.unlink()
+    else:
+        file.write_text(change)
+    for number in (1, 2):
+        writer.write(channel, bytes(8), log_time=number, publish_time=number)
+        writer.flush()
+    writer.register(Topic("/another", "a_msgs/msg/Wheel"))
+    writer.close()
+    assert writer.parts == 3
+    for number in range(3):
+        schemas = [
+            one.data
+            for one in records(part_path(tmp_path / "x.mcap", number))
+            if isinstance(one, Schema)
+        ]
+        assert set(schemas) == {b"int32 left\n"}
 
 
 def test_what_is_repeated_keeps_its_own_stamp_and_not_its_arrival(tmp_path: Path) -> None:
