@@ -65,21 +65,27 @@ def answered(watch: Watch, now: float, limits: WatchLimits = WATCH_LIMITS) -> Wa
 
 
 def look(
-    watch: Watch, now: float, limits: WatchLimits = WATCH_LIMITS, *, starved: bool = False
+    watch: Watch,
+    now: float,
+    limits: WatchLimits = WATCH_LIMITS,
+    *,
+    starved: bool = False,
+    stopped: bool = False,
 ) -> tuple[Watch, Verdict]:
     """Look at the clock.
 
     When we ourselves did not run for a while (stopped, or starved of CPU time), an answer may be
     waiting for us; so the other side gets its time once more. A machine on which a hundred programs
     start keeps both sides waiting for a processor turn by turn, for many seconds: ``starved`` says
-    that this was so since the look before, which was SUSPECT.
+    that this was so since the look before, which was SUSPECT. ``stopped`` says that a debugger
+    stopped the process since then: it gets the time after that, however long it takes.
     """
     if now < watch.due:
         return watch, Verdict.WAIT
     first_wait = limits.patience - limits.last_look
     if watch.asked_at is None:
         return Watch(due=now + first_wait, asked_at=now), Verdict.ASK
-    if now - watch.due > limits.lateness:
+    if stopped or now - watch.due > limits.lateness:
         return Watch(due=now + first_wait, asked_at=watch.asked_at), Verdict.WAIT
     since = now if watch.suspected_at is None else watch.suspected_at
     if watch.suspected_at is None or (starved and now - since < limits.longest):

@@ -18,7 +18,7 @@ from play_launch.cgroups.deaths import why_failed, why_killed
 from play_launch.core.events import Stream
 from play_launch.process.exit import Exit
 from play_launch.process.guard import Ourselves, Parent, SessionGuard
-from play_launch.process.identity import ProcessIdentity, ProcessStat, read_stat
+from play_launch.process.identity import ProcessIdentity, ProcessStat, read_stat, tracer_of
 from play_launch.process.killer import killer_hint, memory_pressure, oom_kills
 from play_launch.process.kin import MEMBER_VARIABLE, Kin
 from play_launch.process.lines import LineReader, OutputCallback
@@ -44,6 +44,10 @@ INHERITED = 3
 Ours may be above the limit of its process, see `play_launch.process.open_files`."""
 OUTPUT_GRACE = 0.5
 """Seconds that output is read on after everything we could kill is dead."""
+_SHORTEST_PAUSE = 0.01
+_LONGEST_PAUSE = 1.0
+"""Seconds from one question to the next how a process has ended that a tracer holds."""
+_TIMES_UNTIL_WARNING = 4
 _STRAGGLER_ROUNDS = 5
 _STRAGGLER_LIMIT = 1.0
 
@@ -186,16 +190,23 @@ class Child:
             if self._holders == 0:
                 self._unheld.set()
 
-    def _on_exit(self) -> None:
+    def _on_exit(self, asked: int = 0) -> None:
+        self._loop.remove_reader(self._pidfd)
         try:
             # The zombie stays and with it the number of its group, see signal_group.
             ended = self._parent.ended(self.pid)
-            if ended is None:
-                return  # not yet: the pidfd stays readable and calls again
-            self._exit = self._explained(ended)
         except ChildProcessError:
             self._exit = Exit.lost()
-        self._loop.remove_reader(self._pidfd)
+        else:
+            if ended is None:
+                # A tracer is told first, and when it tells the kernel to go on, the parent.
+                if asked == _TIMES_UNTIL_WARNING:
+                    told = (self.argv[0], self.pid, tracer_of(self.pid) or "another process")
+                    _log.warning("%s (pid %d) has died, but %s traces it and keeps its end", *told)
+                delay = min(_LONGEST_PAUSE, _SHORTEST_PAUSE * 2**asked)
+                self._loop.call_later(delay, self._on_exit, asked + 1)
+                return
+            self._exit = self._explained(ended)
         self._exited.set()
         self._finishing = self._loop.create_task(self._finish())
 

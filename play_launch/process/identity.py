@@ -111,17 +111,30 @@ def read_stat(pid: int) -> ProcessStat:
     Raises:
         NoSuchProcessError: When nobody has this pid.
     """
+    return parse_stat(_read(pid, "stat"))
+
+
+def _read(pid: int, name: str) -> str:
     try:
-        descriptor = os.open(f"/proc/{pid}/stat", os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
+        descriptor = os.open(f"/proc/{pid}/{name}", os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
     except (FileNotFoundError, ProcessLookupError):
         raise NoSuchProcessError(pid) from None
     try:
-        content = os.read(descriptor, 4096)
+        return os.read(descriptor, 4096).decode(errors="replace")
     except ProcessLookupError:
         raise NoSuchProcessError(pid) from None
     finally:
         os.close(descriptor)
-    return parse_stat(content.decode(errors="replace"))
+
+
+def tracer_of(pid: int) -> str:
+    """Name what traces a process, such as "gdb (pid 12)"; empty: nothing, or it may not be read."""
+    try:
+        status = _read(pid, "status")
+        tracer = int(status.partition("\nTracerPid:")[2].split(maxsplit=1)[0])
+        return f"{read_stat(tracer).command} (pid {tracer})" if tracer else ""
+    except (NoSuchProcessError, PermissionError, IndexError):
+        return ""
 
 
 def list_processes() -> list[ProcessStat]:

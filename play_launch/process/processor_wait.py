@@ -13,6 +13,8 @@ _MOST: Final = 4096
 _WANTING: Final = frozenset("RD")
 """States of proc_pid_stat(5): ready to run or running, and waiting for a disk, as for swapped
 memory."""
+_TRACED: Final = "t"
+"""The state of a thread that a debugger has stopped."""
 
 
 class ProcessorWait(NamedTuple):
@@ -22,6 +24,8 @@ class ProcessorWait(NamedTuple):
     """Up to when they were given one last, since they began."""
     wants_one: bool
     """Whether one of them runs or waits for a processor now; `seconds` lacks that wait."""
+    is_traced: bool = False
+    """Whether a debugger has stopped one of them."""
 
 
 def own_wait() -> ProcessorWait:
@@ -37,20 +41,22 @@ def processor_wait(pid: int, threads: Collection[str]) -> ProcessorWait:
 
     Kernels that do not count it (``/proc/<pid>/schedstat``) give 0 seconds.
     """
-    seconds, wants_one = 0.0, False
+    seconds, wants_one, is_traced = 0.0, False, False
     try:
         for thread in os.listdir(f"/proc/{pid}/task"):  # noqa: PTH208 (as in identity.py)
             folder = f"/proc/{pid}/task/{thread}"
             try:
                 name, _, fields = _read(folder, "stat").partition("(")[2].rpartition(")")
                 if name in threads:
-                    wants_one |= fields.split()[0] in _WANTING
+                    state = fields.split()[0]
+                    wants_one |= state in _WANTING
+                    is_traced |= state == _TRACED
                     seconds += _waited(folder)
             except (FileNotFoundError, ProcessLookupError, IndexError):  # it has ended since
                 continue
     except OSError:
         pass
-    return ProcessorWait(seconds, wants_one)
+    return ProcessorWait(seconds, wants_one, is_traced)
 
 
 def _waited(folder: str) -> float:

@@ -97,6 +97,11 @@ def signal_each(processes: Iterable[ProcessIdentity], number: signal.Signals) ->
 async def wait_all_ended(processes: Sequence[ProcessIdentity]) -> None:
     """Wait until none of them runs any more; they need not be children of ours."""
     loop = asyncio.get_running_loop()
+
+    def has_ended(pidfd: int, ended: asyncio.Event) -> None:
+        loop.remove_reader(pidfd)  # it stays readable
+        ended.set()
+
     with ExitStack() as opened:
         ends = []
         for identity in processes:
@@ -105,7 +110,7 @@ async def wait_all_ended(processes: Sequence[ProcessIdentity]) -> None:
             except NoSuchProcessError:
                 continue
             ended = asyncio.Event()
-            loop.add_reader(handle.fileno(), ended.set)
+            loop.add_reader(handle.fileno(), has_ended, handle.fileno(), ended)
             opened.callback(loop.remove_reader, handle.fileno())
             ends.append(ended)
         for ended in ends:

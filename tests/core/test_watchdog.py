@@ -56,6 +56,21 @@ def test_who_gets_no_processor_is_given_time_but_not_for_ever() -> None:
     assert look(watch, watch.due, LIMITS)[1] is Verdict.FROZEN
 
 
+def test_who_is_stopped_by_a_debugger_gets_the_time_after_that() -> None:
+    watch, _ = look(begin(0.0, LIMITS), 1.0, LIMITS)
+    for _ in range(1000):
+        watch, verdict = look(watch, watch.due, LIMITS)
+        assert verdict is Verdict.SUSPECT
+        watch, verdict = look(watch, watch.due, LIMITS, stopped=True)
+        assert verdict is Verdict.WAIT
+    goes_on = watch.due - (LIMITS.patience - LIMITS.last_look)
+    assert goes_on > 1000 * LIMITS.patience
+    watch, verdict = look(watch, watch.due, LIMITS)
+    assert verdict is Verdict.SUSPECT
+    assert look(watch, watch.due, LIMITS)[1] is Verdict.FROZEN
+    assert watch.due == goes_on + LIMITS.patience
+
+
 @given(st.lists(st.tuples(st.floats(0, 0.4), st.floats(0, 2.9)), max_size=50))
 def test_who_answers_in_time_is_never_frozen(rounds: list[tuple[float, float]]) -> None:
     now = 0.0

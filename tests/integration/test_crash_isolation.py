@@ -6,6 +6,7 @@ import os
 import re
 import signal
 from collections import defaultdict
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from rosbags.highlevel import AnyReader
 
 from play_launch.install.allocator import find_allocator
 from tests.support.replay import Replay, alive, replaying
+from tests.support.tracing import stopped_by_a_tracer
 
 ROOT = Path(__file__).resolve().parents[2]
 CONFIG = ROOT / "configs" / "crash_isolation.yaml"
@@ -361,6 +363,34 @@ def test_a_frozen_container_is_killed_and_comes_back_with_its_nodes(
         *(STARTED, READY, STOPPING, EXITED, RESTARTING),
         *(STARTED, READY, STOPPING, EXITED),
     ]
+
+
+@pytest.mark.parametrize("kind", ["standard", "isolated"])
+def test_a_container_that_a_debugger_stops_is_not_taken_for_frozen(
+    kind: str, tmp_path: Path
+) -> None:
+    config = write(tmp_path / "traced.yaml", FROZEN.format(kind=kind))
+    with replaying(config, tmp_path / "logs") as replay:
+        read_until_loaded(replay, "/talker", "/listener", "/witness")
+        victim, bystander = pid_of(replay, "/victim"), pid_of(replay, "/bystander")
+        with stopped_by_a_tracer(victim) as tracer:
+            said = replay.read_until(is_log("stopped by", "is killed"), "that it is noticed")
+            assert f"(pid {tracer}), which is no freeze" in said["message"]
+            # The one that is really frozen, and whose silence begins later, is killed meanwhile.
+            os.kill(bystander, signal.SIGSTOP)
+            replay.read_until(is_process("/bystander", "exited"), "the end of a frozen one")
+            assert psutil.Process(victim).status() == psutil.STATUS_TRACING_STOP
+        said = replay.read_until(is_log("/victim answers again", "/victim is killed"), "an answer")
+        assert "answers again" in said["message"]
+        replay.process.send_signal(signal.SIGTERM)
+        replay.read_all()
+        assert not processes(replay, "/victim", "restarting")
+
+
+def is_log(*any_of: str) -> Callable[[dict[str, Any]], bool]:
+    return lambda event: (
+        event["event"] == "log" and any(each in event["message"] for each in any_of)
+    )
 
 
 def test_without_an_allocator_it_works_and_warns_once(

@@ -11,13 +11,14 @@ import sys
 import threading
 from contextlib import suppress
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
 from play_launch.core.events import Stream
 from play_launch.process.child import OUTPUT_GRACE, Child, spawn
 from play_launch.process.exit import Exit
-from play_launch.process.guard import SessionGuard
+from play_launch.process.guard import Ourselves, SessionGuard
 from play_launch.process.identity import read_stat
 from play_launch.process.program import SpawnError
 from tests.process.programs import (
@@ -28,6 +29,7 @@ from tests.process.programs import (
     python,
     shell,
 )
+from tests.support.tracing import stopped_by_a_tracer
 
 pytestmark = pytest.mark.anyio
 
@@ -176,6 +178,34 @@ async def test_a_status_that_somebody_else_took_is_said_to_be_lost() -> None:
     child = start(shell("exit 3"), None)
     os.waitpid(child.pid, 0)  # before the loop gets to look
     assert await finished(child) == Exit.lost()
+
+
+async def test_a_death_that_a_tracer_keeps_to_itself_is_not_asked_for_all_the_time(
+    either: SessionGuard | Path | None,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """As `gdb -p` at its prompt does; the pidfd is readable, and the parent is told nothing."""
+    parent = SessionGuard if isinstance(either, SessionGuard) else Ourselves
+    asked = Mock(side_effect=parent.ended)
+    monkeypatch.setattr(parent, "ended", lambda self, pid: asked(self, pid))  # noqa: PLW0108 - binds
+    child = start(python(READY_THEN_SLEEP), either, output := Output())
+    await output.wait_line("ready")
+    with stopped_by_a_tracer(child.pid) as tracer:
+        assert child.send_signal(signal.SIGKILL)
+        async with asyncio.timeout(60):
+            while not asked.called:
+                await asyncio.sleep(0)
+        for _ in range(1000):
+            await asyncio.sleep(0)
+        assert asked.call_count < 100
+        async with asyncio.timeout(60):
+            while "traces it" not in caplog.text:
+                await asyncio.sleep(0.01)
+        assert child.is_running
+    assert await finished(child) == Exit(signal=9)
+    assert f"(pid {child.pid}) has died, but python" in caplog.text
+    assert f"(pid {tracer}) traces it" in caplog.text
 
 
 async def test_no_thread_per_child_and_nothing_left_of_many(guard: Path) -> None:

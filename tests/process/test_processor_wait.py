@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from play_launch.process.processor_wait import own_wait, processor_wait
+from play_launch.process.processor_wait import ProcessorWait, own_wait, processor_wait
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -57,7 +57,7 @@ def test_two_that_share_a_processor_wait_for_each_other(start: Callable[[str], i
     while not processor_wait(first, {"busy"}).seconds > 0.01:
         assert os.waitid(os.P_PID, second, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None
     assert processor_wait(first, {"busy"}).wants_one
-    assert processor_wait(first, {"other"}) == (0.0, False)
+    assert processor_wait(first, {"other"}) == ProcessorWait(0.0, wants_one=False)
     os.kill(first, signal.SIGSTOP)
     until_stopped(first)
     assert not processor_wait(first, {"busy"}).wants_one
@@ -77,7 +77,7 @@ def test_who_sleeps_wants_none(start: Callable[[str], int]) -> None:
 def test_what_is_gone_has_not_waited() -> None:
     process = subprocess.Popen(["true"])
     process.wait()
-    assert processor_wait(process.pid, {"true"}) == (0.0, False)
+    assert processor_wait(process.pid, {"true"}) == ProcessorWait(0.0, wants_one=False)
 
 
 @counted

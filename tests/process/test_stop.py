@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from play_launch.process.child import Child, spawn
 from play_launch.process.exit import Exit
 from play_launch.process.identity import read_stat
+from play_launch.process.session import wait_all_ended
 from play_launch.process.stop import (
     StopLevel,
     StopPolicy,
@@ -200,3 +201,28 @@ async def test_many_stop_side_by_side(guard: Path) -> None:
     outcomes = await asyncio.gather(*(stop(child, policy) for child, _ in started))
     assert {outcome.level for outcome in outcomes} == {StopLevel.SIGTERM}
     assert not any(exists(child.pid) for child, _ in started)
+
+
+async def test_who_waits_for_several_is_idle_after_the_end_of_the_first(
+    guard: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A pidfd stays readable, so it may not stay in the loop."""
+    woken = 0
+
+    class Counting(asyncio.Event):
+        def set(self) -> None:
+            nonlocal woken
+            woken += 1
+            super().set()
+
+    first, second = [(await ready(python(READY_THEN_SLEEP), guard))[0] for _ in range(2)]
+    monkeypatch.setattr(asyncio, "Event", Counting)
+    waiting = asyncio.create_task(wait_all_ended([first.identity, second.identity]))
+    first.send_signal(signal.SIGKILL)
+    await first.gone()
+    for _ in range(1000):
+        await asyncio.sleep(0)
+    assert woken == 1
+    second.send_signal(signal.SIGKILL)
+    async with asyncio.timeout(60):
+        await asyncio.gather(waiting, second.gone())

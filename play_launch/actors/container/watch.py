@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from play_launch.core.episode import Episode
 from play_launch.core.watchdog import Verdict, Watch, WatchLimits, answered, begin, look
+from play_launch.process.identity import tracer_of
 from play_launch.process.processor_wait import own_wait, processor_wait
 from play_launch.wire.channel import ControlError
 from play_launch.wire.messages import NO_NODE, Query
@@ -43,6 +44,7 @@ class ContainerWatch:
         self._pid = 0
         self._watch: Watch | None = None
         self._noted: tuple[ProcessorWait, ProcessorWait] | None = None
+        self._is_traced = False
         self._leaked = Episode()
         self._unquiesced = Episode()
         self._dead_locks: tuple[str, ...] = ()
@@ -68,6 +70,7 @@ class ContainerWatch:
         self._send = send
         self._pid = pid
         self._noted = None
+        self._is_traced = False
         self._watch = begin(self._clock(), self._limits)
         self._leaked, self._unquiesced = Episode(), Episode()
         self._dead_locks = ()
@@ -83,6 +86,9 @@ class ContainerWatch:
         if status.query_id < _FIRST_QUERY:
             return False
         if self._watch is not None and status.query_id == self._query_id:
+            if self._is_traced:
+                self._is_traced = False
+                _log.warning("%s answers again", self._container)
             self._watch = answered(self._watch, self._clock(), self._limits)
         return True
 
@@ -96,8 +102,14 @@ class ContainerWatch:
             return ""
         now = self._clock()
         # Reading what the kernel counted takes a look at all threads: only for who is suspected.
-        starved = self._noted is not None and now >= self._watch.due and self._is_starved()
-        self._watch, verdict = look(self._watch, now, self._limits, starved=starved)
+        starved = stopped = False
+        if self._noted is not None and now >= self._watch.due:
+            starved, stopped = self._look_at_threads(self._noted)
+        if stopped:
+            self._noted = None
+        self._watch, verdict = look(
+            self._watch, now, self._limits, starved=starved, stopped=stopped
+        )
         match verdict:
             case Verdict.ASK:
                 self._noted = None
@@ -113,11 +125,17 @@ class ContainerWatch:
                 pass
         return ""
 
-    def _is_starved(self) -> bool:
-        assert self._noted is not None
+    def _look_at_threads(self, noted: tuple[ProcessorWait, ProcessorWait]) -> tuple[bool, bool]:
+        """Say whether either side wanted a processor, and whether a debugger stopped the other."""
         both = waits(self._pid)
-        waited = [now.seconds - then.seconds for now, then in zip(both, self._noted, strict=True)]
-        return both[1].wants_one or max(waited) >= self._limits.want
+        waited = [now.seconds - then.seconds for now, then in zip(both, noted, strict=True)]
+        stopped = both[1].is_traced or noted[1].is_traced
+        if both[1].is_traced and not self._is_traced:
+            self._is_traced = True
+            tracer = tracer_of(self._pid) or "a debugger"
+            text = "%s does not answer: it is stopped by %s, which is no freeze; waiting for it"
+            _log.warning(text, self._container, tracer)
+        return both[1].wants_one or max(waited) >= self._limits.want, stopped
 
     def _ask(self) -> None:
         assert self._send is not None
