@@ -252,17 +252,22 @@ class Child:
     async def _kill_rest(self) -> None:
         self.kill_all()
         self.signal_group(signal.SIGKILL)
+        refused: set[ProcessIdentity] = set()
         # Whoever forks while we look is found in the next round.
         for _ in range(_STRAGGLER_ROUNDS):
-            members = await self.members()
+            members = [each for each in await self.members() if each.identity not in refused]
             if not members:
                 return
+            not_killed = signal_each([each.identity for each in members], signal.SIGKILL)
+            refused |= not_killed
             for each in members:
-                if self.pid not in {each.session, each.group}:
-                    left = (self.argv[0], self.pid, each.command, each.pid)
+                left = (self.argv[0], self.pid, each.command, each.pid)
+                if each.identity in not_killed:
+                    why = "which may not be killed: it belongs to another user"
+                    _log.error("%s (pid %d) left %s (pid %d), %s", *left, why)
+                elif self.pid not in {each.session, each.group}:
                     _log.warning("%s (pid %d) left %s (pid %d), which is killed", *left)
-            rest = [member.identity for member in members]
-            signal_each(rest, signal.SIGKILL)
+            rest = [each.identity for each in members if each.identity not in refused]
             try:
                 async with asyncio.timeout(_STRAGGLER_LIMIT):
                     await wait_all_ended(rest)

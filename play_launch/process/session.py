@@ -84,14 +84,20 @@ def group_members(group: Group, leader: int) -> list[ProcessStat]:
     return members
 
 
-def signal_each(processes: Iterable[ProcessIdentity], number: signal.Signals) -> None:
-    """Send a signal to those that still exist."""
+def signal_each(
+    processes: Iterable[ProcessIdentity], number: signal.Signals
+) -> set[ProcessIdentity]:
+    """Send a signal to those that still exist; give those that another user owns by now."""
+    refused = set()
     for identity in processes:
         try:
             with ProcessHandle.open(identity) as handle:
                 handle.send_signal(number)
         except NoSuchProcessError:
             continue
+        except PermissionError:  # a setuid program
+            refused.add(identity)
+    return refused
 
 
 async def wait_all_ended(processes: Sequence[ProcessIdentity]) -> None:

@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import os
+import shutil
 import signal
+import subprocess
+import sys
 import textwrap
+from typing import TYPE_CHECKING
 
 import psutil
 import pytest
@@ -17,6 +22,10 @@ from play_launch.process.identity import ProcessStat
 from play_launch.process.kin import below, mark_of
 from play_launch.process.stop import StopPolicy, stop
 from tests.process.programs import Output, environment, python
+from tests.support.waiting import until
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 PATIENT = StopPolicy(sigint=60, sigterm=60)
 
@@ -102,6 +111,67 @@ async def test_a_daemon_ends_with_a_child_that_ends_by_itself(
         assert (await child.gone()).code == 0
     assert not is_alive(left)
     assert f"sleep (pid {left.pid}), which is killed" in caplog.text
+
+
+FOREIGN = """
+import asyncio, concurrent.futures.thread, logging, os, sys
+from pathlib import Path
+from play_launch.process.child import spawn
+from play_launch.process.guard import SessionGuard
+from tests.process.programs import Output, environment, shell
+logging.basicConfig(format="%(message)s")
+
+async def main():
+    os.setgroups([]); os.setresgid(65534, 65534, 65534); os.setresuid(65534, 65534, 65534)
+    guard = SessionGuard.start(Path(sys.argv[1]))
+    # Each has a group of its own, so that killpg(2) reaches neither.
+    started = f"{sys.argv[2]} --reuid 0 sleep 600 & root=$!; sleep 600 & echo $root $!"
+    output = Output()
+    child = spawn(["bash", "-c", f"set -m; {started}; read line < /dev/zero"], env=environment(),
+                  guard=guard, on_output=output)
+    print(await output.wait_line(""), flush=True)
+    sys.stdin.readline()
+    child.send_signal(9)
+    await child.gone()
+    print("gone", flush=True)
+    sys.stdin.readline()
+
+asyncio.run(main())
+"""
+"""An ordinary user's supervisor, one process of whose session has become root's."""
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs root to become another user")
+def test_who_may_not_be_killed_is_named_and_the_others_are_killed(
+    guard: Path, tmp_path: Path
+) -> None:
+    setpriv = tmp_path / "setpriv"
+    shutil.copy(shutil.which("setpriv") or "", setpriv)
+    setpriv.chmod(0o4755)
+    for folder in tmp_path.parents[:2]:
+        folder.chmod(0o755)
+    tmp_path.chmod(0o755)
+    with subprocess.Popen(
+        [sys.executable, "-c", FOREIGN, guard, setpriv],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as supervisor:
+        assert supervisor.stdin is not None
+        assert supervisor.stdout is not None
+        foreign, own = map(int, supervisor.stdout.readline().split())
+        try:
+            until(lambda: psutil.Process(foreign).uids().real == 0, "its becoming root's")
+            supervisor.stdin.write("\n")
+            supervisor.stdin.flush()
+            assert supervisor.stdout.readline() == "gone\n"
+            assert not psutil.pid_exists(own)
+            _, log = supervisor.communicate(timeout=60)
+            assert f"left sleep (pid {foreign}), which may not be killed" in log
+            assert "Error" not in log
+        finally:
+            psutil.Process(foreign).kill()
 
 
 @pytest.mark.anyio
