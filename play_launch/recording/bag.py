@@ -146,13 +146,14 @@ class McapBagWriter:
         self._head: list[Callable[[Part], None]] = []
         self._has_begun = False
         self._latched = Latched()
-        self._finished: list[IndexedFile] = []
+        self._completed: list[IndexedFile] = []
+        """Belongs to the thread of the disk."""
         self._finished_bytes = 0
         self._finished_messages = 0
         self._number = 0
         self._repeated = 0
         self._not_before = 0.0
-        self._disk = Disk(sync, self._not_synced)
+        self._disk = Disk(sync, self._not_durable)
         with self._failing():
             self._part = self._begin(0)
 
@@ -236,12 +237,12 @@ class McapBagWriter:
         """Write the summary, make the file durable and give it its final name."""
         with self._failing():
             self._finish()
-            self._disk.close()
+        self._disk.close()
 
     def abandon(self) -> None:
         """Cut the file after the last complete record and let go of it."""
-        self._disk.do(self._part.abandon)
-        with contextlib.suppress(OSError):
+        self._disk.do(self._part, self._part.abandon)
+        with contextlib.suppress(WriteFailedError):
             self._disk.close()
 
     @property
@@ -323,28 +324,29 @@ class McapBagWriter:
         summary = part.finish()
         counts = {_listed(self._topics[each]): count for each, count in summary.counts.items()}
         name = part_path(self._first_path, self._number).name
-        self._finished.append(IndexedFile(name, summary.begin, summary.end, counts))
-        self._disk.do(part.complete)
-        if self._has_index:
-            finished = tuple(self._finished)
-            self._disk.do(lambda: self._write_index(finished))
+        file = IndexedFile(name, summary.begin, summary.end, counts)
+        self._disk.do(part, lambda: self._complete(part, file))
 
-    def _write_index(self, finished: tuple[IndexedFile, ...]) -> None:
+    def _complete(self, part: Part, file: IndexedFile) -> None:
+        part.complete()
+        self._completed.append(file)
+        if not self._has_index:
+            return
         try:
-            write_index(self._first_path.parent, finished, self._ros_distro)
+            write_index(self._first_path.parent, self._completed, self._ros_distro)
         except OSError as error:
             # Each file is whole without it.
             _log.warning("cannot write the index of %s: %s", self._first_path, reason(error))
 
-    def _not_synced(self, error: OSError) -> None:
+    def _not_durable(self, part: Part, error: OSError) -> None:
         if isinstance(error, FileNotFoundError):
             _log.error(
-                "%s was removed: what happens is not recorded until the next start", self._part.path
+                "%s was removed: what happens is not recorded until the next start", part.path
             )
             return
         _log.error(
             "%s cannot be forced to the disk: %s; a power failure may take it",
-            self._part.path,
+            part.path,
             reason(error),
         )
 

@@ -7,6 +7,8 @@ import threading
 import time
 from typing import TYPE_CHECKING
 
+from play_launch.recording.errors import WriteFailedError
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -17,20 +19,20 @@ class Disk:
     """Syncs what was written, at most ``period`` seconds after it was, and completes files.
 
     An SD card may take seconds for it, in which the recorder would not empty its queue. The thread
-    begins with the first thing to do. What fails is kept for :meth:`close`, and ``on_error`` is
-    called with the first error of a file.
+    begins with the first thing to do. ``on_error`` is called at once with the first error of each
+    file; one of a job is kept for :meth:`close` as well.
     """
 
-    def __init__(self, period: float, on_error: Callable[[OSError], None]) -> None:
+    def __init__(self, period: float, on_error: Callable[[Part, OSError], None]) -> None:
         """``period`` may be infinite: then a file is synced when it is complete."""
         self._period = period
         self._on_error = on_error
         self._changed = threading.Condition()
         self._dirty: Part | None = None
         self._due = math.inf
-        self._jobs: list[Callable[[], None]] = []
+        self._jobs: list[tuple[Part, Callable[[], None]]] = []
         self._closing = False
-        self._error: OSError | None = None
+        self._error: WriteFailedError | None = None
         self._failed: Part | None = None
         self._thread: threading.Thread | None = None
 
@@ -44,14 +46,14 @@ class Disk:
             self._dirty = part
             self._wake()
 
-    def do(self, job: Callable[[], None]) -> None:
-        """Have something done after what was asked for before; it may raise ``OSError``."""
+    def do(self, part: Part, job: Callable[[], None]) -> None:
+        """Have something done with a file after the jobs before; it may raise ``OSError``."""
         with self._changed:
-            self._jobs.append(job)
+            self._jobs.append((part, job))
             self._wake()
 
     def close(self) -> None:
-        """Wait for the jobs; raise the first ``OSError`` of one. Nothing may follow."""
+        """Wait for the jobs; raise the first error of one. Nothing may follow."""
         with self._changed:
             self._closing = True
             self._changed.notify()
@@ -79,21 +81,26 @@ class Disk:
                 jobs, self._jobs = self._jobs, []
                 part, self._dirty = self._dirty, None
                 self._due = math.inf
-            for job in jobs:
-                self._carry_out(job)
+            for one, job in jobs:
+                self._carry_out(one, job)
             if part is not None and part.file.is_open:
                 self._sync(part)
 
-    def _carry_out(self, job: Callable[[], None]) -> None:
+    def _carry_out(self, part: Part, job: Callable[[], None]) -> None:
         try:
             job()
         except OSError as error:
-            self._error = self._error or error
+            self._error = self._error or WriteFailedError(part.path, error)
+            if not self._closing:
+                self._report(part, error)
 
     def _sync(self, part: Part) -> None:
         try:
             part.sync()
         except OSError as error:
-            if self._failed is not part:
-                self._failed = part
-                self._on_error(error)
+            self._report(part, error)
+
+    def _report(self, part: Part, error: OSError) -> None:
+        if self._failed is not part:
+            self._failed = part
+            self._on_error(part, error)

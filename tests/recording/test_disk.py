@@ -7,9 +7,10 @@ import os
 import shutil
 import threading
 import time
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
+import yaml
 
 from play_launch.cdr.log import log_message
 from play_launch.core.events import OutputLine, Stream
@@ -18,9 +19,6 @@ from play_launch.recording.bag import McapBagWriter, Rotation
 from play_launch.recording.errors import WriteFailedError
 from play_launch.recording.recorder import Recorder, RecorderLimits
 from play_launch.recording.topics import OUTPUT
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def line(number: int) -> OutputLine:
@@ -171,3 +169,35 @@ def test_a_disk_that_forgets_is_reported_once_and_at_the_end(
     (error,) = caplog.records
     assert "cannot be forced to the disk" in error.getMessage()
     assert sum(1 for _ in BagReader(tmp_path / "x.mcap.active").messages()) == 2
+
+
+def test_a_file_before_that_cannot_be_completed_is_reported_at_once_and_by_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    syncs = threading.Semaphore(0)
+    really = os.fdatasync
+
+    def fail_first(descriptor: int) -> None:
+        first = Path(f"/proc/self/fd/{descriptor}").readlink().name == "session.mcap.active"
+        syncs.release()
+        if first:
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        really(descriptor)
+
+    monkeypatch.setattr(os, "fdatasync", fail_first)
+    writer = McapBagWriter(tmp_path / "session.mcap", rotation=Rotation(size=1), has_index=True)
+    channel = writer.register(OUTPUT)
+    for number in (1, 2, 3):
+        writer.write(channel, b"\0\1\0\0", log_time=number, publish_time=number)
+        writer.flush()
+        assert syncs.acquire(timeout=10)
+    (error,) = caplog.records
+    assert "/session.mcap.active cannot be" in error.getMessage(), "hours before the end"
+    with pytest.raises(WriteFailedError, match=r"/session\.mcap\.active: Input/output error"):
+        writer.close()
+    writer.abandon()
+    assert len(caplog.records) == 1
+    index = yaml.safe_load((tmp_path / "metadata.yaml").read_text())
+    listed = index["rosbag2_bagfile_information"]["relative_file_paths"]
+    assert listed == ["session_1.mcap", "session_2.mcap", "session_3.mcap"]
+    assert all((tmp_path / name).is_file() for name in listed)
