@@ -15,16 +15,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Final, Protocol, cast
 
 from play_launch.cli.session_verbs import SESSION_VERBS
-from play_launch.control.client import (
-    AmbiguousSessionError,
-    ControlClient,
-    NoSessionError,
-    connect,
-)
 from play_launch.control.protocol import Code, ControlError
+from play_launch.control.sessions import AmbiguousSessionError, NoSessionError, connect
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    from play_launch.control.client import ControlClient
 
 OK: Final = 0
 FAILED: Final = 1

@@ -26,6 +26,8 @@ LINKS: Final = "PLAY_LAUNCH_SESSIONS_DIR"
 _NUMBERS: Final = 3
 _START_TIME: Final = 19
 """Index in what follows the name of the program in /proc/<pid>/stat."""
+_DEAD: Final = (b"Z", b"X")
+"""States of a process that has ended and was not waited for yet."""
 _CREDENTIALS: Final = struct.Struct("3i")
 
 
@@ -77,7 +79,7 @@ def register(folder: str) -> str:
     os.makedirs(links, mode=0o700, exist_ok=True)  # noqa: PTH103 - pathlib is slow to import
     if not _is_ours(links):
         raise PermissionError(f"{links} belongs to another user")
-    link = Link(os.getpid(), folder, _start_time("self"), _namespace())
+    link = Link(os.getpid(), folder, _state_and_start("self")[1], _namespace())
     path = f"{links}/{link.name}"
     with contextlib.suppress(FileNotFoundError):
         os.unlink(path)  # noqa: PTH108 - of an earlier session of this process
@@ -103,13 +105,19 @@ def registered() -> list[Link]:
     return [link for _, link in sorted(found)]
 
 
+def is_registered(link: Link) -> bool:
+    """Whether the link is still there: a session that ends removes it first."""
+    return os.path.lexists(f"{links_folder()}/{link.name}")
+
+
 def registrant_of(link: Link) -> Registrant:
     """Look for the process that registered a session."""
     # With the /proc of another PID namespace nothing can be said about a pid.
     if link.namespace != _namespace() or os.readlink("/proc/self") != str(os.getpid()):  # noqa: PTH115
         return Registrant.UNKNOWN
     try:
-        is_it = _start_time(link.pid) == link.start_time
+        state, start_time = _state_and_start(link.pid)
+        is_it = start_time == link.start_time and state not in _DEAD
     except (FileNotFoundError, ProcessLookupError):
         is_it = False
     return Registrant.ALIVE if is_it else Registrant.GONE
@@ -150,9 +158,10 @@ def _is_ours(folder: str) -> bool:
     return status.st_uid == os.geteuid() and (status.st_mode & 0o170000) == 0o040000
 
 
-def _start_time(pid: int | Literal["self"]) -> int:
+def _state_and_start(pid: int | Literal["self"]) -> tuple[bytes, int]:
     with open(f"/proc/{pid}/stat", "rb") as file:  # noqa: PTH123
-        return int(file.read().rpartition(b")")[2].split()[_START_TIME])
+        fields = file.read().rpartition(b")")[2].split()
+    return fields[0], int(fields[_START_TIME])
 
 
 def _namespace() -> int:

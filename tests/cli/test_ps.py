@@ -2,9 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any
+import subprocess
+import sys
+from typing import TYPE_CHECKING, Any
 
 from play_launch.cli.ps import table
+from play_launch.control.place import LINKS
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    import pytest
 
 ROW: dict[str, Any] = {
     "name": "/a",
@@ -47,3 +55,24 @@ def test_details_end_where_the_terminal_ends() -> None:
     assert table([WAITING], 90).endswith("...\n")
     assert table([WAITING], 40).endswith("  waits for the fil...\n")
     assert table([WAITING], 200) == table([WAITING])
+
+
+def test_ps_imports_next_to_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(LINKS, str(tmp_path / "links"))
+    program = (
+        "import sys\n"
+        "from play_launch.cli.entry import main\n"
+        "try:\n    main()\nexcept SystemExit as end:\n    assert end.code == 1\n"
+        "slow = {'typer', 'rich', 'asyncio', 'msgspec', 'yaml', 'shutil', 'dataclasses',\n"
+        "        'inspect', 'logging', 'subprocess', 'tempfile'}\n"
+        "print(sorted(slow & set(sys.modules)))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program, "ps", "--json"],
+        check=True,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert done.stdout == "[]\n"
+    assert "no session is running" in done.stderr

@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 import pty
+import re
 import signal
 import socket
 import subprocess
@@ -17,9 +18,9 @@ from typing import Any
 import psutil
 import pytest
 
-from play_launch.control.client import connect_to
 from play_launch.control.place import LINKS, address_of
 from play_launch.control.protocol import LONGEST_REQUEST, encode
+from play_launch.control.sessions import connect_to
 from play_launch.history.session import PastSession
 from play_launch.recording import topics
 from tests.support.replay import COMMAND, Replay, alive, replaying
@@ -135,26 +136,6 @@ def test_what_runs_is_listed(config: Path, tmp_path: Path) -> None:
         assert table[0].split()[:3] == ["NAME", "KIND", "STATE"]
         assert table[2].startswith("  /talker")
         assert "did you mean /talker?" in ask("ps", "/talkr", code=2)
-
-
-def test_ps_imports_next_to_nothing(tmp_path: Path) -> None:
-    program = (
-        "import sys\n"
-        "from play_launch.cli.entry import main\n"
-        "try:\n    main()\nexcept SystemExit as end:\n    assert end.code == 1\n"
-        "slow = {'typer', 'rich', 'asyncio', 'msgspec', 'yaml', 'shutil', 'dataclasses',\n"
-        "        'inspect', 'logging', 'subprocess', 'tempfile'}\n"
-        "print(sorted(slow & set(sys.modules)))\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", program, "ps", "--json"],
-        check=True,
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
-    assert done.stdout == "[]\n"
-    assert "no session is running" in done.stderr
 
 
 def test_actions_touch_only_what_they_are_about(config: Path, tmp_path: Path) -> None:
@@ -403,7 +384,20 @@ def test_of_two_sessions_one_is_chosen(
         assert "/sleeper" in ask("ps", "--session", "zweitös")
         (tmp_path / "b").rename(tmp_path / "moved")
         assert "still runs" in ask("ps", "--session", str(second.pid), code=1)
+        # The one that can be reached is not the one that is meant.
+        refused = ask("stop", "*", code=1)
+        assert "2 sessions are running" in refused
+        assert "still runs" in refused
         (tmp_path / "moved").rename(tmp_path / "b")
+        second.process.send_signal(signal.SIGSTOP)
+        try:
+            refused = ask("stop", "*", code=1)
+            assert f"{first.pid}  robot" in refused
+            assert re.search(rf"{second.pid}  the session in .* does not answer", refused)
+            states = {row["state"] for row in json.loads(ask("ps", "--session=robot", "--json"))}
+            assert states == {"running", "loaded"}
+        finally:
+            second.process.send_signal(signal.SIGCONT)
 
 
 def test_parameters_are_read_and_set(config: Path, tmp_path: Path) -> None:

@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import re
+import signal
 import socket
 import subprocess
-from typing import TYPE_CHECKING
+import threading
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from play_launch.control.client import NoSessionError, connect
-from play_launch.control.place import CONTROL_SOCKET, LINKS, registered
+from play_launch.control.place import CONTROL_SOCKET, LINKS, address_of, registered
+from play_launch.control.protocol import PROTOCOL, Code, ControlError, encode
+from play_launch.control.sessions import AmbiguousSessionError, NoSessionError, connect
 from tests.control.links import put_link
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
     from pathlib import Path
+
+STAMP = "2026-11-24-10-00-00"
 
 
 @pytest.fixture(autouse=True)
@@ -84,3 +92,104 @@ def test_links_of_another_user_are_not_followed(
     monkeypatch.setenv(LINKS, str(tmp_path / "link"))
     (tmp_path / "link").symlink_to(elsewhere)
     assert not registered()
+
+
+@pytest.fixture
+def session(tmp_path: Path, links: Path) -> Iterator[Callable[..., Path]]:
+    """Make sessions that greet, or not (``protocol=0``), and say nothing else."""
+    with contextlib.ExitStack() as opened:
+
+        def make(name: str, protocol: int = PROTOCOL, folder: str = "") -> Path:
+            path = tmp_path / "logs" / (folder or f"{STAMP}-{name}")
+            path.mkdir(parents=True)
+            process = opened.enter_context(subprocess.Popen(["cat"], stdin=subprocess.PIPE))
+            listening = opened.enter_context(socket.socket(socket.AF_UNIX))
+            with address_of(str(path)) as address:
+                listening.bind(address)
+            listening.listen()
+            hello = {"protocol": protocol, "version": "1", "pid": process.pid, "name": name}
+            hello |= {"session": "x", "folder": str(path), "started_ns": 0}
+            if protocol:
+                thread = threading.Thread(target=greet, args=(listening, hello))
+                thread.start()
+                opened.callback(thread.join)
+                opened.callback(listening.shutdown, socket.SHUT_RDWR)
+            put_link(links, process.pid, path)
+            return path
+
+        yield make
+
+
+def greet(listening: socket.socket, hello: dict[str, Any]) -> None:
+    with contextlib.ExitStack() as opened, contextlib.suppress(OSError):
+        while True:
+            connection = opened.enter_context(listening.accept()[0])
+            connection.sendall(encode({"hello": hello}))
+
+
+def connected(session: str | None = None, **how: Any) -> str:
+    with connect(session, **how) as client:
+        return client.hello.folder
+
+
+@pytest.mark.parametrize("protocol", [0, PROTOCOL + 1], ids=["silent", "of another release"])
+def test_a_session_is_not_chosen_because_another_one_does_not_answer(
+    session: Callable[..., Path], protocol: int
+) -> None:
+    base, arm = session("base"), session("arm", protocol)
+    with pytest.raises(AmbiguousSessionError, match="2 sessions are running") as refused:
+        connect()
+    assert f"  base  {base}" in str(refused.value)
+    reason = "does not answer" if protocol == 0 else f"speaks protocol {protocol}"
+    assert re.search(f"{re.escape(str(arm))}.* {reason}", str(refused.value))
+
+
+def test_of_one_name_the_session_that_answers_is_not_chosen(session: Callable[..., Path]) -> None:
+    answers, silent = session("robot"), session("robot", 0, f"{STAMP}-robot-2")
+    with pytest.raises(AmbiguousSessionError, match="are, or may be, called robot") as refused:
+        connect("robot", limit=0.2)
+    assert str(answers) in str(refused.value)
+    assert f"the session in {silent} does not answer" in str(refused.value)
+
+
+def test_a_silent_session_of_another_name_holds_up_nobody(session: Callable[..., Path]) -> None:
+    session("arm", 0)
+    base = session("base")
+    assert connected("base", limit=10_000) == str(base)
+    with pytest.raises(ControlError, match="does not answer") as refused:
+        connect("arm", limit=0.2)
+    assert refused.value.code == Code.TIMEOUT
+    with pytest.raises(NoSessionError, match=r"no session gripper(.|\n)*arm does not answer"):
+        connect("gripper")
+
+
+def test_a_killed_session_that_nobody_waited_for_is_no_second_one(
+    session: Callable[..., Path], tmp_path: Path, links: Path
+) -> None:
+    base = session("base")
+    leave_socket(tmp_path)
+    with subprocess.Popen(["cat"], stdin=subprocess.PIPE) as killed:
+        put_link(links, killed.pid, tmp_path)
+        killed.send_signal(signal.SIGKILL)
+        os.waitid(os.P_PID, killed.pid, os.WEXITED | os.WNOWAIT)
+        assert connected() == str(base)
+
+
+def test_a_folder_of_that_name_here_is_not_the_session(
+    session: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = session("robot")
+    pid = str(registered()[0].pid)
+    work = tmp_path / "work"
+    for name in ("robot", pid):
+        (work / name).mkdir(parents=True)
+    monkeypatch.chdir(work)
+    for name in ("robot", pid, str(folder)):
+        assert connected(name) == str(folder)
+    with pytest.raises(NoSessionError, match=r"no session is running in \./robot"):
+        connect("./robot")
+    monkeypatch.chdir(folder)
+    assert connected(".") == str(folder)
+    monkeypatch.chdir(folder.parent)
+    (folder.parent / "latest").symlink_to(folder.name)
+    assert connected("latest") == str(folder)

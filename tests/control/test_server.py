@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from play_launch.control.client import ControlClient, NoSessionError, connect, connect_to, running
 from play_launch.control.connection import MOST_AT_ONCE
 from play_launch.control.door import Door
 from play_launch.control.place import CONTROL_SOCKET, LINKS, registered
 from play_launch.control.protocol import LONGEST_REQUEST, Code, ControlError, decode, encode
 from play_launch.control.server import MOST_CLIENTS, MOST_RECEIVED, About, serving
+from play_launch.control.sessions import NoSessionError, connect, connect_to
 from tests.control.links import put_link
 from tests.support.waiting import until
 
@@ -394,8 +394,6 @@ def test_of_several_sessions_one_has_to_be_chosen(tmp_path: Path) -> None:
             connect("robot")
         with pytest.raises(NoSessionError, match="there is no session nothing"):
             connect("nothing")
-        for client in running():
-            client.close()
 
     asyncio.run(main())
 
@@ -425,12 +423,3 @@ def connected(folder: Path) -> Any:
         plain.settimeout(30)
         plain.connect(os.path.relpath(folder / CONTROL_SOCKET))
         yield plain
-
-
-def test_a_client_of_another_version_says_so(tmp_path: Path) -> None:
-    ours, theirs = socket.socketpair()
-    with ours, theirs:
-        theirs.sendall(encode({"hello": {"protocol": 2, "version": "9.0"}}))
-        with pytest.raises(ControlError, match="speaks protocol 2") as refused:
-            ControlClient(ours)
-        assert refused.value.code == Code.PROTOCOL

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from play_launch.control.client import connect_to
 from play_launch.control.protocol import ControlError
+from play_launch.control.sessions import connect_to
 from tests.support.replay import replaying
 
 DEAF = """

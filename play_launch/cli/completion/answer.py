@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from play_launch.cli.completion.candidates import candidates, place_of
 from play_launch.cli.completion.commands import FILES, FOLDERS, LAUNCH_FILE, program
 from play_launch.cli.completion.line import for_bash, read_line
-from play_launch.control.glance import glance
+from play_launch.control.sessions import glance
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

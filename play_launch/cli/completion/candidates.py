@@ -11,7 +11,7 @@ from play_launch.cli.completion.commands import Command, Option, Value
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 
-    from play_launch.control.glance import Seen
+    from play_launch.control.sessions import Seen
 
 _OPTIONS: Final = "options"
 _PATTERN: Final = frozenset("*?[")

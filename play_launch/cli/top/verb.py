@@ -65,8 +65,8 @@ def how_it_ended(hello: Hello, reason: str) -> tuple[str, int]:
         hello: Which session.
         reason: Why its client gave up; empty: the connection was closed.
     """
-    from play_launch.control.client import NoSessionError, connect_to  # noqa: PLC0415
     from play_launch.control.place import CONTROL_SOCKET  # noqa: PLC0415
+    from play_launch.control.sessions import NoSessionError, connect_to  # noqa: PLC0415
 
     name = f"session {hello.name} (pid {hello.pid})"
     try:

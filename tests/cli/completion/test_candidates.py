@@ -16,7 +16,7 @@ from play_launch.cli.completion.candidates import candidates, place_of
 from play_launch.cli.completion.commands import Command, program
 from play_launch.cli.completion.line import read_line
 from play_launch.cli.verbs import VERBS
-from play_launch.control.glance import Seen
+from play_launch.control.sessions import Seen
 from tests.support.replay import COMMAND
 
 

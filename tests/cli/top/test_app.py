@@ -14,11 +14,11 @@ from blockbuster import blockbuster_ctx
 from play_launch.cli.top.app import End, TopApp
 from play_launch.cli.top.link import MOST_UNDER_WAY
 from play_launch.cli.top.panes import Pane, Question
-from play_launch.control.client import connect_to
 from play_launch.control.door import Door
 from play_launch.control.place import LINKS
 from play_launch.control.protocol import Code, ControlError
 from play_launch.control.server import About, serving
+from play_launch.control.sessions import connect_to
 from tests.support.waiting import LIMIT
 
 if TYPE_CHECKING:
