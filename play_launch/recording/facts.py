@@ -62,10 +62,17 @@ _KEPT_PREFIXES: Final = (
     "ZENOH_",
 )
 _SECRET: Final = re.compile(
-    r"secret|token|passw|passphrase|credential|private|cookie|keyring"
-    r"|(?:^|_)(?:api_?)?(?:key|pass|pwd|auth|authorization|pin)(?:$|_)",
+    r"secret|token|passw|passphrase|credential|private|cookie|keyring|bearer"
+    r"|(?:^|_)(?:(?:api|access|auth|signing)_?)?key(?:$|_)"
+    r"|(?:^|_)(?:pass|pwd|o?auth2?|authorization|pin|jwt|psk|otp)(?:$|_)",
     re.IGNORECASE,
 )
+_TOKEN: Final = re.compile(
+    r"(?<=\bbearer )\S+|(?<=\bbasic )\S{8,}"
+    r"|\beyJ[\w-]+\.[\w-]+\.[\w-]*|\bgh[opsur]_\w{20,}|-----BEGIN [^-]*PRIVATE KEY.*",
+    re.IGNORECASE | re.DOTALL,
+)
+"""What is a secret by its form, under whatever name."""
 _CONFIGURATION: Final = frozenset({"ZENOH_CONFIG_OVERRIDE"})
 """They hold a configuration of any content instead of naming its file."""
 _INLINE: Final = re.compile(r"<|^\s*\{\s*[\"']?\w+[\"']?\s*:")
@@ -109,6 +116,7 @@ def _without_secrets(value: str) -> str:
         return REDACTED
     value = _URL_USER.sub(REDACTED, value)
     value = _URL_QUERY.sub(REDACTED, value)
+    value = _TOKEN.sub(REDACTED, value)
     return _ASSIGNED.sub(rf"\1{REDACTED}", value)
 
 
