@@ -12,6 +12,7 @@ import sys
 from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from play_launch.cli.find_mistakes import describe
 from play_launch.cli.library_output import library_output_logged
@@ -28,7 +29,13 @@ from play_launch.core.group_totals import GroupTotals
 from play_launch.process import open_files
 from play_launch.process.time_slice import ask_for_short_turns, run_ahead
 from play_launch.recording.log_handler import log_published
-from play_launch.recording.resolved_form import resolved_form
+from play_launch.recording.resolved_form import (
+    event_without,
+    in_messages,
+    resolved_form,
+    taken_secrets,
+    without,
+)
 from play_launch.recording.session import Session, SessionDescription, open_session
 from play_launch.topic_recording.snapshot import Snapshots
 
@@ -80,17 +87,26 @@ class RunSink:
         self.feed = Feed()
         """Keeps the latest for whoever operates the session."""
         self.used = GroupTotals()
+        self._secrets: frozenset[str] = frozenset()
         self.adopt(config)
 
     def adopt(self, config: ReplayConfig) -> None:
         """Take another configuration, in the loop's thread."""
+        self.hide_secrets(config)
         output = {each.full_name: each.output for each in config.containers}
         output |= {each.full_name: each.output for each in config.nodes}
         self._not_shown = {name for name, where in output.items() if not where.is_shown}
         self._not_recorded = {name for name, where in output.items() if not where.is_recorded}
 
+    def hide_secrets(self, config: ReplayConfig) -> None:
+        """Keep what it took from outside out of all events and messages from now on."""
+        self._secrets |= taken_secrets(config)
+        self._recorder.topic_requests.secrets = in_messages(self._secrets)
+
     def publish(self, event: RunEvent, before: SystemView, after: SystemView) -> None:
         """Take one event, in the loop's thread."""
+        if self._secrets:
+            event = event_without(event, self._secrets)
         writer = event.process if isinstance(event, OutputLine) else ""
         if writer not in self._not_recorded:
             self._recorder.publish(event)
@@ -102,6 +118,8 @@ class RunSink:
 
     def publish_log(self, event: LogRecord) -> None:
         """Take a record of the log, in any thread; it changes nothing in the view."""
+        if self._secrets:
+            event = replace(event, message=without(event.message, self._secrets))
         self._recorder.publish(event)
         self._display.publish_log(event)
         self.feed.publish_log(event)
@@ -267,6 +285,7 @@ async def _serve_control(
             publisher=publisher,
             feed=sink.feed,
             snapshots=snapshots,
+            hide_secrets=sink.hide_secrets,
             adopt=sink.adopt,
             keeps_duration=options.keeps_duration,
             watched=options.watched,

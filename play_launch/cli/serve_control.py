@@ -43,6 +43,7 @@ async def serve_control(
     publisher: Publisher,
     feed: Feed,
     snapshots: Snapshots,
+    hide_secrets: Callable[[ReplayConfig], None],
     adopt: Callable[[ReplayConfig], None],
     keeps_duration: bool,
     watched: Watched | None,
@@ -50,7 +51,8 @@ async def serve_control(
 ) -> None:
     """Answer until this is cancelled; the run goes on whatever fails here.
 
-    ``adopt`` hears of what the system is configured as, each time that this has changed;
+    ``hide_secrets`` hears of each configuration before it is applied; ``adopt`` of what the system
+    is configured as, each time that this has changed;
     ``keeps_duration`` is whether the command line said it; ``watched`` is applied when it changes;
     ``operable`` becomes done as soon as commands are answered.
     """
@@ -61,11 +63,16 @@ async def serve_control(
         snapshots=snapshots,
         environment={**os.environ, **config.environment},
     )
+
+    def begin(target: ReplayConfig, number: int) -> None:
+        hide_secrets(target)
+        attach_applied(session.recorder.topic_requests, target, number)
+
     changes = Changes(
         system,
         operations.records,
         as_started=partial(as_started, config, keeps_duration=keeps_duration),
-        on_begin=partial(attach_applied, session.recorder.topic_requests),
+        on_begin=begin,
         on_end=adopt,
     )
     names = ParameterNames(

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from play_launch.core.events import ActionEvent, ActionPhase
+from play_launch.recording.resolved_form import redacted_arguments
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Sequence
@@ -114,4 +115,5 @@ def command_of(pid: int) -> str:
         data = Path(f"/proc/{pid}/cmdline").read_bytes()[:_LONGEST_COMMAND]
     except OSError:
         return ""
-    return " ".join(data.decode("utf-8", "replace").replace("\0", " ").split())
+    words = redacted_arguments(data.decode("utf-8", "replace").split("\0"))
+    return " ".join(" ".join(words).split())

@@ -2,7 +2,26 @@
 
 from __future__ import annotations
 
+import mmap
+import struct
+import zlib
+from typing import TYPE_CHECKING, Final
+
 from msgspec import Struct
+
+if TYPE_CHECKING:
+    import re
+    from collections.abc import Collection
+
+CHUNK_HEAD: Final = 9 + 8 + 8 + 8 + 4 + 4 + 8
+"""Bytes of an uncompressed chunk before its records."""
+INDEX: Final = struct.Struct("<BQHI")
+"""Head of a message index; entries follow."""
+ENTRY: Final = struct.Struct("<QQ")
+"""Log time, and where the message stands among the records."""
+MESSAGE: Final = struct.Struct("<BQHIQQ")
+_CHECKSUM: Final = struct.Struct("<I")
+_CHECKSUM_AT: Final = 9 + 8 + 8 + 8
 
 
 class ChannelPart(Struct, frozen=True):
@@ -37,3 +56,29 @@ class TopicChunk(Struct, frozen=True):
     def messages(self) -> int:
         """How many messages are in it."""
         return sum(part.messages for part in self.parts)
+
+
+def mask(chunk: TopicChunk, channels: Collection[int], secrets: re.Pattern[bytes]) -> None:
+    """Write asterisks over secrets in the messages of some channels; all lengths stay.
+
+    Raises:
+        OSError, ValueError, struct.error: When the chunk is not what it should be.
+    """
+    parts = [part for part in chunk.parts if part.channel in channels]
+    if not parts:
+        return
+    with mmap.mmap(chunk.descriptor, chunk.length) as data:
+        found = False
+        for part in parts:
+            index = part.index_offset + INDEX.size
+            entries = data[index : index + ENTRY.size * part.messages]
+            for _, place in ENTRY.iter_unpack(entries):
+                begin = CHUNK_HEAD + place + MESSAGE.size
+                end = CHUNK_HEAD + place + 9 + MESSAGE.unpack_from(data, CHUNK_HEAD + place)[1]
+                # A list, for the search holds the memory that is written to.
+                for secret in [each.span() for each in secrets.finditer(data, begin, end)]:
+                    data[slice(*secret)] = b"*" * (secret[1] - secret[0])
+                    found = True
+        if found:
+            records = data[CHUNK_HEAD : CHUNK_HEAD + chunk.records_length]
+            _CHECKSUM.pack_into(data, _CHECKSUM_AT, zlib.crc32(records))

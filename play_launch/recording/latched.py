@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import os
 import re
-import struct
 from collections import deque
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from play_launch.cdr.layout import Layout
+from play_launch.recording.chunk import CHUNK_HEAD, ENTRY, INDEX, MESSAGE
 from play_launch.recording.topics import PARAMETERS
 
 if TYPE_CHECKING:
@@ -21,12 +21,6 @@ _MOST: Final = 100
 """Messages of a topic that are kept,"""
 _MOST_BYTES: Final = 1024 * 1024
 """and their bytes; the latest message is kept in any case."""
-_CHUNK_HEAD: Final = 9 + 8 + 8 + 8 + 4 + 4 + 8
-"""Of an uncompressed chunk; its records follow."""
-_INDEX: Final = struct.Struct("<BQHI")
-_ENTRY: Final = struct.Struct("<QQ")
-"""Log time, and where the message stands among the records."""
-_MESSAGE: Final = struct.Struct("<BQHIQQ")
 _WHOSE: Final = Layout("stamp:t node:s")
 """How a message of `PARAMETERS` begins."""
 _TRANSIENT_LOCAL: Final = re.compile(r"\bdurability: 1\b")
@@ -96,14 +90,14 @@ def is_latched(offered_qos_profiles: str) -> bool:
 
 def _messages(chunk: TopicChunk, part: ChannelPart) -> Iterator[Repeated]:
     """The messages of a channel in a chunk, which is one of play-launch's own making."""
-    at = part.index_offset + _INDEX.size
-    entries = os.pread(chunk.descriptor, _ENTRY.size * part.messages, at)
-    for _, place in _ENTRY.iter_unpack(entries):
-        head = os.pread(chunk.descriptor, _MESSAGE.size, _CHUNK_HEAD + place)
-        _, length, channel, _, _, publish_time = _MESSAGE.unpack(head)
+    at = part.index_offset + INDEX.size
+    entries = os.pread(chunk.descriptor, ENTRY.size * part.messages, at)
+    for _, place in ENTRY.iter_unpack(entries):
+        head = os.pread(chunk.descriptor, MESSAGE.size, CHUNK_HEAD + place)
+        _, length, channel, _, _, publish_time = MESSAGE.unpack(head)
         data = os.pread(
             chunk.descriptor,
-            length - (_MESSAGE.size - 9),
-            _CHUNK_HEAD + place + _MESSAGE.size,
+            length - (MESSAGE.size - 9),
+            CHUNK_HEAD + place + MESSAGE.size,
         )
         yield Repeated(channel, data, publish_time)

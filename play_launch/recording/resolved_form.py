@@ -1,4 +1,4 @@
-"""A resolved configuration as it is recorded and shown: without secrets that were put into it.
+"""What is recorded and shown of a configuration and its run: without secrets put into it.
 
 A file is recorded as it is. What it takes from outside, by `${env:NAME}` or an argument, is not in
 it, and a value whose name sounds like a secret stays out of the recording.
@@ -6,15 +6,21 @@ it, and a value whose name sounds like a secret stays out of the recording.
 
 from __future__ import annotations
 
+import re
+import struct
 from typing import TYPE_CHECKING, Any, Final
 
+from msgspec.structs import replace
+
 from play_launch.config.description import describe
+from play_launch.core.events import ActionEvent, ProcessEvent
 from play_launch.recording.facts import REDACTED, is_secret
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
 
     from play_launch.config.model import ReplayConfig
+    from play_launch.core.events import RunEvent
 
 _SHORTEST: Final = 4
 """Characters; a shorter secret is recognised only where it is the whole value."""
@@ -48,15 +54,47 @@ def redacted_arguments(argv: Sequence[str]) -> list[str]:
 def without(value: Any, secrets: Collection[str]) -> Any:
     """Return plain values with `REDACTED` in place of the secrets."""
     if isinstance(value, str):
-        for secret in secrets:
-            if value == secret or len(secret) >= _SHORTEST:
+        if value in secrets:
+            return REDACTED
+        # The longest first, as one may hold another.
+        for secret in sorted(secrets, key=len, reverse=True):
+            if len(secret) >= _SHORTEST:
                 value = value.replace(secret, REDACTED)
         return value
     if isinstance(value, dict):
         return {key: without(each, secrets) for key, each in value.items()}
     if isinstance(value, list | tuple):
         return [without(each, secrets) for each in value]
+    if type(value) is int and len(str(value)) >= _SHORTEST and str(value) in secrets:
+        return REDACTED
     return value
+
+
+def event_without(event: RunEvent, secrets: Collection[str]) -> RunEvent:
+    """Return an event without the secrets in command lines."""
+    match event:
+        case ProcessEvent():
+            return replace(event, command=tuple(without(event.command, secrets)))
+        case ActionEvent():
+            command, reason = without((event.command, event.reason), secrets)
+            return replace(event, command=command, reason=reason)
+        case _:
+            return event
+
+
+def in_messages(secrets: Collection[str]) -> re.Pattern[bytes] | None:
+    """Return what finds secrets in messages about parameters; None without any."""
+    found = []
+    for secret in sorted(secrets, key=len, reverse=True):  # as one may hold another
+        text = secret.encode("utf-8", "surrogateescape")
+        if len(secret) < _SHORTEST:
+            length = re.escape(struct.pack("<I", len(text) + 1))
+            found.append(b"(?<=%b)%b(?=\\0)" % (length, re.escape(text)))
+            continue
+        found.append(re.escape(text))
+        if secret.isdecimal() and int(secret) < 1 << 63:
+            found.append(re.escape(struct.pack("<q", int(secret))))
+    return re.compile(b"|".join(found)) if found else None
 
 
 def kept(taken: Mapping[str, object]) -> dict[str, str]:

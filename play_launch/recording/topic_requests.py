@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import logging
 import os
+import struct
 import threading
 import time
 from collections import Counter, deque
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+from play_launch.recording.chunk import mask
 from play_launch.recording.errors import SchemaNotFoundError, WriteFailedError
-from play_launch.recording.topics import Topic
+from play_launch.recording.topics import PARAMETER_EVENTS, PARAMETERS, Topic
 
 if TYPE_CHECKING:
+    import re
     from collections.abc import Callable
 
     from play_launch.recording.bag import BagWriter
@@ -51,6 +54,8 @@ class TopicRequests:
         self._drops: Counter[str] = Counter()
         self.messages = 0
         """That were written."""
+        self.secrets: re.Pattern[bytes] | None = None
+        """They are masked in messages about parameters."""
 
     def __bool__(self) -> bool:
         """Whether anything waits."""
@@ -86,6 +91,9 @@ class TopicRequests:
                 _log.error(
                     "%d messages of topics are lost: their memory cannot be read", chunk.messages
                 )
+                give_up()
+                return
+            if not self._is_masked(chunk):
                 give_up()
                 return
             writer.append_chunk(chunk)
@@ -165,6 +173,16 @@ class TopicRequests:
             self._on_request()
         else:
             give_up()
+
+    def _is_masked(self, chunk: TopicChunk) -> bool:
+        if self.secrets is not None:
+            channels = {self.channel_of(PARAMETERS), self.channel_of(PARAMETER_EVENTS)}
+            try:
+                mask(chunk, channels - {0}, self.secrets)
+            except (OSError, ValueError, struct.error) as error:
+                _log.warning("a chunk may hold secrets and is not recorded: %s", error)
+                return False
+        return True
 
     def _channel(self, writer: BagWriter, topic: Topic) -> int:
         # A recorder that was started again asks again.

@@ -7,16 +7,16 @@ import os
 import shutil
 import signal
 import subprocess
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 from mcap.reader import make_reader
 
+from play_launch.history.bag_reader import BagReader
 from play_launch.recording.facts import REDACTED
+from play_launch.recording.topics import PARAMETER_EVENTS, PARAMETERS
 from tests.support.replay import COMMAND, Replay, replaying
-
-if TYPE_CHECKING:
-    from pathlib import Path
+from tests.support.waiting import until
 
 MAIN = """version: 1
 include: {file: parts/box.yaml, arguments: {who: "${arg:who}"}}
@@ -34,7 +34,7 @@ containers:
         name: ${arg:who}
         parameters: [talker.yaml]
 """
-PARAMETERS = "/**:\n  ros__parameters: {period: 0.05}\n"
+OF_ALL_NODES = "/**:\n  ros__parameters: {period: 0.05}\n"
 SECRET = "a-very-secret-token"
 
 
@@ -42,7 +42,7 @@ def write(robot: Path) -> Path:
     (robot / "parts").mkdir(parents=True)
     (robot / "robot.yaml").write_text(MAIN, encoding="utf-8")
     (robot / "parts" / "box.yaml").write_text(BOX, encoding="utf-8")
-    (robot / "parts" / "talker.yaml").write_text(PARAMETERS, encoding="utf-8")
+    (robot / "parts" / "talker.yaml").write_text(OF_ALL_NODES, encoding="utf-8")
     return robot / "robot.yaml"
 
 
@@ -86,11 +86,15 @@ def test_a_recording_holds_all_that_a_configuration_was_made_of(
         third.read_until_states({"/other": "loaded"})
 
 
-def check(*arguments: object, **environ: str) -> subprocess.CompletedProcess[str]:
-    command = [str(COMMAND), "check", *map(str, arguments)]
+def run(*arguments: object, **environ: str) -> subprocess.CompletedProcess[str]:
+    command = [str(COMMAND), *map(str, arguments)]
     return subprocess.run(
         command, env={**os.environ, **environ}, check=False, capture_output=True, text=True
     )
+
+
+def check(*arguments: object, **environ: str) -> subprocess.CompletedProcess[str]:
+    return run("check", *arguments, **environ)
 
 
 def test_check_takes_arguments_and_says_nothing_secret(tmp_path: Path) -> None:
@@ -109,3 +113,60 @@ def test_check_takes_arguments_and_says_nothing_secret(tmp_path: Path) -> None:
     named = json.loads(check(robot, "who:=1x", "--json", PL_TEST_SECONDS="1").stdout)
     (problem,) = named["problems"]
     assert problem["included_from"] == [f"{robot}:2:17"]
+
+
+SECRETIVE = """version: 1
+containers:
+  - name: box
+    container_type: isolated
+    on_crash: reload
+    composable_nodes:
+      - package: play_launch_demo
+        plugin: play_launch_demo::Crasher
+        name: victim
+        parameters: {how: "${env:PL_TEST_TOKEN}"}
+nodes:
+  - name: uploader
+    command: [sh, -c, "sleep 1000; :", --token, "${arg:api_key}", "${env:PL_TEST_TOKEN}"]
+"""
+KEY = "the-key-of-the-robot"
+
+
+def test_no_message_of_a_recording_holds_what_sounds_secret(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PL_TEST_TOKEN", SECRET)
+    config = tmp_path / "robot.yaml"
+    config.write_text(SECRETIVE, encoding="utf-8")
+
+    def answered(topic: str) -> bool:
+        reader = BagReader(replay.bag.with_name(f"{replay.bag.name}.active"))
+        return any(b"/victim\0" in each.data for each in reader.messages({topic}))
+
+    with replaying(config, tmp_path / "logs", f"api_key:={KEY}") as replay:
+        replay.read_until_states({"/victim": "loaded"})
+        until(lambda: answered(PARAMETERS.name), "parameters of /victim")
+        ps = json.loads(run("ps", "--json", "--session", replay.bag.parent.resolve()).stdout)
+        pids = {row["name"]: row["pid"] for row in ps}
+        command = Path(f"/proc/{pids['/uploader']}/cmdline").read_bytes()
+        assert SECRET.encode() in command
+        assert KEY.encode() in command
+        os.kill(pids["/victim"], signal.SIGSEGV)
+        replay.read_until_states({"/victim": "crashed"})
+        # Its next life tells of its parameters by itself.
+        until(lambda: answered(PARAMETER_EVENTS.name), "an event of /victim")
+        feed = run("events", "--json", "--session", replay.bag.parent.resolve()).stdout
+        end(replay)
+    reader = BagReader(replay.bag)
+    found = [(each.topic.name, each.data) for each in reader.messages()]
+    assert {PARAMETERS.name, "/play_launch/states"} <= {topic for topic, _ in found}
+    for secret in (SECRET, KEY):
+        assert not [topic for topic, data in found if secret.encode() in data]
+        assert secret not in feed
+        assert secret not in json.dumps(replay.seen)
+    assert "/uploader" in feed
+    said = run("explain", replay.bag, "--json")
+    assert '"how"' in said.stdout
+    report = tmp_path / "page.html"
+    assert run("report", replay.bag, "-o", report).returncode == 0
+    assert SECRET not in said.stdout + report.read_text(encoding="utf-8")

@@ -21,7 +21,8 @@ from play_launch.recording.bag import McapBagWriter, Rotation
 from play_launch.recording.chunk import ChannelPart, TopicChunk
 from play_launch.recording.errors import WriteFailedError
 from play_launch.recording.recorder import Recorder, RecorderLimits
-from play_launch.recording.topics import LOG_ALL, Topic
+from play_launch.recording.resolved_form import in_messages
+from play_launch.recording.topics import LOG_ALL, PARAMETER_EVENTS, PARAMETERS, Topic
 from tests.recording.reading import raw_messages, records
 from tests.recording.test_bag import write_lines
 
@@ -243,6 +244,28 @@ def test_what_is_attached_while_the_disk_is_full_is_there_once(
     assert summary.interruptions == 1
     names = [each.name for each in records(summary.path) if isinstance(each, Attachment)]
     assert names == ["a.txt"]
+
+
+def test_secrets_are_masked_in_what_is_about_parameters(tmp_path: Path) -> None:
+    recorder = Recorder(McapBagWriter(tmp_path / "x.mcap"))
+    requests = recorder.topic_requests
+    requests.secrets = in_messages({"token", "token-and-more", "4711", "abc", "****"})
+    channels, answered = list[int](), threading.Event()
+    for topic in (PARAMETERS, Topic("/one", LOG), PARAMETER_EVENTS):
+        requests.open_channel(topic.name, topic.type_name, "", channels.append)
+    requests.after_these(answered.set)
+    assert answered.wait(10)
+    text = b"a token-and-more, token; abcd"
+    number = struct.pack("<qI", 4711, 4) + b"abc\0"
+    messages = [(channel, 1 + at, text + number) for at, channel in enumerate(channels)]
+    requests.append_chunk(chunk_of([*messages, (channels[0], 9, b"****")]), lambda: None)
+    path = recorder.close().path
+    masked = b"a **************, *****; abcd********" + struct.pack("<I", 4) + b"***\0"
+    assert [each.data for each in raw_messages(path, PARAMETERS.name)] == [masked, b"****"]
+    assert [each.data for each in raw_messages(path, PARAMETER_EVENTS.name)] == [masked]
+    assert [each.data for each in raw_messages(path, "/one")] == [text + number]
+    with path.open("rb") as file:
+        assert len(list(make_reader(file, validate_crcs=True).iter_messages())) == 4
 
 
 def test_after_the_end_everything_is_given_up(tmp_path: Path) -> None:
