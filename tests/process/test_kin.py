@@ -8,8 +8,9 @@ import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import textwrap
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import psutil
 import pytest
@@ -23,9 +24,6 @@ from play_launch.process.kin import below, mark_of
 from play_launch.process.stop import StopPolicy, stop
 from tests.process.programs import Output, environment, python
 from tests.support.waiting import until
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 PATIENT = StopPolicy(sigint=60, sigterm=60)
 
@@ -143,35 +141,33 @@ asyncio.run(main())
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="needs root to become another user")
 def test_who_may_not_be_killed_is_named_and_the_others_are_killed(
-    guard: Path, tmp_path: Path
+    guard: Path,
 ) -> None:
-    setpriv = tmp_path / "setpriv"
-    shutil.copy(shutil.which("setpriv") or "", setpriv)
-    setpriv.chmod(0o4755)
-    for folder in tmp_path.parents[:2]:
-        folder.chmod(0o755)
-    tmp_path.chmod(0o755)
-    with subprocess.Popen(
-        [sys.executable, "-c", FOREIGN, guard, setpriv],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    ) as supervisor:
-        assert supervisor.stdin is not None
-        assert supervisor.stdout is not None
-        foreign, own = map(int, supervisor.stdout.readline().split())
-        try:
-            until(lambda: psutil.Process(foreign).uids().real == 0, "its becoming root's")
-            supervisor.stdin.write("\n")
-            supervisor.stdin.flush()
-            assert supervisor.stdout.readline() == "gone\n"
-            assert not psutil.pid_exists(own)
-            _, log = supervisor.communicate(timeout=60)
-            assert f"left sleep (pid {foreign}), which may not be killed" in log
-            assert "Error" not in log
-        finally:
-            psutil.Process(foreign).kill()
+    with tempfile.TemporaryDirectory() as folder:
+        setpriv = Path(shutil.copy(shutil.which("setpriv") or "", folder))
+        setpriv.parent.chmod(0o755)
+        setpriv.chmod(0o4755)
+        with subprocess.Popen(
+            [sys.executable, "-c", FOREIGN, guard, setpriv],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        ) as supervisor:
+            assert supervisor.stdin is not None
+            assert supervisor.stdout is not None
+            foreign, own = map(int, supervisor.stdout.readline().split())
+            try:
+                until(lambda: psutil.Process(foreign).uids().real == 0, "its becoming root's")
+                supervisor.stdin.write("\n")
+                supervisor.stdin.flush()
+                assert supervisor.stdout.readline() == "gone\n"
+                assert not psutil.pid_exists(own)
+                _, log = supervisor.communicate(timeout=60)
+                assert f"left sleep (pid {foreign}), which may not be killed" in log
+                assert "Error" not in log
+            finally:
+                psutil.Process(foreign).kill()
 
 
 @pytest.mark.anyio
