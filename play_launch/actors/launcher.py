@@ -54,6 +54,7 @@ from play_launch.process.machine import (
     shared_memory_room,
 )
 from play_launch.process.program import SpawnError
+from play_launch.process.session import Shared
 from play_launch.process.stop import StopPolicy, stop
 from play_launch.recording.versions import OURSELVES, installed_versions
 from play_launch.wire.channel import CONTROL_FD_VARIABLE, ControlChannel, control_pair
@@ -156,7 +157,7 @@ class NativeLauncher:
         self._not_started = set(containers)
         self._policy = policy
         self._parameters = parameters
-        self._cleaning = asyncio.Lock()
+        self._sweeps = Shared(self._sweep)
         self.groups = Groups(publish)
         self._hello = Hello(
             version=_version(),
@@ -291,14 +292,15 @@ class NativeLauncher:
 
     async def clean_up(self) -> None:
         """Remove the shared memory that killed processes left behind, where Fast DDS is in use."""
-        if not self._uses_fastdds:
+        if self._uses_fastdds:
+            await self._sweeps.result()
+
+    async def _sweep(self) -> None:
+        try:
+            report = await sweep_shared_memory()
+        except OSError as error:
+            _log.warning("shared memory was not cleaned up: %s", error)
             return
-        async with self._cleaning:
-            try:
-                report = await sweep_shared_memory()
-            except OSError as error:
-                _log.warning("shared memory was not cleaned up: %s", error)
-                return
         if report.removed:
             _log.info("removed %d files that dead processes left", len(report.removed))
         for name, reason in report.failed.items():

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 from contextlib import ExitStack
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Generic, TypeVar
 from weakref import WeakKeyDictionary
 
 from play_launch.process.identity import (
@@ -22,36 +22,47 @@ from play_launch.process.identity import (
 
 if TYPE_CHECKING:
     import signal
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Callable, Coroutine, Iterable, Sequence
 
     from play_launch.cgroups.group import Group
     from play_launch.process.kin import Kin
 
 
-class _Scans:
-    """Looks through `/proc` for many askers at once.
+_Result = TypeVar("_Result")
 
-    When a system stops, a hundred containers ask within a few milliseconds. Everyone gets a scan
-    that began after the question, and all who wait for the same one share it.
+
+class Shared(Generic[_Result]):
+    """Does a piece of work for many askers at once.
+
+    When a system stops, a hundred containers ask within a few milliseconds. Everyone gets a result
+    of work that began after the question, and all who wait for the same one share it.
     """
 
-    def __init__(self) -> None:
-        self._running: asyncio.Task[list[ProcessStat]] | None = None
-        self._next: asyncio.Task[list[ProcessStat]] | None = None
+    def __init__(self, work: Callable[[], Coroutine[object, object, _Result]]) -> None:
+        """Take what does it, once for each batch of askers."""
+        self._work = work
+        self._running: asyncio.Task[_Result] | None = None
+        self._next: asyncio.Task[_Result] | None = None
 
-    async def table(self) -> list[ProcessStat]:
+    async def result(self) -> _Result:
+        """Wait for a result of work that begins from now on."""
         if self._next is None:
-            self._next = asyncio.create_task(self._scan(self._running))
+            self._next = asyncio.create_task(self._do(self._running))
         return await asyncio.shield(self._next)
 
-    async def _scan(self, before: asyncio.Task[list[ProcessStat]] | None) -> list[ProcessStat]:
+    async def _do(self, before: asyncio.Task[_Result] | None) -> _Result:
         if before is not None:
             await asyncio.wait({before})
         self._running, self._next = self._next, None
-        return await asyncio.to_thread(list_processes)
+        return await self._work()
 
 
-_scans: WeakKeyDictionary[asyncio.AbstractEventLoop, _Scans] = WeakKeyDictionary()
+async def _scan() -> list[ProcessStat]:
+    return await asyncio.to_thread(list_processes)
+
+
+_scans: WeakKeyDictionary[asyncio.AbstractEventLoop, Shared[list[ProcessStat]]]
+_scans = WeakKeyDictionary()
 
 
 async def session_members(leader: int, kin: Kin) -> list[ProcessStat]:
@@ -60,8 +71,8 @@ async def session_members(leader: int, kin: Kin) -> list[ProcessStat]:
     Without the leader. Valid only while it was not waited for: until then its number cannot mean
     another session.
     """
-    scans = _scans.setdefault(asyncio.get_running_loop(), _Scans())
-    table = await scans.table()
+    scans = _scans.setdefault(asyncio.get_running_loop(), Shared(_scan))
+    table = await scans.result()
     members = [
         stat
         for stat in table

@@ -41,6 +41,7 @@ from play_launch.core.events import (
 from play_launch.core.node_key import NodeKey
 from play_launch.core.restart import OnExit, RestartLimits
 from play_launch.core.view import SystemView
+from play_launch.fastdds.shared_memory import SweepReport
 
 from .fakes import system
 from .running import Running
@@ -390,5 +391,33 @@ def test_the_launcher_says_who_it_is() -> None:
         assert launcher.hello().pid == os.getpid()
         assert launcher.hello().start_time > 0
         await launcher.close()
+
+    asyncio.run(main())
+
+
+def test_who_asks_for_a_clean_up_at_the_same_time_shares_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As the containers do that one signal has ended; each look goes through all of /proc."""
+    sweeps = 0
+
+    async def sweep() -> SweepReport:
+        nonlocal sweeps
+        sweeps += 1
+        await asyncio.sleep(0)
+        return SweepReport()
+
+    monkeypatch.setattr("play_launch.actors.launcher.sweep_shared_memory", sweep)
+
+    async def main() -> None:
+        launcher = await asyncio.to_thread(NativeLauncher.of, system(container("c")))
+        try:
+            await asyncio.gather(*(launcher.clean_up() for _ in range(15)))
+            # The first is under way already when the others ask.
+            assert sweeps <= 2
+            await launcher.clean_up()
+            assert sweeps <= 3
+        finally:
+            await launcher.close()
 
     asyncio.run(main())
