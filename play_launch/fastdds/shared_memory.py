@@ -28,23 +28,26 @@ import errno
 import fcntl
 import os
 import re
+import threading
 import time
 from contextlib import ExitStack, contextmanager, suppress
 from enum import Enum
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct, field
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
 
 SHARED_MEMORY = Path("/dev/shm")  # noqa: S108 (where Linux keeps shared memory)
 
 _LONGEST_WAIT: Final = 2.0
 """Seconds that one sweep waits for another one; usually it is some milliseconds."""
 _BETWEEN_TRIES: Final = 0.005
+_LONGEST_READ: Final = 2.0
+"""Seconds in which what all processes map is read; usually it is some milliseconds."""
 _SEGMENT = re.compile(r"(fastrtps_[0-9a-f]{16})(?:_el)?")
 _PORT = re.compile(r"(?:sem\.)?(fastrtps_port\d+)(?:_el|_sl|_mutex)?")
 
@@ -92,6 +95,7 @@ def sweep() -> SweepReport:
 
     Takes a few milliseconds, with leftovers about one more per process of the machine. Processes
     of other users cannot be looked into; where they hold a lock, that is respected all the same.
+    Nor can those that are stuck in the kernel: then what has no lock file stays.
     """
     report = SweepReport()
     with _turn():
@@ -283,14 +287,20 @@ class _Mappings:
     """
 
     def __init__(self, processes: Iterable[str] | None = None) -> None:
-        """Look at `processes` (pids, or `self`), or at all."""
+        """Look at `processes` (pids, or `self`), or at all, as far as they can be looked into."""
         device = SHARED_MEMORY.stat().st_dev
         mapping = re.compile(
             rb" %02x:%02x (\d+) +/" % (os.major(device), os.minor(device))  # as proc_pid_maps(5)
         )
-        if processes is None:
-            processes = [path.name for path in Path("/proc").iterdir() if path.name.isdecimal()]
         self._users: dict[int, set[int]] = {}
+        self._is_complete = True
+        if processes is not None:
+            self._read(processes, mapping)
+            return
+        every = [path.name for path in Path("/proc").iterdir() if path.name.isdecimal()]
+        self._is_complete = _ends_in_time(partial(self._read, every, mapping))
+
+    def _read(self, processes: Iterable[str], mapping: re.Pattern[bytes]) -> None:
         for process in processes:
             pid = os.getpid() if process == "self" else int(process)
             # Gone meanwhile, a kernel thread, or a process of somebody else.
@@ -301,9 +311,31 @@ class _Mappings:
     def users(self, name: str) -> set[int]:
         """Give the pids of those who map the file that has this name now."""
         try:
-            return self._users.get((SHARED_MEMORY / name).stat().st_ino, set())
+            found = self._users.get((SHARED_MEMORY / name).stat().st_ino, set())
         except FileNotFoundError:
             return set()
+        return set(found) if self._is_complete else {_MAYBE, *found}
+
+
+_MAYBE: Final = 0
+"""The pid of a process that may map any file, as it cannot be looked into."""
+_stuck_reader: threading.Thread | None = None
+
+
+def _ends_in_time(read: Callable[[], None]) -> bool:
+    """Read what processes map, in a thread that the end of the program does not wait for.
+
+    The kernel keeps a reader waiting while the process itself waits with its page tables locked, as
+    for the disk of a dead server: for ever, maybe. As long as one waits, no other is begun.
+    """
+    global _stuck_reader  # noqa: PLW0603 - it is the kernel's state, and one for all
+    if _stuck_reader is not None and _stuck_reader.is_alive():
+        return False
+    reader = threading.Thread(target=read, name="maps", daemon=True)
+    reader.start()
+    reader.join(_LONGEST_READ)
+    _stuck_reader = reader if reader.is_alive() else None
+    return _stuck_reader is None
 
 
 def _names() -> list[str]:

@@ -9,15 +9,23 @@ with the session.
 from __future__ import annotations
 
 import asyncio
+import logging
+import threading
 from collections import defaultdict
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable
+    from collections.abc import Collection, Iterable, Sequence
 
     from play_launch.process.guard import Parent
     from play_launch.process.identity import ProcessIdentity, ProcessStat
+
+_log = logging.getLogger(__name__)
+
+_LONGEST_READ: Final = 1.0
+"""Seconds until a process counts as one that cannot be looked into."""
 
 MEMBER_VARIABLE: Final = "PLAY_LAUNCH_MEMBER"
 """Names the child that a process came of, and the supervisor of it."""
@@ -54,9 +62,50 @@ class Kin:
         orphans = [each for each in living if self._parent.has_inherited(each)]
         if not self._mark or not orphans:
             return []
-        # A process that waits for a disk may hold up whoever reads its memory.
-        marks = await asyncio.to_thread(lambda: [mark_of(each.pid) for each in orphans])
-        return [each.pid for each, mark in zip(orphans, marks, strict=True) if mark == self._mark]
+        marks = await _marks_of(orphans)
+        return [each.pid for each in orphans if marks.get(each.identity) == self._mark]
+
+
+_unreadable: set[ProcessIdentity] = set()
+"""Those that have kept a reader waiting for too long, and may do so for ever."""
+
+
+async def _marks_of(processes: Sequence[ProcessStat]) -> dict[ProcessIdentity, str]:
+    """Read marks; those that cannot be read are left out.
+
+    A process that waits for a disk may hold up whoever reads its memory, even for ever. So it is
+    read in a thread that the end of the program does not wait for.
+    """
+    found: dict[ProcessIdentity, str] = {}
+    todo = [each for each in processes if each.identity not in _unreadable]
+    while todo:
+        if await _read_in_time(todo, found):
+            break
+        stuck = next(each for each in todo if each.identity not in found)
+        _unreadable.add(stuck.identity)
+        text = "%s (pid %d) ends with the session, as its environment cannot be read"
+        _log.warning(text, stuck.command, stuck.pid)
+        todo = todo[todo.index(stuck) + 1 :]
+    return found
+
+
+async def _read_in_time(
+    processes: Sequence[ProcessStat], found: dict[ProcessIdentity, str]
+) -> bool:
+    loop = asyncio.get_running_loop()
+    done = asyncio.Event()
+
+    def read() -> None:
+        for each in processes:
+            found[each.identity] = mark_of(each.pid)
+        with suppress(RuntimeError):  # the loop is closed
+            loop.call_soon_threadsafe(done.set)
+
+    threading.Thread(target=read, name="environments", daemon=True).start()
+    with suppress(TimeoutError):
+        async with asyncio.timeout(_LONGEST_READ):
+            await done.wait()
+    return done.is_set() or all(each.identity in found for each in processes)
 
 
 def below(table: Collection[ProcessStat], roots: Collection[int]) -> list[ProcessStat]:

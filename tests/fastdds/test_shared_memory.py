@@ -20,7 +20,7 @@ import pytest
 from play_launch.core.events import Stream
 from play_launch.fastdds.shared_memory import SHARED_MEMORY, SweepReport, sweep, sweep_shared_memory
 from play_launch.process.child import Child, spawn
-from tests.process.programs import Output, python
+from tests.process.programs import READY_THEN_SLEEP, Output, python
 
 # Others would sweep what is to be swept here.
 pytestmark = [pytest.mark.anyio, pytest.mark.alone]
@@ -263,6 +263,42 @@ async def test_a_semaphore_that_is_left_alone_works_afterwards(
     await end(user)
     await sweep_shared_memory()
     assert not {port, f"sem.{port}_mutex"} & files()
+
+
+async def test_a_process_that_cannot_be_looked_into_holds_nothing_up(
+    loose_names: tuple[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its page tables are locked while it waits for a disk, as that of a dead NFS server."""
+    _, port = loose_names
+    output = Output()
+    stuck = spawn(python(READY_THEN_SLEEP), env={}, guard=None, on_output=output)
+    await output.wait_line("ready")
+    goes_on, readers = threading.Event(), []
+    read = Path.read_bytes
+
+    def read_bytes(path: Path) -> bytes:
+        if path == Path(f"/proc/{stuck.pid}/maps"):
+            readers.append(threading.current_thread())
+            goes_on.wait()
+        return read(path)
+
+    monkeypatch.setattr(Path, "read_bytes", read_bytes)
+    owned, unsure = {port, f"{port}_el"}, f"{port}7"
+    for part in (*owned, unsure):
+        (SHARED_MEMORY / part).write_bytes(b"")
+    try:
+        async with asyncio.timeout(60):
+            removed = [name for _ in range(3) for name in (await sweep_shared_memory()).removed]
+        assert not owned & files(), "its lock, which nothing holds, is proof enough"
+        assert unsure not in removed, "the one that cannot be looked into may use it"
+        assert len(readers) == 1
+        assert readers[0].daemon, "the end of the program waits for the others"
+    finally:
+        goes_on.set()
+        await end(stuck)
+    await asyncio.to_thread(readers[0].join)
+    await sweep_shared_memory()
+    assert unsure not in files()
 
 
 async def test_other_files_are_none_of_our_business(tmp_path: Path) -> None:

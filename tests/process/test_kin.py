@@ -10,6 +10,7 @@ import subprocess
 import sys
 import tempfile
 import textwrap
+import threading
 from pathlib import Path
 
 import psutil
@@ -17,6 +18,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from play_launch.process import kin
 from play_launch.process.child import Child, spawn
 from play_launch.process.guard import SessionGuard
 from play_launch.process.identity import ProcessStat
@@ -168,6 +170,37 @@ def test_who_may_not_be_killed_is_named_and_the_others_are_killed(
                 assert "Error" not in log
             finally:
                 psutil.Process(foreign).kill()
+
+
+@pytest.mark.anyio
+async def test_a_daemon_that_cannot_be_looked_into_holds_no_stop_up(
+    session: SessionGuard, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The kernel keeps readers of its environment waiting while it waits for a disk itself."""
+    other, stuck = await started(session, DAEMON.format(daemon=SLEEP), mark="1:/stuck")
+    child, left = await started(session, DAEMON.format(daemon=SLEEP), mark="1:/one")
+    goes_on, readers = threading.Event(), []
+
+    def read(pid: int) -> str:
+        if pid == stuck.pid:
+            readers.append(threading.current_thread())
+            goes_on.wait()
+        return mark_of(pid)
+
+    monkeypatch.setattr(kin, "mark_of", read)
+    try:
+        async with asyncio.timeout(60):
+            await stop(child, PATIENT)
+        assert not is_alive(left)
+        assert is_alive(stuck)
+        assert len(readers) == 1
+        assert readers[0].daemon, "the end of the program waits for the others"
+        assert f"sleep (pid {stuck.pid}) ends with the session" in caplog.text
+        assert caplog.text.count("cannot be read") == 1
+    finally:
+        goes_on.set()
+    async with asyncio.timeout(60):
+        await stop(other, PATIENT)
 
 
 @pytest.mark.anyio
