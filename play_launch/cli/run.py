@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import gc
 import json
+import logging
 import math
 import os
 import sys
@@ -54,6 +55,7 @@ if TYPE_CHECKING:
     from play_launch.recording.recorder import Recorder, RecordingSummary
     from play_launch.systemd.notification import ServiceManager
 
+_log = logging.getLogger(__name__)
 _HEAD_START: Final = 1.0
 """Seconds in which the system has the machine for its start."""
 
@@ -186,12 +188,21 @@ async def _until_the_end(
         publisher = Publisher(sink)
         async with (
             # To the very end: the watchdog is to be fed while the others come to theirs.
-            _beside(run_ahead_of(publisher, stop)),
-            _beside(_report(options.manager, publisher, stop, system, operable)),
-            _beside(_sample(config, publisher, folder)),
-            _beside(_look_after_sessions(config, publisher, folder.parent)),
-            _beside(_record_topics(config, session, publisher, stop, snapshots=snapshots)),
+            _beside("running ahead of others", run_ahead_of(publisher, stop)),
             _beside(
+                "reports to systemd", _report(options.manager, publisher, stop, system, operable)
+            ),
+            _beside("samples of processes", _sample(config, publisher, folder)),
+            _beside(
+                "care for earlier recordings",
+                _look_after_sessions(config, publisher, folder.parent),
+            ),
+            _beside(
+                "the recording of ROS topics",
+                _record_topics(config, session, publisher, stop, snapshots=snapshots),
+            ),
+            _beside(
+                "control by commands",
                 _serve_control(
                     config,
                     session,
@@ -202,7 +213,7 @@ async def _until_the_end(
                     sink=sink,
                     snapshots=snapshots,
                     options=options,
-                )
+                ),
             ),
             _graph_daemon(config, publisher),
         ):
@@ -210,14 +221,21 @@ async def _until_the_end(
 
 
 @contextlib.asynccontextmanager
-async def _beside(work: Coroutine[None, None, None]) -> AsyncIterator[None]:
-    """Have something done while the block runs."""
-    task = asyncio.create_task(work)
+async def _beside(what: str, work: Coroutine[None, None, None]) -> AsyncIterator[None]:
+    """Run a coroutine while the block runs, which goes on without ``what`` if that fails."""
+    task = asyncio.create_task(_failure_logged(what, work))
     try:
         yield
     finally:
         task.cancel()
         await asyncio.gather(task, return_exceptions=True)
+
+
+async def _failure_logged(what: str, work: Coroutine[None, None, None]) -> None:
+    try:
+        await work
+    except Exception:  # noqa: BLE001 - it is logged, and the system goes on
+        _log.exception("the system goes on without %s", what)
 
 
 async def _report(
@@ -294,6 +312,7 @@ async def _serve_control(
     finally:
         if not operable.done():
             operable.set_result(None)  # nobody waits for what does not come
+        await asyncio.to_thread(door.close)
 
 
 async def _look_after_sessions(

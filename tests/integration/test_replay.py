@@ -6,6 +6,7 @@ import json
 import os
 import signal
 import subprocess
+import sys
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -278,6 +279,47 @@ nodes:
     assert replay.process.returncode == 0
     lines = {(each.file, each.msg) for each in read_bag(replay.bag)["/play_launch/output"]}
     assert lines == {("stdout", "out"), ("stderr", "err")}
+
+
+BROKEN = """
+import sys
+from play_launch.cli import entry, {module} as broken
+def fail(*arguments, **options):
+    raise OSError(24, "Too many open files")
+broken.{function} = fail
+entry.main()
+"""
+
+
+@pytest.mark.parametrize(
+    ("module", "function", "what"),
+    [
+        ("upkeep", "look_after_sessions", "care for earlier recordings"),
+        ("serve_control", "installed_versions", "control by commands"),
+    ],
+)
+def test_the_system_goes_on_without_what_fails_beside_it_and_reports_that(
+    module: str, function: str, what: str, tmp_path: Path
+) -> None:
+    config = write(
+        tmp_path / "robot.yaml",
+        "{version: 1, record: {ros: false}, nodes: [{name: idle, command: [sleep, infinity]}]}",
+    )
+    program = (sys.executable, "-c", BROKEN.format(module=module, function=function))
+    with replaying(config, tmp_path / "logs", program=program) as replay:
+        reported = replay.read_until(lambda event: event["event"] == "log", "a report")
+        assert (reported["level"], reported["name"]) == (40, "play_launch.cli.run")
+        assert f"the system goes on without {what}" in reported["message"]
+        assert "Too many open files" in reported["message"]
+        if module == "serve_control":
+            folder = (tmp_path / "logs" / "latest").resolve()
+            asking = [str(COMMAND), "ps", "--session", str(folder)]
+            asked = subprocess.run(asking, check=False, capture_output=True, text=True)
+            assert asked.returncode == 1
+            assert "no session" in asked.stderr
+        assert replay.process.poll() is None
+        replay.process.send_signal(signal.SIGINT)
+        assert replay.read_all()[-1]["exit_code"] == 128 + signal.SIGINT
 
 
 @pytest.mark.parametrize("verb", ["replay", "check"])
