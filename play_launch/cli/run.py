@@ -215,7 +215,7 @@ async def _until_the_end(
                     options=options,
                 ),
             ),
-            _graph_daemon(config, publisher),
+            _beside("the record of the ROS graph", _observe_graph(config, publisher)),
         ):
             return await run_system(config, publisher, stop, on_begin=system.set_result)
 
@@ -325,14 +325,13 @@ async def _look_after_sessions(
     await look_after_sessions(log_folder, config.record.keep, lambda: publisher.view, spawn_guard())
 
 
-def _graph_daemon(
-    config: ReplayConfig, sink: EventSink
-) -> contextlib.AbstractAsyncContextManager[None]:
+async def _observe_graph(config: ReplayConfig, sink: EventSink) -> None:
     if not config.graph_daemon:
-        return contextlib.nullcontext()
-    from play_launch.graph_daemon.control.observer import observed_graph  # noqa: PLC0415
+        return
+    await asyncio.sleep(_BEFORE_TOPICS)
+    from play_launch.graph_daemon.control.observer import observe_graph  # noqa: PLC0415 - as above
 
-    return observed_graph({**os.environ, **config.environment}, sink)
+    await observe_graph({**os.environ, **config.environment}, sink)
 
 
 def _description(config: ReplayConfig) -> SessionDescription:

@@ -358,7 +358,7 @@ class ReplayConfig(Struct, frozen=True, kw_only=True):
     `included_files` and `parameter_files`, each once and in the order in which they were read.
     `taken` is what they took from outside. `duration`
     is the seconds after which the system is stopped, None for never. `graph_daemon` says whether
-    the graph daemon of the ROS domain runs before the nodes, and is asked what it sees.
+    the graph daemon of the ROS domain runs beside the nodes, and is asked what it sees.
     `start_rules` are by unit, see `play_launch.core.dependency`, for units that wait for something,
     as are the nodes in `managed`.
     """

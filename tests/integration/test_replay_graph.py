@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import signal
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import pytest
 from rosbags.highlevel import AnyReader
 
-from play_launch.graph_daemon.contract import daemon_address
+from play_launch.graph_daemon.contract import DaemonAddress, daemon_address
+from play_launch.graph_daemon.control.start_stop import stop_daemon
 from play_launch.graph_daemon.control.takeover import Kind, look
+from tests.graph_daemon.control.occupants import occupied
 from tests.support.replay import replaying
 
 CONFIG = """
@@ -22,14 +26,17 @@ containers:
 """
 
 
-def test_the_graph_is_served_and_recorded(tmp_path: Path) -> None:
-    address = daemon_address()
+@pytest.fixture
+def address() -> Iterator[DaemonAddress]:
+    """Where the daemon serves, which is stopped afterwards."""
+    yield daemon_address()
+    stop_daemon(daemon_address())
+
+
+def test_the_graph_is_served_and_recorded(address: DaemonAddress, tmp_path: Path) -> None:
     config = tmp_path / "robot.yaml"
     config.write_text(CONFIG.format(wanted="true"))
     with replaying(config, tmp_path / "logs") as replay:
-        replay.read_until(lambda event: event["event"] == "process", "a process")
-        # It was there before the first process.
-        assert look(address).kind is Kind.OURS
         replay.read_until(
             lambda event: event["event"] == "graph" and "/talker" in event["appeared"],
             "the talker in the graph",
@@ -37,7 +44,8 @@ def test_the_graph_is_served_and_recorded(tmp_path: Path) -> None:
         replay.process.send_signal(signal.SIGINT)
         summary = replay.read_all()[-1]
         assert summary["exit_code"] == 128 + signal.SIGINT
-    assert look(address).kind is Kind.NOBODY
+    # It is left to whatever else asks it.
+    assert look(address).kind is Kind.OURS
     with AnyReader([replay.bag]) as reader:
         recorded: list[Any] = [
             reader.deserialize(data, connection.msgtype)
@@ -46,6 +54,36 @@ def test_the_graph_is_served_and_recorded(tmp_path: Path) -> None:
         ]
     assert any("/talker" in message.appeared for message in recorded)
     assert all(message.nodes >= len(message.appeared) for message in recorded)
+
+
+@pytest.mark.parametrize(
+    "occupant",
+    [("impostor",), ("silent", "--name", "ros2-daemon")],
+    ids=["another program", "a daemon that hangs"],
+)
+def test_the_system_waits_for_no_owner_of_the_port(
+    occupant: tuple[str, ...], tmp_path: Path
+) -> None:
+    config = tmp_path / "robot.yaml"
+    config.write_text(
+        "{version: 1, graph_daemon: true, record: {ros: false}, "
+        "nodes: [{name: patient, command: [sleep, infinity]}]}"
+    )
+    kind, *words = occupant
+    with (
+        occupied(kind, daemon_address().port, *words) as owner,
+        replaying(config, tmp_path / "logs") as replay,
+    ):
+        replay.read_until(lambda event: event["event"] == "process", "a process")
+        if kind == "impostor":
+            replay.read_until(
+                lambda event: event["event"] == "log" and "no graph daemon" in event["message"],
+                "a warning",
+            )
+        replay.process.send_signal(signal.SIGINT)
+        assert replay.read_all()[-1]["exit_code"] == 128 + signal.SIGINT
+        # One that hangs is ended when it is older than a minute; that has not been waited for.
+        assert owner.poll() is None
 
 
 def test_without_the_wish_there_is_no_daemon(tmp_path: Path) -> None:

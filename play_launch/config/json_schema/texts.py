@@ -141,7 +141,7 @@ TEXTS: Final[Mapping[str, Mapping[str, About]]] = {
             ("10 s", "2 min"),
         ),
         "graph_daemon": About(
-            "Whether the graph daemon runs before the nodes, and what it sees is recorded.", (True,)
+            "Whether the graph daemon runs beside the nodes, and what it sees is recorded.", (True,)
         ),
         "log_dir": About(
             "Folder for recordings; a relative path starts at the folder of this file.",

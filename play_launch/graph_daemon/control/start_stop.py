@@ -80,8 +80,7 @@ def acquire(
         decision = decide(occupant, compared_settings(environment), restart=restart)
         match decision.action:
             case Action.KEEP:
-                pid = int(occupant.status.get("pid", 0))
-                return Port(None, pid, (*messages, *decision.messages))
+                return Port(None, occupant.status["pid"], (*messages, *decision.messages))
             case Action.REFUSE:
                 raise PortHeldError("\n".join(decision.messages))
             case Action.ASK_TO_END | Action.KILL:

@@ -170,7 +170,9 @@ def look(address: DaemonAddress, limit: float = PROBE_LIMIT) -> Occupant:
         return Occupant(Kind.HUNG, holder, problem=str(error))
     except DaemonError as error:
         return Occupant(Kind.FOREIGN, holder, problem=str(error))
-    return Occupant(Kind.OURS, holder, status if isinstance(status, dict) else {})
+    if not isinstance(status, dict) or not isinstance(status.get("pid"), int):
+        return Occupant(Kind.FOREIGN, holder, problem="its status is none of a graph daemon")
+    return Occupant(Kind.OURS, holder, status)
 
 
 def _methods(address: DaemonAddress, client: GraphClient) -> object:

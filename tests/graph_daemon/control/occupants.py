@@ -56,6 +56,17 @@ def other(port: int) -> None:
     serve(server)
 
 
+def impostor(port: int) -> None:
+    """Have the methods of our daemon, and a status that is none of its own."""
+    server = Stock(("127.0.0.1", port), Handler, logRequests=False)
+    server.register_introspection_functions()
+    server.register_function(lambda: "stand-in", "get_name")
+    server.register_function(lambda: 0, "system.shutdown")
+    server.register_function(lambda: '{"pid": "a robot"}', "system.play_launch_status")
+    print("up", flush=True)
+    serve(server)
+
+
 def silent(port: int) -> None:
     with socket.create_server(("127.0.0.1", port)):
         print("up", flush=True)
@@ -70,6 +81,8 @@ def main() -> None:
         stock(port, stubborn=True)
     elif kind == "other":
         other(port)
+    elif kind == "impostor":
+        impostor(port)
     else:
         silent(port)
 

@@ -3,28 +3,39 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import os
+import signal
 import time
 from collections import Counter
+from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from play_launch.core.events import GraphChanged, RunEvent
-from play_launch.graph_daemon.contract import LISTENING, DaemonAddress
+from play_launch.fastdds.shared_memory import sweep
+from play_launch.graph_daemon.contract import DaemonAddress
+from play_launch.graph_daemon.control import observer
 from play_launch.graph_daemon.control.observer import (
     FORSAKEN,
     LONGEST_LOOK,
     LOOK,
     changes,
     next_look,
-    observed_graph,
+    observe_graph,
 )
-from play_launch.graph_daemon.control.start_stop import start_daemon, stop_daemon
-from play_launch.graph_daemon.control.takeover import Kind, look
+from play_launch.graph_daemon.control.start_stop import (
+    PortHeldError,
+    Started,
+    start_daemon,
+    stop_daemon,
+)
+from play_launch.graph_daemon.control.takeover import Kind, Occupant, look
 from tests.graph_daemon.control.occupants import occupied
 from tests.support.ros import Probe
 
@@ -82,13 +93,39 @@ def test_at_rest_it_is_asked_seldom_and_in_a_storm_not_often(moments: list[float
     assert looks <= 120.0 / LONGEST_LOOK + 5 * (len(moments) + 1)
 
 
-def test_nodes_that_come_and_go_are_published(address: DaemonAddress, logs: Path) -> None:
+@contextlib.asynccontextmanager
+async def observed(heard: Heard) -> AsyncIterator[None]:
+    """Have a session observe the graph; the daemon that it may start goes on afterwards."""
+    observing = asyncio.create_task(observe_graph(os.environ, heard))
+    try:
+        yield
+        assert not observing.done()
+    finally:
+        observing.cancel()
+        await asyncio.gather(observing, return_exceptions=True)
+
+
+async def ours(address: DaemonAddress, *, but: int = 0) -> Occupant:
+    """Wait for a daemon of ours, another one than that process."""
+    while True:
+        occupant = await asyncio.to_thread(look, address)
+        if occupant.kind is Kind.OURS and occupant.status["pid"] != but:
+            return occupant
+
+
+@pytest.fixture
+def _ended(address: DaemonAddress, logs: Path) -> Iterator[None]:
+    yield
+    stop_daemon(address)
+    assert look(address).kind is Kind.NOBODY
+
+
+@pytest.mark.usefixtures("_ended")
+def test_nodes_that_come_and_go_are_published(address: DaemonAddress) -> None:
     async def scenario(heard: Heard) -> None:
-        async with observed_graph(os.environ, heard):
-            occupant = await asyncio.to_thread(look, address)
-            assert occupant.kind is Kind.OURS
-            # Should this process be killed, the daemon does not stay for ever.
-            assert occupant.status["idle_timeout"] == FORSAKEN
+        async with observed(heard):
+            # When no session asks any more, the daemon does not stay for ever.
+            assert (await ours(address)).status["idle_timeout"] == FORSAKEN
             before = time.time_ns()
             probe = await asyncio.to_thread(Probe, "visitor")
             await heard.until(appeared="/visitor")
@@ -99,60 +136,83 @@ def test_nodes_that_come_and_go_are_published(address: DaemonAddress, logs: Path
 
     heard = Heard()
     asyncio.run(asyncio.wait_for(scenario(heard), 120))
-    assert look(address).kind is Kind.NOBODY
     assert not any("_ros2cli_daemon_" in str(event) for event in heard.events)
 
 
-def test_a_daemon_that_ran_before_goes_on(address: DaemonAddress, logs: Path) -> None:
-    started = start_daemon(address, wait_for=LISTENING)
+@pytest.mark.usefixtures("_ended")
+def test_the_end_of_a_session_leaves_the_graph_to_the_others(address: DaemonAddress) -> None:
+    async def scenario(heard: Heard) -> None:
+        async with contextlib.AsyncExitStack() as first:
+            await first.enter_async_context(observed(Heard()))
+            started = await ours(address)
+            async with observed(heard):
+                first_seen = await asyncio.to_thread(Probe, "seen_by_both")
+                await heard.until(appeared="/seen_by_both")
+                await first.aclose()
+                await asyncio.to_thread(first_seen.__exit__, None, None, None)
+                await heard.until(vanished="/seen_by_both")
+                assert (await ours(address)).status["pid"] == started.status["pid"]
 
-    async def scenario() -> None:
-        async with observed_graph(os.environ, Heard()):
-            pass
-
-    asyncio.run(asyncio.wait_for(scenario(), 120))
-    assert look(address).status["pid"] == started.pid
-    stop_daemon(address)
-    assert started.process is not None
-    assert started.process.wait(60) == 0
+    asyncio.run(asyncio.wait_for(scenario(Heard()), 120))
 
 
-def test_without_a_daemon_the_system_runs_all_the_same(
-    address: DaemonAddress, caplog: pytest.LogCaptureFixture
+@pytest.mark.parametrize("kind", ["other", "impostor"])
+def test_without_a_daemon_it_tries_again_and_warns_once(
+    kind: str,
+    address: DaemonAddress,
+    caplog: pytest.LogCaptureFixture,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     caplog.set_level(logging.WARNING)
-    ran = []
+    monkeypatch.setattr(observer, "BETWEEN_STARTS", 0.1)
+    problems: list[str] = []
+
+    def counted(*arguments: Any, **options: Any) -> Started:
+        # A thread that is left behind must not start one for the next test.
+        if len(problems) == 3:
+            raise PortHeldError(problems[0])
+        try:
+            return start_daemon(*arguments, **options)
+        except PortHeldError as error:
+            problems.append(str(error))
+            raise
+
+    monkeypatch.setattr(observer, "start_daemon", counted)
 
     async def scenario() -> None:
-        async with observed_graph(os.environ, Heard()):
-            ran.append(True)
-
-    with occupied("other", address.port):
-        asyncio.run(asyncio.wait_for(scenario(), 120))
-    assert ran == [True]
-    assert "no graph daemon" in caplog.text
-    assert "has the daemon's port" in caplog.text
-
-
-def test_a_daemon_that_dies_is_reported_once(
-    address: DaemonAddress, logs: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    import signal
-
-    from play_launch.fastdds.shared_memory import sweep
-
-    caplog.set_level(logging.WARNING)
-
-    async def scenario() -> None:
-        async with observed_graph(os.environ, Heard()):
-            occupant = await asyncio.to_thread(look, address)
-            assert occupant.holder is not None
-            os.kill(occupant.holder.pid, signal.SIGKILL)
-            while "does not answer" not in caplog.text:
+        async with observed(Heard()):
+            while len(problems) < 3:
                 await asyncio.sleep(0.02)
-            await asyncio.sleep(1.2)
 
-    asyncio.run(asyncio.wait_for(scenario(), 120))
+    with occupied(kind, address.port):
+        asyncio.run(asyncio.wait_for(scenario(), 120))
+    (warning,) = [record.getMessage() for record in caplog.records]
+    assert warning.startswith("no graph daemon: ")
+    assert "has the daemon's port" in warning
+
+
+@pytest.mark.usefixtures("_ended")
+def test_a_daemon_that_dies_is_reported_once_and_started_again(
+    address: DaemonAddress, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    caplog.set_level(logging.WARNING)
+    monkeypatch.setattr(observer, "BETWEEN_STARTS", 0.1)
+
+    async def scenario(heard: Heard) -> None:
+        async with observed(heard):
+            killed = (await ours(address)).status["pid"]
+            os.kill(killed, signal.SIGKILL)
+            await ours(address, but=killed)
+            probe = await asyncio.to_thread(Probe, "late_visitor")
+            await heard.until(appeared="/late_visitor")
+            await asyncio.to_thread(probe.__exit__, None, None, None)
+
+    asyncio.run(asyncio.wait_for(scenario(Heard()), 120))
     assert caplog.text.count("does not answer") == 1
     # What the killed one left, unless another program of this machine was faster.
     sweep()
+
+
+def test_a_domain_that_is_none_is_reported(caplog: pytest.LogCaptureFixture) -> None:
+    asyncio.run(observe_graph({"ROS_DOMAIN_ID": "banana"}, Heard()))
+    assert "no graph daemon: ROS_DOMAIN_ID is a number" in caplog.text
