@@ -76,7 +76,7 @@ class Member:
         self._record = MemberRecord()
         self._inbox = Inbox(deadlines=self._deadlines, on_time=self._on_time, on_error=self._fail)
         self._sources = Sources(lambda error: self.deliver(partial(self._fail, error)))
-        self._queue_scope: anyio.CancelScope | None = None
+        self._queued = Source()
         self.rest = Rest()
         self._restart_at: float | None = None
         self._delay = 0.0
@@ -232,8 +232,7 @@ class Member:
             case MemberAction.QUEUE:
                 if said is not MemberInput.RESTART_DUE:
                     self._restarter.forget()
-                self._queue_scope = anyio.CancelScope()
-                self._sources.begin(partial(self._queue, self._queue_scope))
+                self._queued = self._sources.begin(self._queue)
             case MemberAction.SPAWN:
                 self._start()
             case MemberAction.BEGIN:
@@ -279,17 +278,17 @@ class Member:
 
     # A process, from its turn to its end.
 
-    async def _queue(self, scope: anyio.CancelScope) -> None:
-        """Wait for its turn; ``scope`` is cancelled when it is to stop instead."""
-        with scope:
-            await self._nothing_left.wait()
-            why = await self._turn.take()
-            if scope.cancel_called:
-                self._turn.give_back()
-            elif why:
-                self.deliver(partial(self._die, Death(why, permanent=True)))
-            else:
-                self.post(MemberInput.SLOT)
+    async def _queue(self) -> None:
+        """Wait for its turn; cancelled when it is to stop instead."""
+        queued = self._queued
+        await self._nothing_left.wait()
+        why = await self._turn.take()
+        if queued.is_cancelled:
+            self._turn.give_back()
+        elif why:
+            self.deliver(partial(self._die, Death(why, permanent=True)))
+        else:
+            self.post(MemberInput.SLOT)
 
     def _start(self) -> None:
         self._has_ended = False
@@ -397,8 +396,7 @@ class Member:
 
     def _stop_process(self, reason: str) -> None:
         self._stop_reason = reason
-        if self._queue_scope is not None:
-            self._queue_scope.cancel()
+        self._queued.cancel()
         if self._process is None or self._is_decided:
             self._turn.give_back()
             self.post(MemberInput.DIED_FOR_GOOD, "it was stopped before it was started")

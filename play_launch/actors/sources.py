@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+from contextvars import Context, copy_context
+from importlib import import_module
 from typing import TYPE_CHECKING
+
+import anyio
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable
@@ -11,11 +16,25 @@ if TYPE_CHECKING:
 
 
 class Source:
-    """One of them."""
+    """Handle of one task."""
 
     def __init__(self) -> None:
         self.runs = True
         """Whether it is to hand over anything yet."""
+        self.is_cancelled = False
+        self._scope: anyio.CancelScope | None = None
+
+    def cancel(self) -> None:
+        """Cancel the task; one that has not begun yet never does."""
+        self.is_cancelled = True
+        if self._scope is not None:
+            self._scope.cancel()
+
+    async def run(self, work: Callable[[], Awaitable[None]]) -> None:
+        """Run ``work`` until it ends or is cancelled."""
+        with anyio.CancelScope() as self._scope:
+            if not self.is_cancelled:
+                await work()
 
 
 class Sources:
@@ -25,21 +44,28 @@ class Sources:
         """Take what gets whatever one of them raises, and must not raise itself."""
         self._on_error = on_error
         self._tasks: TaskGroup | None = None
+        self._context = Context()
 
     def run_in(self, tasks: TaskGroup) -> None:
         """Run them in ``tasks`` from now on."""
         self._tasks = tasks
+        self._context = copy_context()
+        # Where sniffio is installed, anyio asks it for the event loop; outside of a task, as in a
+        # callback of the loop, sniffio knows it by this variable only.
+        with suppress(ModuleNotFoundError):
+            sniffio = import_module("sniffio")
+            self._context.run(sniffio.current_async_library_cvar.set, "asyncio")
 
     def begin(self, work: Callable[[], Awaitable[None]]) -> Source:
         """Begin one; what it raises is the member's failure."""
         assert self._tasks is not None
         source = Source()
-        self._tasks.start_soon(self._run, source, work)
+        self._context.copy().run(self._tasks.start_soon, self._run, source, work)
         return source
 
     async def _run(self, source: Source, work: Callable[[], Awaitable[None]]) -> None:
         try:
-            await work()
+            await source.run(work)
         except Exception as error:  # noqa: BLE001 - others are not to pay for it
             self._on_error(error)
         finally:
