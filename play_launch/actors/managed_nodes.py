@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import asyncio
 import logging
+from functools import partial
 from typing import TYPE_CHECKING, Final, assert_never
 
 import anyio
 from msgspec import Struct, field
 
+from play_launch.actors.sources import Source, Sources
 from play_launch.core.events import (
     REPORTED_LOGGER,
     ManagedNodeChanged,
@@ -27,7 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
     from contextlib import AbstractAsyncContextManager
 
-    from anyio.abc import TaskGroup, TaskStatus
+    from anyio.abc import TaskGroup
 
     from play_launch.actors.ports import ManagedNode
     from play_launch.actors.publisher import Publisher
@@ -79,8 +81,8 @@ class _Managed(Struct):
     state: ManagedState = ManagedState.ABSENT
     reason: str = ""
     """Why it failed; else empty."""
-    scope: anyio.CancelScope | None = None
-    """Of the conversation with the present node."""
+    task: Source | None = None
+    """Drives the present node to its goal."""
     to_do: asyncio.Queue[ManagedAction] = field(default_factory=asyncio.Queue)
 
 
@@ -103,7 +105,7 @@ class ManagedNodes:
         self._publisher = publisher
         self._on_change = on_change
         self._open_client = open_client
-        self._tasks: TaskGroup | None = None
+        self._sources = Sources(lambda error: _log.error("%s", error, exc_info=error))
 
     def use(self, configs: Mapping[str, ManagedConfig]) -> None:
         """Take the managed nodes by unit; one that is there and is to go further does so."""
@@ -139,11 +141,9 @@ class ManagedNodes:
         )
         return any(str(each.key) == unit and each.state is NodeState.LOADED for each in nodes)
 
-    async def run(self, *, task_status: TaskStatus[None] = anyio.TASK_STATUS_IGNORED) -> None:
-        """Talk to the nodes until this is cancelled."""
-        async with anyio.create_task_group() as self._tasks:
-            task_status.started()
-            await anyio.sleep_forever()
+    def run_in(self, tasks: TaskGroup) -> None:
+        """Drive the nodes in ``tasks`` from now on."""
+        self._sources.run_in(tasks)
 
     def publish(self, event: RunEvent, _before: SystemView, _after: SystemView) -> None:
         """See whether one of them comes or goes."""
@@ -160,7 +160,7 @@ class ManagedNodes:
         if node is None:
             return
         # A state may be published again while it lasts.
-        if is_up and node.scope is None:
+        if is_up and node.task is None:
             self._apply(unit, ManagedInput.UP)
         elif is_gone:
             self._apply(unit, ManagedInput.GONE)
@@ -188,13 +188,12 @@ class ManagedNodes:
     def _do(self, unit: str, node: _Managed, action: ManagedAction, reason: str) -> None:
         match action:
             case ManagedAction.ASK:
-                assert self._tasks is not None
-                node.scope, node.to_do = anyio.CancelScope(), asyncio.Queue()
-                self._tasks.start_soon(self._converse, unit, node, node.scope)
+                node.to_do = asyncio.Queue()
+                node.task = self._sources.begin(partial(self._converse, unit, node))
             case ManagedAction.LEAVE:
-                if node.scope is not None:
-                    node.scope.cancel()
-                    node.scope = None
+                if node.task is not None:
+                    node.task.cancel()
+                    node.task = None
             case ManagedAction.CONFIGURE | ManagedAction.ACTIVATE:
                 node.to_do.put_nowait(action)
             case ManagedAction.REPORT_FAILED:
@@ -203,23 +202,28 @@ class ManagedNodes:
             case _:
                 assert_never(action)
 
-    async def _converse(self, unit: str, node: _Managed, scope: anyio.CancelScope) -> None:
-        """Talk to one life of a node until it leaves; who cannot be talked to has failed."""
-        with scope:
-            try:
-                await self._talk(unit, node, scope)
-            except Exception as error:  # noqa: BLE001 - the others are not to pay for it
-                _log.warning("%s cannot be talked to: %s", node.config.name, error)
+    async def _converse(self, unit: str, node: _Managed) -> None:
+        """Drive one node instance to its goal state; cancelled when the node exits.
+
+        An exception is a failure of this node, unless it is not managed any more.
+        """
+        task = node.task
+        assert task is not None
+        try:
+            await self._talk(unit, node, task)
+        except Exception as error:  # noqa: BLE001 - the others are not to pay for it
+            _log.warning("%s cannot be talked to: %s", node.config.name, error)
+            if not task.is_cancelled:
                 self._apply(unit, ManagedInput.REFUSED, str(error))
 
-    async def _talk(self, unit: str, node: _Managed, scope: anyio.CancelScope) -> None:
+    async def _talk(self, unit: str, node: _Managed, task: Source) -> None:
         """Ask for its state, and then for one transition after the other."""
         known: ManagedInput | None = None
 
         def hear(state: int) -> None:
             nonlocal known
             said = _INPUT_OF_STATE.get(state)
-            if said is not None and not scope.cancel_called:
+            if said is not None and not task.is_cancelled:
                 known = said
                 under_way = _UNDER_WAY.get(node.state)
                 how = f"its transition {under_way} led to" if under_way else "it is in"
@@ -234,7 +238,7 @@ class ManagedNodes:
         async with self._open_client(node.config.name, hear) as client:
             with anyio.move_on_after(limit) as asking:
                 hear(await client.state())
-            if asking.cancelled_caught:
+            if asking.cancelled_caught and not task.is_cancelled:
                 reason = (
                     "its lifecycle services did not answer"
                     if client.is_offered
@@ -244,6 +248,8 @@ class ManagedNodes:
             while True:
                 action = await _next_action(node, client, see)
                 said, reason = await _change(client, action, limit)
+                if task.is_cancelled:
+                    return
                 if said is _TRANSITIONS[action][1]:
                     known = said
                 self._apply(unit, said, reason)

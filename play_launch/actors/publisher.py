@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,8 @@ if TYPE_CHECKING:
     from play_launch.core.events import ContainerState, RunEvent, Stream, SubjectKind
     from play_launch.core.view import StateSink
     from play_launch.process.lines import Line
+
+_log = logging.getLogger(__name__)
 
 
 class Publisher:
@@ -55,8 +58,12 @@ class Publisher:
             self._view_before_stop = self.view
         before = self.view
         self.view = after = before.after(event)
-        for sink in self._sinks:
-            sink.publish(event, before, after)
+        for sink in tuple(self._sinks):
+            try:
+                sink.publish(event, before, after)
+            except Exception:  # noqa: BLE001 - must not stop the member whose event it is
+                self._sinks.remove(sink)
+                _log.exception("%s failed and gets no more events", type(sink).__name__)
 
     def publish_container(
         self, name: str, state: ContainerState, reason: str, mechanism: str

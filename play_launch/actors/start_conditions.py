@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -10,6 +11,7 @@ import anyio
 from play_launch.actors.first_of import first_of
 from play_launch.actors.managed_nodes import ManagedNodes
 from play_launch.actors.order import StartOrder
+from play_launch.actors.sources import Sources
 from play_launch.actors.turn import StartTurn
 from play_launch.actors.units import Units
 from play_launch.actors.world import World
@@ -30,6 +32,8 @@ if TYPE_CHECKING:
     from play_launch.core.dependency import Dependency
     from play_launch.core.order import Look
 
+_log = logging.getLogger(__name__)
+
 
 class StartConditions:
     """Belongs to the thread of the event loop."""
@@ -45,6 +49,9 @@ class StartConditions:
         ``ros`` is asked about the graph and managed nodes, if need be; None is the real one.
         """
         self._publisher = publisher
+        self._sources = Sources(
+            lambda error: _log.error("files are not waited for any more: %s", error, exc_info=error)
+        )
         self._environment = config.environment
         self._ros_access = ros
         self._units: Units | None = None
@@ -64,10 +71,11 @@ class StartConditions:
         self._world.expect(rules.values())
         self.order.use(rules)
 
-    async def begin(self, tasks: TaskGroup) -> None:
+    def begin(self, tasks: TaskGroup) -> None:
         """Do what has to be done meanwhile, in ``tasks``."""
-        tasks.start_soon(self._world.run)
-        await tasks.start(self._managed.run)
+        self._sources.run_in(tasks)
+        self._sources.begin(self._world.run)
+        self._managed.run_in(tasks)
 
     def turn(self, unit: str, slots: asyncio.Semaphore | None = None) -> StartTurn:
         """Make the turn of a member, with what bounds how many start at a time."""

@@ -209,7 +209,7 @@ class System:
         self._publisher.remember_view_before(self._stop)
         try:
             async with anyio.create_task_group() as tasks:
-                await self._conditions.begin(tasks)
+                self._conditions.begin(tasks)
                 self._members.begin(tasks)
                 self._has_begun = True
                 tasks.start_soon(self._end_with_members)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os.path
 import re
 from collections.abc import Callable, Collection
 from typing import TYPE_CHECKING, Final, Protocol
@@ -101,7 +102,7 @@ class World:
             await self._more_files.wait()
             self._more_files.clear()
             while self._awaited_files:
-                found = {path for path in self._awaited_files if await anyio.Path(path).exists()}
+                found = {path for path in self._awaited_files if await _exists(path)}
                 if found != self._files:
                     self._files = found
                     self._on_change()
@@ -130,3 +131,9 @@ class World:
         if found != self._in_graph:
             self._in_graph = found
             self._on_change()
+
+
+async def _exists(path: str) -> bool:
+    """Whether a file can be seen; EACCES, EIO and the like count as no."""
+    # A mount that does not answer must not hold up the stop.
+    return await anyio.to_thread.run_sync(os.path.exists, path, abandon_on_cancel=True)

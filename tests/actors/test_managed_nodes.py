@@ -181,6 +181,38 @@ def test_a_process_and_who_helps_by_hand() -> None:
     assert sys.outcome.exit_code == 0
 
 
+def test_one_that_is_managed_no_longer_may_fail_late(caplog: pytest.LogCaptureFixture) -> None:
+    class FailsWhenCancelled(FakeNode):
+        async def state(self) -> int:
+            try:
+                await asyncio.Event().wait()
+            finally:
+                raise LookupError("the node is gone")
+
+    class Ros(FakeRos):
+        @asynccontextmanager
+        async def managed_node(
+            self, name: str, on_state: Callable[[int], None]
+        ) -> AsyncIterator[FakeNode]:
+            self.nodes.append(FailsWhenCancelled(on_state))
+            yield self.nodes[-1]
+
+    async def main() -> Running:
+        ros = Ros()
+        async with running(managed(), FakeLauncher(), ros=ros) as sys:
+            await sys.until(lambda: states(sys) == [State.ASKED])
+            await asyncio.sleep(1)
+            await sys.operated.applying.apply(system(container("c", "n", "m")))
+            await sys.until_loaded(2)
+            await asyncio.sleep(1)
+        return sys
+
+    sys = run(main())
+    assert sys.outcome is not None
+    assert sys.outcome.exit_code == 0
+    assert "the node is gone" in caplog.text
+
+
 def test_a_state_is_seen_although_its_event_gets_lost() -> None:
     async def main() -> None:
         ros = FakeRos()

@@ -13,6 +13,7 @@ from play_launch.config.model import ProcessConfig
 from play_launch.core.events import (
     ContainerState,
     NodeState,
+    ProcessEvent,
     ProcessEventKind,
     RunEvent,
 )
@@ -129,21 +130,21 @@ def test_a_stop_that_came_before_the_start_starts_nothing() -> None:
 
 @pytest.mark.parametrize("count", range(1, 60))
 def test_a_fault_of_our_own_costs_one_member_at_most_and_leaves_nothing(count: int) -> None:
-    class Breaks(Running):
+    class Breaks(Publisher):
         left = count
 
-        def publish(self, event: RunEvent, before: SystemView, after: SystemView) -> None:
+        def publish(self, event: RunEvent) -> None:
             self.left -= 1
             if self.left == 0:
                 raise LookupError("a bug")
-            super().publish(event, before, after)
+            super().publish(event)
 
     async def main() -> None:
         fakes = launcher()
-        sink = Breaks(fakes)
+        sink = Running(fakes)
         config = replace(CONFIG, duration=60.0)
         try:
-            await run_system(config, Publisher(sink), sink.stop, launcher=fakes, starts=2)
+            await run_system(config, Breaks(sink), sink.stop, launcher=fakes, starts=2)
         except LookupError:
             assert not fakes.containers, "members are announced before anything starts"
             assert not fakes.processes
@@ -152,6 +153,34 @@ def test_a_fault_of_our_own_costs_one_member_at_most_and_leaves_nothing(count: i
         assert sum("LookupError" in reason for reason in sink.gave_up().values()) <= 1
 
     run(main())
+
+
+def test_a_sink_that_fails_gets_no_more_events_and_costs_no_member(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    class Breaks:
+        given = 0
+
+        def publish(self, event: RunEvent, before: SystemView, after: SystemView) -> None:
+            self.given += 1
+            if isinstance(event, ProcessEvent) and event.kind is ProcessEventKind.STARTED:
+                raise LookupError("a bug")
+
+    async def main() -> Running:
+        fakes = FakeLauncher()
+        async with running(system(container("c", "a"), process("p")), fakes) as sys:
+            sink = Breaks()
+            sys.publisher.add_sink(sink)
+            await sys.until_loaded(1)
+            await sys.until(lambda: ProcessEventKind.STARTED in sys.process_events("/p"))
+            assert sink.given < len(sys.events)
+        return sys
+
+    sys = run(main())
+    assert not sys.gave_up()
+    assert sys.outcome is not None
+    assert sys.outcome.exit_code == 0
+    assert caplog.text.count("Breaks failed and gets no more events") == 1
 
 
 class BrokenLink(FakeLink):

@@ -49,6 +49,23 @@ def read_until_started(replay: Replay, *names: str) -> None:
     replay.read_until(is_last, f"the start of {names}")
 
 
+def test_a_path_that_cannot_be_looked_up_is_waited_for_and_disturbs_no_member(
+    tmp_path: Path,
+) -> None:
+    unreadable = tmp_path / ("x" * 300)  # ENAMETOOLONG: as EACCES is, but for root as well
+    nodes = [
+        {"name": "motor", "command": FOREVER},
+        {"name": "waits", "command": FOREVER, "depends_on": [{"file": str(unreadable)}]},
+        {"name": "later", "command": FOREVER, "depends_on": [{"file": "flag"}]},
+    ]
+    with replaying(write(tmp_path, nodes=nodes), tmp_path / "log") as replay:
+        read_until_started(replay, "/motor")
+        (tmp_path / "flag").touch()
+        read_until_started(replay, "/later")
+        assert len(alive(replay.descendants())) >= 2
+    assert not [each for each in replay.seen if each.get("kind") == "exited"]
+
+
 def test_a_chain_of_all_kinds(tmp_path: Path) -> None:
     containers = [
         {"name": "c", "composable_nodes": [LISTENER | {"depends_on": ["talker"]}, TALKER]},
