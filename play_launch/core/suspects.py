@@ -140,6 +140,11 @@ class Suspects:
             stage = Stage.CLEARED if loads else Stage.CONDEMNED
             self._known[node] = replace(before, stage=stage)
 
+    def probes_cancelled(self) -> None:
+        """Take that the scratch processes were stopped; without a result a library loads."""
+        for node in [each for each in self._known if self.of(each).stage is Stage.PROBING]:
+            self.probe_ended(node, loads=True)
+
     def survived(self, node: NodeKey) -> None:
         """The load came to an end, in whichever way, and the container lives."""
         self._known[node] = Suspicion()

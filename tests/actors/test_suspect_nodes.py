@@ -281,6 +281,60 @@ def test_a_stop_ends_the_scratch_process() -> None:
     assert sys.outcome.exit_code == 3
 
 
+def test_a_restart_amid_a_probe_loads_the_node_with_the_next_process() -> None:
+    async def main() -> Running:
+        fakes = FakeLauncher(makers={"/c": [Dies, FakeContainer]}, on_probe=hangs)
+        config = replace(container("c", "bad", "b"), probe_timeout=1000.0)
+        async with running(system(config), fakes) as sys:
+            await sys.until(lambda: "bad" in probed(sys))
+            await sys.until_state("/c", ContainerState.RUNNING)
+            sys.operated.restart("/c", "try it")
+            await sys.until_loaded(2)
+            assert starts(sys) == 3
+        return sys
+
+    run(main())
+
+
+def test_a_node_that_a_person_loads_amid_its_probe_does_not_fail_by_it() -> None:
+    async def main() -> Running:
+        fakes = FakeLauncher(makers={"/c": [Dies, FakeContainer]}, on_probe=hangs)
+        config = replace(container("c", "bad", "b"), probe_timeout=25.0)
+        async with running(system(config), fakes) as sys:
+            await sys.until(lambda: "bad" in probed(sys))
+            await sys.until_state("/c", ContainerState.RUNNING)
+            sys.operated.load(NodeKey("/c", "/bad"))
+            await sys.until_loaded(2)
+            await asyncio.sleep(60)
+            assert sys.view.loaded == 2
+        return sys
+
+    sys = run(main())
+    failures = [each for each in sys.events if isinstance(each, ComponentEvent)]
+    assert ComponentEventKind.LOAD_FAILED not in {each.kind for each in failures}
+
+
+def test_of_what_a_library_writes_a_bounded_part_is_kept() -> None:
+    def chatters(name: str, process: FakeProcess, on_output: OutputCallback) -> None:
+        for number in range(1000):
+            on_output(Stream.STDOUT, [Line(f"{number} {'x' * 1000}")])
+        lines: list[str] = on_output.result  # type: ignore[attr-defined]
+        kept.append(sum(map(len, lines)))
+        poison(name, process, on_output)
+
+    kept: list[int] = []
+
+    async def main() -> Running:
+        fakes = FakeLauncher(makers={"/c": [Dies]}, on_probe=chatters)
+        async with running(system(container("c", "bad")), fakes) as sys:
+            await sys.until(lambda: NodeState.LOAD_FAILED in sys.node_states("/bad"))
+        return sys
+
+    run(main())
+    assert kept
+    assert max(kept) < 200_000
+
+
 def test_what_it_writes_is_recorded_as_the_container_s() -> None:
     def talks(name: str, process: FakeProcess, on_output: OutputCallback) -> None:
         on_output(Stream.STDERR, [Line("about to die")])

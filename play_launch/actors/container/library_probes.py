@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 import logging
 import os
+from collections import deque
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct, field
@@ -41,11 +43,16 @@ def default_places() -> int:
     return max(2, os.cpu_count() or 1)
 
 
+_LAST_LINES: Final = 100
+"""Lines of a scratch process's stdout that are kept: its result is the last one, but for what the
+library's own threads and exit handlers write."""
+
+
 class _Output(Struct):
     """What one scratch process writes: its result is on stdout, all else goes to the recording."""
 
     publish: Callable[[Stream, Sequence[Line]], None]
-    result: list[str] = field(default_factory=list)
+    result: deque[str] = field(default_factory=partial(deque, maxlen=_LAST_LINES))
 
     def __call__(self, stream: Stream, lines: Sequence[Line]) -> None:
         if stream is Stream.STDOUT:

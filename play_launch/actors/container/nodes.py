@@ -50,6 +50,8 @@ _ALONE_LIMIT: Final = 60.0
 """Seconds for which a load can keep others waiting that have to be alone."""
 _UNDER_WAY: Final = frozenset({NodeState.REQUESTED, NodeState.LOADING})
 _ENDED: Final = frozenset({NodeState.UNLOADED, NodeState.CRASHED, NodeState.LOAD_FAILED})
+_REFUSABLE: Final = frozenset({NodeState.PENDING, NodeState.LOST})
+"""States of a node that its container does not have yet."""
 _GONE: Final = frozenset({NodeState.UNLOADED, NodeState.CRASHED})
 """States of a node that nobody wants, in which its container has nothing of it."""
 
@@ -208,8 +210,10 @@ class ContainerNodes:
         self._reports.state(self._nodes[key], Facts(reason=reason))
 
     def refuse(self, key: NodeKey, reason: str, finding: Finding | None = None) -> None:
-        """Let a node fail that the container does not get."""
+        """Let a node fail that the container does not get; not one that it got meanwhile."""
         node = self._nodes[key]
+        if node.record.state not in _REFUSABLE:
+            return
         self._reports.refusal(node, reason, finding)
         self._apply(node, NodeInput.REFUSED, Facts(reason=reason))
 

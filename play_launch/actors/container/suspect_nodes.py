@@ -33,7 +33,7 @@ class SuspectLoads(Protocol):
         """Report why a node is not loaded yet."""
 
     def refuse(self, node: NodeKey, reason: str, finding: Finding | None = None) -> None:
-        """Let the node fail: it is not sent to the container."""
+        """Let the node fail unless it was sent to the container meanwhile."""
 
     def load_cleared(self) -> None:
         """Load the nodes that are due."""
@@ -92,6 +92,7 @@ class SuspectNodes:
         """Give up what is being probed: the container is stopped."""
         while not self._to_probe.empty():
             self._to_probe.get_nowait()
+        self._suspects.probes_cancelled()
         self._stopped.set()
 
     def container_died(self, under_way: Collection[NodeKey], reason: str) -> None:
