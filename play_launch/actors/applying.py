@@ -161,8 +161,9 @@ class Applying:
         on_outcome: Callable[[StepOutcome], None],
     ) -> tuple[StepOutcome, ...]:
         outcomes: list[StepOutcome] = []
-        self._use_rules(target)
         problem = await self._prepare(target) if found.to_do else ""
+        if not problem:
+            self._use_rules(target)
         for phase in found.phases():
             failed = problem or any(each.result is not Result.DONE for each in outcomes)
             if failed:

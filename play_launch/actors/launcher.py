@@ -198,7 +198,6 @@ class NativeLauncher:
 
     async def prepare(self, config: ReplayConfig) -> None:
         """Get ready for what a changed system needs; raises StartError."""
-        self._policy = _policy(config)
         self._uses_fastdds = self._uses_fastdds or uses_fastdds(config, os.environ)
         members: tuple[ContainerConfig | ProcessConfig, ...] = (*config.containers, *config.nodes)
         await asyncio.to_thread(self._parameters.write, members)
@@ -216,6 +215,7 @@ class NativeLauncher:
                 await asyncio.to_thread(self._stock.extend, config)
         except NotInstalledError as error:
             raise StartError(str(error), permanent=True) from error
+        self._policy = _policy(config)
 
     def hello(self) -> Hello:
         """Say who we are."""
@@ -237,7 +237,11 @@ class NativeLauncher:
         if config.container_type is ContainerType.STOCK:
             assert self._stock is not None
             process = self._spawn(command, on_output, group, entry, name=config.full_name)
-            return process, self._stock.talk_to(config, process)
+            try:
+                return process, self._stock.talk_to(config, process)
+            except Exception:
+                process.kill()
+                raise
         try:
             pair = control_pair()
         except OSError as error:

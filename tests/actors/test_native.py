@@ -18,6 +18,7 @@ from msgspec.structs import replace
 from play_launch.actors.container.limits import LIMITS, Limits
 from play_launch.actors.launcher import NativeLauncher
 from play_launch.actors.publisher import Publisher
+from play_launch.actors.stock.starter import StockContainers
 from play_launch.actors.stop_requests import StopRequests
 from play_launch.actors.system import run_system
 from play_launch.config.model import (
@@ -42,6 +43,7 @@ from play_launch.core.node_key import NodeKey
 from play_launch.core.restart import OnExit, RestartLimits
 from play_launch.core.view import SystemView
 from play_launch.fastdds.shared_memory import SweepReport
+from tests.support.stock import EXECUTABLE, PACKAGE, install
 
 from .fakes import system
 from .running import Running
@@ -367,6 +369,36 @@ def test_a_stop_at_any_moment_leaves_nothing(count: int) -> None:
         assert not psutil.Process().children(recursive=True)
         left = asyncio.all_tasks() - {asyncio.current_task()}
         assert not left
+
+    asyncio.run(main())
+
+
+def test_a_stock_container_that_cannot_be_talked_to_is_not_left_running(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    double = install(tmp_path)
+    double.program.write_text("#!/bin/sh\nexec sleep 6000\n")
+    stock = replace(
+        container("s"),
+        container_type=ContainerType.STOCK,
+        package=PACKAGE,
+        executable=EXECUTABLE,
+        environment=double.environment,
+    )
+
+    def fails(*_: object) -> None:
+        raise RuntimeError("no client")
+
+    def runs() -> bool:
+        found = psutil.Process().children(recursive=True)
+        return any(each.name() == "sleep" for each in found)
+
+    async def main() -> None:
+        monkeypatch.setattr(StockContainers, "talk_to", fails)
+        async with running_natively(system(stock, container("c"))) as sys:
+            await sys.until(lambda: "/s" in sys.gave_up())
+            while runs():
+                await asyncio.sleep(0.05)
 
     asyncio.run(main())
 
