@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from play_launch.actors.death import Death, death_of_process
 from play_launch.actors.member import Member
 from play_launch.actors.resource_report import report_shortfalls
-from play_launch.core.events import ContainerState
+from play_launch.core.events import ContainerState, ProcessEventKind
 from play_launch.core.member import MemberInput
 from play_launch.core.restart import OnExit
 
@@ -84,6 +84,16 @@ class ProcessMember(Member):
         # After that was published: the exit code of the run is that of the system as it is now.
         if self._config.on_exit is OnExit.SHUTDOWN and not was_stopped:
             self._stop.request(reason=f"{self.name} has ended")
+
+    def _publish_state(self, reason: str) -> None:
+        known = self._publisher.view.processes.get(self.name)
+        # Without an exit to report, it would be shown as waiting for its start.
+        if (
+            self.state is ContainerState.STOPPED
+            and known is not None
+            and (known.restarting or known.waiting)
+        ):
+            self._publish(ProcessEventKind.STOPPED, reason)
 
     async def _clean_up(self) -> None:
         # Who writes to it, in this system or another, would go on writing into its memory, and may

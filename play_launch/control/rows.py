@@ -33,6 +33,7 @@ _STATE_OF_PROCESS: Final = {
     ProcessEventKind.GAVE_UP: "gave up",
     ProcessEventKind.STOPPING: "stopping",
     ProcessEventKind.WAITING: "waiting",
+    ProcessEventKind.STOPPED: "stopped",
 }
 _TICKS: Final = os.sysconf("SC_CLK_TCK")
 _MOST_AGE_NS: Final = 30_000_000_000

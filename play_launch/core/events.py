@@ -43,6 +43,8 @@ class ProcessEventKind(IntEnum):
     STOPPING = 5
     WAITING = 6
     """It is not started before what it depends on."""
+    STOPPED = 7
+    """It was stopped while it did not run, and so is not started."""
 
 
 class NodeState(StrEnum):

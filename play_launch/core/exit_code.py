@@ -56,7 +56,7 @@ def exit_code(view: SystemView, final: SystemView, signum: int | None) -> int:
     if signum is not None:
         return ExitCode.SIGNAL_BASE + signum
     expected = view.expected
-    if expected.failed or expected.gave_up or expected.failed_processes or view.failed_managed:
+    if expected.failed or expected.gave_up or expected.failed_processes or expected.failed_managed:
         return ExitCode.NODE_FAILED
     if crashed_while_stopped(view, final):
         return ExitCode.NODE_FAILED

@@ -193,8 +193,15 @@ class SystemView(Struct, frozen=True, kw_only=True):
         processes = {
             name: each for name, each in self.processes.items() if name not in self.dismissed
         }
+        managed = {
+            unit: each
+            for unit, each in self.managed.items()
+            if self.dismissed.isdisjoint({unit, unit.partition(":")[0]})
+        }
         return SystemView(
-            containers=MappingProxyType(containers), processes=MappingProxyType(processes)
+            containers=MappingProxyType(containers),
+            processes=MappingProxyType(processes),
+            managed=MappingProxyType(managed),
         )
 
     @property
@@ -345,6 +352,7 @@ def _process_changed(process: ProcessView, event: ProcessEvent) -> ProcessView:
         ProcessEventKind.RESTARTING,
         ProcessEventKind.GAVE_UP,
         ProcessEventKind.WAITING,
+        ProcessEventKind.STOPPED,
     }
     ended = event.kind is ProcessEventKind.EXITED
     # Given up while it still ran: its end does not change that.

@@ -55,6 +55,7 @@ OF_PROCESS: Final = {
     ProcessEventKind.GAVE_UP: Shown.CRASHED,
     ProcessEventKind.STOPPING: Shown.AWAY,
     ProcessEventKind.WAITING: Shown.AWAY,
+    ProcessEventKind.STOPPED: Shown.AWAY,
 }
 """Of one that is nobody's container."""
 

@@ -13,6 +13,7 @@ from .running import Running, running
 
 STARTED, EXITED = ProcessEventKind.STARTED, ProcessEventKind.EXITED
 RESTARTING, GAVE_UP = ProcessEventKind.RESTARTING, ProcessEventKind.GAVE_UP
+STOPPED = ProcessEventKind.STOPPED
 STOPPING = ProcessEventKind.STOPPING
 
 
@@ -145,7 +146,7 @@ def test_a_stop_while_it_waits_for_its_respawn() -> None:
             await sys.until(lambda: RESTARTING in sys.process_events("/p"))
         return sys
 
-    assert run(main()).process_events("/p") == [STARTED, EXITED, RESTARTING]
+    assert run(main()).process_events("/p") == [STARTED, EXITED, RESTARTING, STOPPED]
 
 
 def test_what_does_not_die_is_told_and_does_not_hold_up_the_end(

@@ -9,6 +9,7 @@ from msgspec.structs import replace
 from play_launch.core.events import (
     ContainerState,
     ContainerStateChanged,
+    ManagedNodeChanged,
     NodeState,
     NodeStateChanged,
     OutputLine,
@@ -20,6 +21,7 @@ from play_launch.core.events import (
     Withdrawn,
 )
 from play_launch.core.exit_code import ExitCode, crashed_while_stopped, exit_code
+from play_launch.core.managed import ManagedState
 from play_launch.core.node_key import NodeKey
 from play_launch.core.view import SystemView
 
@@ -182,3 +184,19 @@ def test_what_was_taken_out_counts_no_more() -> None:
     view = view.after(Withdrawn(stamp_ns=5, kind=SubjectKind.NODE, key="/elsewhere:/a"))
     view = view.after(Withdrawn(stamp_ns=6, kind=SubjectKind.CONTAINER, key="/c"))
     assert not view.containers
+
+
+def test_a_managed_node_counts_whatever_else_was_stopped_by_hand() -> None:
+    view = SystemView()
+    for event in (
+        process(ProcessEventKind.READY, "/camera", pid=5),
+        ManagedNodeChanged(
+            stamp_ns=1, unit="/camera", node="/camera", state=ManagedState.CONFIGURING
+        ),
+        process(ProcessEventKind.EXITED, "/talker"),
+    ):
+        view = view.after(event)
+    assert exit_code(view, view, None) == ExitCode.NODES_MISSING
+    for dismissed, code in (("/talker", ExitCode.NODES_MISSING), ("/camera", ExitCode.OK)):
+        left = replace(view, dismissed=frozenset({dismissed}))
+        assert exit_code(left, left, None) == code

@@ -156,7 +156,7 @@ def _process_line(event: ProcessEvent, before: SystemView) -> Line | None:
             return Line(event.stamp_ns, event.name, event.message or "not started again", ERROR)
         case ProcessEventKind.WAITING:
             return Line(event.stamp_ns, event.name, event.message, is_progress=True)
-        case ProcessEventKind.READY | ProcessEventKind.STOPPING:
+        case ProcessEventKind.READY | ProcessEventKind.STOPPING | ProcessEventKind.STOPPED:
             return None
 
 

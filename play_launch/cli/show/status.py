@@ -57,6 +57,8 @@ def process_status(process: ProcessView) -> str:
             return _because("gave up", process.message)
         case ProcessEventKind.STOPPING:
             return "stopping"
+        case ProcessEventKind.STOPPED:
+            return "stopped"
         case ProcessEventKind.WAITING:
             return process.message
         case _:
