@@ -20,6 +20,8 @@ _reported = logging.getLogger(REPORTED_LOGGER)
 
 REPORT_INTERVAL: Final = 15.0
 """Seconds between two reports of one that waits."""
+_RETRY_INTERVAL: Final = 1.0
+"""Seconds after an exception until the order is evaluated again."""
 
 
 class StartOrder:
@@ -113,6 +115,17 @@ class StartOrder:
         self._is_due = False
         if self._is_closed:
             return
+        if self._timer is not None:
+            self._timer.cancel()
+        due: float | None = self._loop.time() + _RETRY_INTERVAL
+        try:
+            due = self._carry_out_decisions()
+        except Exception:  # noqa: BLE001 - units would wait for ever
+            _log.exception("start order failed; it is evaluated again in %g s", _RETRY_INTERVAL)
+        self._timer = self._loop.call_at(due, self.look_again) if due is not None else None
+
+    def _carry_out_decisions(self) -> float | None:
+        """Let through what may start; return when that has to be decided anew, if ever."""
         now = self._loop.time()
         self._record, verdicts, missing, next_at = decide(
             self._rules, self._record, self._look, now
@@ -128,13 +141,10 @@ class StartOrder:
             self._watched = watched
             self._watch(watched)
         reports = (self._report_due[unit] for unit in missing)
-        times = [at for at in (next_at, *reports) if at is not None]
-        if self._timer is not None:
-            self._timer.cancel()
-        self._timer = self._loop.call_at(min(times), self.look_again) if times else None
         if verdicts:
             # What has failed may be what others wait for.
             self.look_again()
+        return min((at for at in (next_at, *reports) if at is not None), default=None)
 
     def _settle(self, verdict: Verdict) -> None:
         self._reports.pop(verdict.unit, None)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from play_launch.core.dependency import Condition
 
@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from play_launch.ros.shared_thread import SharedRosThread
 
 _log = logging.getLogger(__name__)
+
+_RETRY_INTERVAL: Final = 10.0
+"""Seconds after an error until the graph is read again."""
 
 Wanted = frozenset[tuple[Condition, str]]
 """NODE, TOPIC or SERVICE, with a full name."""
@@ -52,13 +55,17 @@ class GraphSource:
             await asyncio.gather(self._task, return_exceptions=True)
 
     async def _run(self) -> None:
-        # Somebody may want something again while the node of before is being taken down.
+        # Something may be wanted again while the node of before is being taken down.
         while self._wanted:
-            if not await self._look_while_wanted():
-                return
+            try:
+                await self._look_while_wanted()
+            except Exception as error:  # noqa: BLE001 - units wait for it
+                _log.error(
+                    "the ROS graph cannot be read, next try in %g s: %s", _RETRY_INTERVAL, error
+                )
+                await asyncio.sleep(_RETRY_INTERVAL)
 
-    async def _look_while_wanted(self) -> bool:
-        """Return whether that went well."""
+    async def _look_while_wanted(self) -> None:
         async with self._ros.used() as thread:
             forget = thread.listen(self._changed.set)
             try:
@@ -66,12 +73,8 @@ class GraphSource:
                     self._changed.clear()
                     self._on_change(await thread.call(partial(look, wanted=self._wanted)))
                     await self._changed.wait()
-            except Exception as error:  # noqa: BLE001 - a task has nobody else to report it
-                _log.error("the ROS graph cannot be looked at: %s", error)
-                return False
             finally:
                 forget()
-        return True
 
 
 def look(node: Node, wanted: Wanted) -> Wanted:

@@ -54,7 +54,9 @@ class ParameterSetter:
                 await asyncio.to_thread((await thread).close)
 
     async def _thread(self, domain: int | None) -> RosThread:
-        if domain not in self._threads:
+        known = self._threads.get(domain)
+        has_failed = known is not None and known.done() and known.exception() is not None
+        if known is None or has_failed:
             started = asyncio.ensure_future(asyncio.to_thread(_start, domain))
             self._threads[domain] = started
         # Several wait for it; one that gives up must not end it for the others.

@@ -11,6 +11,7 @@ from typing import Any, cast
 import pytest
 
 from play_launch.core.dependency import Condition
+from play_launch.ros import graph_source
 from play_launch.ros.graph_source import GraphSource, Wanted
 from play_launch.ros.shared_thread import SharedRosThread
 
@@ -59,20 +60,24 @@ async def test_what_is_wanted_while_the_node_leaves_is_looked_for() -> None:
     assert ros.times == 2
 
 
-async def test_a_graph_that_cannot_be_looked_at_is_reported_once(
-    caplog: pytest.LogCaptureFixture,
+async def test_a_graph_that_cannot_be_read_is_reported_and_read_again(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    ros = StandIn()
-    ros.may_leave.set()
+    class NoRosAtFirst(StandIn):
+        @asynccontextmanager
+        async def used(self) -> AsyncIterator[StandIn]:
+            self.times += 1
+            if self.times == 1:
+                raise ImportError("no rclpy")
+            yield self
 
-    def fail(_there: Wanted) -> None:
-        raise ValueError("no graph")
-
-    source = GraphSource(cast(SharedRosThread, ros), fail)
+    monkeypatch.setattr(graph_source, "_RETRY_INTERVAL", 0.0)
+    ros = NoRosAtFirst()
+    seen: asyncio.Queue[Wanted] = asyncio.Queue()
+    source = GraphSource(cast(SharedRosThread, ros), seen.put_nowait)
     source.watch([TALKER])
-    await ros.is_leaving.wait()
-    await asyncio.sleep(0)
+    assert await asyncio.wait_for(seen.get(), 60) == {TALKER}
     await source.close()
     assert [record.getMessage() for record in caplog.records] == [
-        "the ROS graph cannot be looked at: no graph"
+        "the ROS graph cannot be read, next try in 0 s: no rclpy"
     ]
