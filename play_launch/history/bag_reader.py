@@ -15,6 +15,7 @@ import os
 import struct
 import sys
 from dataclasses import dataclass, field
+from itertools import islice
 from typing import IO, TYPE_CHECKING, Final, NamedTuple
 
 from mcap.opcode import Opcode
@@ -25,11 +26,12 @@ from play_launch.history.file_end import MAGIC, NotTheEndError, problem_at_the_e
 from play_launch.history.records import (
     INDEX,
     INDEX_HEAD,
-    LARGEST_CHUNK,
     BrokenError,
     check_index,
+    is_too_long,
     read_attachment,
     read_chunk,
+    read_content,
     read_record,
     refuse,
 )
@@ -53,6 +55,8 @@ _MESSAGE_KIND: Final = int(Opcode.MESSAGE)
 _INDEX_KIND: Final = int(Opcode.MESSAGE_INDEX)
 _LOOK_AHEAD: Final = 4096
 """Bytes that are looked at in one go behind a chunk, where the indexes of its messages stand."""
+_LISTED: Final = 100
+"""Damages that are listed one by one."""
 _KINDS: Final = range(Opcode.HEADER, Opcode.DATA_END + 1)
 
 
@@ -123,6 +127,7 @@ class BagReader:
     counts: dict[Topic, int] = field(default_factory=dict)
     """Messages of each topic, the unwanted ones included."""
     damages: list[Damage] = field(default_factory=list)
+    """The first ones; of more than can be listed the last stands for the rest."""
     size: int = 0
     """Bytes."""
     is_complete: bool = False
@@ -142,6 +147,23 @@ class BagReader:
     _has_chunks: bool = False
     _passes_over: bool = False
     """Whether messages that repeat earlier ones are of no use."""
+    _noted: Damage | None = None
+    _unlisted: int = 0
+
+    def note(self, damage: Damage, *, places: int = 1) -> None:
+        """Remember a place that cannot be read, or so many; it may be noted twice in a row."""
+        if damage == self._noted:
+            return
+        self._noted = damage
+        if len(self.damages) < _LISTED:
+            self.damages.append(damage)
+            return
+        self._unlisted += places
+        if len(self.damages) == _LISTED:
+            self.damages.append(damage)
+        if self._unlisted > 1:
+            reason = f"from here on {self._unlisted:,} places cannot be read"
+            self.damages[-1] = self.damages[-1]._replace(reason=reason)
 
     def messages(self, wanted: Container[str] | None = None) -> Iterator[Message]:
         """Give the messages of these topics (None: all) in the order of the file.
@@ -176,34 +198,50 @@ class BagReader:
     def _file_messages(self, path: Path, wanted: Container[str] | None) -> Iterator[list[Message]]:
         """Give those of a file, chunk by chunk."""
         try:
-            with open_bag(path) as file:
-                size = os.fstat(file.fileno()).st_size
-                self.size += size
-                if file.read(len(MAGIC)) != MAGIC:
-                    raise NotARecordingError(f"{path}: it is not an MCAP file")
-                yield from self._records(file, size, wanted)
+            file = open_bag(path)
         except OSError as error:
             raise NotARecordingError(f"{path}: {error.strerror}") from error
+        with file:
+            try:
+                size = os.fstat(file.fileno()).st_size
+                magic = file.read(len(MAGIC))
+            except OSError as error:
+                raise NotARecordingError(f"{path}: {error.strerror}") from error
+            self.size += size
+            if magic != MAGIC:
+                raise NotARecordingError(f"{path}: it is not an MCAP file")
+            yield from self._records(file, size, wanted)
 
     def _name_missing(self, parts: list[PartFile]) -> None:
-        there = {part.number for part in parts}
-        for number in range(parts[-1].number if len(parts) > 1 else 0):
-            if number not in there:
-                name = part_path(self.path / BAG_NAME, number).name
-                self.damages.append(Damage(0, "the file is missing", name))
+        if len(parts) == 1:
+            return
+        there, last = {part.number for part in parts}, parts[-1].number
+        left = last + 1 - len(there)
+        # A name can hold any number.
+        for number in islice((each for each in range(last) if each not in there), _LISTED + 1):
+            name = part_path(self.path / BAG_NAME, number).name
+            left -= 1
+            self.note(Damage(0, "the file is missing", name))
+        if left:
+            self.note(Damage(0, "files are missing", parts[-1].path.name), places=left)
 
     def _records(
         self, file: IO[bytes], size: int, wanted: Container[str] | None
     ) -> Iterator[list[Message]]:
         at = len(MAGIC)
         while at < size:
-            head = file.read(_RECORD.size)
+            try:
+                head = file.read(_RECORD.size)
+            except OSError as error:
+                self._damaged(at, f"{error.strerror}")
+                at = file.seek(next_chunk(file, at + 1, size) or size)
+                continue
             if len(head) < _RECORD.size:
                 self._damaged(at, "the file ends within a record")
                 return
             kind, length = _RECORD.unpack(head)
             end = at + _RECORD.size + length
-            if end > size or (kind == Opcode.CHUNK and length > LARGEST_CHUNK):
+            if end > size or is_too_long(kind, length):
                 reason = f"the file ends within a record, or its length ({length} bytes) is wrong"
                 self._damaged(at, reason)
                 following = next_chunk(file, at + 1, size)
@@ -220,6 +258,8 @@ class BagReader:
                     self._damaged(at, "a record says that the data ends here, and it goes on")
                     at = file.seek(end)
                     continue
+                except OSError as error:
+                    problem = f"the summary at its end cannot be read: {error.strerror}"
                 self.is_complete = problem is None
                 if problem is not None:
                     self._damaged(at, problem)
@@ -231,7 +271,7 @@ class BagReader:
                         refuse(kind)
                     case Opcode.CHUNK | Opcode.SCHEMA | Opcode.CHANNEL | Opcode.MESSAGE:
                         found: list[Message] = []
-                        content = file.read(length)
+                        content = read_content(file, kind, length)
                         try:
                             if kind == Opcode.CHUNK:
                                 self._has_chunks = True
@@ -244,9 +284,9 @@ class BagReader:
                         if kind == Opcode.CHUNK:
                             end = _behind_indexes(file, end, size)
                     case Opcode.ATTACHMENT:
-                        self._attachment(file.read(length))
+                        self._attachment(read_content(file, kind, length))
                     case Opcode.METADATA:
-                        metadata = read_record(Metadata.read, file.read(length))
+                        metadata = read_record(Metadata.read, read_content(file, kind, length))
                         self.metadata[metadata.name] = metadata.metadata
                         if metadata.name == PART_METADATA:
                             number = _number(metadata.metadata.get("number", ""))
@@ -257,8 +297,9 @@ class BagReader:
                         check_index(file.read(INDEX_HEAD), length)
                     case _:
                         refuse(kind)
-            except BrokenError as error:
-                self._damaged(at, str(error))
+            except (BrokenError, OSError) as error:
+                # A sector that cannot be read costs the record that it is in.
+                self._damaged(at, getattr(error, "strerror", None) or str(error))
                 if not _may_begin(file, end, size):
                     # Then its length is wrong as well, or nothing but zeros were written.
                     end = next_chunk(file, at + 1, size) or size
@@ -357,7 +398,7 @@ class BagReader:
                 self.counts.setdefault(topic, 0)
 
     def _damaged(self, at: int, reason: str) -> None:
-        self.damages.append(Damage(at, reason, self.file))
+        self.note(Damage(at, reason, self.file))
 
 
 def _behind_indexes(file: IO[bytes], at: int, size: int) -> int:
@@ -365,7 +406,10 @@ def _behind_indexes(file: IO[bytes], at: int, size: int) -> int:
     unpack, head = INDEX.unpack_from, INDEX.size
     while at < size:
         file.seek(at)
-        block = file.read(_LOOK_AHEAD)
+        try:
+            block = file.read(_LOOK_AHEAD)
+        except OSError:
+            return at  # what cannot be read may stand behind them
         begin, last = 0, len(block) - head
         while begin <= last:
             kind, length, _, entries = unpack(block, begin)
@@ -381,8 +425,11 @@ def _behind_indexes(file: IO[bytes], at: int, size: int) -> int:
 
 def _may_begin(file: IO[bytes], at: int, size: int) -> bool:
     """Whether a record may begin there."""
-    file.seek(at)
-    return at == size or file.read(1)[0] in _KINDS
+    try:
+        file.seek(at)
+        return at == size or file.read(1)[0] in _KINDS
+    except OSError:
+        return False
 
 
 def _parts(path: Path) -> list[PartFile]:

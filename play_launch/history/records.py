@@ -6,9 +6,10 @@ import functools
 import struct
 import zlib
 from io import BytesIO
-from typing import TYPE_CHECKING, Any, Final, NoReturn
+from typing import IO, TYPE_CHECKING, Any, Final, NoReturn
 
 from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
 from mcap.records import Attachment, Chunk
 
 if TYPE_CHECKING:
@@ -18,6 +19,15 @@ if TYPE_CHECKING:
 
 LARGEST_CHUNK: Final = 1 << 30
 """Bytes; no writer makes larger ones, so a larger number is damage."""
+_LARGEST: Final[dict[int, int]] = {
+    Opcode.CHUNK: LARGEST_CHUNK,
+    Opcode.ATTACHMENT: LARGEST_CHUNK,
+    Opcode.MESSAGE: 1 << 28,
+}
+_LARGEST_OTHER: Final = 1 << 24
+"""Bytes of a record that describes something."""
+_HEAD: Final = 1 << 14
+"""Bytes of a record in which the numbers stand that say how long it is."""
 _INDEX: Final = struct.Struct("<HI")
 """Channel and length of the entries, which follow."""
 INDEX_HEAD: Final = _INDEX.size
@@ -30,6 +40,9 @@ _COMPRESSION: Final = 8 + 8 + 8 + 4
 """Bytes of a chunk before the name of its compression."""
 
 
+_ATTACHMENT_TIMES: Final = 8 + 8
+
+
 class BrokenError(Exception):
     """A record is not what it should be."""
 
@@ -37,6 +50,31 @@ class BrokenError(Exception):
 def refuse(kind: int) -> NoReturn:
     """Say that there is no such record."""
     raise BrokenError(f"no record of kind {kind:#04x} can stand here")
+
+
+def is_too_long(kind: int, length: int) -> bool:
+    """Whether no record of a kind has so many bytes."""
+    return length > _LARGEST.get(kind, _LARGEST_OTHER)
+
+
+def read_content(file: IO[bytes], kind: int, length: int) -> bytes:
+    """Read the content of a record, which begins where the file stands.
+
+    A large one is read only when the lengths in it say the same: memory for a wrong length may be
+    more than there is.
+
+    Raises:
+        BrokenError: When they do not.
+    """
+    if kind in {Opcode.CHUNK, Opcode.ATTACHMENT}:
+        begin = file.tell()
+        head = file.read(min(length, _HEAD))
+        inner = _chunk_length(head) if kind == Opcode.CHUNK else _attachment_length(head)
+        if inner != length:
+            what = "a chunk" if kind == Opcode.CHUNK else "an attachment"
+            raise BrokenError(f"the length of {what} is wrong")
+        file.seek(begin)
+    return file.read(length)
 
 
 def check_index(head: bytes, length: int) -> None:
@@ -65,16 +103,29 @@ def read_chunk(content: bytes) -> bytes:
     """The records in a chunk.
 
     Raises:
-        BrokenError: When there is something wrong with it, its length included.
+        BrokenError: When there is something wrong with it.
     """
-    try:
-        at = _COMPRESSION + _SMALL.size + _SMALL.unpack_from(content, _COMPRESSION)[0]
-        (length,) = _LARGE.unpack_from(content, at)
-    except struct.error:
-        at, length = len(content), 0
-    if at + _LARGE.size + length != len(content):
-        raise BrokenError("the length of a chunk is wrong")
     return _decompressed(read_record(Chunk.read, content))
+
+
+def _chunk_length(head: bytes) -> int:
+    """What the length of a chunk has to be, by what stands in it; negative: nothing fits."""
+    try:
+        at = _COMPRESSION + _SMALL.size + _SMALL.unpack_from(head, _COMPRESSION)[0]
+        return int(at + _LARGE.size + _LARGE.unpack_from(head, at)[0])
+    except struct.error:
+        return -1
+
+
+def _attachment_length(head: bytes) -> int:
+    """The same of an attachment."""
+    try:
+        at = _ATTACHMENT_TIMES
+        for _ in ("name", "media type"):
+            at += _SMALL.size + _SMALL.unpack_from(head, at)[0]
+        return int(at + _LARGE.size + _LARGE.unpack_from(head, at)[0] + _CHECKSUM.size)
+    except struct.error:
+        return -1
 
 
 def _decompressed(chunk: Chunk) -> bytes:

@@ -14,6 +14,8 @@ _BEFORE: Final = 1 + 8 + 8 + 8 + 8 + 4
 """Bytes of a chunk before that: kind, length, first and last log time, size, checksum."""
 _LENGTH: Final = struct.Struct("<Q")
 _BLOCK: Final = 1024 * 1024
+_PIECE: Final = 64 * 1024
+"""Bytes that are looked at in one go where some cannot be read."""
 _OVERLAP: Final = _BEFORE + max(map(len, _NAMES))
 
 
@@ -25,14 +27,20 @@ def next_chunk(file: IO[bytes], begin: int, size: int) -> int | None:
         begin: In bytes.
         size: Of the file.
     """
-    at = begin
+    at, step = begin, _BLOCK
     while at < size:
-        file.seek(at)
-        block = file.read(_BLOCK + _OVERLAP)
+        try:
+            file.seek(at)
+            block = file.read(step + _OVERLAP)
+        except OSError:
+            if step > _PIECE:
+                step = _PIECE
+                continue
+            block = b""
         found = [place for name in _NAMES for place in _places(block, name, at, size)]
         if found:
             return min(found)
-        at += _BLOCK
+        at += step
     return None
 
 

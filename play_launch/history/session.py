@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from play_launch.core.view import SystemView
 from play_launch.history.bag_reader import BagReader, Damage
@@ -15,9 +15,6 @@ if TYPE_CHECKING:
 
     from play_launch.core.events import RunEvent
     from play_launch.history.bag_reader import Message
-
-_DAMAGES: Final = 100
-"""Messages that cannot be read are listed up to so many."""
 
 
 class Happened(NamedTuple):
@@ -74,6 +71,4 @@ class PastSession:
 
     def note_damage(self, message: Message, error: Exception) -> None:
         """Remember a message that cannot be read; whoever else finds that out adds nothing."""
-        damages, damage = self.reader.damages, Damage(message.offset, str(error), self.reader.file)
-        if len(damages) < _DAMAGES and damage not in damages[-1:]:
-            damages.append(damage)
+        self.reader.note(Damage(message.offset, str(error), self.reader.file))

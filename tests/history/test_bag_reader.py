@@ -2,20 +2,30 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import tempfile
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import IO, TYPE_CHECKING, Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from mcap.opcode import Opcode
 from mcap.writer import CompressionType, Writer
 
+from play_launch.history import bag_reader
 from play_launch.history.bag_reader import BagReader, Message, NotARecordingError
+from play_launch.history.file_end import MAGIC
+from play_launch.history.recover import write_whole
+from play_launch.recording.bag import McapBagWriter
+from play_launch.recording.folder import open_bag
+from play_launch.recording.topics import OUTPUT
 
 if TYPE_CHECKING:
     from collections.abc import Container
+    from typing import Self
 
 COUNT = 40
 
@@ -127,3 +137,112 @@ def test_what_cannot_be_opened_is_named(tmp_path: Path) -> None:
     for path, reason in ((tmp_path / "no", "No such file"), (tmp_path, "no session.mcap is in")):
         with pytest.raises(NotARecordingError, match=reason):
             list(BagReader(path).messages())
+
+
+class DiskFile:
+    """A file on a disk with sectors that cannot be read."""
+
+    def __init__(self, disk: Disk, file: IO[bytes]) -> None:
+        self._disk = disk
+        self._file = file
+
+    def read(self, size: int = -1) -> bytes:
+        self._disk.largest = max(self._disk.largest, size)
+        at = self._file.tell()
+        data = self._file.read(size)
+        if at <= self._disk.bad < at + len(data):
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        return data
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._file, name)
+
+
+class Disk:
+    bad = -1
+    """Which byte cannot be read."""
+    largest = 0
+    """Bytes that were asked for at once."""
+
+
+@pytest.fixture
+def disk(monkeypatch: pytest.MonkeyPatch) -> Disk:
+    made = Disk()
+    monkeypatch.setattr(bag_reader, "open_bag", lambda path: DiskFile(made, open_bag(path)))
+    return made
+
+
+def test_a_sector_that_cannot_be_read_costs_what_is_in_it(disk: Disk, tmp_path: Path) -> None:
+    path = tmp_path / "x.mcap"
+    path.write_bytes(recording())
+    before = list(BagReader(path).messages())
+    offsets = sorted({message.offset for message in before})
+    # Within a chunk, but for the first one, which describes channels; then within the summary.
+    for lost, bad in (*((at, at + 20) for at in offsets[1:]), (-1, len(recording()) - 200)):
+        disk.bad = bad
+        reader = BagReader(path)
+        expected = numbers([each for each in before if each.offset != lost])
+        assert numbers(list(reader.messages())) == expected
+        (damage,) = reader.damages
+        assert "Input/output error" in damage.reason
+        assert reader.is_complete == (lost >= 0)
+        recovered = write_whole(path, tmp_path / "whole.mcap")
+        assert recovered.messages == len(expected)
+        disk.bad = -1
+        assert numbers(list(BagReader(recovered.path).messages())) == expected
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        *(Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.CHUNK, Opcode.ATTACHMENT),
+        *(Opcode.METADATA, Opcode.MESSAGE, Opcode.MESSAGE_INDEX, Opcode.DATA_END),
+    ],
+)
+def test_a_wrong_length_takes_no_memory(disk: Disk, kind: Opcode, tmp_path: Path) -> None:
+    writer = McapBagWriter(tmp_path / "x.mcap")
+    writer.attach("config.yaml", "application/yaml", b"a: 1", time=1)
+    writer.metadata("play_launch.session", {"name": "x"})
+    channel = writer.register(OUTPUT)
+    writer.write(channel, b"abc", log_time=1, publish_time=1)
+    writer.close()
+    data = bytearray(writer.path.read_bytes())
+    at = len(MAGIC)
+    while data[at] != (Opcode.HEADER if kind == Opcode.MESSAGE else kind):
+        at += 9 + int.from_bytes(data[at + 1 : at + 9], "little")
+    data[at] = kind
+    data[at + 1 : at + 9] = (300_000_000).to_bytes(8, "little")
+    writer.path.write_bytes(data)
+    os.truncate(writer.path, 310_000_000)
+    reader = BagReader(writer.path)
+    list(reader.messages())
+    assert disk.largest < 20_000_000
+    assert reader.damages
+
+
+def test_damages_are_listed_up_to_a_number(tmp_path: Path) -> None:
+    path = tmp_path / "x.mcap"
+    no_record = b"\x0e" + bytes(8)
+    path.write_bytes(MAGIC + no_record * 5000)
+    reader = BagReader(path)
+    assert list(reader.messages()) == []
+    assert len(reader.damages) == 101
+    assert reader.damages[0].reason == "no record of kind 0x0e can stand here"
+    assert str(reader.damages[-1]) == (
+        f"byte {len(MAGIC) + 9 * 100}: from here on 4,900 places cannot be read"
+    )
+
+
+def test_a_number_in_a_name_is_no_number_of_files(tmp_path: Path) -> None:
+    for name in ("session.mcap", "session_900000000.mcap"):
+        (tmp_path / name).write_bytes(recording())
+    reader = BagReader(tmp_path)
+    assert len(list(reader.messages())) == 2 * COUNT
+    assert str(reader.damages[0]) == "session_1.mcap: byte 0: the file is missing"
+    assert "899,999,899 places" in reader.damages[-1].reason
