@@ -71,8 +71,8 @@ class EventQueue:
 
     def put(self, event: RunEvent) -> bool:
         """Take an event; return whether it is the first one that waits."""
-        received = time.time_ns()
         with self._lock:
+            received = time.time_ns()  # here, so that they are in the order of their times
             if not self._has_room(event):
                 self._drop(event, received)
                 return False

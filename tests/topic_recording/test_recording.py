@@ -252,6 +252,22 @@ async def test_a_topic_that_gets_another_type(
     assert recorded(path, "/changes") == strings(3)
 
 
+async def test_log_times_of_a_topic_do_not_go_back(probe: Probe, tmp_path: Path) -> None:
+    # The middleware gives the messages of several publishers by turns, not as they arrived.
+    path = tmp_path / "x.mcap"
+    qos = QoSProfile(depth=500, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    publishers = [probe.node.create_publisher(String, "/latched", qos) for _ in range(5)]
+    for publisher in publishers:
+        await publish_all(publisher, strings(500, 500))
+    async with recording(path, "{topics: [/latched]}") as made:
+        while made.recorder.topic_requests.messages < 4000:
+            for publisher in publishers:
+                publisher.publish(String(data="new"))
+            await asyncio.sleep(0.0005)
+    times = [each.log_time for each in raw_messages(path, "/latched")]
+    assert times == sorted(times)
+
+
 async def test_it_is_started_again(
     swept: None, probe: Probe, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -24,6 +24,8 @@ struct RecordedTopic {
   std::uint16_t channel = 0;
   /// Counts what is not recorded as well, so that a reader sees the gap.
   std::uint32_t sequence = 0;
+  /// Of its latest message, in nanoseconds since the epoch.
+  std::uint64_t log_time = 0;
   std::uint64_t over_budget = 0;
   std::uint64_t without_room = 0;
 };

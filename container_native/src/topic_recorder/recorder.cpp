@@ -26,6 +26,9 @@ constexpr milliseconds kLongestHeld{500};
 constexpr milliseconds kBetweenLooks{200};
 constexpr milliseconds kBetweenSends{50};
 constexpr seconds kBetweenReports{1};
+/// By how much a message may have arrived before one that was taken earlier. More than that is the
+/// clock, which was set back.
+constexpr std::uint64_t kLongestWaitNs = nanoseconds(seconds(1)).count();
 /// How long the supervisor may take to write the last chunks.
 constexpr seconds kLongestEnd{5};
 /// Messages of one topic before the next one's turn.
@@ -374,6 +377,11 @@ bool Recorder::take_one(RecordedTopic& topic) {
   head.sequence = topic.sequence;
   head.log_time =
       info.received_timestamp > 0 ? static_cast<std::uint64_t>(info.received_timestamp) : now_ns();
+  // Those of several publishers are not given in the order in which they arrived.
+  if (head.log_time < topic.log_time && topic.log_time - head.log_time < kLongestWaitNs) {
+    head.log_time = topic.log_time;
+  }
+  topic.log_time = head.log_time;
   head.publish_time =
       info.source_timestamp > 0 ? static_cast<std::uint64_t>(info.source_timestamp) : head.log_time;
   append(open, head, message.buffer_length);
