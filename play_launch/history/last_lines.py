@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from play_launch.history.bag_reader import Message
 
 MOST: Final = 20
+MOST_LOGGERS: Final = 500
+"""Of a process, whose lines are kept: names of loggers may have numbers that count up."""
 _NAME: Final = Struct("<I")
 _NAME_AT: Final = 16
 """Where the length of the first string stands, behind encapsulation, stamp and level."""
@@ -49,6 +51,8 @@ class LastLines:
             rings = self._rings[name] = {}
         ring = rings.get(logger)
         if ring is None:
+            if len(rings) >= MOST_LOGGERS:
+                _forget_quiet(rings)
             ring = rings[logger] = deque(maxlen=MOST)
         ring.append(message)
 
@@ -66,6 +70,12 @@ class LastLines:
             if not logger or logger == own or logger.startswith(own + b".")
         )
         return _latest(chosen, until_ns)
+
+
+def _forget_quiet(rings: dict[bytes, deque[Message]]) -> None:
+    """Let go of the half of the loggers that have not written for longest."""
+    for logger in sorted(rings, key=lambda each: rings[each][-1].log_time)[: len(rings) // 2]:
+        del rings[logger]
 
 
 def _latest(rings: Iterator[deque[Message]], until_ns: int) -> tuple[str, ...]:

@@ -6,6 +6,7 @@ Samples are kept as they were recorded; of hundreds of thousands, a few are read
 from __future__ import annotations
 
 import math
+from array import array
 from bisect import bisect_left, bisect_right
 from struct import Struct
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -23,9 +24,6 @@ if TYPE_CHECKING:
 _SECOND: Final = 1_000_000_000
 _FIXED: Final = Struct("<4xiIi4xQddQB3xII4xQQQQ")
 """A ProcessStats: all of its fields have a fixed place."""
-_MEMORY: Final = Struct("<Q")
-_MEMORY_AT: Final = 4 + 40
-"""Behind encapsulation, stamp, pid, start time and two numbers about the processor."""
 _MB: Final = 1_000_000
 
 
@@ -59,6 +57,8 @@ _BUSY_PRESSURE: Final = 40.0
 _BUSY: Final = 95.0
 """Percent of all cores, where the kernel does not know the former."""
 _BUSY_SAMPLES: Final = 3
+_MOST_BUSY: Final = 1000
+"""Times; of more, the first ones say the same."""
 _HOG: Final = 40.0
 """Percent of one core: two that want the same one get half of it each."""
 _PREEMPTED: Final = 10.0
@@ -89,46 +89,56 @@ class _Sample(NamedTuple):
 class _Series:
     """The samples of one thing, in the order of time."""
 
-    __slots__ = ("data", "peak", "times")
+    __slots__ = ("_data", "peak", "times")
 
     def __init__(self) -> None:
-        self.times: list[int] = []
-        self.data: list[bytes] = []
+        self.times = array("q")
+        self._data = bytearray()
         self.peak = 0.0
         """Bytes of memory, of those that are not here any more."""
 
+    def __len__(self) -> int:
+        return len(self.times)
+
     def take(self, message: Message) -> None:
         """Keep a sample; of a session of days, fewer of each hour."""
+        if len(message.data) < _FIXED.size:
+            return
         self.times.append(message.log_time)
-        self.data.append(message.data)
-        if len(self.data) > MOST_SAMPLES:
-            self.peak = max(self.peak, *map(_memory, self.data[1:-1:2]))
-            del self.data[1:-1:2], self.times[1:-1:2]
+        self._data += message.data[: _FIXED.size]
+        if len(self) > MOST_SAMPLES:
+            self.peak = self.peak_memory()
+            kept = [*range(0, len(self) - 1, 2), len(self) - 1]
+            self.times = array("q", [self.times[index] for index in kept])
+            size = _FIXED.size
+            self._data = bytearray(b"").join(
+                self._data[index * size : (index + 1) * size] for index in kept
+            )
 
-    def at(self, index: int) -> _Sample | None:
-        data = self.data[index]
-        if len(data) < _FIXED.size:
-            return None
+    def at(self, index: int) -> _Sample:
         _, _, pid, _, percent, seconds, memory, kind, threads, descriptors, _, _, _, lost = (
-            _FIXED.unpack_from(data)
+            _FIXED.unpack_from(self._data, index * _FIXED.size)
         )
         return _Sample(pid, percent, seconds, memory, kind, threads, descriptors, lost)
+
+    def peak_memory(self) -> float:
+        """Give the most bytes that it had."""
+        return max(self.peak, *(self.at(index).memory for index in range(len(self))))
 
     def life(self, pid: int, until_ns: int) -> tuple[int, int] | None:
         """Give the first and the last index of a process up to a moment."""
         last = bisect_right(self.times, until_ns) - 1
-        while last >= 0 and pid and (sample := self.at(last)) and sample.pid != pid:
+        while last >= 0 and pid and self.at(last).pid != pid:
             last -= 1
             if until_ns - self.times[max(last, 0)] > 60 * _SECOND:
                 return None
-        if last < 0 or (found := self.at(last)) is None:
+        if last < 0:
             return None
-        begin, end = 0, last
+        begin, end, found = 0, last, self.at(last)
         # Processes follow one another: those of earlier ones come first.
         while begin < end:
             middle = (begin + end) // 2
-            sample = self.at(middle)
-            if sample is not None and sample.pid == found.pid:
+            if self.at(middle).pid == found.pid:
                 end = middle
             else:
                 begin = middle + 1
@@ -143,14 +153,18 @@ class Samples:
         self._series: dict[str, _Series] = {}
         self._names: dict[str, str] = {}
         self._system: list[tuple[int, bytes]] = []
+        self._busy = _Busy()
 
     def of(self, key: str) -> Callable[[Message], None]:
         """Give what keeps the samples of a process."""
         return self._series.setdefault(key, _Series()).take
 
     def take_system(self, message: Message) -> None:
-        """Keep one of the machine."""
+        """Keep one of the machine; of a session of days, fewer of each hour."""
+        self._busy.take(message.log_time, _system(message.data))
         self._system.append((message.log_time, message.data))
+        if len(self._system) > MOST_SAMPLES:
+            del self._system[1:-1:2]
 
     def before(self, key: str, who: str, pid: int, until_ns: int) -> tuple[Trend, ...]:
         """Give what grew in a process up to a moment, and what the machine ran out of."""
@@ -162,20 +176,23 @@ class Samples:
     def peak_memory(self) -> dict[str, float]:
         """Give the most bytes that each had, by key; without nodes that share their container's."""
         return {
-            key: max(series.peak, *map(_memory, series.data))
-            for key, series in self._series.items()
-            if (last := series.at(-1)) is not None and last.memory_kind != MemoryKind.SHARED
+            key: series.peak_memory()
+            for key, series in self._with_samples()
+            if series.at(len(series) - 1).memory_kind != MemoryKind.SHARED
         }
 
     def mean_cpu(self) -> dict[str, float]:
         """Give the percentage of a core that each used, by key: CPU time by time."""
         return {
-            key: mean for key, series in self._series.items() if (mean := _mean_cpu(series)) >= 0
+            key: mean for key, series in self._with_samples() if (mean := _mean_cpu(series)) >= 0
         }
+
+    def _with_samples(self) -> Iterator[tuple[str, _Series]]:
+        return ((key, series) for key, series in self._series.items() if len(series))
 
     def leaks(self) -> Iterator[tuple[str, Trend]]:
         """Give what grew in those that live at the end, with their keys."""
-        for key, series in self._series.items():
+        for key, series in self._with_samples():
             life = series.life(0, series.times[-1])
             if life is None or life[1] - life[0] < _LEAK_SAMPLES:
                 continue
@@ -190,7 +207,7 @@ class Samples:
 
     def starvations(self) -> Iterator[Starvation]:
         """Give who used a core while others waited, for each time in which the machine was busy."""
-        for begin_ns, end_ns, pressure in self._busy():
+        for begin_ns, end_ns, pressure in self._busy.times():
             rates = sorted(self._rates(begin_ns, end_ns), key=lambda rate: -rate.cpu)
             if not rates or rates[0].cpu < _HOG:
                 continue
@@ -227,23 +244,6 @@ class Samples:
             values = float(first["disk_free"]), float(now["disk_free"])
             yield Trend("", Quantity.FREE_DISK, *values, *times)
 
-    def _busy(self) -> Iterator[tuple[int, int, float]]:
-        """Give the times in which the machine was busy, and the highest pressure in them."""
-        begin = end = count = 0
-        most = 0.0
-        for log_time, data in (*self._system, (0, b"")):
-            sample = _system(data) if data else None
-            pressure = sample["cpu_some_avg10"] if sample else 0.0
-            if sample and _is_busy(pressure, sample["cpu_percent"]):
-                begin = begin or log_time
-                end, count = log_time, count + 1
-                most = max(most, 0.0 if math.isnan(pressure) else pressure)
-                continue
-            if count >= _BUSY_SAMPLES:
-                yield begin, end, most
-            begin = end = count = 0
-            most = 0.0
-
     def _rates(self, begin_ns: int, end_ns: int) -> Iterator[_Rate]:
         for key, series in self._series.items():
             first = bisect_left(series.times, begin_ns)
@@ -252,10 +252,35 @@ class Samples:
                 continue
             old, new = series.at(first), series.at(last)
             seconds = (series.times[last] - series.times[first]) / _SECOND
-            if old is None or new is None or old.pid != new.pid or seconds <= 0:
+            if old.pid != new.pid or seconds <= 0:
                 continue
             cpu = 100 * (new.cpu_seconds - old.cpu_seconds) / seconds
             yield _Rate(key, cpu, (new.involuntary - old.involuntary) / seconds)
+
+
+class _Busy:
+    """The times in which the machine was busy, and the highest pressure in each."""
+
+    def __init__(self) -> None:
+        self._times: list[tuple[int, int, float]] = []
+        self._begin = self._end = self._count = 0
+        self._most = 0.0
+
+    def take(self, log_time: int, sample: dict[str, Any] | None) -> None:
+        pressure = sample["cpu_some_avg10"] if sample else 0.0
+        if sample and _is_busy(pressure, sample["cpu_percent"]):
+            self._begin = self._begin or log_time
+            self._end, self._count = log_time, self._count + 1
+            self._most = max(self._most, 0.0 if math.isnan(pressure) else pressure)
+            return
+        self._times = self.times()
+        self._begin = self._end = self._count = 0
+        self._most = 0.0
+
+    def times(self) -> list[tuple[int, int, float]]:
+        if self._count >= _BUSY_SAMPLES and len(self._times) < _MOST_BUSY:
+            return [*self._times, (self._begin, self._end, self._most)]
+        return self._times
 
 
 def _is_busy(pressure: float, percent: float) -> bool:
@@ -277,7 +302,7 @@ def _grown(
     series: _Series, begin: int, last: int, who: str, limits: dict[Quantity, Growth]
 ) -> Iterator[Trend]:
     old, new = series.at(begin), series.at(last)
-    if old is None or new is None or begin == last:
+    if begin == last:
         return
     times = (series.times[begin], series.times[last])
     for quantity, growth in limits.items():
@@ -289,10 +314,6 @@ def _grown(
             yield Trend(who, quantity, before, after, *times)
 
 
-def _memory(data: bytes) -> float:
-    return float(_MEMORY.unpack_from(data, _MEMORY_AT)[0]) if len(data) >= _FIXED.size else 0.0
-
-
 def _mean_cpu(series: _Series) -> float:
     """Percent of a core; negative where nothing can be said."""
     seconds = (series.times[-1] - series.times[0]) / _SECOND
@@ -300,12 +321,11 @@ def _mean_cpu(series: _Series) -> float:
         return -1.0
     used = before = 0.0
     pid = 0
-    for index in range(len(series.data)):
+    for index in range(len(series)):
         sample = series.at(index)
-        if sample is not None:
-            # What it used before the first sample of all is not of this time.
-            used += sample.cpu_seconds - before if sample.pid == pid else 0.0
-            pid, before = sample.pid, sample.cpu_seconds
+        # What it used before the first sample of all is not of this time.
+        used += sample.cpu_seconds - before if sample.pid == pid else 0.0
+        pid, before = sample.pid, sample.cpu_seconds
     return 100 * used / seconds
 
 

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from play_launch.cdr.log import log_message
 from play_launch.cli.story_words import headline, paragraphs
 from play_launch.core.events import (
     LogRecord,
@@ -18,6 +19,7 @@ from play_launch.core.events import (
     NodeState,
     ProcessEventKind,
 )
+from play_launch.history.bag_reader import Message, Topic
 from play_launch.history.findings import (
     IMPORTANCE,
     Away,
@@ -28,7 +30,9 @@ from play_launch.history.findings import (
     is_wrong,
 )
 from play_launch.history.known_causes import BY_NAME, known_cause
+from play_launch.history.last_lines import MOST_LOGGERS, LastLines
 from play_launch.history.story import read_story
+from play_launch.recording import topics
 from tests.history.scenes import NAN, SECOND, Scene, ns
 from tests.recording.test_states import EVENTS
 
@@ -194,6 +198,22 @@ def test_the_last_lines_are_those_of_the_node(tmp_path: Path) -> None:
     (finding,) = scene.story(tmp_path).findings
     lines = [f"[INFO] [1.0] [ns.talker]: {number}" for number in range(12, 30)]
     assert finding.last_lines == (*lines, "[INFO] [1.0] [ns.talker.child]: child", "plain")
+
+
+def test_loggers_whose_names_count_up_take_bounded_memory() -> None:
+    lines = LastLines()
+    topic = Topic(topics.OUTPUT.name, topics.OUTPUT.type_name, "cdr")
+    count = 20 * MOST_LOGGERS
+    for number in range(count):
+        text = f"[INFO] [1.0] [worker_{number}]: done"
+        lines.take(Message(topic, number, number, log_message(number, 20, "/box", text), 1, 0))
+        text = f"[INFO] [1.0] [talker]: {number}"
+        lines.take(Message(topic, number, number, log_message(number, 20, "/box", text), 1, 0))
+    (rings,) = lines._rings.values()
+    assert len(rings) <= MOST_LOGGERS
+    last = f"[INFO] [1.0] [talker]: {count - 1}"
+    assert lines.of_node("/box", "/talker", count)[-1] == last
+    assert len(lines.of_node("/box", f"/worker_{count - 1}", count)) == 1
 
 
 def test_what_grew_before_a_failure(tmp_path: Path) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from play_launch.cdr.messages import PROCESS_STATS
+import tracemalloc
+
+from play_launch.cdr.messages import PROCESS_STATS, SYSTEM_STATS
 from play_launch.history.bag_reader import Message, Topic
 from play_launch.history.trends import MOST_SAMPLES, Samples
 
@@ -27,6 +29,41 @@ def test_a_session_of_days_is_thinned_out() -> None:
     assert trend.end_ns == (count - 1) * SECOND
     assert trend.before < 10**9
     assert trend.after == 10**7 + (count - 1) * 10**5
+
+
+def machine(at: int, pressure: float) -> Message:
+    values = {"cpu_some_avg10": pressure, "core_percent": [1.0] * 16, "disk_free": at}
+    topic = Topic("/play_launch/system", "", "cdr")
+    return Message(topic, at * SECOND, at * SECOND, SYSTEM_STATS.write(values), 1, 0, 0)
+
+
+def test_samples_of_the_machine_are_thinned_out_and_no_busy_time_is_missed() -> None:
+    samples = Samples()
+    tracemalloc.start()
+    count = 3 * MOST_SAMPLES
+    try:
+        for at in range(1, count):
+            samples.take_system(machine(at, 99.0 if 9 <= at % MOST_SAMPLES <= 11 else 0.0))
+        size, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert size < MOST_SAMPLES * 600
+    assert [begin // SECOND % MOST_SAMPLES for begin, _, _ in samples._busy.times()] == [9] * 3
+    trend = samples.disk_free_at_the_end()
+    assert trend is not None
+    assert (trend.before, trend.after) == (1, count - 1)
+
+
+def test_samples_take_little_more_than_their_bytes() -> None:
+    samples = Samples()
+    tracemalloc.start()
+    try:
+        for at in range(1, MOST_SAMPLES):
+            samples.of("/a")(sample(at, 1, 1.0))
+        size, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert size < MOST_SAMPLES * 1.3 * (len(sample(1, 1, 1.0).data) + 8)
 
 
 def test_one_sample_says_how_much_there_was() -> None:
