@@ -26,7 +26,7 @@ def explain(file: Path, *, as_json: bool) -> int:
         story = read_story(file)
     except NotARecordingError as error:
         fail(str(error))
-    findings = tuple(map(located, story.findings))
+    findings = located(story.findings)
     wrong = is_wrong(findings)
     session, reader = story.session, story.session.reader
     if as_json:

@@ -23,7 +23,7 @@ from play_launch.reporting.parameters import parameters_shown
 from play_launch.reporting.story import Point
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from play_launch.history.findings import Finding
@@ -51,9 +51,9 @@ def write_report(file: Path, output: Path | None) -> int:
     return DAMAGED if report_damage(session.reader) else 0
 
 
-def _points(findings: Iterable[Finding], started_ns: int) -> Iterator[Point]:
+def _points(findings: Sequence[Finding], started_ns: int) -> Iterator[Point]:
     """Give what ``explain`` says."""
-    for finding in map(located, findings):
+    for finding in located(findings):
         yield Point(
             headline(finding, started_ns),
             tuple(details(finding)),

@@ -8,30 +8,39 @@ from msgspec.structs import replace
 
 from play_launch.history.elf_files import DEBUG_FOLDERS
 from play_launch.history.frames import FAULTS, blamed
-from play_launch.history.source_lines import source_lines
+from play_launch.history.source_lines import Backtrace, source_lines
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     from play_launch.history.findings import Finding
+    from play_launch.history.source_lines import SourceLines
 
 
-def located(finding: Finding, debug_folders: tuple[Path, ...] = DEBUG_FOLDERS) -> Finding:
-    """Look the source lines of a finding up, in the files of this machine.
-
-    Why the line of the frame to blame is not known is said in its problems; for others nobody
-    expects one.
-    """
-    number = blamed(finding.frames)
-    if number is None:
-        return finding
-    signature = finding.signature
-    found = source_lines(
-        finding.frames,
-        finding.modules,
-        is_fault=signature is not None and signature.what in FAULTS,
-        debug_folders=debug_folders,
+def located(
+    findings: Sequence[Finding], debug_folders: tuple[Path, ...] = DEBUG_FOLDERS
+) -> tuple[Finding, ...]:
+    """Look the source lines of findings up, in the files of this machine."""
+    chosen = [each for each in findings if blamed(each.frames) is not None]
+    found = iter(source_lines(list(map(_backtrace, chosen)), debug_folders))
+    return tuple(
+        each if (number := blamed(each.frames)) is None else _with_lines(each, number, next(found))
+        for each in findings
     )
+
+
+def _backtrace(finding: Finding) -> Backtrace:
+    signature = finding.signature
+    is_fault = signature is not None and signature.what in FAULTS
+    return Backtrace(finding.frames, finding.modules, is_fault)
+
+
+def _with_lines(finding: Finding, number: int, found: SourceLines) -> Finding:
+    """Add them; ``number`` is that of the frame to blame.
+
+    Why the line of that is not known is said in the problems; for others nobody expects one.
+    """
     lines = tuple(found.lines.get(index) for index in range(len(finding.frames)))
     problem = found.problems.get(finding.frames[number].library)
     return replace(

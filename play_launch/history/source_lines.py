@@ -45,6 +45,27 @@ class SourceLine(Struct, frozen=True):
         return f"{self.file}:{self.line}"
 
 
+class Backtrace(Struct, frozen=True):
+    """What led to a failure."""
+
+    frames: Sequence[Frame]
+    """Innermost first."""
+    modules: Sequence[Module]
+    """The libraries and programs that they are in."""
+    is_fault: bool
+    """Whether the first frame is an instruction that failed; all others, and this one of an
+    exception, are the addresses at which a call returns."""
+
+    def addresses(self, module: Module) -> dict[int, int]:
+        """Give what to look up in a module, by the number of the frame."""
+        # What follows a call may belong to the next line, or to the next function.
+        return {
+            number: frame.offset - (number > 0 or not self.is_fault)
+            for number, frame in enumerate(self.frames)
+            if frame.library == module.name
+        }
+
+
 class SourceLines(Struct, frozen=True):
     """What was found for the frames of one backtrace."""
 
@@ -62,43 +83,52 @@ def module_of(text: str) -> Module | None:
 
 
 def source_lines(
-    frames: Sequence[Frame],
-    modules: Sequence[Module],
-    *,
-    is_fault: bool,
-    debug_folders: tuple[Path, ...] = DEBUG_FOLDERS,
-) -> SourceLines:
-    """Look the lines of frames up.
+    backtraces: Sequence[Backtrace], debug_folders: tuple[Path, ...] = DEBUG_FOLDERS
+) -> list[SourceLines]:
+    """Look the lines of backtraces up; each library is read once, which may take a second or two.
 
-    Args:
-        frames: Of one backtrace, innermost first.
-        modules: The libraries and programs that they are in.
-        is_fault: Whether the first frame is an instruction that failed; all others, and this one
-            of an exception, are the addresses at which a call returns.
-        debug_folders: Where debug files of packages are.
+    ``debug_folders`` are where debug files of packages are.
     """
+    wanted: dict[Module, set[int]] = {}
+    for trace in backtraces:
+        for module in trace.modules:
+            wanted.setdefault(module, set()).update(trace.addresses(module).values())
+    found = {
+        module: _lines_in(module, sorted(addresses), debug_folders)
+        for module, addresses in wanted.items()
+        if addresses
+    }
+    return [_lines_of(trace, found) for trace in backtraces]
+
+
+def _lines_of(
+    trace: Backtrace, found: Mapping[Module, Mapping[int, SourceLine | None] | str]
+) -> SourceLines:
     lines: dict[int, SourceLine] = {}
     problems: dict[str, str] = {}
-    named = {module.name for module in modules}
-    for frame in frames:
+    named = {module.name for module in trace.modules}
+    for frame in trace.frames:
         if frame.library and frame.library not in named:
             problems[frame.library] = f"the recording does not say which build {frame.library} was"
-    for module in modules:
-        wanted = [n for n, frame in enumerate(frames) if frame.library == module.name]
-        if not wanted:
+    for module in trace.modules:
+        known = found.get(module, {})
+        if isinstance(known, str):
+            problems[module.name] = known
             continue
-        file = _file_of(module, debug_folders)
-        if isinstance(file, str):
-            problems[module.name] = file
-            continue
-        # What follows a call may belong to the next line, or to the next function.
-        at = [frames[n].offset - (n > 0 or not is_fault) for n in wanted]
-        found = _addr2line(file, at)
-        if isinstance(found, str):
-            problems[module.name] = found
-            continue
-        lines |= {n: line for n, line in zip(wanted, found, strict=False) if line is not None}
+        for number, address in trace.addresses(module).items():
+            if line := known.get(address):
+                lines[number] = line
     return SourceLines(lines, problems)
+
+
+def _lines_in(
+    module: Module, addresses: Sequence[int], debug_folders: tuple[Path, ...]
+) -> Mapping[int, SourceLine | None] | str:
+    file = _file_of(module, debug_folders)
+    if isinstance(file, str):
+        return file
+    found = _addr2line(file, addresses)
+    return found if isinstance(found, str) else dict(zip(addresses, found, strict=False))
 
 
 def _file_of(module: Module, debug_folders: tuple[Path, ...]) -> Path | str:
@@ -128,10 +158,15 @@ def _addr2line(file: Path, addresses: Sequence[int]) -> list[SourceLine | None] 
         return "addr2line is not installed; install binutils"
     # Without these, no server is asked.
     environ = {k: v for k, v in os.environ.items() if not k.startswith("DEBUGINFOD_")}
-    command = [tool, "--exe", str(file), *(hex(each) for each in addresses)]
     try:
         done = subprocess.run(
-            command, capture_output=True, text=True, check=False, timeout=_LIMIT, env=environ
+            [tool, "--exe", str(file)],
+            input="".join(f"{each:#x}\n" for each in addresses),
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=_LIMIT,
+            env=environ,
         )
     except (OSError, subprocess.TimeoutExpired) as error:
         return f"addr2line {file}: {error}"

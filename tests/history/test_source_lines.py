@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 from dataclasses import dataclass
@@ -10,8 +11,10 @@ from pathlib import Path
 import pytest
 
 from play_launch.history.elf_files import debug_files, read_elf
+from play_launch.history.findings import Finding, Kind
 from play_launch.history.frames import Frame
-from play_launch.history.source_lines import Module, SourceLines, module_of, source_lines
+from play_launch.history.locate import located
+from play_launch.history.source_lines import Backtrace, Module, SourceLines, module_of, source_lines
 
 SOURCE = """int other(int x);
 int add(int x) {
@@ -43,7 +46,8 @@ class Library:
     def ask(self, *offsets: int, module: Module | None = None, is_fault: bool) -> SourceLines:
         module = module or self.module
         frames = [Frame("", "", module.name, offset) for offset in offsets]
-        return source_lines(frames, [module], is_fault=is_fault, debug_folders=(self.folder,))
+        (found,) = source_lines([Backtrace(frames, [module], is_fault)], (self.folder,))
+        return found
 
 
 def run(*command: object) -> None:
@@ -177,9 +181,37 @@ def test_the_missing_tool_is_named(library: Library, monkeypatch: pytest.MonkeyP
     assert found.problems["libadd.so"] == "addr2line is not installed; install binutils"
 
 
+def test_a_library_is_read_once_for_all_findings(
+    library: Library, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = shutil.which("addr2line")
+    tool, runs = tmp_path / "bin" / "addr2line", tmp_path / "runs"
+    tool.parent.mkdir()
+    tool.write_text(f'#!/bin/sh\necho run >> {runs}\nexec {real} "$@"\n')
+    tool.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tool.parent}:{os.environ['PATH']}")
+    places = (library.address("add"), library.address("other"))
+    findings = [
+        Finding(
+            kind=Kind.CRASHED,
+            who="/a",
+            times_ns=(1,),
+            frames=(Frame("", "f", "libadd.so", at + 1),),
+            modules=(library.module,),
+        )
+        for at in places * 10
+    ]
+    findings.insert(3, Finding(kind=Kind.UNFINISHED, who="", times_ns=(1,)))
+    found = located(findings, (library.folder,))
+    assert runs.read_text() == "run\n"
+    assert [str(each.place.line).rpartition(":")[2] for each in found[:5]] == [
+        "2", "7", "2", "None", "7"
+    ]  # fmt: skip
+
+
 def test_a_library_that_the_recording_does_not_describe_is_named() -> None:
     frames = [Frame("", "", "libold.so", 5)]
-    found = source_lines(frames, [], is_fault=True)
+    (found,) = source_lines([Backtrace(frames, [], is_fault=True)])
     text = "the recording does not say which build libold.so was"
     assert found.problems == {"libold.so": text}
 
