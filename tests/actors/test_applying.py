@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import functools
 from collections.abc import Callable, Coroutine
-from types import MappingProxyType
 from typing import TYPE_CHECKING, TypeVar
 
 import pytest
@@ -26,7 +25,6 @@ from play_launch.config.model import (
     ReplayConfig,
 )
 from play_launch.core.crash import OnCrash
-from play_launch.core.dependency import Condition, Dependency, StartRule
 from play_launch.core.events import (
     ComponentEventKind,
     ContainerState,
@@ -230,24 +228,6 @@ async def test_a_failing_step_ends_it_and_leaves_the_rest_as_it_was() -> None:
         # What failed is what is left to do; nothing else is touched again.
         left = run.operated.applying.plan(bad)
         assert [(step.name, step.action) for step in left.steps] == [("/box:/bad", Action.LOAD)]
-
-
-@simulated
-async def test_what_is_refused_as_a_whole_leaves_the_start_rules_as_they_were() -> None:
-    class Unprepared(FakeLauncher):
-        async def prepare(self, config: ReplayConfig) -> None:
-            raise StartError("no control groups", permanent=True)
-
-    before = system(container("box", "a"), process("p"))
-    waits = Dependency(condition=Condition.EXITED, unit="/p")
-    rules = MappingProxyType({"/box:/a": StartRule(dependencies=(waits,))})
-    async with running(before, Unprepared()) as run:
-        await run.until_loaded(1)
-        bad = replace(system(container("box", "a"), process("p"), process("q")), start_rules=rules)
-        applied = await run.operated.applying.apply(bad)
-        assert set(results(applied).values()) == {Result.SKIPPED}
-        run.operated.restart("/box", "try it")
-        await run.until(lambda: run.node_states("/a").count(NodeState.LOADED) == 2)
 
 
 @simulated

@@ -15,7 +15,6 @@ from play_launch.actors import order
 from play_launch.actors.ports import StartError
 from play_launch.actors.world import OnGraphChange
 from play_launch.config.model import ReplayConfig
-from play_launch.control.rows import Clock, rows_of
 from play_launch.core.dependency import Condition, Dependency, Otherwise, StartRule
 from play_launch.core.events import (
     ComponentEventKind,
@@ -35,7 +34,6 @@ from .running import Running, running
 
 STARTED, EXITED = ProcessEventKind.STARTED, ProcessEventKind.EXITED
 GAVE_UP, WAITING = ProcessEventKind.GAVE_UP, ProcessEventKind.WAITING
-RESTARTING = ProcessEventKind.RESTARTING
 
 
 def on(
@@ -350,34 +348,6 @@ def test_an_exception_in_the_order_is_logged_and_the_order_evaluated_again(
 
     run(main())
     assert "LookupError: a bug" in caplog.text
-
-
-def test_what_is_stopped_between_two_starts_or_before_the_first_is_stopped() -> None:
-    def row(sys: Running, name: str) -> str:
-        (found,) = (each for each in rows_of(sys.view, [name], {}, Clock()) if each["name"] == name)
-        return str(found["state"])
-
-    async def main() -> Running:
-        fakes = FakeLauncher()
-        config = system(
-            process("late"), process("restarts", on_exit=OnExit.RESTART), process("early")
-        )
-        config = rules(config, late=on(Condition.EXITED, "/early"))
-        async with running(config, fakes) as sys:
-            await sys.until(lambda: WAITING in sys.process_events("/late"))
-            await sys.until(lambda: STARTED in sys.process_events("/restarts"))
-            fakes.processes["/restarts"][0].end(Exit(code=3))
-            await sys.until(lambda: RESTARTING in sys.process_events("/restarts"))
-            assert (row(sys, "/late"), row(sys, "/restarts")) == ("waiting", "backoff")
-            for name in ("/late", "/restarts"):
-                sys.operated.stop(name, "not needed")
-            await sys.until(lambda: row(sys, "/late") == "stopped")
-            await sys.until(lambda: row(sys, "/restarts") == "stopped")
-            sys.operated.start("/restarts")
-            await sys.until(lambda: row(sys, "/restarts") == "running")
-        return sys
-
-    run(main())
 
 
 def test_one_that_ends_without_the_line_is_not_waited_for() -> None:

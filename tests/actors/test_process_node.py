@@ -1,8 +1,13 @@
 from __future__ import annotations
 
+from types import MappingProxyType
+
 import pytest
+from msgspec.structs import replace
 
 from play_launch.actors.ports import StartError
+from play_launch.control.rows import Clock, rows_of
+from play_launch.core.dependency import Condition, Dependency, StartRule
 from play_launch.core.events import ProcessEventKind
 from play_launch.core.restart import OnExit
 from play_launch.process.exit import Exit
@@ -165,3 +170,33 @@ def test_what_does_not_die_is_told_and_does_not_hold_up_the_end(
 
     run(main())
     assert "does not die" in caplog.text
+
+
+def test_what_is_stopped_between_two_starts_or_before_the_first_is_stopped() -> None:
+    def row(sys: Running, name: str) -> str:
+        (found,) = (each for each in rows_of(sys.view, [name], {}, Clock()) if each["name"] == name)
+        return str(found["state"])
+
+    async def main() -> Running:
+        fakes = FakeLauncher()
+        config = system(
+            process("late"), process("restarts", on_exit=OnExit.RESTART), process("early")
+        )
+        waits = Dependency(condition=Condition.EXITED, unit="/early")
+        rules = MappingProxyType({"/late": StartRule(dependencies=(waits,))})
+        config = replace(config, start_rules=rules)
+        async with running(config, fakes) as sys:
+            await sys.until(lambda: ProcessEventKind.WAITING in sys.process_events("/late"))
+            await sys.until(lambda: STARTED in sys.process_events("/restarts"))
+            fakes.processes["/restarts"][0].end(Exit(code=3))
+            await sys.until(lambda: RESTARTING in sys.process_events("/restarts"))
+            assert (row(sys, "/late"), row(sys, "/restarts")) == ("waiting", "backoff")
+            for name in ("/late", "/restarts"):
+                sys.operated.stop(name, "not needed")
+            await sys.until(lambda: row(sys, "/late") == "stopped")
+            await sys.until(lambda: row(sys, "/restarts") == "stopped")
+            sys.operated.start("/restarts")
+            await sys.until(lambda: row(sys, "/restarts") == "running")
+        return sys
+
+    run(main())

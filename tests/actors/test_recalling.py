@@ -5,18 +5,25 @@ from __future__ import annotations
 import asyncio
 import os
 from collections.abc import Sequence
+from types import MappingProxyType
 from typing import Any, cast
 
 import pytest
 from msgspec.structs import replace
 
+from play_launch.actors.ports import StartError
+from play_launch.config.model import ReplayConfig
 from play_launch.control.action_record import ActionRecord, ActionRecords
 from play_launch.control.actions import Actions
 from play_launch.control.feed import Feed
 from play_launch.control.outcome import Action
 from play_launch.control.place import Peer
 from play_launch.control.protocol import ControlError
+from play_launch.core.dependency import Condition, Dependency, StartRule
 from play_launch.core.events import ProcessEventKind
+from play_launch.core.restart import OnExit
+from play_launch.plan.outcome import Result
+from play_launch.process.exit import Exit
 
 from .fakes import FakeLauncher, process, system
 from .jumping_loop import run
@@ -110,5 +117,26 @@ def test_a_stop_that_takes_too_long_names_only_what_still_runs() -> None:
             with pytest.raises(ControlError, match=r"not done within 5 s: /p$") as late:
                 await stop(sys, "/p", "/other", timeout=5)
             assert [each["name"] for each in late.value.details["results"]] == ["/other"]  # type: ignore[attr-defined]
+
+    run(main())
+
+
+def test_a_configuration_that_is_refused_as_a_whole_leaves_the_start_rules_as_they_were() -> None:
+    class Unprepared(FakeLauncher):
+        async def prepare(self, config: ReplayConfig) -> None:
+            raise StartError("no control groups", permanent=True)
+
+    async def main() -> Running:
+        before = system(process("p", on_exit=OnExit.RESTART), process("other"))
+        waits = Dependency(condition=Condition.EXITED, unit="/other")
+        rules = MappingProxyType({"/p": StartRule(dependencies=(waits,))})
+        refused = replace(before, nodes=before.nodes[:1], start_rules=rules)
+        async with running(before, Unprepared()) as sys:
+            await sys.until(lambda: ProcessEventKind.STARTED in sys.process_events("/p"))
+            applied = await sys.operated.applying.apply(refused)
+            assert {each.result for each in applied.outcomes} == {Result.SKIPPED}
+            sys.launcher.processes["/p"][0].end(Exit(signal=11))
+            await sys.until(lambda: len(sys.launcher.processes["/p"]) == 2)
+        return sys
 
     run(main())

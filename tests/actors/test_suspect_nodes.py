@@ -306,12 +306,11 @@ def test_a_node_that_a_person_loads_amid_its_probe_does_not_fail_by_it() -> None
             sys.operated.load(NodeKey("/c", "/bad"))
             await sys.until_loaded(2)
             await asyncio.sleep(60)
-            assert sys.view.loaded == 2
+            events = [each.kind for each in sys.events if isinstance(each, ComponentEvent)]
+            assert ComponentEventKind.LOAD_FAILED not in events
         return sys
 
-    sys = run(main())
-    failures = [each for each in sys.events if isinstance(each, ComponentEvent)]
-    assert ComponentEventKind.LOAD_FAILED not in {each.kind for each in failures}
+    run(main())
 
 
 def test_of_what_a_library_writes_a_bounded_part_is_kept() -> None:
@@ -324,15 +323,13 @@ def test_of_what_a_library_writes_a_bounded_part_is_kept() -> None:
 
     kept: list[int] = []
 
-    async def main() -> Running:
+    async def main() -> None:
         fakes = FakeLauncher(makers={"/c": [Dies]}, on_probe=chatters)
         async with running(system(container("c", "bad")), fakes) as sys:
             await sys.until(lambda: NodeState.LOAD_FAILED in sys.node_states("/bad"))
-        return sys
 
     run(main())
-    assert kept
-    assert max(kept) < 200_000
+    assert 0 < max(kept) < 200_000
 
 
 def test_what_it_writes_is_recorded_as_the_container_s() -> None:
