@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from play_launch.cli.show.terminal import printable
+from play_launch.control.protocol import ROS_VARIABLES
 from play_launch.core.ament_index import ament_prefixes
 from play_launch.history.recorded_config import RecordedConfig, recorded_config
 from play_launch.recording.facts import REDACTED, versions
@@ -19,8 +20,6 @@ if TYPE_CHECKING:
 
     from play_launch.config.model import ReplayConfig
 
-_MATTERS: Final = ("ROS_", "RMW_", "FASTRTPS_", "FASTDDS_", "CYCLONEDDS_", "ZENOH_", "RCUTILS_")
-"""Variables by which the same system may behave differently."""
 _VERSIONS: Final = ("play-launch-py", "ros-rclpy", "rclpy")
 _MOST: Final = 20
 """Differences that are listed."""
@@ -54,7 +53,7 @@ def differences(
         if not _is_installed(package, environ):
             yield f"package {package} is not installed here"
     names = {*recorded.environment, *environ}
-    for name in sorted(name for name in names if name.startswith(_MATTERS)):
+    for name in sorted(name for name in names if name.startswith(ROS_VARIABLES)):
         was, now = recorded.environment.get(name), environ.get(name)
         if was not in {now, REDACTED}:
             yield f"{name} was {_quoted(was)}, here it is {_quoted(now)}"

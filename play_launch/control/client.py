@@ -7,6 +7,7 @@ import time
 from itertools import count
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
 
+from play_launch.control.place import peer_of
 from play_launch.control.protocol import (
     LONGEST_ANSWER,
     PROTOCOL,
@@ -20,6 +21,8 @@ from play_launch.control.protocol import (
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+
+    from play_launch.control.place import Peer
 
 ANSWER_LIMIT: Final = 10.0
 """Seconds for an answer that needs no work; a supervisor that is stopped answers never."""
@@ -66,6 +69,10 @@ class ControlClient:
     def fileno(self) -> int:
         """The descriptor: readable when something was said."""
         return self._connection.fileno()
+
+    def peer(self) -> Peer:
+        """Tell the user and process that listen at the other end, as the kernel says."""
+        return peer_of(self._connection)
 
     def ask(
         self,

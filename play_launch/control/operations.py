@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import asyncio
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from play_launch.control.action_record import ActionRecords
 from play_launch.control.actions import Actions
 from play_launch.control.follow import Follower
 from play_launch.control.outcome import Action
-from play_launch.control.protocol import Code, ControlError, flag_argument, names_argument
+from play_launch.control.protocol import (
+    ROS_VARIABLES,
+    Code,
+    ControlError,
+    flag_argument,
+    names_argument,
+)
 from play_launch.control.rows import Clock, add_groups, rows_of
 from play_launch.control.selection import KINDS, selection_of
 from play_launch.control.targets import chosen, members_of, nodes_of
@@ -34,9 +40,6 @@ if TYPE_CHECKING:
 
     Operation = Callable[[dict[str, Any], Peer, Stream], Awaitable[object]]
 
-_OF_ROS: Final = ("ROS_", "RMW_", "FASTRTPS_", "FASTDDS_", "CYCLONEDDS_", "ZENOH_")
-"""What the names of variables begin with that say how nodes find each other."""
-
 
 class Operations:
     """What can be asked of one session. It belongs to the thread of the event loop."""
@@ -55,7 +58,7 @@ class Operations:
         ``environment`` is that of its processes.
         """
         self._environment = {
-            name: value for name, value in environment.items() if name.startswith(_OF_ROS)
+            name: value for name, value in environment.items() if name.startswith(ROS_VARIABLES)
         }
         self._publisher = publisher
         self._feed = feed

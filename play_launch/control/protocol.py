@@ -20,6 +20,17 @@ LONGEST_REQUEST: Final = 4 * 1024 * 1024
 """Bytes of a line from a client, its end not counted: a configuration with its files."""
 LONGEST_ANSWER: Final = 16 * 1024 * 1024
 """Bytes of a line to a client."""
+ROS_VARIABLES: Final = (
+    "ROS_",
+    "RMW_",
+    "RCUTILS_",
+    "FASTRTPS_",
+    "FASTDDS_",
+    "CYCLONEDDS_",
+    "ZENOH_",
+)
+"""What the names of environment variables begin with by which a system behaves differently, and
+nodes find each other or do not."""
 MOST_NAMES: Final = 2000
 LONGEST_NAME: Final = 1000
 """Characters of a name or pattern. What is compared with everything that runs is bounded."""

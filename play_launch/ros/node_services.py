@@ -32,7 +32,8 @@ class NodeServices:
 
         self._context = Context()
         with as_our_own(os.environ, get_rmw_implementation_identifier()):
-            self._context.init(args=None)
+            # No log file: a command has nothing to log, and its user may have no home.
+            self._context.init(args=["--ros-args", "--disable-external-lib-logs"])
             self._node = Node(
                 f"_play_launch_command_{os.getpid()}",
                 context=self._context,

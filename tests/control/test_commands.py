@@ -52,6 +52,12 @@ print("deaf now", flush=True)
 while True:
     time.sleep(1000)
 """
+OTHER_PORTS = """
+<profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
+  <participant profile_name="other" is_default_profile="true"><rtps>
+    <port><portBase>20000</portBase></port></rtps></participant>
+</profiles>
+"""
 KINDS = ["output", "node", "process"]
 UP = {"/talker": "loaded", "/other": "loaded", "/camera": "loaded"}
 
@@ -400,8 +406,13 @@ def test_of_two_sessions_one_is_chosen(
             second.process.send_signal(signal.SIGCONT)
 
 
-def test_parameters_are_read_and_set(config: Path, tmp_path: Path) -> None:
+def test_parameters_are_read_and_set(
+    config: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with running(config, tmp_path / "logs"):
+        # Of another robot: with it the command would not meet the nodes of this one.
+        (tmp_path / "profile.xml").write_text(OTHER_PORTS, encoding="utf-8")
+        monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", str(tmp_path / "profile.xml"))
         values = json.loads(ask("param", "dump", "talker", "--json"))["/talker"]
         assert (values["rate"], values["text"]) == (10.0, "Hello World")
         # The type stays, also where the text looks like another one.

@@ -1,13 +1,15 @@
-"""What is said of registered sessions that do not answer, and which processes are suggested."""
+"""Which session a command goes to, as whom, and what is said of those that do not answer."""
 
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import re
 import signal
 import socket
 import subprocess
+import sys
 import threading
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +24,35 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
+OF_ANOTHER_USER = """
+import json, os, socket, sys
+os.chdir(sys.argv[1])
+listening = socket.socket(socket.AF_UNIX)
+listening.bind("control.sock")
+os.setgroups([])
+os.setresgid(54320, 54320, 54320)
+os.setresuid(54321, 54321, 54321)
+listening.listen()
+print("listens", flush=True)
+client, _ = listening.accept()
+hello = dict(protocol=1, version="1", pid=1, name="robot", session="x", folder="/", started_ns=0)
+client.sendall(json.dumps({"hello": hello}).encode() + b"\\n")
+request = json.loads(client.recv(9999))
+assert request["op"] == "environment"
+found = {"LD_LIBRARY_PATH": "/mallory", "PATH": "/mallory", "ROS_DOMAIN_ID": "7"}
+client.sendall(json.dumps({"id": request["id"], "result": found}).encode() + b"\\n")
+client.recv(1)
+"""
+ROOT = """
+import json, os, sys, types
+sys.modules["rclpy"] = types.ModuleType("rclpy")  # root's Python may be out of that user's sight
+from play_launch.cli.session_environment import enter_environment_of
+from play_launch.control.sessions import connect_to
+with connect_to(sys.argv[1]) as client:
+    enter_environment_of(client)
+users = [*os.getresuid(), *os.getresgid(), *os.getgroups()]
+print(json.dumps([users, dict(os.environ)]))
+"""
 STAMP = "2026-11-24-10-00-00"
 
 
@@ -193,3 +224,27 @@ def test_a_folder_of_that_name_here_is_not_the_session(
     monkeypatch.chdir(folder.parent)
     (folder.parent / "latest").symlink_to(folder.name)
     assert connected("latest") == str(folder)
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs root to become another user")
+def test_root_speaks_ros_as_the_user_of_the_session(tmp_path: Path) -> None:
+    """What that user says about ROS loads libraries: profiles, a middleware."""
+    before = os.environ | {"CYCLONEDDS_URI": "file:///of/another/robot.xml"}
+    command = [sys.executable, "-c", OF_ANOTHER_USER, str(tmp_path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE) as session:
+        assert session.stdout is not None
+        assert session.stdout.readline() == b"listens\n"
+        done = subprocess.run(
+            [sys.executable, "-c", ROOT, str(tmp_path)],
+            check=True,
+            stdout=subprocess.PIPE,
+            env=before,
+            timeout=60,
+        )
+    users, after = json.loads(done.stdout)
+    assert users == [54321] * 3 + [54320] * 4
+    assert after["HOME"] == "/"
+    assert after["ROS_DOMAIN_ID"] == "7"
+    assert "CYCLONEDDS_URI" not in after
+    for name in ("PATH", "LD_LIBRARY_PATH"):
+        assert after.get(name) == before.get(name)
