@@ -99,7 +99,7 @@ class ActionRecords:
         try:
             yield record
         except asyncio.CancelledError:
-            record.failure = "nobody waited for its end"
+            record.failure = "its client left, or the session ended"
             raise
         except Exception as error:
             record.failure = str(error)

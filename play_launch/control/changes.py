@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from play_launch.actors.applying import STEP_LIMIT, BusyError
+from play_launch.actors.applying import STEP_LIMIT
 from play_launch.config.bundle import unbundled
 from play_launch.config.problems import ConfigError
 from play_launch.control.protocol import Code, ControlError, flag_argument, seconds_argument
-from play_launch.core.events import ActionPhase
 from play_launch.plan.outcome import Result
 
 if TYPE_CHECKING:
@@ -55,13 +54,14 @@ class Changes:
         self._on_end = on_end
         self._number = 0
         self._under_way: asyncio.Task[Applied] | None = None
-        self._is_applied: str | None = None
-        """The file that is being applied."""
+        self._source = ""
+        """The file that is being applied, or was the last one."""
 
     async def diff(self, arguments: dict[str, Any], _peer: Peer, _stream: Stream) -> object:
         """Say what differs, and what is being applied; raises ControlError."""
         target = await self._target(arguments)
-        return {"plan": _plain(self._applying.plan(target)), "applying": self._is_applied}
+        applying = self._source if self._is_busy else None
+        return {"plan": _plain(self._applying.plan(target)), "applying": applying}
 
     async def apply(self, arguments: dict[str, Any], peer: Peer, stream: Stream) -> object:
         """Change what differs; raises ControlError."""
@@ -69,16 +69,13 @@ class Changes:
         rolls_back = flag_argument(arguments, "rollback_on_failure")
         target = await self._target(arguments)
         over: asyncio.Queue[StepOutcome | None] = asyncio.Queue()
-        task = await self._begin(
+        task = self._begin(
             target, peer, limit=limit, rolls_back=rolls_back, on_outcome=over.put_nowait
         )
         task.add_done_callback(lambda _: over.put_nowait(None))
         while (outcome := await over.get()) is not None:
             await stream.send("step", _plain(outcome))
-        try:
-            applied = task.result()
-        except BusyError as error:
-            raise ControlError(Code.REFUSED, f"{error}; wait for its end") from None
+        applied = task.result()
         result = {"applied": _plain(applied)}
         if not applied.succeeded:
             raise ControlError(Code.FAILED, _failures(applied), **result)
@@ -91,13 +88,16 @@ class Changes:
             ControlError: When it cannot begin.
         """
         target = self._as_started(target)
-        while not self._applying.idle.is_set():
-            await self._applying.idle.wait()
+        while self._under_way is not None and self._is_busy:
+            await asyncio.wait({self._under_way})
         if self._applying.plan(target).to_do:
-            task = await self._begin(target, peer)
-            await asyncio.wait({task})
+            await asyncio.wait({self._begin(target, peer)})
 
-    async def _begin(
+    @property
+    def _is_busy(self) -> bool:
+        return self._under_way is not None and not self._under_way.done()
+
+    def _begin(
         self,
         target: ReplayConfig,
         peer: Peer,
@@ -108,29 +108,41 @@ class Changes:
     ) -> asyncio.Task[Applied]:
         if self._system.is_stopping:
             raise ControlError(Code.REFUSED, "the session is being stopped")
-        if not self._applying.idle.is_set():
+        if self._is_busy:
             raise ControlError(
                 Code.REFUSED, "another configuration is being applied; wait for its end"
             )
-        found = self._applying.plan(target)
-        record = await self._records.begin("apply", _names(found), peer)
-        record.publish(ActionPhase.REQUESTED, str(target.source))
-        if found.to_do:
-            self._number += 1
-            self._on_begin(target, self._number)
+        self._source = str(target.source)
         # It is carried out to its end also when whoever asked for it leaves.
-        task = asyncio.create_task(
-            self._applying.apply(target, limit=limit, rolls_back=rolls_back, on_outcome=on_outcome)
+        self._under_way = asyncio.create_task(
+            self._carry_out(target, peer, limit, rolls_back=rolls_back, on_outcome=on_outcome)
         )
-        self._under_way = task
-        self._is_applied = str(target.source)
-        task.add_done_callback(self._is_over)
-        task.add_done_callback(lambda done: record.publish(*_end(done)))
-        task.add_done_callback(lambda _: self._on_end(self._applying.config))
-        return task
+        return self._under_way
 
-    def _is_over(self, _task: asyncio.Task[Applied]) -> None:
-        self._is_applied = None
+    async def _carry_out(
+        self,
+        target: ReplayConfig,
+        peer: Peer,
+        limit: float,
+        *,
+        rolls_back: bool,
+        on_outcome: Callable[[StepOutcome], None],
+    ) -> Applied:
+        found = self._applying.plan(target)
+        async with self._records.recorded(
+            "apply", _names(found), peer, str(target.source)
+        ) as record:
+            if found.to_do:
+                self._number += 1
+                self._on_begin(target, self._number)
+            try:
+                applied = await self._applying.apply(
+                    target, limit=limit, rolls_back=rolls_back, on_outcome=on_outcome
+                )
+            finally:
+                self._on_end(self._applying.config)
+            record.failure = _failures(applied)
+        return applied
 
     async def _target(self, arguments: dict[str, Any]) -> ReplayConfig:
         try:
@@ -148,16 +160,6 @@ class Changes:
 
 def _names(plan: Plan) -> list[str]:
     return [step.name for step in plan.steps if step.name]
-
-
-def _end(task: asyncio.Task[Applied]) -> tuple[ActionPhase, str]:
-    if task.cancelled():
-        return ActionPhase.FAILED, "the session ended"
-    if (error := task.exception()) is not None:
-        return ActionPhase.FAILED, str(error)
-    applied = task.result()
-    reason = _failures(applied)
-    return (ActionPhase.FAILED if reason else ActionPhase.DONE), reason
 
 
 def _failures(applied: Applied) -> str:

@@ -6,8 +6,11 @@ import json
 import os
 import signal
 import subprocess
+import sys
 from pathlib import Path
 from typing import Any
+
+from mcap.reader import make_reader
 
 from tests.support.replay import COMMAND, replaying
 from tests.support.waiting import until
@@ -68,6 +71,55 @@ def test_what_is_saved_meanwhile_is_applied_afterwards(tmp_path: Path) -> None:
             if text == "# 2":
                 replay.read_until(is_stopping, "the request to end")
             os.kill(pid, signal.SIGKILL)
+
+
+# Who asks for a change is looked up in a thread, which takes until a file is there.
+SLOW_LOOKUP = """
+import os, time
+from play_launch.cli import entry
+from play_launch.control import action_record
+def command_of(pid):
+    open({folder!r} + f"/asked_by_{{pid}}", "w").close()
+    while not os.path.exists({folder!r} + "/go_on"):
+        time.sleep(0.01)
+    return "slow"
+action_record.command_of = command_of
+entry.main()
+"""
+
+
+def test_of_two_that_are_asked_for_at_once_one_is_applied(tmp_path: Path) -> None:
+    folder = tmp_path / "lookups"
+    folder.mkdir()
+    program = (sys.executable, "-c", SLOW_LOOKUP.format(folder=str(folder)))
+    files = [write(tmp_path / f"{number}.yaml", f"# {number}") for number in range(3)]
+    with replaying(files[0], tmp_path / "logs", program=program) as replay:
+        deaf = replay.read_until(lambda each: each.get("text") == "deaf", "a deaf process")
+        session = ["--session", str(replay.pid)]
+        until(lambda: diff(files[0], *session)[0] == 0, "a session that answers")
+        command = [str(COMMAND), "apply", "--timeout", "600", *session]
+        first = subprocess.Popen([*command, str(files[1])])
+        until(lambda: len(list(folder.iterdir())) == 1, "the first request")
+        second = subprocess.Popen([*command, str(files[2])], stderr=subprocess.PIPE, text=True)
+        until(
+            lambda: second.poll() is not None or len(list(folder.iterdir())) == 2,
+            "the second request, or that it is refused",
+        )
+        (folder / "go_on").touch()
+        _, said = second.communicate(timeout=60)
+        assert second.returncode == 1
+        assert "another configuration is being applied; wait for its end" in said
+        assert json.loads(diff(files[2], *session, "--json")[1])["applying"] == str(files[1])
+        os.kill(deaf["pid"], signal.SIGKILL)
+        assert first.wait(60) == 0
+        assert diff(files[1], *session) == (0, "nothing differs\n")
+        last = replay.read_until(lambda each: each.get("text") == "deaf", "the next process")
+        os.kill(last["pid"], signal.SIGKILL)
+    # Of each configuration that was applied there is a copy in the recording.
+    with replay.bag.open("rb") as stream:
+        copies = [each.name for each in make_reader(stream).iter_attachments()]
+    copied = {each.split("/")[1] for each in copies if each.startswith("applied/")}
+    assert copied == {"1"}
 
 
 def diff(*arguments: str | Path) -> tuple[int, str]:
