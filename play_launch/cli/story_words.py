@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from play_launch.cli.find_mistakes import counted
 from play_launch.cli.show.durations import duration
-from play_launch.history.findings import Finding, Kind, Quantity, Trend
+from play_launch.history.findings import Finding, Kind, Quantity, Trend, is_crash
 from play_launch.history.frames import plain_function
 from play_launch.history.known_causes import BY_NAME, known_by
 from play_launch.history.parameters import is_of_the_node, shortened
@@ -40,15 +40,11 @@ _HAPPENED: Final = {
     Kind.DIED: "died",
     Kind.LOAD_FAILED: "failed to load",
     Kind.KILLED: "was killed by play-launch",
-    Kind.NOT_LOADED: "was never loaded",
     Kind.INTERRUPTED: "The recording was interrupted",
     Kind.DISK_FULL: "The recording ends on a full disk",
-    Kind.STARVED: "starved others of CPU time",
     Kind.DEAF: "did not stop when it was asked to and was killed",
-    Kind.SLOW: "was slow to construct",
-    Kind.GREW: "kept growing",
-    Kind.UNFINISHED: "The recording has no end: play-launch was killed, or still runs",
 }
+"""What can be said of a moment; for others see `headline`."""
 _NUMBERS: Final = {
     Quantity.MEMORY: "memory",
     Quantity.THREADS: "number of threads",
@@ -76,10 +72,29 @@ def headline(finding: Finding, started_ns: int) -> str:
     """Say who, what, how often and when: ``/talker in /box crashed 3 times, first at 0.636 s``."""
     at = f"{round((finding.at_ns - started_ns) / _SECOND, 3) + 0.0:.3f} s"  # no -0.000
     times = len(finding.times_ns)
+    at += " after the start"
     when = f"at {at}" if times == 1 else f"{times} times, first at {at}"
     inside = f" in {finding.place.container}" if finding.place.container else ""
     who = f"{finding.who}{inside} " if finding.who else ""
-    return f"{who}{_HAPPENED[finding.kind]} {when} after the start."
+    match finding.kind:
+        case Kind.UNFINISHED:
+            return (
+                f"The recording is incomplete and ends {at}: play-launch was killed, or still runs."
+            )
+        case Kind.NOT_LOADED:
+            what = "not loaded again" if finding.state == "lost" else "never loaded"
+            return f"{who}was {what}: it was {finding.state} since {at}."
+        case Kind.SLOW:
+            return f"{who}was slow to construct: it was not ready at {at}."
+        case Kind.GREW:
+            return f"{who}kept growing, from {at} to the end."
+        case Kind.STARVED:
+            often = ", " if times == 1 else f" {times} times, first "
+            return f"{who}starved others of CPU time{often}from {at} on."
+        case Kind.LOAD_FAILED if is_crash(finding.kind, finding.signature):
+            return f"{who}crashed in its constructor {when}."
+        case _:
+            return f"{who}{_HAPPENED[finding.kind]} {when}."
 
 
 def details(finding: Finding) -> Iterator[str]:

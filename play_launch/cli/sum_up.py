@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections import deque
+from collections import Counter
 from datetime import datetime
 from typing import TYPE_CHECKING, Any, Final
 
@@ -12,8 +12,8 @@ from play_launch.cli.failure import fail
 from play_launch.cli.find_mistakes import counted
 from play_launch.cli.show.terminal import printable, say
 from play_launch.history.bag_reader import NotARecordingError
-from play_launch.history.session import PastSession
-from play_launch.recording import topics
+from play_launch.history.crash_groups import crashes_of
+from play_launch.history.story import read_story
 from play_launch.recording.bag import PART_METADATA
 from play_launch.recording.topic_requests import DROPS_METADATA
 
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from play_launch.history.bag_reader import BagReader
+    from play_launch.history.story import Story
 
 DAMAGED: Final = 3
 """Exit code: not everything could be read."""
@@ -28,14 +29,13 @@ DAMAGED: Final = 3
 
 def sum_up(file: Path, *, as_json: bool) -> int:
     """Print the summary of a recording; return the exit code."""
-    session = PastSession(file)
     try:
-        deque(session.events({topics.STATES.name}), maxlen=0)
+        story = read_story(file, only_failures=True)
     except NotARecordingError as error:
         fail(str(error))
-    found = session_object(session)
+    found = session_object(story)
     say(json.dumps(found) if as_json else "\n".join(_lines(found)))
-    return DAMAGED if report_damage(session.reader) else 0
+    return DAMAGED if report_damage(story.session.reader) else 0
 
 
 def report_damage(reader: BagReader) -> bool:
@@ -50,9 +50,13 @@ def report_damage(reader: BagReader) -> bool:
     return bool(reader.damages) or not reader.is_complete
 
 
-def session_object(session: PastSession) -> dict[str, Any]:
+def session_object(story: Story) -> dict[str, Any]:
     """Give what is known about a session that was read to its end, as plain values."""
+    session = story.session
     reader, view = session.reader, session.view
+    crashes: Counter[str] = Counter()
+    for finding in crashes_of(story):
+        crashes[finding.who] += len(finding.times_ns)
     seconds = (reader.end - reader.begin) / 1e9
     nodes = [node for container in view.containers.values() for node in container.nodes.values()]
     processes = {
@@ -72,7 +76,7 @@ def session_object(session: PastSession) -> dict[str, Any]:
         "containers": len(view.containers),
         "nodes": len(nodes),
         "processes": len(view.processes),
-        "crashes": {node.node: node.crashes for node in nodes if node.crashes},
+        "crashes": dict(crashes),
         "reloads": {node.node: node.reloads for node in nodes if node.reloads},
         "restarts": {name: each.restarts for name, each in processes.items() if each.restarts},
         "topic_drops": {

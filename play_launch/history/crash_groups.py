@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from msgspec import Struct
 
-from play_launch.history.findings import Kind
+from play_launch.history.findings import is_crash
 from play_launch.history.frames import Signature  # noqa: TC001 - a field of a Struct
 
 if TYPE_CHECKING:
@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
     from play_launch.history.findings import Finding
     from play_launch.history.story import Story
-
-_CRASHES: Final = frozenset({Kind.CRASHED, Kind.DIED, Kind.LOAD_FAILED})
 
 
 class CrashGroup(Struct, frozen=True, kw_only=True):
@@ -40,8 +38,8 @@ class CrashGroup(Struct, frozen=True, kw_only=True):
 
 
 def crashes_of(story: Story) -> list[Finding]:
-    """Give the crashes of a session: the findings that have a signature."""
-    return [one for one in story.findings if one.kind in _CRASHES and one.signature is not None]
+    """Give the crashes of a session."""
+    return [one for one in story.findings if is_crash(one.kind, one.signature)]
 
 
 class CrashGroups:

@@ -156,6 +156,17 @@ class Finding(Struct, frozen=True, kw_only=True):
         return self.times_ns[0]
 
 
+def is_crash(kind: Kind, signature: Signature | None) -> bool:
+    """Whether something ended by a fault: what every command counts as a crash.
+
+    A load that failed is one when the constructor took its process along.
+    """
+    return kind in _ENDS and signature is not None
+
+
+_ENDS: Final = frozenset({Kind.CRASHED, Kind.DIED, Kind.LOAD_FAILED})
+
+
 def by_importance(findings: list[Finding]) -> tuple[Finding, ...]:
     """Sort them: what failed first comes first."""
     return tuple(sorted(findings, key=lambda each: (IMPORTANCE[each.kind].rank, each.at_ns)))

@@ -31,7 +31,8 @@ if TYPE_CHECKING:
 _SIGKILL: Final = 9
 _KILLED: Final = "killed: "
 """How the supervisor says that it kills a process, and why."""
-_DEAF: Final = "did not leave in time"
+_DEAF: Final = re.compile(r"SIG[A-Z]+ \(it did not leave in time after the signal\)")
+"""How a container's words begin where a node was ended by its own deadline."""
 _SEQUELS: Final = ("it is loaded again", "it stays away", "everything is stopped")
 """How the supervisor says what follows from a crash."""
 _PROCESS: Final = re.compile(r"\bprocess (\d+)\b")
@@ -95,6 +96,8 @@ class Incidents:
         """When each node was loaded first, by key; nanoseconds since the epoch."""
         self.commands: dict[str, tuple[str, ...]] = {}
         """Of processes, by name."""
+        self.latest: Incident | None = None
+        """What the latest change of a node or step of a process was, if it went wrong."""
         self._begun = begun
         self._known: dict[tuple[Kind, str, Signature | None], Incident] = {}
         self._subjects: dict[str, _Subject] = {}
@@ -120,12 +123,15 @@ class Incidents:
 
     def node(self, event: NodeStateChanged, log_time: int) -> None:
         """Take a change of a node's state."""
+        self.latest = None
         key = str(event.key)
         subject = self._subject(key)
+        before = self._nodes.get(key)
         self._nodes[key] = event
         if event.pid:
             self._by_pid[event.pid] = event.node
-        repeated = subject.state == event.state
+        has_crashed_again = before is not None and event.crashes > before.crashes
+        repeated = subject.state == event.state and not has_crashed_again
         if event.state is NodeState.LOADING and subject.incident is not None:
             subject.incident.back_at = subject.incident.back_at or log_time
         if event.state is NodeState.LOADING and repeated and event.reason:
@@ -147,6 +153,7 @@ class Incidents:
 
     def process(self, event: ProcessEvent, log_time: int) -> None:
         """Take a step in the life of a process."""
+        self.latest = None
         subject = self._subject(event.name)
         match event.kind:
             case ProcessEventKind.STARTED:
@@ -181,24 +188,20 @@ class Incidents:
 
     def _failed(self, event: NodeStateChanged, subject: _Subject, log_time: int) -> None:
         report = self._report_about(event)
-        cause = event.reason
-        sequel = ""
-        if event.state is NodeState.CRASHED:
-            cause, _, sequel = event.reason.rpartition("; ")
-            if not sequel.startswith(_SEQUELS):
-                cause, sequel = event.reason, ""
+        said = report.error_message if report is not None else ""
+        cause, sequel = _split(event.reason, said)
         kind = Kind.CRASHED if event.state is NodeState.CRASHED else Kind.LOAD_FAILED
         container = self._subject(event.container)
         if kind is Kind.CRASHED and (
-            _DEAF in event.reason
+            _DEAF.match(said or event.reason)
             or (container.is_stopping and report is not None and report.signal == _SIGKILL)
         ):
             kind = Kind.DEAF
-        if report is not None:
-            cause = report.error_message or cause
-        incident = self._of_node(kind, event, subject, log_time, cause)
+        incident = self._of_node(kind, event, subject, log_time, said or cause)
         if report is not None:
             _with_report(incident, report)
+        elif kind is Kind.CRASHED:  # what its container said is not in the recording
+            incident.signature = Signature(cause.partition(" (")[0], (event.node,))
         incident = self._add(incident)
         if sequel:
             incident.done[sequel] = None
@@ -312,6 +315,7 @@ class Incidents:
 
     def _add(self, incident: Incident) -> Incident:
         """Take an incident, or count it as one that is known."""
+        self.latest = incident
         same = (incident.kind, incident.key, incident.signature)
         known = self._known.get(same)
         if known is None:
@@ -346,12 +350,24 @@ _MISSING: Final = frozenset(
 )
 
 
+def _split(reason: str, said: str) -> tuple[str, str]:
+    """Divide what is said of an end into the cause, which may be a program's text, and the rest.
+
+    ``said`` is the cause in the container's words, where these are known.
+    """
+    if said and reason.startswith(said):
+        return said, reason.removeprefix(said).removeprefix("; ")
+    cause, _, sequel = reason.rpartition("; ")
+    return (cause, sequel) if sequel.startswith(_SEQUELS) else (reason, "")
+
+
 def _with_report(incident: Incident, report: ComponentEvent) -> None:
     """Add what the container said about it."""
     incident.plugin, incident.package = report.plugin_name, report.package_name
     incident.pid = report.pid or incident.pid
     incident.frames = tuple(map(frame_of, report.backtrace))
     incident.modules = tuple(filter(None, map(module_of, report.modules)))
-    if report.signal or report.exit_code or incident.frames:
+    has_crashed = report.kind is ComponentEventKind.CRASHED
+    if has_crashed or report.signal or report.exit_code or incident.frames:
         what = ending(report.signal, report.exit_code, report.error_message)
         incident.signature = signature_of(what, incident.frames, incident.who)

@@ -25,7 +25,7 @@ from play_launch.recording.console_format import ERROR, INFO
 from play_launch.reporting.bring_up import BringUp
 from play_launch.reporting.lanes import OF_CONTAINER, OF_NODE, OF_PROCESS, Lanes, Shown
 from play_launch.reporting.lines import Lines
-from play_launch.reporting.marks import Mark, Marks
+from play_launch.reporting.marks import DEAF, Mark, Marks
 from play_launch.reporting.rates import Rates
 from play_launch.reporting.rows import Rows
 from play_launch.reporting.usage import Usage
@@ -77,7 +77,8 @@ class Gathered(Struct):
                 row = self.rows.of_name(event.name)
                 mark = self.marks.process(row, at, event)
                 if not self.rows.is_container(row):
-                    shown = OF_PROCESS[event.kind] if mark is None else Shown.CRASHED
+                    is_wanted = mark is None or mark.what == DEAF
+                    shown = OF_PROCESS[event.kind] if is_wanted else Shown.CRASHED
                     self.lanes.change(row, at, shown)
                 self._failed(mark)
             case _:

@@ -2,25 +2,33 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct, field
 
 from play_launch.core.events import (
     ComponentEvent,
-    ComponentEventKind,
     NodeState,
     NodeStateChanged,
     ProcessEvent,
     ProcessEventKind,
 )
+from play_launch.history.findings import Kind, is_crash
+from play_launch.history.incidents import Incidents
 from play_launch.reporting.text import shown
+
+if TYPE_CHECKING:
+    from play_launch.history.incidents import Incident
 
 MOST: Final = 5_000
 """Marks that a page has; further ones are counted."""
-_UNCLAIMED: Final = 1_000
-"""Backtraces that wait for the change of state that follows from them."""
+DEAF: Final = "did not stop"
+_WORDS: Final = {
+    Kind.CRASHED: "crashed",
+    Kind.DIED: "died",
+    Kind.LOAD_FAILED: "failed to load",
+    Kind.DEAF: DEAF,
+}
 
 
 class Mark(Struct, frozen=True):
@@ -29,56 +37,44 @@ class Mark(Struct, frozen=True):
     row: int
     at: float
     what: str
-    """``crashed``, ``failed to load``, ``died``, ``gave up``."""
+    """``crashed``, ``failed to load``, ``died``, ``did not stop``, ``gave up``."""
     reason: str
     backtrace: tuple[str, ...] = ()
 
 
 class Marks(Struct):
-    """Failures in the order of time, folded from events."""
+    """Failures in the order of time; which there are is decided as for the story."""
 
     marks: list[Mark] = field(default_factory=list)
     left_out: int = 0
-    _traces: OrderedDict[tuple[str, int], tuple[str, ...]] = field(default_factory=OrderedDict)
-    _crashes: dict[int, int] = field(default_factory=dict)
-    _stopping: set[int] = field(default_factory=set)
+    _incidents: Incidents = field(default_factory=lambda: Incidents(lambda _: None))
 
     def component(self, event: ComponentEvent) -> None:
         """Keep a backtrace for the change of state that follows."""
-        if event.kind in {ComponentEventKind.CRASHED, ComponentEventKind.LOAD_FAILED}:
-            self._traces[event.full_node_name, event.attempt] = event.backtrace
-            if len(self._traces) > _UNCLAIMED:
-                self._traces.popitem(last=False)
+        self._incidents.component(event)
 
     def node(self, row: int, at: float, event: NodeStateChanged) -> Mark | None:
         """Give the mark that a change of a node's state means, if any."""
-        crashed = event.crashes > self._crashes.get(row, 0)
-        self._crashes[row] = event.crashes
-        what = ""
-        if crashed:
-            what = "crashed"
-        elif event.state is NodeState.LOAD_FAILED:
-            what = "failed to load"
-        elif event.state is NodeState.GAVE_UP:
-            what = "gave up"
-        if not what:
-            return None
-        trace = self._traces.pop((event.node, event.attempt), ())
-        return self._add(Mark(row, at, what, shown(event.reason), tuple(map(shown, trace))))
+        self._incidents.node(event, 0)
+        if event.state is NodeState.GAVE_UP:
+            return self._add(Mark(row, at, "gave up", shown(event.reason)))
+        return self._failed(row, at, event.reason, self._incidents.latest)
 
     def process(self, row: int, at: float, event: ProcessEvent) -> Mark | None:
         """Give the mark that a step of a process means, if any; a wanted end is none."""
-        match event.kind:
-            case ProcessEventKind.STOPPING:
-                self._stopping.add(row)
-            case ProcessEventKind.STARTED:
-                self._stopping.discard(row)
-            case ProcessEventKind.GAVE_UP:
-                return self._add(Mark(row, at, "gave up", shown(event.message)))
-            case ProcessEventKind.EXITED if row not in self._stopping:
-                if event.exit_code or event.signal:
-                    return self._add(Mark(row, at, "died", shown(event.message)))
-        return None
+        self._incidents.process(event, 0)
+        if event.kind is ProcessEventKind.GAVE_UP:
+            return self._add(Mark(row, at, "gave up", shown(event.message)))
+        return self._failed(row, at, event.message, self._incidents.latest)
+
+    def _failed(self, row: int, at: float, reason: str, incident: Incident | None) -> Mark | None:
+        if incident is None or incident.kind not in _WORDS:
+            return None
+        is_of_a_node = incident.kind is not Kind.DIED
+        has_crashed = is_of_a_node and is_crash(incident.kind, incident.signature)
+        what = _WORDS[Kind.CRASHED if has_crashed else incident.kind]
+        trace = tuple(shown(frame.text) for frame in incident.frames)
+        return self._add(Mark(row, at, what, shown(reason), trace))
 
     def _add(self, mark: Mark) -> Mark | None:
         if len(self.marks) >= MOST:

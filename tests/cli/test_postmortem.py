@@ -6,6 +6,7 @@ import json
 import os
 import re
 import subprocess
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -65,7 +66,7 @@ def test_exit_codes_say_whether_something_was_wrong(good: Path, bad: Path) -> No
     unfinished = scene().record(good.with_name("cut.mcap"), finished=False)
     result = run("explain", unfinished)
     assert result.returncode == 3
-    assert "The recording has no end" in result.stdout
+    assert "The recording is incomplete" in result.stdout
 
 
 def test_the_words_of_a_finding(bad: Path) -> None:
@@ -225,6 +226,47 @@ def test_a_node_that_is_not_loaded_any_more_is_worse(tmp_path: Path, good: Path)
     result = run("compare", good, made.record(tmp_path / "after.mcap"))
     assert result.returncode == 1
     assert "/box:/talker is not loaded any more" in result.stdout
+
+
+def test_all_commands_count_the_same_crashes(tmp_path: Path) -> None:
+    made = Scene()
+    made.process(0, ProcessEventKind.STARTED, "/helper", pid=9)
+    made.process(1, ProcessEventKind.EXITED, "/helper", signal=11)
+    made.started()
+    for name in ("/talker", "/deaf"):
+        made.node(1, name, NodeState.LOADED)
+    for at, count in ((2, 1), (3, 2)):
+        made.crashed(at, "/talker", crashes=count)
+        made.node(at + 0.5, "/talker", NodeState.LOADED, crashes=count)
+    made.crashed(4, "/constructor", in_constructor=True)
+    made.node(5, "/refused", NodeState.LOAD_FAILED, reason="no such class")
+    made.process(8, ProcessEventKind.STOPPING)
+    made.crashed(9, "/deaf", signal=9, error_message="SIGKILL", crashes=1)
+    bag = made.record(tmp_path / "session.mcap")
+
+    assert json.loads(run("info", bag, "--json").stdout)["crashes"] == {
+        "/constructor": 1,
+        "/helper": 1,
+        "/talker": 2,
+    }
+    groups = json.loads(run("crashes", bag, "--json").stdout)["crashes"]
+    assert sum(each["count"] for each in groups) == 4
+    said = run("explain", bag).stdout
+    assert re.findall(r"^(/\w+)(?: in /box)? (?:crashed|died)", said, re.MULTILINE) == [
+        "/helper",
+        "/talker",
+        "/constructor",
+    ]
+    assert "/talker in /box crashed 2 times" in said
+    run("report", bag, "-o", tmp_path / "page.html")
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    facts = json.loads(page.split('id="facts">')[1].split("</script>")[0])
+    assert Counter(mark["what"] for mark in facts["marks"]) == {
+        "crashed": 3,
+        "died": 1,
+        "failed to load": 1,
+        "did not stop": 1,
+    }
 
 
 def test_the_commands_of_the_page_work(tmp_path: Path) -> None:

@@ -96,7 +96,16 @@ class Scene:
         self.process(at, ProcessEventKind.STARTED, name, pid=100)
         self.container(at, ContainerState.RUNNING, name)
 
-    def crashed(self, at: float, name: str, function: str = "demo::tick()", **fields: Any) -> None:
+    def crashed(
+        self,
+        at: float,
+        name: str,
+        function: str = "demo::tick()",
+        *,
+        crashes: int = 0,
+        in_constructor: bool = False,
+        **fields: Any,
+    ) -> None:
         """A container's word about a crash, and what the supervisor makes of it."""
         report = {
             "signal": 11,
@@ -109,7 +118,7 @@ class Scene:
         self.events.append(
             ComponentEvent(
                 stamp_ns=ns(at),
-                kind=ComponentEventKind.CRASHED,
+                kind=ComponentEventKind["LOAD_FAILED" if in_constructor else "CRASHED"],
                 container="",
                 unique_id=1,
                 attempt=1,
@@ -119,9 +128,13 @@ class Scene:
                 **report,
             )
         )
-        reason = f"{report['error_message']}; {sequel}"
-        pid = report["pid"]
-        self.node(at, name, NodeState.CRASHED, unique_id=1, attempt=1, reason=reason, pid=pid)
+        said = {
+            "reason": "; ".join(filter(None, (report["error_message"], sequel))),
+            "crashes": crashes,
+            "pid": report["pid"],
+        }
+        state = NodeState.LOAD_FAILED if in_constructor else NodeState.CRASHED
+        self.node(at, name, state, unique_id=1, attempt=1, **said)
 
     def used(
         self,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import pytest
@@ -29,6 +29,7 @@ from play_launch.history.findings import (
     by_importance,
     is_wrong,
 )
+from play_launch.history.frames import Signature
 from play_launch.history.known_causes import BY_NAME, known_cause
 from play_launch.history.last_lines import MOST_LOGGERS, LastLines
 from play_launch.history.story import read_story
@@ -145,6 +146,77 @@ def test_who_does_not_stop_is_deaf_and_who_does_is_fine(tmp_path: Path) -> None:
         scene.process(1, ProcessEventKind.STOPPING, name, message="the run is over")
         scene.process(2, ProcessEventKind.EXITED, name, signal=signal)
     assert kinds(scene.story(tmp_path).findings) == [(Kind.DEAF, "/deaf")]
+
+
+DEADLINE = "SIGTERM (it did not leave in time after the signal) in thread 'main'"
+TIMEOUT = "SIGABRT (uncaught exception Timeout: the vehicle did not leave in time; it stays away)"
+
+
+@pytest.mark.parametrize(
+    ("signal", "said", "kind"),
+    [(15, DEADLINE, Kind.DEAF), (6, TIMEOUT, Kind.CRASHED), (6, f"a; {DEADLINE}", Kind.CRASHED)],
+)
+@pytest.mark.parametrize("sequel", ["it stays away", ""])
+def test_what_a_program_says_of_its_end_does_not_decide_what_it_is(
+    tmp_path: Path, signal: int, said: str, kind: Kind, sequel: str
+) -> None:
+    scene = Scene()
+    scene.started()
+    scene.node(1, "/gate", LOADED)
+    scene.crashed(2, "/gate", signal=signal, error_message=said, sequel=sequel)
+    (finding,) = scene.story(tmp_path).findings
+    assert (finding.kind, finding.cause) == (kind, said)
+    assert finding.done == tuple(filter(None, [sequel]))
+
+
+@pytest.mark.parametrize(
+    ("finding", "text"),
+    [
+        ({"kind": Kind.CRASHED}, "/cam crashed at 12.345 s after the start."),
+        (
+            {"kind": Kind.UNFINISHED, "who": ""},
+            (
+                "The recording is incomplete and ends 12.345 s after the start: "
+                "play-launch was killed, or still runs."
+            ),
+        ),
+        (
+            {"kind": Kind.NOT_LOADED, "state": "requested"},
+            "/cam was never loaded: it was requested since 12.345 s after the start.",
+        ),
+        (
+            {"kind": Kind.NOT_LOADED, "state": "lost"},
+            "/cam was not loaded again: it was lost since 12.345 s after the start.",
+        ),
+        (
+            {"kind": Kind.GREW},
+            "/cam kept growing, from 12.345 s after the start to the end.",
+        ),
+        (
+            {"kind": Kind.SLOW},
+            "/cam was slow to construct: it was not ready at 12.345 s after the start.",
+        ),
+        (
+            {"kind": Kind.STARVED},
+            "/cam starved others of CPU time, from 12.345 s after the start on.",
+        ),
+        (
+            {"kind": Kind.STARVED, "times_ns": (ns(12.345), ns(20))},
+            "/cam starved others of CPU time 2 times, first from 12.345 s after the start on.",
+        ),
+        (
+            {"kind": Kind.LOAD_FAILED},
+            "/cam failed to load at 12.345 s after the start.",
+        ),
+        (
+            {"kind": Kind.LOAD_FAILED, "signature": Signature("SIGSEGV", ())},
+            "/cam crashed in its constructor at 12.345 s after the start.",
+        ),
+    ],
+)
+def test_headlines_can_be_said_of_their_times(finding: dict[str, Any], text: str) -> None:
+    given = {"who": "/cam", "times_ns": (ns(12.345),), **finding}
+    assert headline(Finding(**given), ns(0)) == text
 
 
 def test_a_slow_constructor_with_how_long_it_took(tmp_path: Path) -> None:
