@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 from msgspec import Struct
 
 from play_launch.control.place import CONTROL_SOCKET
-from play_launch.recording.folder import open_regular, part_file
+from play_launch.recording.folder import age_in, open_regular, part_file
 from play_launch.recording.index import INDEX_NAME, NEW_SUFFIX
 from play_launch.recording.part import ACTIVE_SUFFIX, HALF_SUFFIX
 
@@ -35,7 +35,7 @@ class SessionEntry(Struct, frozen=True):
     """The folder of a session."""
 
     name: str
-    """Its beginning is the local time of its start: names sort by age."""
+    """Its beginning is the local time of its start, by the clock as it was."""
     size: int
     """Bytes of its files."""
     is_running: bool = False
@@ -61,7 +61,7 @@ def list_sessions(log_folder: Path) -> list[SessionEntry]:
             ]
     except OSError:
         return []
-    found = (session_entry(log_folder / name) for name in sorted(names))
+    found = (session_entry(log_folder / name) for name in sorted(names, key=age_in(log_folder)))
     return [entry for entry in found if entry is not None]
 
 

@@ -14,11 +14,11 @@ if TYPE_CHECKING:
 def sessions_to_remove(
     sessions: Sequence[SessionEntry], keep: KeepConfig
 ) -> tuple[SessionEntry, ...]:
-    """The sessions to remove, the oldest first; none that runs, and none that is pinned.
+    """Of sessions, the oldest first, those to remove; none that runs, and none that is pinned.
 
     Limits hold for all that are not pinned, running ones included. Those may exceed them.
     """
-    counted = sorted((one for one in sessions if not one.is_pinned), key=lambda one: one.name)
+    counted = [one for one in sessions if not one.is_pinned]
     count, size = len(counted), sum(one.size for one in counted)
     removed: list[SessionEntry] = []
     for session in counted:

@@ -10,10 +10,40 @@ from typing import IO, TYPE_CHECKING, Final, NamedTuple
 from play_launch.recording.part import ACTIVE_SUFFIX, part_number
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
 BAG_NAME: Final = "session.mcap"
+ORDER_NAME: Final = ".order"
+"""In the log folder: the names of sessions in the order of their starts, one a line. The folders
+are named after the time, but the clock of a robot may begin anywhere, and be set at any time."""
 _STEM: Final = "session"
+
+
+class Age(NamedTuple):
+    """Sorts sessions, the oldest first."""
+
+    place: int
+    """In the order of starts; those that are not in it came from elsewhere, or before there was
+    one."""
+    name: str
+
+
+def note_start(folder: Path) -> None:
+    """Put the folder of a session at the end of the order; may raise ``OSError``."""
+    with (folder.parent / ORDER_NAME).open("ab") as file:
+        file.write(os.fsencode(folder.name) + b"\n")
+
+
+def age_in(log_folder: Path) -> Callable[[str], Age]:
+    """Give what tells the age of a session in a log folder by its name."""
+    try:
+        with os.fdopen(open_regular(log_folder / ORDER_NAME), "rb") as file:
+            names = file.read().splitlines()
+    except OSError:
+        names = []
+    places = {os.fsdecode(name): place for place, name in enumerate(names)}
+    return lambda name: Age(places.get(name, -1), name)
 
 
 class PartFile(NamedTuple):

@@ -23,7 +23,7 @@ from play_launch.config.model import RecordConfig
 from play_launch.recording import facts
 from play_launch.recording.bag import McapBagWriter, Rotation
 from play_launch.recording.errors import RecordingError, SessionFolderError, reason
-from play_launch.recording.folder import BAG_NAME
+from play_launch.recording.folder import BAG_NAME, note_start
 from play_launch.recording.recorder import Recorder, RecorderLimits
 from play_launch.recording.resolved_form import redacted_arguments
 
@@ -197,6 +197,10 @@ def create_session_folder(log_folder: Path, name: str, now: datetime) -> Session
         folder = _make_unique(log_folder, stem)
     except OSError as error:
         raise SessionFolderError(log_folder / stem, error) from error
+    try:
+        note_start(folder)
+    except OSError as error:
+        _log.warning("cannot note in %s that %s began: %s", log_folder, folder.name, reason(error))
     try:
         _point(log_folder / LATEST, folder.name)
     except OSError as error:

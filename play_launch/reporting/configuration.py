@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 from msgspec import Struct
 
 from play_launch.history.bag_reader import BagReader, NotARecordingError
-from play_launch.recording.folder import part_file
+from play_launch.recording.folder import age_in, part_file
 from play_launch.recording.session import LATEST
 from play_launch.reporting.text import shown
 
@@ -82,7 +82,7 @@ def _difference(folder: str, old: tuple[File, ...], new: tuple[File, ...]) -> tu
 
 
 def _before(path: Path) -> tuple[str, tuple[File, ...]] | None:
-    """Find the session before in the same log folder; folders are named after their time."""
+    """Find the session before in the same log folder."""
     path = path.resolve()  # `latest` is a link
     folder = path if path.is_dir() else path.parent
     if folder is not path and part_file(path) is None:
@@ -91,7 +91,9 @@ def _before(path: Path) -> tuple[str, tuple[File, ...]] | None:
         others = [each.name for each in folder.parent.iterdir() if each.name != LATEST]
     except OSError:
         return None
-    for other in sorted((each for each in others if each < folder.name), reverse=True):
+    age = age_in(folder.parent)
+    earlier = (each for each in others if age(each) < age(folder.name))
+    for other in sorted(earlier, key=age, reverse=True):
         reader = BagReader(folder.parent / other)
         try:
             # Attachments stand before the first message.

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
 import pytest
@@ -13,6 +14,8 @@ from rosbags.highlevel import AnyReader
 
 from play_launch.archive.leftovers import complete_session
 from play_launch.history.bag_reader import BagReader
+from play_launch.recording.bag import McapBagWriter
+from play_launch.recording.session import create_session_folder
 from tests.archive.scenes import begin_session, cut_off_session, name_of, past_session
 from tests.recording.reading import messages
 
@@ -141,6 +144,27 @@ def test_the_program_keeps_completes_and_says_so_in_two_lines(tmp_path: Path) ->
     again = archive(tmp_path, "--keep-sessions=3")
     assert (again.returncode, again.stdout, again.stderr) == (0, "", "")
     writer.close()
+
+
+def test_the_oldest_is_what_began_first_whatever_the_clock_said(tmp_path: Path) -> None:
+    times = [
+        datetime(2026, 11, 20, tzinfo=UTC),
+        datetime(2026, 11, 21, tzinfo=UTC),
+        *[datetime(1970, 1, 1, tzinfo=UTC)] * 2,  # without a battery, and before any network
+        datetime(2025, 1, 1, tzinfo=UTC),
+    ]
+    folders = [create_session_folder(tmp_path, "robot", time).path for time in times]
+    for folder in folders:
+        McapBagWriter(folder / "session.mcap").close()
+    done = archive(tmp_path, "--keep-sessions=2")
+    assert f"the latest of them {folders[2].name}" in done.stdout
+    kept = sorted(name for name in names(tmp_path) if name not in {".order", "latest"})
+    assert kept == sorted(folder.name for folder in folders[3:])
+    # One from before there was an order is older than all that are in it.
+    past_session(tmp_path, 25)
+    archive(tmp_path, "--keep-sessions=2")
+    assert name_of(25) not in names(tmp_path)
+    assert all(folder.exists() for folder in folders[3:])
 
 
 COMPLETE = """

@@ -57,7 +57,7 @@ def test_a_run_keeps_to_its_limits_and_completes_what_was_cut_off(tmp_path: Path
     assert "the latest of them 2026-11-04" in removed["message"]
     own = (logs / "latest").resolve().name
     # Three count: the run's own, the other one that runs, and the latest of the rest.
-    assert kept == {pinned.name, cut_off.name, running.name, own, "latest"}
+    assert kept == {pinned.name, cut_off.name, running.name, own, "latest", ".order"}
     assert "recovered the recording of 1 session" in recovered["message"]
     assert name_of(5) in recovered["message"]
     reader = BagReader(cut_off / "session.mcap")

@@ -30,7 +30,9 @@ def test_a_session_has_a_folder_and_latest_points_to_it(tmp_path: Path) -> None:
     third = create_session_folder(root, "demo", NOW)
     assert [second.path.name, third.path.name] == [f"{first.path.name}-2", f"{first.path.name}-3"]
     assert (root / "latest").resolve() == third.path
-    assert sorted(entry.name for entry in root.iterdir() if entry.name.startswith(".")) == []
+    hidden = [entry for entry in root.iterdir() if entry.name.startswith(".")]
+    assert hidden == [root / ".order"]
+    assert hidden[0].read_text().split() == [each.path.name for each in (first, second, third)]
 
 
 @pytest.mark.parametrize(
@@ -63,4 +65,8 @@ def test_a_session_does_not_need_latest(tmp_path: Path, caplog: pytest.LogCaptur
     folder = create_session_folder(tmp_path, "demo", NOW)
     assert folder.path.is_dir()
     assert "latest" in caplog.text
-    assert sorted(entry.name for entry in tmp_path.iterdir()) == [folder.path.name, "latest"]
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == [
+        ".order",
+        folder.path.name,
+        "latest",
+    ]

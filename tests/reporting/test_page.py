@@ -172,6 +172,10 @@ def test_the_configuration_is_compared_with_that_of_the_session_before(tmp_path:
             "-rate: 2",
             "+rate: 3",
         ]
+    # The clock was at its beginning in the meantime.
+    (tmp_path / ".order").write_text("2-a\n9-a\n5-a\n")
+    page_of(this, tmp_path / "page.html")
+    assert facts_of(read(tmp_path / "page.html"))["configuration"]["before"] == "9-a"
     # One that was put elsewhere has no session before it.
     moved = this.rename(tmp_path / "5-a" / "copy.mcap")
     page_of(moved, tmp_path / "page.html")
