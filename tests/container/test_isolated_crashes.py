@@ -30,7 +30,7 @@ from statistics import median
 from typing import TYPE_CHECKING
 
 import pytest
-from play_launch_msgs.msg import ComponentEvent
+from play_launch_msgs.msg import ComponentEvent, ControlUnload
 from std_msgs.msg import String
 
 from tests.support.isolated import (
@@ -45,10 +45,11 @@ from tests.support.ros import Probe
 if TYPE_CHECKING:
     from tests.support.control_peer import Container, StartContainer
 
-LOADED, LOAD_FAILED, CRASHED = (
+LOADED, LOAD_FAILED, CRASHED, UNLOADED = (
     ComponentEvent.LOADED,
     ComponentEvent.LOAD_FAILED,
     ComponentEvent.CRASHED,
+    ComponentEvent.UNLOADED,
 )
 WAYS = {
     "segv": SIGSEGV,
@@ -228,6 +229,31 @@ def test_a_signal_from_outside(spawn: StartContainer, mode: str, number: signal.
         assert_cleaned_up(container, crashes=1)
         # What is asked for by a signal is done in order; only SIGKILL cannot be.
         assert container.status().unquiesced == (1 if number == SIGKILL else 0)
+
+
+def test_nodes_that_are_ended_while_they_read_a_clock(spawn: StartContainer) -> None:
+    container = start_isolated(spawn)
+    kinds = (CRASHED, CRASHED, UNLOADED, UNLOADED)
+    with survives(container):
+        busy = [
+            container.loaded(
+                "Crasher", node_name=f"busy{i}", parameters={"how": "clock", "after": 0.0}
+            )
+            for i in range(len(kinds))
+        ]
+        container.loaded("Talker")
+        for node in busy[:2]:
+            os.kill(node.pid, SIGSEGV)
+        for node in busy[2:]:
+            container.send(ControlUnload(unique_id=node.unique_id))
+        left = {node.unique_id: kind for node, kind in zip(busy, kinds, strict=True)}
+        while left:
+            end = container.until(
+                lambda m: isinstance(m, ComponentEvent) and m.event_type in kinds, f"ends of {left}"
+            )
+            assert left.pop(end.unique_id) == end.event_type
+            assert "did not leave in time" in end.error_message
+            assert any("look_at_the_clock" in line for line in end.backtrace), end.backtrace
 
 
 def test_a_crash_with_glibc_malloc(spawn: StartContainer) -> None:

@@ -98,20 +98,26 @@ std::string build_id_of(const link_map& library) {
 }
 
 DynamicSymbols::DynamicSymbols(const link_map& library) noexcept : base_(library.l_addr) {
+  // The loader turns these offsets into addresses, but not where the section is read-only, as in
+  // the kernel's own library (vDSO).
+  const auto table_at = [this](const ElfW(Dyn) & entry) {
+    const std::uintptr_t place = entry.d_un.d_ptr;
+    return place < base_ ? base_ + place : place;
+  };
   for (const ElfW(Dyn)* entry = library.l_ld; entry != nullptr && entry->d_tag != DT_NULL;
        ++entry) {
     switch (entry->d_tag) {
       case DT_SYMTAB:
-        symbols_ = reinterpret_cast<const ElfW(Sym)*>(entry->d_un.d_ptr);
+        symbols_ = reinterpret_cast<const ElfW(Sym)*>(table_at(*entry));
         break;
       case DT_STRTAB:
-        names_ = reinterpret_cast<const char*>(entry->d_un.d_ptr);
+        names_ = reinterpret_cast<const char*>(table_at(*entry));
         break;
       case DT_GNU_HASH:
-        count_ = symbol_count(reinterpret_cast<const std::uint32_t*>(entry->d_un.d_ptr));
+        count_ = symbol_count(reinterpret_cast<const std::uint32_t*>(table_at(*entry)));
         break;
       case DT_JMPREL:
-        calls_ = reinterpret_cast<const ElfW(Rela)*>(entry->d_un.d_ptr);
+        calls_ = reinterpret_cast<const ElfW(Rela)*>(table_at(*entry));
         break;
       case DT_PLTRELSZ:
         call_count_ = entry->d_un.d_val / sizeof(ElfW(Rela));

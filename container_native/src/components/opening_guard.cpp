@@ -9,6 +9,7 @@
 #include <cerrno>
 
 #include "base/report.hpp"
+#include "isolation/record/survive.hpp"
 
 namespace play_launch::container {
 namespace {
@@ -20,6 +21,7 @@ pid_t process = 0;
 /// Goes on as if there had been no handler: the process dies of the signal when this returns.
 void on_fault(int signal, siginfo_t* info, void* context) {
   const int error = errno;
+  isolation::is_surviving(*info);  // in another thread, which reads what a crash has damaged
   const char* const what = text;
   if (what != nullptr && ::gettid() == thread && ::getpid() == process) {
     // Put together without the allocator, which may be what crashed.

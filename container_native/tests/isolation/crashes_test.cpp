@@ -1,6 +1,8 @@
 // Every way to die, again and again, beside children that go on: each death ends that child alone,
 // is reported at once and with its place, and leaves a donor on which C++ works.
 
+#include <dlfcn.h>
+#include <link.h>
 #include <signal.h>
 #include <sys/mman.h>
 
@@ -11,6 +13,7 @@
 #include <memory>
 #include <stdexcept>
 #include <thread>
+#include <utility>
 #include <vector>
 
 #include "harness.hpp"
@@ -370,6 +373,28 @@ void test_program_that_faults_in_handlers() {
   CHECK(contains(joined(outcome.slot), "Damaged::run"));
 }
 
+void crash_unlike_the_others() { *reinterpret_cast<volatile int*>(bad_address) = 1; }
+
+/// The loader's records of a library are memory that every node can overwrite.
+void test_library_with_damaged_records() {
+  Outcome outcome;
+  run(outcome, [](Program&) {
+    crash_unlike_the_others();
+    return 0;
+  });
+  auto* const program = static_cast<link_map*>(::dlopen(nullptr, RTLD_LAZY));
+  std::array<ElfW(Dyn), 2> damaged{};
+  damaged[0].d_tag = DT_GNU_HASH;
+  damaged[0].d_un.d_ptr = 0x4141414141414141;
+  ElfW(Dyn)* const sound = std::exchange(program->l_ld, damaged.data());
+  const std::string backtrace = joined(outcome.slot);
+  const std::vector<std::string> modules = modules_of(outcome.slot);
+  program->l_ld = sound;
+  CHECK(contains(backtrace, "#0 isolation_crashes_test+0x"));
+  CHECK(!modules.empty());
+  CHECK(contains(joined(outcome.slot), "#0 (anonymous namespace)::crash_unlike_the_others"));
+}
+
 /// The same in a thread that the child started.
 void test_crashes_in_second_thread() {
   for (const Kind& kind : kKinds) {
@@ -395,6 +420,7 @@ int main() {
   }
   test_crashes_in_second_thread();
   test_program_that_faults_in_handlers();
+  test_library_with_damaged_records();
   for (const auto& neighbour : neighbours) {
     neighbour->stop();
   }

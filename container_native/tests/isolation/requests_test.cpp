@@ -123,6 +123,28 @@ void test_one_that_does_not_leave() {
   CHECK(contains(joined(outcome.slot), "deaf"));
 }
 
+/// Most probably the signal finds it in the kernel's own library (vDSO), whose tables are not where
+/// a library's usually are.
+int read_the_clock(Program&) {
+  while (true) {
+    static_cast<void>(std::chrono::steady_clock::now());
+  }
+}
+
+void test_one_that_reads_a_clock() {
+  bool in_vdso = false;
+  for (int round = 0; round < 200 && !in_vdso; ++round) {
+    Outcome outcome;
+    with_child(outcome, read_the_clock, {.leave_limit = 5ms},
+               [](Outcome& running) { CHECK(send_signal(running.slot, SIGTERM)); });
+    CHECK(outcome.end.signal == SIGTERM);
+    const std::string backtrace = joined(outcome.slot);
+    CHECK(contains(backtrace, "read_the_clock"));
+    in_vdso = contains(backtrace, "#0 __vdso_clock_gettime") && contains(backtrace, "(linux-vdso");
+  }
+  CHECK(in_vdso);
+}
+
 void test_crash_while_leaving() {
   Outcome outcome;
   with_child(
@@ -181,6 +203,7 @@ int main() {
   test_what_the_container_ignores();
   test_limits_of_the_kernel();
   test_one_that_does_not_leave();
+  test_one_that_reads_a_clock();
   test_crash_while_leaving();
   test_time_limit();
   test_name();

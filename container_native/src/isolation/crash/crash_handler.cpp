@@ -19,6 +19,7 @@
 #include <cstring>
 #include <exception>
 #include <string_view>
+#include <tuple>
 #include <typeinfo>
 
 #include "base/demangle.hpp"
@@ -219,7 +220,9 @@ extern "C" void on_crash_signal(int signal, siginfo_t* info, void* context) {
   if (child != nullptr && take_rights(*child, signal, *info, context)) {
     // Nothing has happened.
   } else if (child == nullptr && own == nullptr) {
-    die_in_place(signal, *info, context);  // a process that a node forked
+    // A process that a node forked; or, see SurvivalOfReports, a container.
+    is_surviving(*info);
+    die_in_place(signal, *info, context);
   } else if (is_surviving(*info)) {
     // It is dying already.
   } else if (child == nullptr) {
@@ -318,6 +321,20 @@ void watch_own_crash(CrashSlot* slot, void (*described)() noexcept) noexcept {
     handle(kFaults);
   } else {
     own_slot = nullptr;
+  }
+}
+
+SurvivalOfReports::SurvivalOfReports() noexcept {
+  static_assert(kFaults.size() == std::tuple_size_v<decltype(before_)>);
+  for (std::size_t i = 0; i < kFaults.size(); ++i) {
+    ::sigaction(kFaults[i], nullptr, &before_[i]);
+  }
+  handle(kFaults);
+}
+
+SurvivalOfReports::~SurvivalOfReports() {
+  for (std::size_t i = 0; i < kFaults.size(); ++i) {
+    ::sigaction(kFaults[i], &before_[i], nullptr);
   }
 }
 

@@ -1,5 +1,9 @@
 #pragma once
 
+#include <signal.h>
+
+#include <array>
+
 #include "isolation/record/child_record.hpp"
 
 namespace play_launch::isolation {
@@ -28,6 +32,20 @@ void install_crash_handlers() noexcept;
 /// causes itself is noted in the slot, as for a child, then `described` is called in the handler,
 /// and the process dies of the signal. Null: no more.
 void watch_own_crash(CrashSlot* slot, void (*described)() noexcept) noexcept;
+
+/// While it exists, survive() holds outside of signal handlers, too, in the process itself: what
+/// reports on a crash reads memory that the crash may have damaged. Other faults end the process as
+/// they would without.
+class SurvivalOfReports {
+ public:
+  SurvivalOfReports() noexcept;
+  ~SurvivalOfReports();
+  SurvivalOfReports(const SurvivalOfReports&) = delete;
+  SurvivalOfReports& operator=(const SurvivalOfReports&) = delete;
+
+ private:
+  std::array<struct sigaction, 9> before_{};
+};
 
 /// In a child: makes the calling thread the one that ends it. If another one is at it already, this
 /// one is parked for good.

@@ -13,6 +13,8 @@
 
 #include "base/demangle.hpp"
 #include "base/elf.hpp"
+#include "isolation/crash/crash_handler.hpp"
+#include "isolation/record/survive.hpp"
 
 namespace play_launch::isolation {
 namespace {
@@ -38,7 +40,11 @@ class Memory {
   std::map<std::string, FileSymbols> files_;
   std::map<std::pair<std::uintptr_t, bool>, std::string> frames_;
 
-  std::string look_up(std::uintptr_t address, bool is_return_address);
+  struct Description {
+    std::string text;
+    bool is_final = false;  // it will not be another one later
+  };
+  Description look_up(std::uintptr_t address, bool is_return_address);
 };
 
 std::string Memory::describe(std::uintptr_t address, bool is_return_address) {
@@ -47,37 +53,42 @@ std::string Memory::describe(std::uintptr_t address, bool is_return_address) {
   if (known != frames_.end()) {
     return known->second;
   }
-  std::string text = look_up(address, is_return_address);
-  // Without a library it may belong to one that is loaded later.
-  if (text != hex(address) && frames_.size() < kMostFrames) {
-    frames_.emplace(std::pair(address, is_return_address), text);
+  const Description found = look_up(address, is_return_address);
+  if (found.is_final && frames_.size() < kMostFrames) {
+    frames_.emplace(std::pair(address, is_return_address), found.text);
   }
-  return text;
+  return found.text;
 }
 
-std::string Memory::look_up(std::uintptr_t address, bool is_return_address) {
+Memory::Description Memory::look_up(std::uintptr_t address, bool is_return_address) {
   // A return address may belong to what follows the call's function.
   const std::uintptr_t inside = is_return_address ? address - 1 : address;
   const link_map* const library = library_at(inside);
   if (library == nullptr) {
-    return hex(address);
+    return {hex(address)};  // it may belong to one that is loaded later
   }
   const std::string path = path_of(*library);
+  const std::string where = base_name(path) + "+" + hex(address - library->l_addr);
   std::string function;
   std::uintptr_t offset = 0;
-  const DynamicSymbols::Function exported = DynamicSymbols(*library).function_at(inside);
-  if (!exported.name.empty()) {
-    function = demangled(exported.name.data());  // ends in a null byte, in the library's table
-    offset = address - exported.begin;
-  } else {
+  // The library's tables are memory of all nodes, and its file may shrink while it is read.
+  const bool is_read = survive([&] {
+    const DynamicSymbols::Function exported = DynamicSymbols(*library).function_at(inside);
+    if (!exported.name.empty()) {
+      function = demangled(exported.name.data());  // ends in a null byte, in the library's table
+      offset = address - exported.begin;
+      return;
+    }
     const FileSymbols& symbols = files_.try_emplace(path, path).first->second;
     if (const auto found = symbols.function_at(inside - library->l_addr)) {
       function = demangled(found->name.c_str());
       offset = found->offset + (address - inside);
     }
+  });
+  if (!is_read || function.empty()) {
+    return {where, is_read};
   }
-  const std::string where = base_name(path) + "+" + hex(address - library->l_addr);
-  return function.empty() ? where : function + "+" + hex(offset) + " (" + where + ")";
+  return {function + "+" + hex(offset) + " (" + where + ")", true};
 }
 
 struct CodeText {
@@ -173,6 +184,7 @@ std::vector<std::string> symbolise(const CrashSlot& slot) {
     return lines;
   }
   static Memory memory;
+  const SurvivalOfReports survival;
   // How the C++ library gets from a throw to the end of the process says nothing.
   const std::size_t first = slot.report.thrower;
   for (std::size_t i = first; i < slot.report.frame_count; ++i) {
@@ -187,6 +199,7 @@ std::vector<std::string> modules_of(const CrashSlot& slot) {
   if (slot.thread == 0) {
     return lines;
   }
+  const SurvivalOfReports survival;
   std::vector<const link_map*> seen;
   for (std::size_t i = slot.report.thrower; i < slot.report.frame_count; ++i) {
     const link_map* const library = library_at(slot.report.frames[i] - (i > 0 ? 1 : 0));
@@ -195,7 +208,8 @@ std::vector<std::string> modules_of(const CrashSlot& slot) {
     }
     seen.push_back(library);
     const std::string path = path_of(*library);
-    const std::string id = build_id_of(*library);
+    std::string id;
+    survive([&] { id = build_id_of(*library); });
     lines.push_back(base_name(path) + " " + (id.empty() ? "-" : id) + " " + path);
   }
   return lines;

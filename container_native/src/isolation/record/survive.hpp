@@ -5,9 +5,9 @@
 namespace play_launch::isolation {
 
 /// Runs function(argument), in a signal handler that install_crash_handlers() or
-/// install_park_handler() installed. A fault or an abort() in it ends the function where it is, and
-/// nothing else; false then. What it had taken (memory, locks, descriptors) stays taken. Calls may
-/// be nested. Async-signal-safe.
+/// install_park_handler() installed, or while there is a SurvivalOfReports. A fault or an abort()
+/// in it ends the function where it is, and nothing else; false then. What it had taken (memory,
+/// locks, descriptors) stays taken. Calls may be nested. Async-signal-safe.
 bool survive(void (*function)(void*), void* argument) noexcept;
 
 template <class Function>
