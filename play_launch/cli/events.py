@@ -7,7 +7,7 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 from play_launch.cli.event_words import lines_of
-from play_launch.cli.operate import OK, add_names
+from play_launch.cli.operate import OK, add_names, report_end
 
 if TYPE_CHECKING:
     from argparse import ArgumentParser, Namespace
@@ -48,8 +48,7 @@ def run(client: ControlClient, options: Namespace) -> int:
         line = json_line(message) if options.json else text_line(message)
         sys.stdout.write(f"{line}\n")
         sys.stdout.flush()
-    sys.stderr.write("the session has ended\n")
-    return OK
+    return report_end(client.hello)
 
 
 def text_line(message: dict[str, Any]) -> str:

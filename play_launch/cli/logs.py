@@ -9,7 +9,7 @@ import time
 from typing import TYPE_CHECKING, Any, Final
 
 from play_launch.cli.event_words import lines_of
-from play_launch.cli.operate import OK, add_names
+from play_launch.cli.operate import OK, add_names, report_end
 from play_launch.control.protocol import Code, ControlError
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def run(client: ControlClient, options: Namespace) -> int:
     is_wanted = _by_level(LEVELS[options.level]) if options.level else _anything
     for message in client.stream("events", arguments):
         if "result" in message:
-            break
+            return OK
         event = message.get("event")
         if event is None:
             _print_missed(message.get("missed", 0), as_json=options.json)
@@ -48,7 +48,7 @@ def run(client: ControlClient, options: Namespace) -> int:
             text = json.dumps(event, separators=(",", ":")) if options.json else lines_of(event)
             sys.stdout.write(f"{text}\n")
             sys.stdout.flush()
-    return OK
+    return report_end(client.hello)
 
 
 def since(text: str, now: float) -> int:

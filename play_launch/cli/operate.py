@@ -15,13 +15,19 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Final, Protocol, cast
 
 from play_launch.cli.session_verbs import SESSION_VERBS
+from play_launch.control.place import CONTROL_SOCKET
 from play_launch.control.protocol import Code, ControlError
-from play_launch.control.sessions import AmbiguousSessionError, NoSessionError, connect
+from play_launch.control.sessions import (
+    AmbiguousSessionError,
+    NoSessionError,
+    connect,
+    connect_to,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from play_launch.control.client import ControlClient
+    from play_launch.control.client import ControlClient, Hello
 
 OK: Final = 0
 FAILED: Final = 1
@@ -139,6 +145,35 @@ def add_names(parser: ArgumentParser, what: str, *, optional: bool = False) -> N
         help=f"{what}: full names, patterns such as '/sensing/*', or the last part where only one "
         "has it",
     )
+
+
+def report_end(hello: Hello, reason: str = "") -> int:
+    """Report how a session ended that says nothing any more; return the exit code.
+
+    Args:
+        hello: Which session.
+        reason: Why its client gave up; empty: the connection was closed.
+    """
+    text, status = _how_it_ended(hello, reason)
+    if status == OK:
+        sys.stderr.write(f"{text}\n")
+    else:
+        _report(text)
+    return status
+
+
+def _how_it_ended(hello: Hello, reason: str) -> tuple[str, int]:
+    name = f"session {hello.name} (pid {hello.pid})"
+    try:
+        connect_to(hello.folder).close()
+    except NoSessionError:
+        # Whoever ends in order removes its socket first.
+        if os.path.lexists(f"{hello.folder}/{CONTROL_SOCKET}"):
+            return f"the supervisor of the {name} was killed", FAILED
+        return f"the {name} has ended", OK
+    except ControlError as error:
+        return str(error), FAILED
+    return f"the {name} closed the connection{': ' if reason else ''}{reason}", FAILED
 
 
 def _messages(error: ControlError) -> list[str]:

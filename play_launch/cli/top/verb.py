@@ -6,6 +6,7 @@ import os
 import sys
 from typing import TYPE_CHECKING, Final
 
+from play_launch.cli.operate import report_end
 from play_launch.control.protocol import Code, ControlError
 
 if TYPE_CHECKING:
@@ -51,31 +52,4 @@ def _left(hello: Hello, end: End) -> int:
     """Say why the screen was left, where a person did not do it; return the exit code."""
     if end.signal:
         return _OF_SIGNALS + end.signal
-    if not end.is_lost:
-        return 0
-    text, code = how_it_ended(hello, end.reason)
-    sys.stderr.write(f"{'error: ' if code else ''}{text}\n")
-    return code
-
-
-def how_it_ended(hello: Hello, reason: str) -> tuple[str, int]:
-    """Find out what became of a session that says nothing any more; the text and an exit code.
-
-    Args:
-        hello: Which session.
-        reason: Why its client gave up; empty: the connection was closed.
-    """
-    from play_launch.control.place import CONTROL_SOCKET  # noqa: PLC0415
-    from play_launch.control.sessions import NoSessionError, connect_to  # noqa: PLC0415
-
-    name = f"session {hello.name} (pid {hello.pid})"
-    try:
-        connect_to(hello.folder).close()
-    except NoSessionError:
-        # Whoever ends in order removes its socket first.
-        if os.path.lexists(f"{hello.folder}/{CONTROL_SOCKET}"):
-            return f"the supervisor of the {name} was killed", 1
-        return f"the {name} has ended", 0
-    except ControlError as error:
-        return str(error), 1
-    return f"the {name} closed the connection{': ' if reason else ''}{reason}", 1
+    return report_end(hello, end.reason) if end.is_lost else 0
