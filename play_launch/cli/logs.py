@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import re
 import sys
 import time
 from typing import TYPE_CHECKING, Any, Final
 
 from play_launch.cli.event_words import lines_of
 from play_launch.cli.operate import OK, add_names, report_end
+from play_launch.cli.show.durations import clock_times
 from play_launch.control.protocol import Code, ControlError
 
 if TYPE_CHECKING:
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from play_launch.control.client import ControlClient
 
 LEVELS: Final = {"debug": 10, "info": 20, "warn": 30, "error": 40, "fatal": 50}
-_CLOCK: Final = re.compile(r"(\d{1,2}):(\d\d)(?::(\d\d))?")
 
 
 def add_arguments(parser: ArgumentParser, verb: str) -> None:  # noqa: ARG001 - as for all verbs
@@ -27,7 +26,9 @@ def add_arguments(parser: ArgumentParser, verb: str) -> None:  # noqa: ARG001 - 
     add_names(parser, "only of these", optional=True)
     parser.add_argument("-f", "--follow", action="store_true", help="go on until Ctrl-C")
     parser.add_argument(
-        "--since", metavar="TIME", help="only the last 30s, 5min; or from 14:03 on, of the clock"
+        "--since",
+        metavar="TIME",
+        help="only the last 30s, 5min; or since it was last 14:03",
     )
     parser.add_argument("--level", choices=tuple(LEVELS), help="only lines of this level and above")
 
@@ -53,10 +54,8 @@ def run(client: ControlClient, options: Namespace) -> int:
 
 def since(text: str, now: float) -> int:
     """Give the time that is meant, in nanoseconds since the epoch; ControlError with the fix."""
-    if clock := _CLOCK.fullmatch(text):
-        parts = time.localtime(now)
-        day = (*parts[:3], int(clock[1]), int(clock[2]), int(clock[3] or 0), 0, 0, -1)
-        return int(time.mktime(day)) * 1_000_000_000
+    if times := clock_times(text, now):
+        return int(1e9 * max(each for each in times if each <= now))
     from play_launch.config.values import parse_duration  # noqa: PLC0415 - slow
 
     try:

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import re
 import sys
+from collections import deque
 from dataclasses import dataclass
-from datetime import datetime
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import msgspec
 
 from play_launch.cli.failure import fail
+from play_launch.cli.show.durations import clock_times
 from play_launch.cli.show.json_style import encode
 from play_launch.cli.show.lines import Line, line_of
 from play_launch.cli.show.streams import let_go_of
@@ -25,7 +25,7 @@ from play_launch.core.events import (
     ComponentEventKind,
 )
 from play_launch.core.exit_code import ExitCode
-from play_launch.history.bag_reader import NotARecordingError
+from play_launch.history.bag_reader import BagReader, NotARecordingError
 from play_launch.history.events import UnreadableEventError
 from play_launch.history.parameters import TOPICS as PARAMETER_TOPICS
 from play_launch.history.parameters import Parameters, Said, shortened
@@ -45,7 +45,6 @@ _AROUND: Final = 5.0
 _LEVELS: Final = {"debug": DEBUG, "info": INFO, "warn": WARN, "error": ERROR, "fatal": FATAL}
 _TOPICS: Final = frozenset(topic.name for topic in topics.ALL_TOPICS)
 """Samples are no events to be read one by one."""
-_CLOCK: Final = re.compile(r"(\d{1,2}):(\d\d):(\d\d(?:\.\d+)?)")
 
 
 class Filter(NamedTuple):
@@ -69,7 +68,7 @@ def show_timeline(file: Path, chosen: Filter, *, as_json: bool) -> int:
     window: Window | None = None
     try:
         for message in session.reader.messages(_TOPICS | PARAMETER_TOPICS):
-            window = window or _window(chosen, session.started_ns)
+            window = window or _window(chosen, session)
             happened = _happened(message, session, parameters)
             if (
                 happened is not None
@@ -100,28 +99,41 @@ class Window:
         return self.begin <= stamp_ns <= self.end
 
 
-def _window(chosen: Filter, started_ns: int) -> Window:
+def _window(chosen: Filter, session: PastSession) -> Window:
+    started_ns = session.started_ns
     if chosen.around is not None:
-        middle = _moment("--around", chosen.around, started_ns)
+        earliest = started_ns - _AROUND * 1e9
+        middle = _not_before(earliest, _moments("--around", chosen.around, started_ns))
         return Window(middle - _AROUND * 1e9, middle + _AROUND * 1e9)
     begin, end = float("-inf"), float("inf")
     if chosen.since is not None:
-        begin = _moment("--since", chosen.since, started_ns)
+        moments = _moments("--since", chosen.since, started_ns)
+        begin = _not_before(started_ns, moments)
+        if begin > moments[0] and begin == moments[-1] and begin > _end(session.reader.path):
+            begin = moments[0]  # the recording was over the next time that the clock was there
     if chosen.until is not None:
-        end = _moment("--until", chosen.until, started_ns)
+        end = _not_before(started_ns, _moments("--until", chosen.until, started_ns))
     return Window(begin, end)
 
 
-def _moment(option: str, text: str, started_ns: int) -> float:
-    if clock := _CLOCK.fullmatch(text):
-        start = datetime.fromtimestamp(started_ns / 1e9).astimezone()
-        midnight = start.replace(hour=0, minute=0, second=0, microsecond=0)
-        hours, minutes, seconds = int(clock[1]), int(clock[2]), float(clock[3])
-        return (midnight.timestamp() + 3600 * hours + 60 * minutes + seconds) * 1e9
+def _moments(option: str, text: str, started_ns: int) -> list[float]:
+    """List what a time may mean, the earliest first: a clock is there each day."""
+    if times := clock_times(text, started_ns / 1e9):
+        return [1e9 * each for each in times]
     try:
-        return started_ns + parse_duration(text) * 1e9
+        return [started_ns + parse_duration(text) * 1e9]
     except ValueError as error:
         fail(f"{option} {text}: {error}")
+
+
+def _not_before(earliest: float, moments: list[float]) -> float:
+    return next(each for each in moments if each >= earliest)
+
+
+def _end(file: Path) -> int:
+    reader = BagReader(file)
+    deque(reader.messages(()), maxlen=0)
+    return reader.end
 
 
 def _happened(

@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import re
 import subprocess
+import time
 from typing import TYPE_CHECKING
 
 import pytest
 
+from play_launch.cli.logs import since
 from play_launch.core.events import (
     ComponentEvent,
     ComponentEventKind,
@@ -25,6 +27,7 @@ from play_launch.core.events import (
 )
 from play_launch.core.node_key import NodeKey
 from tests.archive.scenes import begin_session, past_session
+from tests.history.scenes import Scene
 from tests.history.test_session import record
 from tests.support.replay import COMMAND, replaying
 
@@ -119,6 +122,52 @@ def test_inspect_filters(bag: Path, options: list[str], texts: list[str]) -> Non
     result = run("inspect", bag, *options)
     assert result.returncode == 0
     assert [line.split("] ", 1)[1] for line in result.stdout.splitlines()] == texts
+
+
+@pytest.mark.parametrize(
+    ("options", "texts"),
+    [
+        (["--around", "22:13:18"], ["dusk"]),
+        (["--around", "02:13:20"], ["night"]),
+        (["--since", "02:13"], ["night"]),
+        (["--since", "22:00"], ["dusk", "night"]),
+        (["--until", "02:13"], ["dusk"]),
+        (["--since", "22:14:00", "--until", "02:13:20"], ["night"]),
+    ],
+)
+def test_a_time_of_the_day_after_midnight_is_that_of_the_next_day(
+    options: list[str], texts: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TZ", "UTC0")
+    scene = Scene()
+    scene.line(0.0, "dusk")
+    scene.line(4.0 * 3600, "night")
+    result = run("inspect", scene.record(tmp_path / "session.mcap"), *options)
+    assert (result.returncode, result.stderr) == (0, "")
+    assert [line.split("] ", 1)[1] for line in result.stdout.splitlines()] == texts
+
+
+@pytest.mark.parametrize(
+    ("now", "text", "seconds"),
+    [
+        ("2026-03-10 14:05:00", "14:03", 120.0),
+        ("2026-03-10 00:05:00", "23:50", 900.0),
+        ("2026-03-10 14:05:00", "14:05:00", 0.0),
+        # An hour of that night is missing.
+        ("2026-03-29 03:30:00", "01:30", 3600.0),
+    ],
+)
+def test_logs_begin_where_the_clock_was_last(
+    now: str, text: str, seconds: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TZ", "CET-1CEST,M3.5.0,M10.5.0/3")
+    time.tzset()
+    try:
+        at = time.mktime(time.strptime(now, "%Y-%m-%d %H:%M:%S"))
+        assert since(text, at) == (at - seconds) * 1e9
+    finally:
+        monkeypatch.undo()
+        time.tzset()
 
 
 def test_inspect_for_programs(bag: Path) -> None:
