@@ -1,4 +1,7 @@
-"""A lock that died with its holder is found, and nothing else is taken for one."""
+"""A lock that died with its holder is found, and nothing else is taken for one.
+
+What it was initialising for all is begun anew.
+"""
 
 from __future__ import annotations
 
@@ -7,14 +10,17 @@ import signal
 from typing import TYPE_CHECKING
 
 import pytest
-from play_launch_msgs.msg import ComponentEvent, ControlStatus
+from play_launch_msgs.msg import ComponentEvent, ControlStatus, ControlUnload
 
 from tests.support.isolated import MODES, start_isolated, survives
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from tests.support.control_peer import Container, StartContainer
 
-CRASHED = ComponentEvent.CRASHED
+CRASHED, LOAD_FAILED = ComponentEvent.CRASHED, ComponentEvent.LOAD_FAILED
+UNLOADED = ComponentEvent.UNLOADED
 LOOK = 0.5
 """Seconds between two looks of a container for such locks."""
 
@@ -82,6 +88,37 @@ def test_a_lock_that_a_living_node_keeps_is_none_of_the_dead(spawn: StartContain
         lambda s: min(silence(s, each) for each in held) > 6 * LOOK, "several looks"
     )
     assert not status.dead_locks
+
+
+@both_modes
+@pytest.mark.parametrize("place", ["static", "call_once"])
+@pytest.mark.parametrize("how", ["segv", "kill"])
+@pytest.mark.parametrize("in_constructor", [False, True], ids=["callback", "constructor"])
+def test_what_a_dead_node_was_initialising_is_begun_anew(
+    spawn: StartContainer,
+    tmp_path: Path,
+    mode: str,
+    place: str,
+    how: str,
+    in_constructor: bool,
+) -> None:
+    container = start_isolated(spawn, mode)
+    parameters = {
+        "in": place,
+        "how": how,
+        "in_constructor": in_constructor,
+        "marker": str(tmp_path / "has_died"),
+    }
+    with survives(container):
+        dying = container.load("DiesOnce", parameters=parameters)
+        died = container.event(LOAD_FAILED if in_constructor else CRASHED, attempt=dying)
+        assert died.signal == signal.Signals[f"SIG{how.upper()}"]
+        again = container.loaded("DiesOnce", parameters=parameters)
+        container.status_when(
+            lambda _: "Initialised" in container.log.read_text(), "its callback to come round"
+        )
+        container.send(ControlUnload(unique_id=again.unique_id))
+        assert not container.event(UNLOADED, unique_id=again.unique_id).error_message
 
 
 @both_modes

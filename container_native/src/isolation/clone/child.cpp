@@ -146,6 +146,7 @@ void before_reaping(void* argument) noexcept {
       slot.report.resting_threads[slot.report.resting_thread_count++] = pointer;
     }
   });
+  launch.record.initialisations.undo();
   slot.alive = false;
   while (slot.senders != 0) {
     ::sched_yield();

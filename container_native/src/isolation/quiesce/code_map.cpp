@@ -40,9 +40,11 @@ constexpr std::array kCppRuntime{"libstdc++"sv, "libgcc_s"sv, "libm.so"sv, "libm
                                  "linux-vdso"sv};
 constexpr std::array kCLibrary{"libc.so"sv, "libc-"sv, "libpthread"sv};
 
-/// Functions of the C library that this program defines around it (overrides/owned_lock.cpp), and
-/// what they call on the way there in a build without optimisation.
-constexpr std::array kLocks{"pthread_mutex_"sv, "_ZN11play_launch12NextFunction"sv};
+/// Functions of other libraries that this program defines around them (overrides/owned_lock.cpp,
+/// overrides/thread_guard.cpp), and what they call on the way there in a build without
+/// optimisation.
+constexpr std::array kLocks{"pthread_mutex_"sv, "pthread_once"sv, "__cxa_guard_"sv,
+                            "_ZN11play_launch12NextFunction"sv};
 
 /// Functions that templates of the middleware become in somebody's library; while they run they may
 /// hold the locks of delivery by pointer.

@@ -117,6 +117,7 @@ struct ChildRecord {
   std::array<std::atomic<pid_t>, kMaxParked> parked{};
   std::atomic<std::uint32_t> parked_count{0};
   ChildThreads threads;
+  Initialisations initialisations;
 };
 
 /// The child that calls this, in any of its threads; null in the container itself and in processes

@@ -1,11 +1,44 @@
 #include "isolation/record/child_threads.hpp"
 
+#include <cxxabi.h>
+#include <linux/futex.h>
+#include <pthread.h>
+#include <sys/syscall.h>
 #include <unistd.h>
+
+#include <climits>
 
 #include "isolation/record/alternate_stack.hpp"
 #include "isolation/record/graveyard.hpp"
 
 namespace play_launch::isolation {
+
+namespace {
+
+/// Stores the initial value and wakes those who wait. Through the kernel: the memory may be gone,
+/// or be private to the dead node.
+void reset(std::uintptr_t once) noexcept {
+  static_assert(PTHREAD_ONCE_INIT == 0 && sizeof(pthread_once_t) == sizeof(std::uint32_t));
+  constexpr int kStoreZero = FUTEX_OP(FUTEX_OP_SET, PTHREAD_ONCE_INIT, FUTEX_OP_CMP_EQ, 0);
+  ::syscall(SYS_futex, once, FUTEX_WAKE_OP_PRIVATE, INT_MAX, 0, once, kStoreZero);
+}
+
+}  // namespace
+
+void Initialisations::undo() noexcept {
+  for (auto& place : begun_) {
+    const std::uintptr_t begun = place.exchange(0);
+    const std::uintptr_t control = begun & ~std::uintptr_t{1};
+    if (control == 0) {
+      continue;
+    }
+    if (begun != control) {
+      reset(control);
+    } else if (*reinterpret_cast<const volatile char*>(control) == 0) {  // else it was finished
+      abi::__cxa_guard_abort(reinterpret_cast<abi::__guard*>(control));
+    }
+  }
+}
 
 ChildThreads::Entry::Entry(ChildThreads& threads) noexcept : threads_(threads), index_(0) {
   const pid_t self = ::gettid();

@@ -9,6 +9,48 @@
 
 namespace play_launch::isolation {
 
+/// What threads of a child are initialising for all who share the memory: function-local static
+/// variables, and what pthread_once() is for. Others wait for the end, which does not come when the
+/// child dies. thread_guard.cpp notes them. Async-signal-safe.
+class Initialisations {
+ public:
+  /// More of them at a time are not noted.
+  static constexpr std::size_t kMost = 64;
+
+  enum class Kind : std::uintptr_t { guard, once };
+
+  // Merged into the function that notes it, in which quiescing leaves no thread.
+  [[gnu::always_inline]] inline void begin(const void* control, Kind kind) noexcept {
+    const std::uintptr_t begun = value(control, kind);
+    for (auto& place : begun_) {
+      std::uintptr_t none = 0;
+      if (place.compare_exchange_strong(none, begun)) {
+        return;
+      }
+    }
+  }
+  [[gnu::always_inline]] inline void end(const void* control, Kind kind) noexcept {
+    for (auto& place : begun_) {
+      std::uintptr_t begun = value(control, kind);
+      if (place.compare_exchange_strong(begun, 0)) {
+        return;
+      }
+    }
+  }
+
+  /// When no thread of the child is left: as if each had ended with an exception. The next to come,
+  /// or one that waits, begins anew.
+  void undo() noexcept;
+
+ private:
+  /// Both kinds of controls are aligned.
+  static std::uintptr_t value(const void* control, Kind kind) noexcept {
+    return reinterpret_cast<std::uintptr_t>(control) | static_cast<std::uintptr_t>(kind);
+  }
+
+  std::array<std::atomic<std::uintptr_t>, kMost> begun_{};
+};
+
 /// The threads that a child has besides its first one, as far as they were started with
 /// pthread_create(), which thread_guard.cpp defines for the whole program: it gives each of them a
 /// stack for crash handlers and an entry here. Async-signal-safe.
