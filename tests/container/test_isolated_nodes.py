@@ -154,6 +154,25 @@ def test_a_node_is_unloaded_while_it_constructs(
         container.loaded("Talker", node_name="slow")
 
 
+@both_modes
+@pytest.mark.parametrize("how", [ControlUnload, ControlCancel])
+@pytest.mark.parametrize("mechanism", ["shared_memory", "process"])
+def test_a_node_whose_constructor_hangs_is_unloaded(
+    spawn: StartContainer, mode: str, mechanism: str, how: type[ControlUnload | ControlCancel]
+) -> None:
+    container = start_isolated(spawn, mode, "--isolation", mechanism)
+    with survives(container):
+        attempt = container.load("SlowConstructor", parameters=FOREVER, node_name="slow")
+        loading = container.event(LOADING, attempt=attempt)
+        container.status_when(lambda s: s.nodes[0].pid != container.process.pid, "a process")
+        container.send(how(unique_id=loading.unique_id))
+        gone = container.event(UNLOADED, attempt=attempt)
+        assert gone.error_message.startswith("cancelled; it did not leave in order: ")
+        assert gone.signal == (signal.SIGTERM if mechanism == "shared_memory" else 0)
+        assert only_these_remain(container)
+        container.loaded("Talker", node_name="slow")
+
+
 def test_a_failed_load_leaves_no_process(spawn: StartContainer) -> None:
     container = start_isolated(spawn)
     with survives(container):

@@ -203,6 +203,7 @@ def test_who_must_leave_at_once_and_does_not_is_ended(
         if why == "cancelled":
             attempt = container.load("SlowConstructor", parameters={"seconds": 0.3})
             loading = container.event(LOADING, attempt=attempt)
+            container.status_when(lambda s: s.nodes[0].pid != container.process.pid, "a process")
             container.send(ControlCancel(unique_id=loading.unique_id))
             first, end = "cancelled; ", UNLOADED
         else:

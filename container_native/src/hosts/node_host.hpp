@@ -70,6 +70,11 @@ class NodeHost {
   /// works; then the node is what it was.
   virtual void unload(std::uint64_t unique_id) = 0;
 
+  /// Nobody wants a node any more that on_loaded did not take in yet. A host that can end its
+  /// constructor does so within the limits of unload(); with the others it leaves when that
+  /// returns.
+  virtual void give_up(std::uint64_t) {}
+
   /// No callback starts any more, in any node. For the end of the container.
   virtual void stop_spinning() = 0;
 

@@ -16,6 +16,7 @@ namespace {
 using Clock = std::chrono::steady_clock;
 
 constexpr const char* kCancelled = "cancelled";
+constexpr const char* kNotInOrder = "it did not leave in order: ";
 
 void set_stamp(builtin_interfaces::msg::Time& stamp, std::chrono::nanoseconds age = {}) {
   constexpr std::int64_t kNanosecondsPerSecond = 1'000'000'000;
@@ -170,6 +171,9 @@ std::optional<std::string> ObservableComponentManager::retire(std::uint64_t uniq
   if (on_accepted) {
     on_accepted(unique_id);
   }
+  if (retirement == NodeTable::Retirement::when_built) {
+    host_.give_up(unique_id);
+  }
   return std::nullopt;
 }
 
@@ -311,8 +315,12 @@ void ObservableComponentManager::load_failed(std::uint64_t unique_id, const std:
   }
   ComponentEvent event =
       event_of(*entry, entry->retired ? ComponentEvent::UNLOADED : ComponentEvent::LOAD_FAILED);
-  event.error_message =
-      entry->retired ? entry->verdict + "; loading failed as well: " + reason : reason;
+  event.error_message = reason;
+  if (entry->retired) {
+    const bool was_ended = death != nullptr && !faulted(*death);
+    event.error_message =
+        entry->verdict + "; " + (was_ended ? kNotInOrder : "loading failed as well: ") + reason;
+  }
   if (death != nullptr) {
     add_death(event, *death);
   }
@@ -344,8 +352,8 @@ void ObservableComponentManager::on_crashed(std::uint64_t unique_id, const NodeD
     if (entry->refused || !faulted(death)) {
       event.event_type = last_event_type(*entry);
     }
-    event.error_message = (entry->verdict.empty() ? "" : entry->verdict + "; ") +
-                          "it did not leave in order: " + death.reason;
+    event.error_message =
+        (entry->verdict.empty() ? "" : entry->verdict + "; ") + kNotInOrder + death.reason;
   }
   add_death(event, death);
   send(event);

@@ -68,8 +68,8 @@ class ObservableComponentManager final : public NodeHostObserver {
   /// the request was refused, if it was. `on_accepted` is called as in load().
   std::optional<std::string> unload(std::uint64_t unique_id, const OnAccepted& on_accepted = {});
 
-  /// Gives up a load: a node that constructs is unloaded when its constructor has returned, one
-  /// that was loaded in the meantime at once. Returns as unload().
+  /// Gives up a load: see NodeHost::give_up(); a node that was loaded in the meantime is unloaded.
+  /// Returns as unload().
   std::optional<std::string> cancel(std::uint64_t unique_id);
 
   /// The nodes with these ids that exist, or all for no ids; by unique_id. Behind them, loaded ones

@@ -24,6 +24,7 @@ class FakeHost final : public NodeHost {
     refuse();
     unloads.push_back(unique_id);
   }
+  void give_up(std::uint64_t unique_id) override { given_up.push_back(unique_id); }
   void stop_spinning() override {
     if (on_stop) {
       on_stop();
@@ -44,6 +45,7 @@ class FakeHost final : public NodeHost {
   NodeHostObserver* observer = nullptr;
   std::vector<std::uint64_t> loads;
   std::vector<std::uint64_t> unloads;
+  std::vector<std::uint64_t> given_up;
   std::function<void()> on_stop;
   bool no_threads = false;
 };
@@ -222,8 +224,18 @@ void test_deaths_of_nodes_that_nobody_wants() {
 
   const std::uint64_t cancelled = bench.load("b");
   CHECK(!bench.manager.cancel(cancelled));
+  CHECK(bench.host.given_up == std::vector{cancelled});
   bench.host.observer->on_load_crashed(cancelled, {0, 6, "in its constructor", {}, {}, {}, false});
   CHECK(bench.recorder.last().event_type == kUnloaded && bench.recorder.last().signal == 6);
+  CHECK(contains(bench.recorder.last().error_message, "loading failed as well: in its"));
+
+  const std::uint64_t hanging = bench.load("h");
+  CHECK(!bench.manager.unload(hanging));
+  CHECK(!bench.manager.unload(hanging));  // is under way already
+  CHECK((bench.host.given_up == std::vector{cancelled, hanging}));
+  bench.host.observer->on_load_crashed(hanging, {0, 9, "SIGKILL", {}, {}, {}, false});
+  CHECK(bench.recorder.last().event_type == kUnloaded && bench.recorder.last().signal == 9);
+  CHECK(bench.recorder.last().error_message == "cancelled; it did not leave in order: SIGKILL");
 
   bench.loaded("c");
   const std::uint64_t namesake = bench.load("");

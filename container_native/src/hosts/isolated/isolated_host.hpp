@@ -28,6 +28,7 @@ class IsolatedHost : public NodeHost {
   void set_observer(NodeHostObserver& observer) override { observer_ = &observer; }
   void load(std::uint64_t unique_id, LoadRequest request) override;
   void unload(std::uint64_t unique_id) override;
+  void give_up(std::uint64_t unique_id) override { unload(unique_id); }
   void stop_spinning() override;
   void hurry(std::chrono::steady_clock::time_point deadline) override;
   std::optional<std::chrono::nanoseconds> silence(std::uint64_t unique_id) const override;
