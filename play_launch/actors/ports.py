@@ -86,6 +86,13 @@ class Escalation(Protocol):
     def reload_hangs(self, reason: str) -> None:
         """A crashed node is being constructed again for longer than the loading timeout."""
 
+    def renew(self, reason: str) -> bool:
+        """Start the container anew, where that frees what a dead node had opened.
+
+        Returns:
+            Whether it does.
+        """
+
 
 class ControlLink(Protocol):
     """Our end of a control channel; errors as :mod:`play_launch.wire.channel` has them."""

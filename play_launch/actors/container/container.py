@@ -18,7 +18,7 @@ from play_launch.actors.container.watch import ContainerWatch
 from play_launch.actors.death import Death, death_of_container
 from play_launch.actors.member import Member
 from play_launch.actors.resource_report import report_shortfalls
-from play_launch.core.events import ContainerState, ProcessEventKind
+from play_launch.core.events import REPORTED_LOGGER, ContainerState, ProcessEventKind
 from play_launch.core.lifecycle import Patience
 from play_launch.core.member import MemberInput
 from play_launch.core.restart import OnExit
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from play_launch.process.exit import Exit
 
 _log = logging.getLogger(__name__)
+_reported = logging.getLogger(REPORTED_LOGGER)
 
 
 class ContainerMember(Member):
@@ -132,6 +133,16 @@ class ContainerMember(Member):
         """Start it anew if it may hold the lock of a dead node; else the node is just slow."""
         if self._watch.may_hold_dead_locks:
             self._poisoned(f"a dead node may have left a lock: {reason}")
+
+    def renew(self, reason: str) -> bool:
+        """Start it anew in order; its nodes must share it, and restarts must be allowed."""
+        shares = self._hello is not None and self._hello.mechanism == "shared_memory"
+        is_ours = not self._config.attach and self._config.restart.max_restarts > 0
+        if not shares or not is_ours or self.state is not ContainerState.RUNNING:
+            return False
+        _reported.warning("%s is started anew: %s", self.name, reason)
+        self.post(MemberInput.RESTART, reason)
+        return True
 
     def _look_for_dead_locks(self) -> None:
         if waiting := self._watch.waits_for_the_dead:

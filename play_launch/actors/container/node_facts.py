@@ -29,6 +29,8 @@ class Facts(Struct, frozen=True, kw_only=True):
     pid: int = 0
     start_time: int = 0
     cpu_time_ns: int = 0
+    signal: int = 0
+    """What its process died of."""
     full_node_name: str = ""
     is_constructing: bool = False
     """Whether its constructor runs, and does not wait for its turn."""
@@ -64,6 +66,7 @@ def facts_of_event(event: ComponentEvent) -> Facts:
         reason=reason,
         pid=event.pid,
         start_time=event.start_time,
+        signal=event.signal,
         full_node_name=event.full_node_name,
     )
 

@@ -57,6 +57,10 @@ class MirroredNode(Struct):
     reload_at: float | None = None
     crashes: int = 0
     reloads: int = 0
+    died_constructing: str = ""
+    """How its constructor died in this container process; empty: it did not."""
+    is_renewed: bool = False
+    """Whether its container was started anew for it, and it has not been loaded since."""
     is_withdrawn: bool = False
     """Whether it is forgotten as soon as it has left."""
     reported_silent: bool = False

@@ -187,6 +187,7 @@ class ContainerNodes:
         self._requests.end()
         for node in self._nodes.values():
             node.reload_at = None
+            node.died_constructing = ""
             self._apply(node, NodeInput.CONTAINER_LOST, Facts(reason=reason))
 
     def container_comes_back(self, blame: str) -> None:
@@ -310,6 +311,8 @@ class ContainerNodes:
             _log.info("%s in %s: %s", node.name, self._container, result.ignored)
             return
         node.record = record = result.record
+        if facts.signal and node.loaded_at is None:
+            node.died_constructing = facts.reason
         if facts.pid or record.attempt != before.attempt:
             node.pid, node.start_time = facts.pid, facts.start_time
         if record.attempt != before.attempt:
@@ -318,6 +321,7 @@ class ContainerNodes:
         if record.state is NodeState.LOADED and record.state is not before.state:
             node.loaded_at = self._clock()
             node.took = node.loaded_at - record.sent_at
+            node.died_constructing, node.is_renewed = "", False
             self._reports.resources(node)
             self._groups.check(node.key.name, node.pid)
         has_changed = record.state is not before.state
@@ -332,12 +336,15 @@ class ContainerNodes:
         if has_changed and record.state in _ENDED:
             why = self._groups.leave(node.key, before.attempt)
             facts = replace(facts, reason=why or facts.reason)
+        renews = has_changed and record.state is NodeState.LOAD_FAILED and self._renews(node, facts)
+        if renews:
+            facts = replace(facts, reason=f"{facts.reason}; its container is started anew")
         if has_changed and said is NodeInput.CRASHED:
             node.crashes += 1
         if NodeAction.SEND_LOAD in result.actions and record.is_reload:
             node.reloads += 1
         # A new request is published by its action, which knows why, and so is what has a sequel.
-        has_sequel = NodeAction.FOLLOW_UP in result.actions
+        has_sequel = NodeAction.FOLLOW_UP in result.actions and not renews
         if (has_changed or report is NodeReport.SLOW) and not (
             has_sequel or record.state is NodeState.REQUESTED
         ):
@@ -346,11 +353,24 @@ class ContainerNodes:
             self._reports.log(report, node, facts, is_stopping=self._stopping)
         if report is NodeReport.SLOW and record.is_reload:
             self._escalation.reload_hangs(f"{node.name} is not loaded again: {facts.reason}")
-        for action in result.actions:
+        for action in () if renews else result.actions:
             self._execute(node, action, facts)
         if node.is_withdrawn and node.record.state in _GONE:
             # Not at once: somebody may be going through the nodes.
             self._deliver(partial(self._drop, node.key))
+
+    def _renews(self, node: MirroredNode, facts: Facts) -> bool:
+        """Return whether the container is started anew because of a load that failed.
+
+        What a constructor that died had opened, such as a port, stays open in the container. One
+        that dies again is not helped by that, and the neighbours are left alone.
+        """
+        if facts.signal or not node.died_constructing or node.is_renewed:
+            return False
+        died = f"its constructor died in this container before ({node.died_constructing})"
+        reason = f"{node.name} cannot be loaded, and {died}: what it had opened stays open"
+        node.is_renewed = self._escalation.renew(f"{reason}: {facts.reason}")
+        return node.is_renewed
 
     def _execute(self, node: MirroredNode, action: NodeAction, facts: Facts) -> None:
         match action:
