@@ -119,6 +119,20 @@ def test_the_log_names_the_library_that_takes_the_container_down(
     assert line.endswith("SIGSEGV")
 
 
+@pytest.mark.parametrize("mode", MODES)
+def test_the_log_names_the_library_that_exits(spawn: StartContainer, mode: str) -> None:
+    container = spawn(*MODES[mode], environment={"PLAY_LAUNCH_DEMO_CRASH": "exit"})
+    container.load(
+        "play_launch_demo::CrashingLibrary",
+        package="play_launch_demo_crashing",
+        node_name="poisonous",
+    )
+    assert container.wait() == -signal.SIGABRT
+    (line,) = (x for x in container.log.read_text().splitlines() if "the container ends" in x)
+    assert "libplay_launch_demo_crashing.so for node /poisonous" in line
+    assert line.endswith("an initialiser of it called exit()")
+
+
 @pytest.mark.parametrize("mode", ["isolated", "isolated_mt"])
 def test_threads_of_a_library_outlive_the_node_that_needed_it_first(
     spawn: StartContainer, mode: str

@@ -7,9 +7,11 @@
 
 #include <atomic>
 #include <cerrno>
+#include <cstdlib>
 
 #include "base/report.hpp"
 #include "isolation/record/survive.hpp"
+#include "overrides/exit_guard.hpp"
 
 namespace play_launch::container {
 namespace {
@@ -18,26 +20,42 @@ std::atomic<const char*> text{nullptr};
 std::atomic<pid_t> thread{0};
 pid_t process = 0;
 
+/// Says how the initialiser that runs in the calling thread ends the container; once.
+void report_end(const char* how, const char* what) {
+  const char* const known = text;
+  if (known == nullptr || ::gettid() != thread || ::getpid() != process) {
+    return;
+  }
+  // Put together without the allocator, which may be what crashed.
+  std::array<char, 1024> line{};
+  constexpr std::size_t kRoom = 64;
+  ::strncpy(line.data(), known, line.size() - kRoom);
+  ::strcat(line.data(), how);
+  ::strncat(line.data(), what, kRoom / 2);
+  report(line.data());
+  text = nullptr;
+}
+
 /// Goes on as if there had been no handler: the process dies of the signal when this returns.
 void on_fault(int signal, siginfo_t* info, void* context) {
   const int error = errno;
   isolation::is_surviving(*info);  // in another thread, which reads what a crash has damaged
-  const char* const what = text;
-  if (what != nullptr && ::gettid() == thread && ::getpid() == process) {
-    // Put together without the allocator, which may be what crashed.
-    std::array<char, 1024> line{};
-    const char* const name = ::sigabbrev_np(signal);
-    ::strncpy(line.data(), what, line.size() - 16);
-    ::strcat(line.data(), name != nullptr ? "SIG" : "a signal");
-    ::strcat(line.data(), name != nullptr ? name : "");
-    report(line.data());
-  }
+  const char* const name = ::sigabbrev_np(signal);
+  report_end(name != nullptr ? "died of SIG" : "died of a signal", name != nullptr ? name : "");
   struct sigaction action{};
   action.sa_handler = SIG_DFL;
   ::sigaction(signal, &action, nullptr);
   ::syscall(SYS_rt_tgsigqueueinfo, ::getpid(), ::gettid(), signal, info);
   sigdelset(&static_cast<ucontext_t*>(context)->uc_sigmask, signal);
   errno = error;
+}
+
+/// The container's own exit handlers and destructors would run, while its threads do.
+void on_exit_call(const char* call) {
+  if (text != nullptr && ::gettid() == thread && ::getpid() == process) {
+    report_end("called ", call);
+    std::abort();
+  }
 }
 
 }  // namespace
@@ -52,10 +70,11 @@ OpeningGuard::Thread::~Thread() { isolation::AlternateStack::stop_using(); }
 
 OpeningGuard::OpeningGuard(const std::string& node, const std::string& library)
     : text_("the container ends: opening " + library + " for node " + node +
-            ", an initialiser of it died of ") {
+            ", an initialiser of it ") {
   process = ::getpid();
   thread = ::gettid();
   text = text_.c_str();
+  isolation::set_exit_hook(on_exit_call);
   struct sigaction action{};
   action.sa_sigaction = on_fault;
   action.sa_flags = SA_SIGINFO | SA_RESTART | SA_ONSTACK;
@@ -73,6 +92,7 @@ OpeningGuard::~OpeningGuard() {
       ::sigaction(kSignals[i], &before_[i], nullptr);  // unless the library has put in its own
     }
   }
+  isolation::set_exit_hook(nullptr);
   text = nullptr;
 }
 

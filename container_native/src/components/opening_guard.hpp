@@ -9,9 +9,9 @@
 
 namespace play_launch::container {
 
-/// While it exists, a fault in the calling thread ends the container, as it would without, but the
-/// container's log says before which library did it, and for which node: initialisers of a library
-/// run in the container itself. One at a time.
+/// While it exists, a fault or a call of exit() in the calling thread ends the container, as it
+/// would without, but the container's log says before which library did it, and for which node:
+/// initialisers of a library run in the container itself. exit() ends it by SIGABRT. One at a time.
 class OpeningGuard {
  public:
   /// Prepares the thread; lives longer than the guards in it.

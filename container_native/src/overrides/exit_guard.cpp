@@ -6,6 +6,7 @@
 #include <threads.h>
 #include <unistd.h>
 
+#include <atomic>
 #include <cstdlib>
 
 #include "base/next_function.hpp"
@@ -37,6 +38,14 @@ const NextFunction<"pthread_exit", void(void*)> next_pthread_exit;
 const NextFunction<"thrd_exit", void(int)> next_thrd_exit;
 const NextFunction<"pthread_cancel", int(pthread_t)> next_pthread_cancel;
 
+std::atomic<void (*)(const char*)> exit_hook{nullptr};
+
+void end_container(const char* call) {
+  if (auto* const hook = exit_hook.load()) {
+    hook(call);
+  }
+}
+
 /// The first thread only lends its name to a thread of the container, which must not end here.
 void end_with_first_thread(const char* call) noexcept {
   ChildRecord* const child = current_child();
@@ -47,6 +56,8 @@ void end_with_first_thread(const char* call) noexcept {
 
 }  // namespace
 
+void set_exit_hook(void (*hook)(const char* call)) noexcept { exit_hook = hook; }
+
 bool exit_guard_is_effective() noexcept {
   return ::dlsym(RTLD_DEFAULT, "exit") == reinterpret_cast<void*>(&::exit);
 }
@@ -56,6 +67,7 @@ bool exit_guard_is_effective() noexcept {
 using play_launch::isolation::ChildRecord;
 using play_launch::isolation::current_child;
 using play_launch::isolation::end_child;
+using play_launch::isolation::end_container;
 using play_launch::isolation::end_with_first_thread;
 using play_launch::isolation::next_exit;
 using play_launch::isolation::next_pthread_cancel;
@@ -69,6 +81,7 @@ extern "C" {
   if (ChildRecord* const child = current_child()) {
     end_child(*child, status, "exit()");
   }
+  end_container("exit()");
   next_exit.get()(status);
   std::abort();
 }
@@ -77,6 +90,7 @@ extern "C" {
   if (ChildRecord* const child = current_child()) {
     end_child(*child, status, "quick_exit()");
   }
+  end_container("quick_exit()");
   next_quick_exit.get()(status);
   std::abort();
 }

@@ -15,6 +15,10 @@ namespace play_launch::isolation {
 /// exported).
 bool exit_guard_is_effective() noexcept;
 
+/// What exit() and quick_exit() call first where they end the container itself, with their name;
+/// null: nothing.
+void set_exit_hook(void (*hook)(const char* call)) noexcept;
+
 /// Ends the child alone, with its threads at rest as after a crash. `call` is what was called and
 /// means that, such as "exit()". Async-signal-safe.
 [[noreturn]] void end_child(ChildRecord& child, int status, const char* call) noexcept;
