@@ -96,7 +96,11 @@ void HandleLedger::opened(HandleKind kind, void* handle, const rcl_node_t* node)
   if (!watching_) {
     return;
   }
-  newest_ = new (std::nothrow) Entry{kind, handle, const_cast<rcl_node_t*>(node), newest_.load()};
+  auto* const node_of_it = const_cast<rcl_node_t*>(node);
+  Entry* const entry = new (std::nothrow) Entry{kind, handle, node_of_it, newest_.load()};
+  if (entry != nullptr) {  // else this one stays, should the process die
+    newest_ = entry;
+  }
 }
 
 void HandleLedger::logs(const rcl_node_t* node) noexcept {

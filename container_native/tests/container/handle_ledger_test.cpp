@@ -4,16 +4,28 @@
 #include <rcl/logging_rosout.h>
 #include <rcl/publisher.h>
 
+#include <atomic>
 #include <csignal>
+#include <cstdlib>
+#include <new>
 #include <optional>
 #include <play_launch/detail/context_access.hpp>
 #include <play_launch/detail/intra_process.hpp>
 #include <std_msgs/msg/string.hpp>
 #include <std_srvs/srv/trigger.hpp>
+#include <vector>
 
 #include "../isolation/harness.hpp"
 #include "../sdk/check.hpp"
 #include "overrides/handle_ledger.hpp"
+
+/// operator new(std::nothrow) finds no memory.
+std::atomic<bool> no_memory{false};
+
+void* operator new(std::size_t size, const std::nothrow_t&) noexcept {
+  return no_memory ? nullptr : std::malloc(size);
+}
+void operator delete(void* memory, const std::nothrow_t&) noexcept { std::free(memory); }
 
 using namespace play_launch;
 using namespace play_launch::testing;
@@ -250,9 +262,24 @@ void messages_by_pointer(const std::shared_ptr<Context>& context) {
   CHECK(heard.reaches([](const std::string& text) { return text == "to all"; }));
 }
 
+void without_memory_only_the_latest_is_forgotten() {
+  HandleLedger ledger;
+  const HandleLedger::Watch watch(ledger);
+  rcl_node_t first = rcl_get_zero_initialized_node();
+  rcl_node_t second = rcl_get_zero_initialized_node();
+  ledger.opened(HandleKind::node, &first, &first);
+  no_memory = true;
+  ledger.opened(HandleKind::node, &second, &second);
+  no_memory = false;
+  std::vector<rcl_node_t*> listed;
+  ledger.for_each_node([&](rcl_node_t& node) { listed.push_back(&node); });
+  CHECK(listed == std::vector{&first});
+}
+
 }  // namespace
 
 int main() {
+  without_memory_only_the_latest_is_forgotten();
   const auto context = make_context();
   a_half_node_is_given_back(context);
   what_another_thread_opened_or_closed(context);
