@@ -1,16 +1,18 @@
-// Machines that refuse clone3, or both ways to make a process that shares memory: nodes run by the
-// other way, or the gate says why they cannot.
+// Machines that refuse clone3, both ways to make a process that shares memory, or waiting for one:
+// nodes run by the other way, or the gate says why they cannot.
 
 #include <linux/audit.h>
 #include <linux/filter.h>
 #include <linux/seccomp.h>
 #include <signal.h>
 #include <sys/prctl.h>
+#include <sys/resource.h>
 #include <sys/syscall.h>
 #include <sys/wait.h>
 
 #include <array>
 #include <cerrno>
+#include <chrono>
 #include <cstddef>
 #include <stdexcept>
 #include <thread>
@@ -18,6 +20,7 @@
 #include "harness.hpp"
 #include "isolation/clone/gate.hpp"
 #include "isolation/clone/vm_clone.hpp"
+#include "isolation/record/own_signals.hpp"
 
 namespace {
 
@@ -51,6 +54,22 @@ void refuse_clone3(bool clone_too) {
   const sock_fprog filter{program.size(), const_cast<sock_filter*>(program.data())};
   CHECK(::prctl(PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) == 0);
   CHECK(::prctl(PR_SET_SECCOMP, SECCOMP_MODE_FILTER, &filter) == 0);
+}
+
+/// From now on waitid() fails, and no timer can be had.
+void refuse_waitid_and_timers() {
+  const std::array<sock_filter, 4> program{
+      load(offsetof(seccomp_data, nr)),
+      BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, SYS_waitid, 0, 1),
+      answer(ENOSYS),
+      BPF_STMT(BPF_RET | BPF_K, SECCOMP_RET_ALLOW),
+  };
+  const sock_fprog filter{program.size(), const_cast<sock_filter*>(program.data())};
+  CHECK(::prctl(PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) == 0);
+  CHECK(::prctl(PR_SET_SECCOMP, SECCOMP_MODE_FILTER, &filter) == 0);
+  const rlimit none{0, 0};
+  CHECK(::setrlimit(RLIMIT_SIGPENDING, &none) == 0);
+  CHECK(!signal_self_after(std::chrono::hours(1), SIGKILL));
 }
 
 volatile std::uintptr_t bad_address = 8;
@@ -100,6 +119,13 @@ void test_both_are_refused() {
   CHECK(outcome.end.error == EPERM && outcome.end.pid == 0);
 }
 
+void test_no_child_can_be_waited_for() {
+  refuse_waitid_and_timers();
+  const Facts facts = look_at_machine();
+  CHECK(!facts.probe.shares_memory);
+  CHECK_THROWS(choose_mechanism(MechanismChoice::shared_memory, facts), MechanismUnavailable);
+}
+
 /// In a process of its own, as filters cannot be taken back.
 void in_a_fork(void (*test)()) {
   const pid_t pid = ::fork();
@@ -119,5 +145,6 @@ void in_a_fork(void (*test)()) {
 int main() {
   in_a_fork(test_nodes_run_by_clone);
   in_a_fork(test_both_are_refused);
+  in_a_fork(test_no_child_can_be_waited_for);
   return 0;
 }

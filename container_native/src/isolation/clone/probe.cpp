@@ -1,7 +1,9 @@
 #include "isolation/clone/probe.hpp"
 
 #include <fcntl.h>
+#include <poll.h>
 #include <signal.h>
+#include <sys/prctl.h>
 #include <sys/resource.h>
 #include <sys/syscall.h>
 #include <sys/wait.h>
@@ -15,12 +17,12 @@
 
 #include "base/unique_fd.hpp"
 #include "isolation/clone/vm_clone.hpp"
-#include "isolation/record/own_signals.hpp"
 
 namespace play_launch::isolation {
 namespace {
 
 using namespace std::chrono_literals;
+using Clock = std::chrono::steady_clock;
 
 /// For all of it. Where a filter forbids waitid(), clone_and_wait() never returns.
 constexpr auto kLimit = 5s;
@@ -43,7 +45,7 @@ void answer(int fd, int result) noexcept {
 /// The forked process: the errno of making a child that ends in order, then 0 after one that
 /// crashed, as far as it gets. Begins when the other end of `go` is closed.
 [[noreturn]] void try_out(int fd, int go) noexcept {
-  signal_self_after(kLimit, SIGKILL);
+  ::prctl(PR_SET_PDEATHSIG, SIGKILL);
   char byte = 0;
   while (::read(go, &byte, 1) < 0 && errno == EINTR) {
   }
@@ -57,12 +59,15 @@ void answer(int fd, int result) noexcept {
   ::_exit(0);
 }
 
-bool hear(int fd, int& result) noexcept {
-  ssize_t size = 0;
+/// False: it said nothing before that time, or ended.
+bool hear(int fd, int& result, Clock::time_point end) noexcept {
+  pollfd readable{fd, POLLIN, 0};
+  int count = 0;
   do {
-    size = ::read(fd, &result, sizeof result);
-  } while (size < 0 && errno == EINTR);
-  return size == sizeof result;
+    const auto left = std::chrono::ceil<std::chrono::milliseconds>(end - Clock::now());
+    count = ::poll(&readable, 1, std::max(static_cast<int>(left.count()), 0));
+  } while (count < 0 && errno == EINTR);
+  return count > 0 && ::read(fd, &result, sizeof result) == sizeof result;
 }
 
 /// 0, or an errno.
@@ -121,10 +126,12 @@ Probe probe_machine() noexcept {
     probe.syscall_error = try_reading_syscall(pid);
     go.reset();
     int result = 0;
-    if (hear(reading.get(), probe.clone_error)) {
+    const auto end = Clock::now() + kLimit;
+    if (hear(reading.get(), probe.clone_error, end)) {
       probe.shares_memory = probe.clone_error == 0;
-      probe.survives_crash = hear(reading.get(), result);
+      probe.survives_crash = probe.shares_memory && hear(reading.get(), result, end);
     }
+    ::kill(pid, SIGKILL);  // it has ended, unless it was not heard in time
     probe.waits_by_descriptor = reap(pid);
   }
   return probe;
