@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import ctypes
+import os
 import time
 from collections import Counter
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +22,9 @@ from play_launch.recording.recorder import Recorder, RecordingSummary
 from play_launch.recording.schema import message_definition
 from play_launch.recording.topic_requests import TopicRequests
 from play_launch.topic_recording.supervision import TopicRecording
+
+_PTRACE_SEIZE, _PTRACE_INTERRUPT, _PTRACE_DETACH = 0x4206, 0x4207, 17
+_WALL = 0x40000000
 
 TIMEOUT = 60.0
 """Seconds for anything to happen; only a failure takes as long."""
@@ -123,6 +128,24 @@ async def publish_all(publisher: Publisher, messages: list[Any], pause: float = 
     for message in messages:
         publisher.publish(message)
         await asyncio.sleep(pause)
+
+
+@contextlib.contextmanager
+def held_up(pid: int) -> Iterator[None]:
+    """Keep the first thread of a process from running; its others go on."""
+    libc = ctypes.CDLL(None, use_errno=True)
+
+    def trace(request: int) -> None:
+        if libc.ptrace(request, pid, None, None) != 0:
+            raise OSError(ctypes.get_errno(), f"ptrace({request:#x})")
+
+    trace(_PTRACE_SEIZE)
+    trace(_PTRACE_INTERRUPT)
+    os.waitpid(pid, _WALL)
+    try:
+        yield
+    finally:
+        trace(_PTRACE_DETACH)
 
 
 async def acknowledged(publisher: Publisher) -> None:

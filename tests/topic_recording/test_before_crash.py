@@ -17,7 +17,7 @@ from play_launch.fastdds.shared_memory import sweep
 from tests.recording.reading import messages, raw_messages
 from tests.support.replay import COMMAND, Replay, alive, replaying
 from tests.support.ros import Probe
-from tests.topic_recording.recording import acknowledged, publish_all, recording, until
+from tests.topic_recording.recording import acknowledged, held_up, publish_all, recording, until
 
 HELD = "{before_crash: {topics: [/held], seconds: 60 s, megabytes: 8}}"
 RUN = """
@@ -72,6 +72,24 @@ async def test_only_a_snapshot_writes_what_is_held(probe: Probe, tmp_path: Path)
     assert 0.3 < first.seconds < 20
     texts = [each.message.data for each in messages(path) if each.topic == "/held"]
     assert texts == ["before"] * first.messages
+
+
+@pytest.mark.anyio
+async def test_what_has_arrived_is_in_the_snapshot(probe: Probe, tmp_path: Path) -> None:
+    path = tmp_path / "x.mcap"
+    held = probe.node.create_publisher(String, "/held", 1000)
+    async with recording(path, HELD) as made:
+        await until(lambda: held.get_subscription_count() > 0, "its subscription")
+        held.publish(String(data="first"))
+        await acknowledged(held)
+        with held_up(made.pid):
+            await publish_all(held, [String(data=str(number)) for number in range(900)])
+            await acknowledged(held)
+            snapshot = asyncio.create_task(made.topics.take("test"))
+            await asyncio.sleep(0)  # it is asked for
+        await snapshot
+    texts = [each.message.data for each in messages(path) if each.topic == "/held"]
+    assert texts[-900:] == [str(number) for number in range(900)]
 
 
 @pytest.mark.anyio

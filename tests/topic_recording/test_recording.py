@@ -24,7 +24,7 @@ from play_launch.fastdds.shared_memory import sweep
 from play_launch.install.ros import NotInstalledError
 from play_launch.recording.errors import SchemaNotFoundError
 from play_launch.recording.schema import message_definition
-from play_launch.topic_recording import program
+from play_launch.topic_recording import packets, program
 from play_launch.topic_recording.snapshot import SnapshotError
 from tests.recording.reading import raw_messages, records
 from tests.support.ros import Probe
@@ -33,6 +33,7 @@ from tests.topic_recording.recording import (
     acknowledged,
     configuration,
     heard,
+    held_up,
     publish_all,
     recording,
     until,
@@ -309,6 +310,19 @@ async def test_a_supervisor_that_does_not_go_on(probe: Probe, tmp_path: Path) ->
     assert 60 <= count < 151, "64 MiB of them wait"
     assert count + made.summary.topic_drops == 151
     assert memory < 250e6
+
+
+async def test_what_has_arrived_by_the_end_is_recorded(probe: Probe, tmp_path: Path) -> None:
+    path = tmp_path / "x.mcap"
+    texts = probe.node.create_publisher(String, "/chatter", 1000)
+    async with recording(path, "{topics: [/chatter]}") as made:
+        await heard(made, texts, String())
+        assert made.topics._link is not None
+        with held_up(made.pid):
+            await publish_all(texts, strings(900))
+            await acknowledged(texts)
+            made.topics._link.send(packets.stop())
+    assert recorded(path, "/chatter") == strings(900)
 
 
 async def test_it_ends_in_order_when_the_supervisor_is_gone(probe: Probe, tmp_path: Path) -> None:

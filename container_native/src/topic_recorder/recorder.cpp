@@ -29,10 +29,10 @@ constexpr seconds kBetweenReports{1};
 /// By how much a message may have arrived before one that was taken earlier. More than that is the
 /// clock, which was set back.
 constexpr std::uint64_t kLongestWaitNs = nanoseconds(seconds(1)).count();
-/// How long the supervisor may take to write the last chunks.
+/// How long the supervisor may take to write the last chunks, and we to take what has arrived.
 constexpr seconds kLongestEnd{5};
 /// Messages of one topic before the next one's turn.
-constexpr int kAtOnce = 100;
+constexpr std::size_t kAtOnce = 100;
 /// Number of the request for the channel of parameters, which come from no topic.
 constexpr auto kParametersRequest = std::numeric_limits<std::uint32_t>::max();
 
@@ -40,14 +40,6 @@ std::uint64_t now_ns() {
   return static_cast<std::uint64_t>(
       std::chrono::duration_cast<nanoseconds>(std::chrono::system_clock::now().time_since_epoch())
           .count());
-}
-
-std::string joined(const std::vector<std::string>& texts) {
-  std::string all;
-  for (const std::string& text : texts) {
-    all += (all.empty() ? "" : ", ") + text;
-  }
-  return all;
 }
 
 }  // namespace
@@ -88,9 +80,7 @@ bool Recorder::run() {
     return false;
   }
   // What has arrived by now belongs to the recording.
-  for (const auto& topic : topics_) {
-    take_all(*topic);
-  }
+  take_rest(Treatment::recorded);
   finish(live_);
   drops_reported_ = {};
   report_drops(Clock::now());
@@ -137,7 +127,7 @@ void Recorder::wait() {
   graph_changed_ = graph_changed_ || wait_set_.is_guard_ready(0);
   for (std::size_t i = 0; i < waited.size(); ++i) {
     if (wait_set_.is_subscription_ready(i)) {
-      take_all(*waited[i]);
+      take_some(*waited[i]);
     }
   }
   handle_requests();
@@ -224,11 +214,7 @@ void Recorder::unsubscribe(RecordedTopic& topic, const std::string& reason) {
 
 void Recorder::hand_over(std::uint32_t number) {
   // The last that arrived may be what explains a crash.
-  for (const auto& topic : topics_) {
-    if (topic->treatment == Treatment::held) {
-      take_all(*topic);
-    }
-  }
+  take_rest(Treatment::held);
   finish(held_);
   ring_.expire(now_ns());
   std::uint64_t messages = 0;
@@ -296,7 +282,7 @@ void Recorder::meet(const GraphTopic& found, Treatment wanted) {
     return;  // nothing is said there yet, and of what quality is not known
   }
   if (found.types.size() != 1) {
-    warn_once(found.name, "it has several types: " + joined(found.types));
+    warn_once(found.name, "it has several types: " + found.types_in_words());
     return;
   }
   const std::string& type = found.types.front();
@@ -324,7 +310,7 @@ void Recorder::reconsider(RecordedTopic& topic, const GraphTopic& found) {
   if (found.types.size() > 1 && warned_.insert(topic.name).second) {
     link_.post(Packet(Kind::warning)
                    .text("topic " + topic.name + " has several types by now (" +
-                         joined(found.types) + "): only " + topic.type + " is recorded"));
+                         found.types_in_words() + "): only " + topic.type + " is recorded"));
   }
   const auto offered = node_.offered(topic.name);
   if (offered.empty()) {
@@ -332,7 +318,7 @@ void Recorder::reconsider(RecordedTopic& topic, const GraphTopic& found) {
   }
   const rmw_qos_profile_t wanted = request_for(offered);
   if (asks_too_much(topic.subscription->qos(), wanted)) {
-    take_all(topic);
+    take_rest(topic.treatment);
     topic.request = wanted;
     topic.subscription.reset();
     subscribe(topic);
@@ -345,17 +331,33 @@ void Recorder::warn_once(const std::string& topic, const std::string& text) {
   }
 }
 
-void Recorder::take_all(RecordedTopic& topic) {
-  for (int i = 0; topic.subscription && i < kAtOnce; ++i) {
+void Recorder::take_rest(Treatment treatment) {
+  const auto end = Clock::now() + kLongestEnd;
+  for (const auto& topic : topics_) {
+    // No more than can wait at a time: a publisher that goes on would keep us here.
+    std::size_t left = topic->treatment == treatment ? topic->request.depth / kAtOnce + 1 : 0;
+    for (; left > 0 && take_some(*topic); --left) {
+      if (Clock::now() >= end) {
+        link_.post(
+            Packet(Kind::warning).text("messages that had arrived are not recorded: no time"));
+        return;
+      }
+    }
+  }
+}
+
+bool Recorder::take_some(RecordedTopic& topic) {
+  for (std::size_t i = 0; topic.subscription && i < kAtOnce; ++i) {
     const bool is_full = topic.treatment == Treatment::recorded && !has_room();
     try {
       if (is_full ? !discard_one(topic) : !take_one(topic)) {
-        return;
+        return false;
       }
     } catch (const std::exception& error) {
       unsubscribe(topic, error.what());
     }
   }
+  return topic.subscription != nullptr;
 }
 
 bool Recorder::take_one(RecordedTopic& topic) {

@@ -45,7 +45,10 @@ class Recorder {
   void meet(const GraphTopic& found, Treatment treatment);
   void reconsider(RecordedTopic& topic, const GraphTopic& found);
   void warn_once(const std::string& topic, const std::string& text);
-  void take_all(RecordedTopic& topic);
+  /// Takes what waits by now for topics that are treated like that, as far as time permits.
+  void take_rest(Treatment treatment);
+  /// Takes some; whether more may wait.
+  bool take_some(RecordedTopic& topic);
   bool take_one(RecordedTopic& topic);
   bool discard_one(RecordedTopic& topic);
   void ask_for_parameters();

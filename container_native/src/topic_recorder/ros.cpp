@@ -85,6 +85,14 @@ RosNode::~RosNode() {
   ignore(rcl_context_fini(&context_));
 }
 
+std::string GraphTopic::types_in_words() const {
+  std::string all;
+  for (const std::string& type : types) {
+    all += (all.empty() ? "" : ", ") + type;
+  }
+  return all;
+}
+
 std::vector<GraphTopic> RosNode::topics() const {
   rcl_allocator_t allocator = rcl_get_default_allocator();
   rcl_names_and_types_t found = rcl_get_zero_initialized_names_and_types();

@@ -17,6 +17,8 @@ void check(rcl_ret_t result, const std::string& action);
 struct GraphTopic {
   std::string name;
   std::vector<std::string> types;
+
+  [[nodiscard]] std::string types_in_words() const;
 };
 
 /// Our only node, in a context of its own. Hidden, and it offers nothing: no parameters, no logs.
