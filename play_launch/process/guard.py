@@ -1,7 +1,8 @@
 """The process that outlives the supervisor and ends what it started: ``spawn_guard --session``.
 
 The protocol is described in ``container_native/src/spawn_guard/session.hpp``. Every request is
-answered within a few milliseconds, like a fork of our own, so it may be made on the loop's thread.
+answered within a few milliseconds, like a fork of our own, so it may be made on the loop's thread:
+the guard does not wait until a program is executed, whose disk may take long.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ _GROUP: Final = 6
 _ANSWER: Final = struct.Struct("=3i")
 _ANSWER_LIMIT: Final = 10.0
 """Seconds after which a guard that does not answer counts as lost."""
-_STOPPED_AFTER: Final = 1.0
+_STOPPED_AFTER: Final = 0.1
 """Seconds after which one that does not answer may have been stopped, and is continued."""
 _END_LIMIT: Final = 5.0
 """Seconds in which it ends everything; uninterruptible processes may take longer."""
@@ -178,9 +179,15 @@ class SessionGuard:
         helper = () if zygote is None else (zygote.fileno(),)
         head = (_SPAWN, leaves_by_itself, 0 if zygote is None else zygote.number, len(descriptors))
         request = struct.pack(f"={4 + len(descriptors)}i", *head, *descriptors)
-        with _file(_command(argv, env, cwd, settings)) as command:
-            answer = self._ask(request, (command.fileno(), *helper, *descriptors.values()))
-        pid, obstacle, _ = answer
+        with _file(_command(argv, env, cwd, settings)) as command, ExitStack() as opened:
+            word, go_ahead = os.pipe()
+            for end in (word, go_ahead):
+                opened.callback(os.close, end)
+            os.set_blocking(go_ahead, False)
+            files = (command.fileno(), word, *helper, *descriptors.values())
+            pid, obstacle, _ = self._ask(request, files)
+            # What is started without it ends: another start may have taken its place.
+            os.write(go_ahead, b"\0")
         if zygote is not None and obstacle:
             zygote.lose(os.strerror(obstacle))
         if pid < 0:

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import shutil
+import signal
 import sys
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 import yaml
 from rosbags.highlevel import AnyReader
 
 from tests.support.replay import Replay, alive, replaying
+from tests.support.slow_programs import slow_to_execute
+from tests.support.waiting import until
 
 FACTS = """
 import os, sys
@@ -80,6 +87,46 @@ def test_a_missing_directory_is_named(tmp_path: Path) -> None:
     assert replay.process.returncode == 1
     (gave_up,) = (event for event in replay.seen if event.get("kind") == "gave_up")
     assert f"its working directory is no directory: {tmp_path}/nowhere" in gave_up["message"]
+
+
+def is_output_of(process: str) -> Callable[[dict[str, Any]], bool]:
+    return lambda event: event["event"] == "output" and event["process"] == process
+
+
+@pytest.mark.parametrize("end", ["stopped meanwhile", "executed at last"])
+def test_a_program_that_is_slow_to_execute_holds_nothing_up_and_starts_once(
+    tmp_path: Path, end: str
+) -> None:
+    program = Path(shutil.copy(shutil.which("sleep") or "", tmp_path / "slow"))
+    nodes: list[dict[str, Any]] = [
+        {"name": "slow", "command": [str(program), "600"], "on_exit": "restart"},
+        {"name": "quick", "command": ["echo", "here"]},
+    ]
+    with ExitStack() as leased:
+        waits = leased.enter_context(slow_to_execute(program))
+        with replaying(write(tmp_path, nodes), tmp_path / "logs") as replay:
+            until(waits, "the execution")
+            replay.read_until(is_output_of("/quick"), "what another one writes")
+            if end == "executed at last":
+                leased.close()
+                until(lambda: runs(replay, program) > 0, "the program")
+                assert runs(replay, program) == 1
+            replay.process.send_signal(signal.SIGTERM)
+            replay.read_all()
+    assert replay.process.returncode == 128 + signal.SIGTERM
+    assert [
+        event["kind"]
+        for event in replay.seen
+        if event["event"] == "process" and event["name"] == "/slow"
+    ] == ["started", "stopping", "exited"]
+
+
+def runs(replay: Replay, program: Path) -> int:
+    found = 0
+    for each in replay.descendants():
+        with suppress(psutil.Error):
+            found += each.exe() == str(program)
+    return found
 
 
 def test_a_container_with_a_prefix_loads_its_nodes(tmp_path: Path) -> None:

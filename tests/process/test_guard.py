@@ -6,6 +6,7 @@ import asyncio
 import errno
 import os
 import select
+import shutil
 import signal
 import subprocess
 import sys
@@ -24,6 +25,7 @@ from play_launch.process.program import SpawnError
 from tests.process.programs import Output, environment, python, shell
 from tests.support.control_groups import control_group
 from tests.support.replay import alive
+from tests.support.slow_programs import slow_to_execute
 from tests.support.waiting import until
 
 # Each prints the pids of what it leaves, then "ready".
@@ -238,6 +240,28 @@ async def test_orphans_do_not_stay_as_zombies(session: SessionGuard) -> None:
     assert await child.gone() == Exit(signal=9)
 
 
+@pytest.mark.skipif(
+    not Path("/proc/thread-self/children").exists(), reason="this kernel does not list children"
+)
+@pytest.mark.anyio
+async def test_a_death_costs_the_guard_no_look_at_every_process(session: SessionGuard) -> None:
+    def reads() -> int:
+        text = Path(f"/proc/{session.pid}/io").read_text()
+        return int(text.partition("syscr: ")[2].split()[0])
+
+    others = [subprocess.Popen(["sleep", "600"]) for _ in range(100)]
+    try:
+        before = await asyncio.to_thread(reads)
+        child = spawn(shell("exit 3"), env=environment(), guard=session)
+        async with asyncio.timeout(60):
+            assert await child.gone() == Exit(code=3)
+        assert await asyncio.to_thread(reads) - before < len(others)
+    finally:
+        for each in others:
+            each.kill()
+            each.wait()
+
+
 @pytest.mark.anyio
 async def test_a_guard_that_was_killed_takes_its_children_along_and_says_so(guard: Path) -> None:
     session = SessionGuard.start(guard)
@@ -252,25 +276,47 @@ async def test_a_guard_that_was_killed_takes_its_children_along_and_says_so(guar
 
 
 @pytest.mark.anyio
-async def test_a_guard_that_answers_too_late_is_lost_and_its_children_live_on(
+async def test_a_slow_execution_holds_up_neither_its_supervisor_nor_others(
+    session: SessionGuard, tmp_path: Path
+) -> None:
+    program = Path(shutil.copy(shutil.which("sleep") or "", tmp_path))
+    with slow_to_execute(program) as waits:
+        slow, killed = [
+            spawn([str(program), "600"], env=environment(), guard=session) for _ in range(2)
+        ]
+        await asyncio.to_thread(until, waits, "the execution")
+        other = spawn(shell("exit 3"), env=environment(), guard=session)
+        async with asyncio.timeout(60):
+            assert await other.gone() == Exit(code=3)
+            assert killed.signal_group(signal.SIGKILL)
+            assert await killed.gone() == Exit(signal=9)
+        assert slow.is_running
+    await asyncio.to_thread(
+        until, lambda: psutil.Process(slow.pid).exe() == str(program), "the program"
+    )
+    slow.send_signal(signal.SIGKILL)
+    async with asyncio.timeout(60):
+        await slow.gone()
+
+
+@pytest.mark.anyio
+async def test_what_a_guard_starts_too_late_is_not_executed_and_its_children_live_on(
     guard: Path, tmp_path: Path
 ) -> None:
     session = SessionGuard.start(guard, answer_limit=0.1)
     child = spawn(shell("sleep 600"), env=environment(), guard=session)
-    started = tmp_path / "started"
+    ran = tmp_path / "ran"
     os.kill(session.pid, signal.SIGSTOP)
     with pytest.raises(SpawnError, match="does not answer") as late:
-        spawn(
-            shell(f"echo $$ > {started}.new; mv {started}.new {started}; sleep 600"),
-            env=environment(),
-            guard=session,
-        )
+        spawn(shell(f"touch {ran}; sleep 600"), env=environment(), guard=session)
     assert late.value.errno == errno.ECONNRESET
     assert not session.is_alive
     os.kill(session.pid, signal.SIGCONT)
-    async with asyncio.timeout(60):
-        while not started.exists():
-            await asyncio.sleep(0.01)
+    # It is started all the same, and ends without having executed anything.
+    await asyncio.to_thread(until, lambda: len(children_of(session)) == 2, "the late one")
+    (late_one,) = [each for each in children_of(session) if each.pid != child.pid]
+    await asyncio.to_thread(until, lambda: not alive([late_one]), "its end")
+    assert not ran.exists()
     with pytest.raises(ChildProcessError):
         session.ended(child.pid)
     assert child.is_running, "the late answer is not taken for that of another request"
@@ -279,10 +325,12 @@ async def test_a_guard_that_answers_too_late_is_lost_and_its_children_live_on(
     child.send_signal(signal.SIGKILL)
     async with asyncio.timeout(60):
         assert (await child.gone()).is_lost
-    late_pid = int(started.read_text())
-    assert psutil.pid_exists(late_pid)
     await asyncio.to_thread(session.close)
-    assert not psutil.pid_exists(late_pid)
+    assert not late_one.is_running()
+
+
+def children_of(session: SessionGuard) -> list[psutil.Process]:
+    return psutil.Process(session.pid).children()
 
 
 @pytest.mark.anyio

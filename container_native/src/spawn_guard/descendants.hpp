@@ -13,8 +13,8 @@ namespace play_launch::guard {
 /// Children in `spared` and what is below them are left out.
 std::vector<pid_t> living_descendants(const std::set<pid_t>& spared);
 
-/// The children of this process that have ended and were not waited for.
-std::vector<pid_t> zombie_children();
+/// The children of the calling thread, those that have ended and were not waited for among them.
+std::vector<pid_t> children();
 
 /// Sends SIGKILL to what is below this process, but for `spared` and what is below those.
 void kill_descendants(const std::set<pid_t>& spared);

@@ -35,6 +35,8 @@ using std::chrono::milliseconds;
 using std::chrono::steady_clock;
 
 constexpr milliseconds kRound{5};
+/// Each goes through all of /proc, and what does not die of SIGKILL may take any time.
+constexpr milliseconds kLongestRound{50};
 /// Forks of a zygote begin together, when the supervisor has asked for no further one for so long:
 /// those that run would take the processors from those that are being made.
 constexpr milliseconds kPause{10};
@@ -56,6 +58,27 @@ using Message = DescriptorMessage;
 /// What stands before the numbers of the descriptors.
 constexpr std::size_t kSpawnHead = 4;
 constexpr std::size_t kHelperHead = 2;
+
+/// A fork of a zygote that does not run yet, and what says whether it may.
+struct Held {
+  Fork fork;
+  UniqueFd go_ahead;
+};
+
+/// A copy above all numbers that a command wants, closed by exec.
+UniqueFd out_of_the_way(const UniqueFd& fd, std::span<const std::int32_t> wanted) {
+  const int above = std::max(2, *std::max_element(wanted.begin(), wanted.end())) + 1;
+  return UniqueFd(::fcntl(fd.get(), F_DUPFD_CLOEXEC, above));
+}
+
+/// Waits for one byte; false at the end of the pipe.
+bool wait_for_word(const UniqueFd& pipe) {
+  char word = 0;
+  ssize_t size = 0;
+  while ((size = ::read(pipe.get(), &word, 1)) < 0 && errno == EINTR) {
+  }
+  return size == 1;
+}
 
 class Session {
  public:
@@ -79,8 +102,7 @@ class Session {
         break;
       }
       if (!held_.empty() && steady_clock::now() >= due_) {
-        std::ranges::for_each(held_, let_begin);
-        held_.clear();
+        begin_held();
       }
       if (sources[1].revents != 0) {
         signalfd_siginfo ignored;
@@ -127,7 +149,7 @@ class Session {
   bool supervisor_has_died() const { return !said_farewell_ || ::getppid() != supervisor_; }
 
  private:
-  Answer carry_out(const Message& message) {
+  Answer carry_out(Message& message) {
     const std::span numbers(message.numbers);
     if (numbers.size() >= kSpawnHead && numbers[0] == kSpawn) {
       return spawn(message);
@@ -138,27 +160,28 @@ class Session {
     return {-EINVAL, 0, 0};
   }
 
-  Answer spawn(const Message& message) {
+  Answer spawn(Message& message) {
     const std::span numbers(message.numbers);
     const auto helper = static_cast<std::size_t>(numbers[2]);
-    const std::size_t zygotes = helper == 0 ? 0 : 1;
+    const std::size_t known = helper == 0 ? 2 : 3;
     const std::span wanted = numbers.subspan(kSpawnHead);
     Command command;
     if (wanted.size() < 3 || wanted.size() != static_cast<std::size_t>(numbers[3]) ||
-        message.descriptors.size() != 1 + zygotes + wanted.size() ||
+        message.descriptors.size() != known + wanted.size() ||
         !command.read(message.descriptors.front().get())) {
       return {-EINVAL, 0, 0};
     }
-    const std::span descriptors = std::span(message.descriptors).subspan(1 + zygotes);
+    UniqueFd& go_ahead = message.descriptors[1];
+    const std::span descriptors = std::span(message.descriptors).subspan(known);
     pid_t pid = 0;
     int obstacle = 0;
-    if (zygotes != 0) {
-      Fork fork = fork_of_zygote(message.descriptors[1].get(), message.descriptors.front(),
+    if (helper != 0) {
+      Fork fork = fork_of_zygote(message.descriptors[2].get(), message.descriptors.front(),
                                  descriptors, wanted);
       pid = fork.pid;
       obstacle = pid < 0 ? -pid : 0;
       if (pid > 0) {
-        hold(std::move(fork));
+        hold({std::move(fork), std::move(go_ahead)});
       }
     }
     if (obstacle == ETIMEDOUT && helper <= helpers_.size() && helpers_[helper - 1] > 0) {
@@ -166,7 +189,7 @@ class Session {
       ::kill(helpers_[helper - 1], SIGKILL);
     }
     if (pid <= 0) {
-      pid = start(command, descriptors, wanted);
+      pid = start(command, descriptors, wanted, &go_ahead);
     }
     if (pid > 0) {
       (numbers[1] != 0 ? leaving_ : started_).insert(pid);
@@ -174,13 +197,28 @@ class Session {
     return {pid, obstacle, 0};
   }
 
-  void hold(Fork fork) {
+  void hold(Held held) {
     const auto now = steady_clock::now();
     if (held_.empty()) {
       held_since_ = now;
     }
-    held_.push_back(std::move(fork));
+    held_.push_back(std::move(held));
     due_ = std::min(now + kPause, held_since_ + kLongestHold);
+  }
+
+  /// One that the supervisor has given up ends when its line closes.
+  void begin_held() {
+    std::erase_if(held_, [](const Held& each) {
+      pollfd word{each.go_ahead.get(), POLLIN, 0};
+      if (::poll(&word, 1, 0) <= 0) {
+        return false;
+      }
+      if ((word.revents & POLLIN) != 0) {
+        let_begin(each.fork);
+      }
+      return true;
+    });
+    due_ = steady_clock::now() + kPause;
   }
 
   /// For poll(2): milliseconds, or -1 where nothing is held.
@@ -199,12 +237,13 @@ class Session {
     const bool fits = wanted.size() == static_cast<std::size_t>(message.numbers[1]) &&
                       descriptors.size() == 1 + wanted.size() &&
                       command.read(descriptors.front().get());
-    helpers_.push_back(fits ? start(command, descriptors.subspan(1), wanted) : -EINVAL);
+    helpers_.push_back(fits ? start(command, descriptors.subspan(1), wanted, nullptr) : -EINVAL);
   }
 
-  /// -errno when it could not be started.
+  /// -errno when it could not be started. Executes nothing before the word of `go_ahead`, if it is
+  /// not null: what the supervisor has given up would be a twin of what it starts instead.
   pid_t start(Command& command, std::span<const UniqueFd> descriptors,
-              std::span<const std::int32_t> wanted) const {
+              std::span<const std::int32_t> wanted, const UniqueFd* go_ahead) const {
     std::array<int, 2> ends{};
     if (::pipe2(ends.data(), O_CLOEXEC) != 0) {
       return -errno;
@@ -218,19 +257,21 @@ class Session {
     if (pid == 0) {
       environ = command.environment.data();
       ::setsid();
-      if (!place_descriptors(descriptors, wanted) || !command.apply_settings()) {
+      const UniqueFd is_set_up = out_of_the_way(write_end, wanted);
+      const UniqueFd word = go_ahead ? out_of_the_way(*go_ahead, wanted) : UniqueFd();
+      if (!place_descriptors(descriptors, wanted) || !command.apply_settings() ||
+          !tie_to(guard_, command.argv[0])) {
         ::_exit(kRefused);
       }
-      if (!enter(command.folder.front())) {
-        ::_exit(kCannotRun);
+      if (::write(is_set_up.get(), "", 1) != 1 || (go_ahead && !wait_for_word(word))) {
+        ::_exit(kRefused);
       }
-      ::_exit(tie_to(guard_, command.argv[0]) ? become(command.argv.data()) : kRefused);
+      ::_exit(enter(command.folder.front()) ? become(command.argv.data()) : kCannotRun);
     }
-    // Until exec or its end: from then on it leads a session of its own, and can be signalled.
+    // Until it leads a session of its own, and can be signalled, or has ended. Not until exec: a
+    // program may be on a disk that takes long.
     write_end.reset();
-    char ignored = 0;
-    while (::read(read_end.get(), &ignored, 1) < 0 && errno == EINTR) {
-    }
+    wait_for_word(read_end);
     return pid;
   }
 
@@ -253,11 +294,9 @@ class Session {
   /// Those that we did not start: whoever did is gone. The others keep their pid until the
   /// supervisor has seen their end.
   void reap_orphans() {
-    std::vector<pid_t> ours(started_.begin(), started_.end());
-    ours.insert(ours.end(), leaving_.begin(), leaving_.end());
-    for (const pid_t pid : zombie_children()) {
-      if (std::find(ours.begin(), ours.end(), pid) == ours.end()) {
-        ::waitpid(pid, nullptr, WNOHANG);
+    for (const pid_t pid : children()) {
+      if (!started_.contains(pid) && !leaving_.contains(pid) &&
+          ::waitpid(pid, nullptr, WNOHANG) == pid) {
         std::replace(helpers_.begin(), helpers_.end(), pid, pid_t{0});
       }
     }
@@ -265,7 +304,10 @@ class Session {
 
   void leave_nothing() {
     const auto deadline = steady_clock::now() + kOrphanGrace;
-    while (true) {
+    sigset_t child;
+    sigemptyset(&child);
+    sigaddset(&child, SIGCHLD);
+    for (auto round = kRound;; round = std::min(2 * round, kLongestRound)) {
       const bool spares = steady_clock::now() < deadline;
       kill_descendants(spares ? leaving_ : std::set<pid_t>());
       pid_t pid = 0;
@@ -275,7 +317,8 @@ class Session {
       if (pid < 0 && errno == ECHILD) {
         return;
       }
-      ::usleep(static_cast<useconds_t>(std::chrono::microseconds(kRound).count()));
+      const timespec limit{0, std::chrono::nanoseconds(round).count()};
+      ::sigtimedwait(&child, nullptr, &limit);
     }
   }
 
@@ -286,7 +329,7 @@ class Session {
   UniqueFd group_;  // the folder of the session's control group, if it has one
   std::set<pid_t> started_;
   std::set<pid_t> leaving_;
-  std::vector<Fork> held_;
+  std::vector<Held> held_;
   steady_clock::time_point held_since_;
   steady_clock::time_point due_;
   std::vector<pid_t> helpers_;  // 0 or less: it does not run

@@ -12,11 +12,12 @@ namespace play_launch::guard {
 ///
 /// The socket is a SOCK_SEQPACKET; each request has one answer, both native-endian 32-bit integers:
 ///   spawn   {1, leaves by itself, number of a zygote or 0, number n of descriptors, their numbers
-///   in
-///           the child}, with the descriptors: a file with the command (see Command), the socket of
-///           the zygote if there is one, then those n.
+///           in the child}, with the descriptors: a file with the command (see Command), the end of
+///           a pipe, the socket of the zygote if there is one, then those n.
 ///           -> {pid, or -errno; why the zygote did not do it: errno, or 0}
-///           A fork of a zygote begins later, when no further one was asked for for 10 ms.
+///           Nothing is executed before a byte is in the pipe: the supervisor has the answer then.
+///           When the pipe ends without one, the process ends. A fork of a zygote begins later,
+///           when no further one was asked for for 10 ms.
 ///   status  {2, pid} -> {1: ended, 0: runs, or -errno; code, status as in siginfo_t}
 ///   reap    {3, pid} -> the same, and the zombie is gone
 ///   helper  {4, n, their numbers in the child}, with the command and the descriptors: starts what
