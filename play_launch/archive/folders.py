@@ -102,6 +102,8 @@ def is_own_file(path: Path) -> bool:
     """Whether it has a name that play-launch gives."""
     for suffix in (HALF_SUFFIX, DAMAGED):
         path = path.with_name(path.name.removesuffix(suffix))
+    if path.suffix == ".html":  # a report where it is written by default; it can be made again
+        path = path.with_suffix(".mcap")
     return path.name in _OWN or part_file(path) is not None
 
 

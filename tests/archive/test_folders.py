@@ -10,6 +10,7 @@ import pytest
 
 from play_launch.archive.folders import REMOVING, list_sessions, session_entry
 from play_launch.archive.removal import finish_removals, remove_session
+from play_launch.cli.write_page import write_report
 from play_launch.control.place import CONTROL_SOCKET
 from tests.archive.scenes import begin_session, cut_off_session, name_of, past_session
 
@@ -55,6 +56,20 @@ def test_removed_is_what_neither_runs_nor_is_pinned(tmp_path: Path) -> None:
     writer.close()
     assert {path.name for path in tmp_path.iterdir()} == {running.name, pinned.name}
     assert everything(pinned) == {"notes.txt", "session.mcap", "metadata.yaml"}
+
+
+def test_a_report_in_its_usual_place_keeps_nothing(tmp_path: Path) -> None:
+    session = past_session(tmp_path, 1, parts=2)
+    for recording in (session, session / "session_1.mcap"):
+        assert not write_report(recording, None)
+    reports = {"session.html", "session_1.html"}
+    assert reports < everything(session)
+    (entry,) = list_sessions(tmp_path)
+    assert entry.others == ()
+    (session / "mine.html").touch()
+    assert not remove_session(session)
+    (session / "mine.html").unlink()
+    assert remove_session(session)
 
 
 def test_the_socket_of_a_killed_session_keeps_nothing(
