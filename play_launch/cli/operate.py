@@ -59,7 +59,10 @@ class Verb(Protocol):
 def main(arguments: Sequence[str]) -> int:
     """Run one of the verbs; ``arguments`` start with it. Returns the exit code."""
     verb = _module_of(arguments[0])
-    options = parser_of(arguments[0]).parse_args(arguments[1:])
+    parser = parser_of(arguments[0])
+    # Options may stand between names, where these are not those of a verb below.
+    parse = parser.parse_args if arguments[0] == "param" else parser.parse_intermixed_args
+    options = parse(arguments[1:])
     try:
         with _connected(options) as client:
             status = verb.run(client, options)

@@ -108,6 +108,8 @@ def test_arguments_of_diff_and_apply(main: Path, tmp_path: Path) -> None:
         all_loaded(replay, 1)
         before = pids(replay)
         assert command(replay, "diff", main, "greeting:=Hello").returncode == 0
+        options = "--container-type", "same", "greeting:=Hello"
+        assert command(replay, "diff", main, *options).returncode == 0
         found = command(replay, "diff", main)
         assert found.returncode == 1
         assert "nothing from a part" in found.stdout
