@@ -11,10 +11,12 @@ import select
 import sys
 import time
 from importlib.util import find_spec
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import msgspec
 
+from play_launch.core.ament_index import ament_prefixes
 from play_launch.install.ros import spawn_guard
 from play_launch.launch_files.records import Description, Failure, LaunchFileError, Origin, Place
 from play_launch.launch_files.records import decode as decode_records
@@ -24,7 +26,6 @@ from play_launch.process.guard import SessionGuard
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from pathlib import Path
 
     from play_launch.process.exit import Exit
 
@@ -92,7 +93,7 @@ def _run(job: Job, text: str) -> Description | Failure:
                 argv = [sys.executable, "-P", "-m", _MODULE, text]
                 with open(os.devnull, "rb") as nothing:  # noqa: PTH123
                     streams = {0: nothing.fileno(), 1: write, 2: 2}
-                    pid = guard.spawn(argv, os.environ, streams, leaves_by_itself=False)
+                    pid = guard.spawn(argv, _environment(), streams, leaves_by_itself=False)
             finally:
                 os.close(write)
             if not job.only_arguments:
@@ -107,6 +108,12 @@ def _run(job: Job, text: str) -> Description | Failure:
             return _failure(job, f"it ends its own evaluation: {_end(guard, pid)}")
     finally:
         guard.close()
+
+
+def _environment() -> dict[str, str]:
+    """Return ours, in which ROS finds the packages that what is started will find."""
+    prefixes = dict.fromkeys([Path(sys.prefix), *ament_prefixes(os.environ)])
+    return {**os.environ, "AMENT_PREFIX_PATH": os.pathsep.join(map(str, prefixes))}
 
 
 def _failure(job: Job, message: str) -> Failure:

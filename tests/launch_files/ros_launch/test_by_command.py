@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import subprocess
+import sys
 from pathlib import Path
 
 import psutil
@@ -39,6 +40,24 @@ def test_what_is_printed_is_no_part_of_the_configuration(prefix: Prefix) -> None
     assert "loading" not in done.stdout
     assert "loading" in done.stderr
     assert "command: [sleep" in done.stdout
+
+
+BESIDE = """
+from ament_index_python.packages import get_package_share_directory
+def generate_launch_description():
+    share = get_package_share_directory("play_launch_demo")
+    return LaunchDescription([ExecuteProcess(cmd=["ls", share])])
+"""
+
+
+def test_packages_beside_play_launch_are_found_where_no_workspace_is_sourced(
+    prefix: Prefix, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("AMENT_PREFIX_PATH")
+    done = dump(prefix.file("a.launch.py", python(BESIDE)))
+    assert done.returncode == 0, done.stderr
+    assert f"{sys.prefix}/share/play_launch_demo" in done.stdout
+    assert "AMENT_PREFIX_PATH" not in done.stdout
 
 
 @pytest.mark.parametrize("words", [(), ("--json",), ("--show-args",)])
