@@ -374,6 +374,38 @@ def test_shell_lines_unset_variables_and_labels(tmp_path: Path) -> None:
     assert second.prefix == ("env", "-u", "A", "nice")
 
 
+def test_a_debugger_before_a_node_stays_where_a_shell_starts_it(tmp_path: Path) -> None:
+    box = {"package": "rclcpp_components", "executable": "component_container", "name": "box"}
+    prefix = ["gdb", "-ex", "run", "--args"]
+    for arguments, reported in (([], False), (["$HOME"], True)):
+        made = write(
+            node(shell=True, prefix=[*prefix, *arguments]),
+            node(shell=True, prefix=prefix, arguments=arguments, name="o"),
+            node(kind=ProgramKind.CONTAINER, shell=True, prefix=[*prefix, *arguments], **box),
+        )
+        config = load(made, tmp_path)
+        prefixes = [each.prefix for each in config.nodes]
+        prefixes += [each.prefix for each in config.containers]
+        assert [each[:4] for each in prefixes] == [tuple(prefix)] * 3
+        assert sorted(lost(made)) == [
+            f"{name}: shell: its words are given to the program as they are: $HOME"
+            for name in ("/a/box", "/a/n", "/a/o")[: 3 * reported]
+        ]
+
+
+def test_how_often_a_container_comes_back(tmp_path: Path) -> None:
+    box = {"package": "rclcpp_components", "executable": "component_container"}
+    made = write(
+        *(
+            node(kind=ProgramKind.CONTAINER, name=name, respawn_max_retries=3, **more, **box)
+            for name, more in (("a", {"respawn": True, "respawn_delay": 2.0}), ("b", {}))
+        )
+    )
+    often, always = (each.restart for each in load(made, tmp_path).containers)
+    assert (often.max_restarts, often.initial, often.within) == (3, 2.0, 8760 * 3600.0)
+    assert always.max_restarts != 3
+
+
 def test_time_outs_for_stopping_hold_for_all(tmp_path: Path) -> None:
     made = write(
         node(name="one", sigterm_timeout=7.0, sigkill_timeout=3.5),

@@ -12,7 +12,7 @@ from play_launch.launch_files.configuration.options import Containers
 from play_launch.launch_files.configuration.process_parameters import add_parameters, add_sections
 from play_launch.launch_files.configuration.sources import values_of
 from play_launch.launch_files.configuration.yaml_text import Commented
-from play_launch.launch_files.records import AtExit, typed_value
+from play_launch.launch_files.records import AtExit, ProgramKind, typed_value
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -98,8 +98,9 @@ class Members:
         for source, target in self._remappings(unit):
             extra += ["-r", f"{source}:={target}"]
         self._add_common(entry, unit, extra)
-        if unit.respawn_delay:
-            entry["restart"] = {"backoff": _backoff(unit.respawn_delay)}
+        # It comes back in any case, without `respawn` as often as ours do.
+        if restart := _restart(unit, unit.respawn_max_retries if unit.respawn else -1):
+            entry["restart"] = restart
         if unit.on_exit is AtExit.SHUTDOWN:
             entry["on_exit"] = "shutdown"
         if unit.cwd:
@@ -134,12 +135,11 @@ class Members:
             if unit.arguments:
                 entry["arguments"] = unit.arguments
         elif unit.command:
+            in_shell = unit.shell and unit.kind is ProgramKind.PROCESS
             entry["command"] = (
-                ["/bin/sh", "-c", " ".join([*prefix, *unit.command])]
-                if unit.shell
-                else unit.command
+                ["/bin/sh", "-c", " ".join([*prefix, *unit.command])] if in_shell else unit.command
             )
-            if unit.shell:
+            if in_shell:
                 prefix = []
             if "name" not in entry and (label := self._program_names.label(unit)):
                 entry["name"] = label
@@ -180,6 +180,8 @@ class Members:
         prefix: list[str] | None = None,
     ) -> None:
         prefix = list(unit.prefix) if prefix is None else prefix
+        if unit.shell and unit.kind is not ProgramKind.PROCESS:
+            self._report_shell(unit)
         if unit.unset:
             prefix = ["env", *(word for name in unit.unset for word in ("-u", name)), *prefix]
         if prefix:
@@ -191,6 +193,14 @@ class Members:
         self._add_level(entry, unit)
         if unit.output in _INTO_FILES and not self._options.show_all:
             entry["output"] = "log"
+
+    def _report_shell(self, unit: Process) -> None:
+        """Report what only a shell would make something else of."""
+        words = [*unit.prefix, *unit.command, *unit.arguments, *unit.ros_arguments]
+        special = [word for word in words if shlex.quote(word) != word]
+        if special:
+            what = f"shell: its words are given to the program as they are: {' '.join(special)}"
+            self._lost(unit, what)
 
     def _add_level(self, entry: dict[str, Any], unit: Unit) -> None:
         if unit.log_level:
@@ -214,13 +224,7 @@ class Members:
         if not unit.respawn:
             return
         entry["respawn"] = True
-        restart: dict[str, Any] = {}
-        if unit.respawn_max_retries >= 0:
-            # Counted from the start on, not within a time.
-            restart |= {"max_restarts": unit.respawn_max_retries, "within": _YEAR}
-        if unit.respawn_delay:
-            restart["backoff"] = _backoff(unit.respawn_delay)
-        if restart:
+        if restart := _restart(unit, unit.respawn_max_retries):
             entry["restart"] = restart
 
     def _without_names(self, unit: Process, words: Iterable[str]) -> list[str]:
@@ -277,6 +281,16 @@ def _parted(arguments: Iterable[str]) -> tuple[list[str], list[str]]:
         else:
             into.append(word)
     return own, for_ros
+
+
+def _restart(unit: Process, max_retries: int) -> dict[str, Any]:
+    restart: dict[str, Any] = {}
+    if max_retries >= 0:
+        # Counted from the start on, not within a time.
+        restart |= {"max_restarts": max_retries, "within": _YEAR}
+    if unit.respawn_delay:
+        restart["backoff"] = _backoff(unit.respawn_delay)
+    return restart
 
 
 def _backoff(delay: float) -> dict[str, Any]:

@@ -41,18 +41,14 @@ def record_process(scene: Scene, action: Any) -> Process:
     else:
         process.kind = ProgramKind.PROCESS
         process.command = words
-    if action.shell:
-        _write_for_shell(process, words)
+    process.shell = bool(action.shell)
+    if process.shell and process.kind is ProgramKind.PROCESS:
+        # The one line that launch gives to a shell.
+        process.command = [" ".join([*process.prefix, *words])]
+        process.prefix = []
     _read_settings(scene, process, action)
     _read_environment(scene, process, description.final_env)
     return process
-
-
-def _write_for_shell(process: Process, words: list[str]) -> None:
-    """Write the one line that launch gives to a shell; what ROS adds is part of it."""
-    process.shell = True
-    process.command = [" ".join([*process.prefix, *words])]
-    process.prefix = []
 
 
 def _read_settings(scene: Scene, process: Process, action: Any) -> None:

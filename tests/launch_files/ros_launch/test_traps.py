@@ -302,6 +302,14 @@ def test_a_shell(prefix: Prefix) -> None:
     assert process.command == ["echo $HOME && true"]
 
 
+def test_a_debugger_and_a_shell(prefix: Prefix) -> None:
+    node = "package='pkg', executable='talker', prefix='gdb -ex run --args', shell=True"
+    (process,) = processes(prefix.evaluate("a.launch.py", python(f"Node({node}, name='t')")))
+    assert process.shell
+    assert (process.package, process.executable, process.name) == ("pkg", "talker", "t")
+    assert process.prefix == ["gdb", "-ex", "run", "--args"]
+
+
 def test_a_clean_environment(prefix: Prefix, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SOMETHING", "1")
     text = python(
