@@ -22,6 +22,11 @@ class Cause(NamedTuple):
     includes: tuple[Place, ...] = ()
 
 
+def follow_an_exit(conditions: Conditions) -> bool:
+    """Whether a process ends before all of these hold."""
+    return any(each.event is Event.EXITED for each in conditions)
+
+
 class Causes:
     """Under which conditions something is visited now, and each unit was visited."""
 

@@ -16,6 +16,7 @@ from launch.event_handlers import OnIncludeLaunchDescription, OnProcessExit
 from launch.utilities import perform_substitutions, type_utils
 
 from play_launch.launch_files.records import Event
+from play_launch.launch_files.ros_launch.causes import follow_an_exit
 from play_launch.launch_files.ros_launch.composables import Composables
 from play_launch.launch_files.ros_launch.processes import record_process
 
@@ -210,6 +211,10 @@ def _what_is_done_later(scene: Scene) -> None:
         # launch has functions of its own, which are made in no launch file.
         if follows_event and scene.places.of_part(self).file:
             when = scene.described(scene.causes.now)
+            if follow_an_exit(scene.causes.now):
+                # It may clean up, or let go of brakes, and nothing runs yet.
+                scene.lost(self, f"OpaqueFunction when {when}: it is not called")
+                return None
             what = f"OpaqueFunction: it was called by the evaluation, not when {when}"
             scene.lost(self, what, is_note=True)
         return call(self, context)

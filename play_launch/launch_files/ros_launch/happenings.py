@@ -18,6 +18,7 @@ from launch.events.process import ProcessExited, ProcessStarted, ShutdownProcess
 from launch_ros.events.lifecycle import ChangeState
 
 from play_launch.launch_files.records import AtExit, Event, Process, StartCondition
+from play_launch.launch_files.ros_launch.causes import follow_an_exit
 from play_launch.launch_files.ros_launch.lifecycle import Lifecycles
 from play_launch.launch_files.ros_launch.unheard import Unheard, decides_by_status
 
@@ -35,6 +36,13 @@ _OF_A_PROCESS: Final = 4
 _MOST_IN_TURN: Final = 100
 """How many events are followed where each comes of the one before."""
 _TOO_MANY_IN_TURN: Final = f"what follows {_MOST_IN_TURN} events, one after the other"
+
+
+def _has_function(handler: Any) -> bool:
+    """Whether a handler calls what the launch file defines, instead of naming actions."""
+    if callable(getattr(handler, "_OnActionEventBase__on_event", None)):
+        return True
+    return type(handler).handle.__module__.partition(".")[0] not in {"launch", "launch_ros"}
 
 
 class Completion:
@@ -205,21 +213,18 @@ class Happenings:
                 self._scene.lost(known.part, _TOO_MANY_IN_TURN)
                 continue
             together = self._scene.causes.followed_by(known.conditions, conditions)
+            if follow_an_exit(together) and _has_function(handler):
+                when = self._scene.described(together)
+                what = f"a function decides what follows when {when}; it is not called"
+                self._scene.lost(known.part, what)
+                continue
             before, self._handling = self._handling, makers | {id(handler)}
             with self._scene.causes.under(together):
-                self._note_function(handler, known.part, event)
+                if decides_by_status(handler, event):
+                    what = "it asks for exit status 0; what follows does so at any status"
+                    self._scene.lost(known.part, what)
                 self._carry_out(partial(handler.handle, event, self._scene.context), known)
             self._handling = before
-
-    def _note_function(self, handler: Any, part: Any, event: Any) -> None:
-        """Report where a function of the launch file decides by how a process ends."""
-        function = getattr(handler, "_OnActionEventBase__on_event", None)
-        if isinstance(event, ProcessExited) and callable(function):
-            self._scene.lost(
-                part, "a function decides what follows; it was called for exit status 0"
-            )
-        elif decides_by_status(handler, event):
-            self._scene.lost(part, "it asks for exit status 0; what follows does so at any status")
 
     def _carry_out(self, yields: Callable[[], Any], known: _Registered) -> None:
         """Visit what a handler or a timer yields, where it was registered."""

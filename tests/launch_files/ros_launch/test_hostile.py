@@ -256,10 +256,10 @@ def generate_launch_description():
 
 def test_a_process_after_another_without_end(prefix: Prefix) -> None:
     text = python("""
-from launch.event_handlers import OnProcessExit
+from launch.event_handlers import OnProcessStart
 def another(*_):
     process = ExecuteProcess(cmd=["true"])
-    handler = OnProcessExit(target_action=process, on_exit=another)
+    handler = OnProcessStart(target_action=process, on_start=another)
     return [RegisterEventHandler(handler), process]
 def generate_launch_description():
     return LaunchDescription(another())

@@ -281,7 +281,7 @@ def test_a_node_that_is_only_configured(evaluated: Description) -> None:
                     "on_exit=lambda event, context: [b] if event.returncode == 0 else []))"
                 ),
             ],
-            "a function decides",
+            "a function decides what follows when true a has exited",
         ),
         (["OpaqueCoroutine(coroutine=sleep)"], "OpaqueCoroutine"),
         (["a", "RegisterEventHandler(on(ShutdownEvent, b))"], "it handles the shutdown"),
@@ -320,7 +320,7 @@ def test_a_node_that_is_only_configured(evaluated: Description) -> None:
         (
             [
                 "a",
-                "RegisterEventHandler(OnProcessExit(on_exit=lambda event, context: process('x')))",
+                "RegisterEventHandler(OnProcessStart(on_start=lambda event, _: process('x')))",
             ],
             "no end of it",
         ),
@@ -341,21 +341,63 @@ def test_what_has_no_record_is_reported_with_its_place(evaluated: Description, w
             "a",
             (
                 "RegisterEventHandler(OnProcessExit(target_action=a, on_exit=["
-                "LogInfo(msg='later'), OpaqueFunction(function=lambda context: [b])]))"
+                "LogInfo(msg='later'), TimerAction(period=1.0, actions=[b])]))"
+            ),
+            (
+                "RegisterEventHandler(OnProcessStart(target_action=a, on_start=["
+                "OpaqueFunction(function=lambda context: [c])]))"
             ),
         ]
     ],
     indirect=True,
 )
 def test_what_is_only_done_later(capfd: pytest.CaptureFixture[str], evaluated: Description) -> None:
-    assert starts(evaluated)["b"] == [exited("p1")]
+    assert starts(evaluated)["b"] == [exited("p1"), delay(1)]
+    assert starts(evaluated)["c"] == [started("p1")]
     assert all(loss.is_note for loss in evaluated.losses)
-    log, function = (loss.what for loss in evaluated.losses)
+    function, log = (loss.what for loss in evaluated.losses)
     assert log == "LogInfo when true a has exited"
-    assert function == "OpaqueFunction: it was called by the evaluation, not when true a has exited"
+    assert function == (
+        "OpaqueFunction: it was called by the evaluation, not when true a has started"
+    )
     errors = capfd.readouterr().err
     assert "now" in errors
     assert "later" not in errors
+
+
+RELEASE = "def release(*_): print('brakes released', flush=True); return [b]"
+HANDLER = """class Mine(EventHandler):
+    def handle(self, event, context): return release()"""
+EXITED = "matcher=lambda event: isinstance(event, ProcessExited)"
+
+
+@pytest.mark.parametrize(
+    "entity",
+    [
+        "RegisterEventHandler(OnProcessExit(target_action=a, on_exit=release))",
+        "RegisterEventHandler(OnProcessExit(on_exit=[OpaqueFunction(function=release)]))",
+        "RegisterEventHandler(OnExecutionComplete(target_action=a, on_completion=release))",
+        f"RegisterEventHandler(Mine({EXITED}, entities=[]))",
+        (
+            "RegisterEventHandler(OnProcessExit(on_exit=[TimerAction(period=1.0, actions=["
+            "OpaqueFunction(function=release)])]))"
+        ),
+    ],
+)
+def test_functions_for_an_exit_are_reported_and_not_called(
+    prefix: Prefix, capfd: pytest.CaptureFixture[str], entity: str
+) -> None:
+    text = f"""{HEAD}
+{RELEASE}
+{HANDLER}
+def generate_launch_description():
+    return LaunchDescription([{entity}, a])
+"""
+    found = prefix.evaluate("a.launch.py", text)
+    assert [each.what for each in found.losses if "not called" in each.what]
+    assert not any(each.is_note for each in found.losses)
+    assert starts(found) == {"a": []}
+    assert "brakes released" not in capfd.readouterr().err
 
 
 @pytest.mark.parametrize(
