@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
 from typing import TYPE_CHECKING
 
 import pytest
@@ -16,6 +15,7 @@ from play_launch.recording.session import Session, open_session
 from play_launch.recording.topics import LOG_ALL, OUTPUT
 from tests.recording.reading import messages, raw_messages
 from tests.recording.test_opening import description
+from tests.support.mounts import disk_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -27,15 +27,8 @@ LIMITS = RecorderLimits(batch=0.001, flush=0.001, retry=0.005, longest_retry=0.0
 
 @pytest.fixture
 def small_disk(tmp_path: Path) -> Iterator[Path]:
-    """A file system of 1 MiB; needs the right to mount."""
-    folder = tmp_path / "disk"
-    folder.mkdir()
-    command = ["mount", "-t", "tmpfs", "-o", f"size={SIZE}", "tmpfs", str(folder)]
-    mounted = subprocess.run(command, check=False, capture_output=True)
-    if mounted.returncode != 0:
-        pytest.skip("mounting needs privileges; an injected full disk covers the same path")
-    yield folder
-    subprocess.run(["umount", str(folder)], check=True)
+    with disk_of(str(SIZE), tmp_path / "disk") as folder:
+        yield folder
 
 
 def publish(session: Session, first: int, count: int) -> None:

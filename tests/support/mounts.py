@@ -1,8 +1,11 @@
-"""Commands in a mount namespace of their own, in which other file systems are mounted."""
+"""File systems of tests: small disks, and mount namespaces of single commands."""
 
 from __future__ import annotations
 
+import contextlib
 import subprocess
+from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -20,3 +23,16 @@ def mounted(mount: str, *command: object) -> list[str]:
     if denied.returncode != 0:
         pytest.skip(f"needs a mount namespace ({mount}): {denied.stderr.strip()}")
     return [*own, *map(str, command)]
+
+
+@contextlib.contextmanager
+def disk_of(size: str, folder: Path) -> Iterator[Path]:
+    """Give ``folder``, made for the block, as a disk of that size; skips without the right."""
+    folder.mkdir()
+    command = ["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(folder)]
+    if subprocess.run(command, check=False, capture_output=True).returncode != 0:
+        pytest.skip("mounting needs privileges")
+    try:
+        yield folder
+    finally:
+        subprocess.run(["umount", str(folder)], check=True)
