@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 import re
+import select
 import signal
 import socket
 import subprocess
@@ -19,6 +20,8 @@ from play_launch.control.place import CONTROL_SOCKET, LINKS, address_of, registe
 from play_launch.control.protocol import PROTOCOL, Code, ControlError, encode
 from play_launch.control.sessions import AmbiguousSessionError, NoSessionError, connect
 from tests.control.links import put_link
+from tests.support.replay import COMMAND, replaying
+from tests.support.waiting import until
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -248,3 +251,37 @@ def test_root_speaks_ros_as_the_user_of_the_session(tmp_path: Path) -> None:
     assert "CYCLONEDDS_URI" not in after
     for name in ("PATH", "LD_LIBRARY_PATH"):
         assert after.get(name) == before.get(name)
+
+
+@pytest.mark.parametrize(
+    ("number", "code", "words"),
+    [
+        (signal.SIGINT, 0, "the session robot (pid {}) has ended\n"),
+        (signal.SIGKILL, 1, "error: the supervisor of the session robot (pid {}) was killed\n"),
+    ],
+)
+def test_what_follows_a_session_reports_how_it_ended(
+    number: signal.Signals, code: int, words: str, tmp_path: Path
+) -> None:
+    config = tmp_path / "robot.yaml"
+    node = "{name: talker, command: [sh, -c, echo hello; exec sleep infinity]}"
+    config.write_text(f"{{version: 1, name: robot, record: {{ros: false}}, nodes: [{node}]}}")
+    with replaying(config, tmp_path / "logs") as replay, contextlib.ExitStack() as opened:
+        replay.read_until(lambda event: event.get("text") == "hello", "its output")
+        waiting = [str(COMMAND), "wait", "--timeout", "60"]
+        subprocess.run(waiting, check=True, stdout=subprocess.DEVNULL)
+        piped: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+        followers = [
+            opened.enter_context(subprocess.Popen([str(COMMAND), verb, "-f"], **piped))
+            for verb in ("events", "logs")
+        ]
+        for each in followers:
+            opened.callback(each.kill)
+        for each in followers:
+            opened.callback(each.kill)
+        pipes = [each.stdout for each in followers if each.stdout is not None]
+        until(lambda: len(select.select(pipes, [], [], 0)[0]) == len(pipes), "lines of the past")
+        replay.process.send_signal(number)
+        for each in followers:
+            assert each.communicate(timeout=60)[1] == words.format(replay.pid)
+            assert each.returncode == code
