@@ -14,6 +14,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 from play_launch.cli.show.streams import let_go_of
+from play_launch.cli.show.terminal import printable
 from play_launch.graph_daemon.client.graph_client import (
     DEFAULT_TIMEOUT,
     DaemonError,
@@ -299,23 +300,28 @@ def _plain(entry: Named) -> dict[str, object]:
 def _print_json(value: object) -> None:
     import json  # noqa: PLC0415 - not needed for lines
 
-    _say(json.dumps(value, ensure_ascii=False))
+    sys.stdout.write(f"{json.dumps(value)}\n")
 
 
 def _say(line: str) -> None:
-    sys.stdout.write(f"{line}\n")
+    _print_lines([line])
 
 
 def _print_lines(lines: Iterable[str]) -> None:
-    sys.stdout.writelines(f"{line}\n" for line in lines)
+    sys.stdout.writelines(f"{_one_line(line)}\n" for line in lines)
 
 
 def _report(message: str) -> None:
-    sys.stderr.write(f"error: {message}\n")
+    sys.stderr.write(f"error: {printable(message, colour=False)}\n")
 
 
 def _warn(message: str) -> None:
-    sys.stderr.write(f"warning: {message}\n")
+    sys.stderr.write(f"warning: {_one_line(message)}\n")
+
+
+def _one_line(text: str) -> str:
+    """Make a line of what holds names: those come from any program in the network."""
+    return printable(text.replace("\n", " "), colour=False)
 
 
 def _seconds(text: str) -> float:

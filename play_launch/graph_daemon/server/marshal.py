@@ -9,6 +9,7 @@ no ROS.
 from __future__ import annotations
 
 import base64
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
@@ -20,6 +21,8 @@ _HEAD: Final = "<?xml version='1.0'?>\n<methodResponse>\n"
 _TAIL: Final = "</methodResponse>\n"
 _BASE64_LINE: Final = 57
 """Bytes on a line of base64; 57 give the 76 characters of RFC 2045."""
+_NOT_XML: Final = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
+"""A participant may put any of these into a name; a parser would refuse the whole answer then."""
 FAULT_CODE: Final = 1
 """ros2cli's only fault code."""
 
@@ -142,7 +145,7 @@ def _write(value: object, parts: list[str]) -> None:
     # The frequent ones first: answers are mostly names.
     kind = type(value)
     if isinstance(value, str):
-        parts.append(f"<value><string>{escape(value)}</string></value>\n")
+        parts.append(f"<value><string>{_text(value)}</string></value>\n")
     elif kind is list or kind is tuple:
         parts.append("<value><array><data>\n")
         for element in value:  # type: ignore[attr-defined]
@@ -160,6 +163,10 @@ def _write(value: object, parts: list[str]) -> None:
         parts.append(f"</{value.tag}></value>")
     else:
         _write_rare(value, parts)
+
+
+def _text(value: str) -> str:
+    return escape(value if value.isprintable() else _NOT_XML.sub("\ufffd", value))
 
 
 def _write_rare(value: object, parts: list[str]) -> None:
@@ -184,7 +191,7 @@ def _write_struct(members: Mapping[str, object], parts: list[str]) -> None:
     for name, value in members.items():
         if not isinstance(name, str):
             raise TypeError("dictionary key must be string")
-        parts.append(f"<member>\n<name>{escape(name)}</name>\n")
+        parts.append(f"<member>\n<name>{_text(name)}</name>\n")
         _write(value, parts)
         parts.append("</member>\n")
     parts.append("</struct></value>\n")

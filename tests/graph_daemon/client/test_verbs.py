@@ -45,6 +45,7 @@ CAMERA = """\
     /act: p/action/A
   Action Clients:
 """
+WARNED = "warning: several nodes bear the same name, which confuses ROS: "
 Ask = Callable[..., int]
 
 
@@ -121,6 +122,45 @@ def test_two_nodes_of_one_name_are_listed_and_warned_about(
     out, err = capsys.readouterr()
     assert out == "/n\n/n\n"
     assert err.startswith("warning: several nodes bear the same name")
+
+
+CURSED = "cursed\x9b2J\x7f\nforged"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        ("node list", "/cursed2J forged\n/cursed2J forged\n"),
+        ("topic list -t", "/cursed2J forged [cursed2J forged]\n"),
+        ("service list", "/cursed2J forged\n"),
+    ],
+)
+def test_names_do_nothing_to_a_terminal(
+    ask: Ask, capsys: pytest.CaptureFixture[str], arguments: str, expected: str
+) -> None:
+    named = [[f"/{CURSED}", [CURSED]]]
+    answers: dict[str, object] = {
+        "get_node_names_and_namespaces": [[CURSED, "/"]] * 2,
+        "get_topic_names_and_types": named,
+        "get_service_names_and_types": named,
+    }
+    assert ask(*arguments.split(), answers=answers) == 0
+    out, err = capsys.readouterr()
+    assert out == expected
+    assert err in {"", f"{WARNED}/cursed2J forged\n"}
+    assert ask(*arguments.split()[:2], "--json", answers=answers) == 0
+    out, err = capsys.readouterr()
+    assert out.isascii()
+    assert out.strip().isprintable()
+    assert CURSED in json.loads(out)[0]["name"]
+
+
+def test_what_a_daemon_reports_does_nothing_to_a_terminal(
+    ask: Ask, capsys: pytest.CaptureFixture[str]
+) -> None:
+    broken: dict[str, object] = {"get_node_names_and_namespaces": Fault(1, CURSED)}
+    assert ask("node", "list", answers=broken) == 1
+    assert capsys.readouterr().err.replace("\n", "").isprintable()
 
 
 def test_node_info(ask: Ask, capsys: pytest.CaptureFixture[str]) -> None:

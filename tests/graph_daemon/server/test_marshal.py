@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import xmlrpc.client
 from typing import Any
 
@@ -42,7 +43,13 @@ values = st.recursive(
 
 def reference(value: Any) -> bytes:
     text = xmlrpc.client.dumps((value,), methodresponse=True, allow_none=True)
-    return text.encode("utf-8", "xmlcharrefreplace")
+    return encoded(text)
+
+
+def encoded(text: str) -> bytes:
+    """As Python writes it, but for characters that would make it no XML."""
+    kept = re.sub("[\x00-\x08\x0b\x0c\x0e-\x1f\ufffe\uffff]", "\ufffd", text)
+    return kept.encode("utf-8", "xmlcharrefreplace")
 
 
 @given(values)
@@ -50,10 +57,19 @@ def test_plain_values_are_written_as_python_does(value: Any) -> None:
     assert dump_response(value) == reference(value)
 
 
+@pytest.mark.parametrize("character", ["\x00", "\x1b", "\x1f", "\ud800", "\ufffe"])
+def test_a_character_that_xml_does_not_have_spoils_no_answer(character: str) -> None:
+    names = [[f"a{character}b", "/"], ["talker", "/"]]
+    found, _ = xmlrpc.client.loads(dump_response(names))
+    assert found == ([["a\ufffdb", "/"], ["talker", "/"]],)
+    with pytest.raises(xmlrpc.client.Fault, match="ValueError"):
+        xmlrpc.client.loads(dump_fault(ValueError(f"a{character}b")))
+
+
 @given(st.text())
 def test_faults_are_written_as_python_does(text: str) -> None:
     fault = xmlrpc.client.Fault(1, f"<class 'ValueError'>:{text}")
-    written = xmlrpc.client.dumps(fault, allow_none=True).encode("utf-8", "xmlcharrefreplace")
+    written = encoded(xmlrpc.client.dumps(fault, allow_none=True))
     assert dump_fault(ValueError(text)) == written
     assert dump_fault(fault) == written
 
