@@ -123,6 +123,11 @@ class System:
             )
         return self._applying
 
+    async def until_applied(self) -> None:
+        """Wait until no configuration is being applied."""
+        if self._applying is not None:
+            await self._applying.idle.wait()
+
     @property
     def is_stopping(self) -> bool:
         """Whether its end was asked for."""

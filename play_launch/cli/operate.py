@@ -98,14 +98,17 @@ class _Help(HelpFormatter):
 
 def _connected(options: Namespace) -> ControlClient:
     """Connect; where somebody waits anyway, for a session that begins in that time."""
-    deadline = time.monotonic() + (options.timeout if options.verb == "wait" else 0.0)
+    if options.verb != "wait":
+        return connect(options.session)
+    options.deadline = time.monotonic() + options.timeout
     while True:
+        left = options.deadline - time.monotonic()
         try:
-            return connect(options.session)
+            return connect(options.session, limit=max(left, _POLL))
         except AmbiguousSessionError:
             raise
         except NoSessionError:
-            if time.monotonic() + _POLL > deadline:
+            if left < _POLL:
                 raise
             time.sleep(_POLL)
 

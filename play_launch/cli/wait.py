@@ -19,10 +19,16 @@ LOADED: Final = "loaded"
 READY: Final = "ready"
 ACTIVE: Final = "active"
 _USUAL_LIMIT: Final = 60.0
-_SPARE: Final = 5.0
+_SPARE: Final = 1.0
+"""Seconds that the answer may be later than the limit."""
+_LEAST: Final = 0.001
+_ROUND: Final = 10.0
+"""Seconds in the graph until the session is asked again."""
 _CALL_LIMIT: Final = 2.0
 _SETTLED: Final = 0.5
-"""Seconds in which no further managed node is seen, until all of them are known."""
+"""Seconds in which no further service is seen, until all are known."""
+_UNSERVED: Final = 5.0
+"""The same where a node is seen without any service: few have none."""
 _LIFECYCLE: Final = "lifecycle_msgs/srv/GetState"
 _GET_STATE: Final = "/get_state"
 
@@ -43,23 +49,17 @@ def add_arguments(parser: ArgumentParser, verb: str) -> None:  # noqa: ARG001 - 
         type=seconds,
         default=_USUAL_LIMIT,
         metavar="S",
-        help=f"seconds, for a session to begin as well ({_USUAL_LIMIT:g})",
+        help=f"seconds in all, those until a session begins included ({_USUAL_LIMIT:g})",
     )
 
 
 def run(client: ControlClient, options: Namespace) -> int:
     """Wait; a failure ends it at once."""
-    began = time.monotonic()
-    deadline = began + options.timeout
-    arguments = {"names": options.names, "timeout": options.timeout}
-    if options.condition == ACTIVE:
-        # Those that are brought there; they can fail. The others are asked, see below.
-        arguments["for"] = ACTIVE
-    answer = client.ask("wait", arguments, limit=options.timeout + _SPARE)
-    up = [each["name"] for each in answer["results"]]
+    began = options.deadline - options.timeout
+    up = _up(client, options)
     waits_for: list[str] = []
     if options.condition != LOADED:
-        waits_for = _wait_in_the_graph(client, options, up, deadline)
+        up, waits_for = _wait_in_the_graph(client, options, up)
     seconds = time.monotonic() - began
     if options.json:
         values: dict[str, Any] = {
@@ -78,53 +78,90 @@ def run(client: ControlClient, options: Namespace) -> int:
     return OK
 
 
+def _up(client: ControlClient, options: Namespace) -> list[str]:
+    """Wait for what the session knows of, and return the names of what is up."""
+    left = max(options.deadline - time.monotonic(), _LEAST)
+    arguments = {"names": options.names, "timeout": left}
+    if options.condition == ACTIVE:
+        # Those that are brought there; they can fail. The others are asked, see below.
+        arguments["for"] = ACTIVE
+    answer = client.ask("wait", arguments, limit=left + _SPARE)
+    return [each["name"] for each in answer["results"]]
+
+
 def _wait_in_the_graph(
-    client: ControlClient, options: Namespace, up: list[str], deadline: float
-) -> list[str]:
-    """Return those that are not as they should be in time."""
+    client: ControlClient, options: Namespace, up: list[str]
+) -> tuple[list[str], list[str]]:
+    """Return what is up, and what of it is not as it should be in time.
+
+    The session is asked again from time to time: meanwhile nodes crash, come and go.
+    """
     from play_launch.cli.session_environment import enter_environment_of  # noqa: PLC0415 - slow
 
-    rows = client.ask("ps", {"names": up} if up else None)
-    # A process need not be a node, unless somebody says so; nor has every node a name.
-    expected = {
-        row["name"]
-        for row in rows
-        if (options.names or row["kind"] == "component") and "[" not in row["name"]
-    }
     enter_environment_of(client)
     from play_launch.ros.node_services import NodeServices  # noqa: PLC0415 - slow
 
     with NodeServices() as ros:
-        is_there = ros.until(lambda: ros.nodes() >= expected, deadline)
-        missing = [] if is_there else sorted(expected - ros.nodes())
-        if missing or options.condition == READY:
-            return missing
-        return _wait_until_active(ros, up, deadline)
+        managed = _Managed(ros)
+        while True:
+            end = min(options.deadline, time.monotonic() + _ROUND)
+            rows = [row for row in client.ask("ps") if row["name"] in up]
+            # A process need not be a node, unless it is named; nor has every node a name.
+            expected = {
+                row["name"]
+                for row in rows
+                if (options.names or row["kind"] == "component") and "[" not in row["name"]
+            }
+            missing: list[str] = []
+            if not ros.until(lambda: ros.nodes() >= expected, end):  # noqa: B023 - used at once
+                missing = sorted(expected - ros.nodes())
+            elif options.condition == ACTIVE:
+                missing = _inactive(ros, managed, up, expected, end)
+            if not missing or time.monotonic() >= options.deadline:
+                return up, missing
+            up = _up(client, options)
 
 
-def _managed(ros: NodeServices, up: list[str], deadline: float) -> list[str]:
-    """Find the managed ones by their services, which may be seen later than the nodes."""
-    found: set[str] = set()
-    since = time.monotonic()
+class _Managed:
+    """Tells managed nodes by their services, which may be seen later than the nodes."""
 
-    def has_settled() -> bool:
-        nonlocal found, since
-        services, now = ros.services(_LIFECYCLE), time.monotonic()
-        if services != found:
-            found, since = services, now
-        return now - since >= _SETTLED
+    def __init__(self, ros: NodeServices) -> None:
+        self._ros = ros
+        self._seen: dict[str, list[str]] = {}
+        self._since = time.monotonic()
 
-    ros.until(has_settled, deadline)
-    return [name for name in up if f"{name}{_GET_STATE}" in found]
+    def among(self, names: list[str], expected: set[str], deadline: float) -> list[str] | None:
+        """Find the managed ones of these, of which some are expected; None: not known in time."""
+
+        def is_settled() -> bool:
+            found = {
+                service: types
+                for service, types in self._ros.services().items()
+                if service.rpartition("/")[0] in names
+            }
+            if found != self._seen:
+                self._seen, self._since = found, time.monotonic()
+            # Nearly every node has some, those for its parameters.
+            is_served = expected <= {service.rpartition("/")[0] for service in found}
+            return time.monotonic() - self._since >= (_SETTLED if is_served else _UNSERVED)
+
+        if not self._ros.until(is_settled, deadline):
+            return None
+        return [name for name in names if _LIFECYCLE in self._seen.get(f"{name}{_GET_STATE}", ())]
 
 
-def _wait_until_active(ros: NodeServices, up: list[str], deadline: float) -> list[str]:
+def _inactive(
+    ros: NodeServices, managed: _Managed, up: list[str], expected: set[str], deadline: float
+) -> list[str]:
+    """Return the managed nodes that are not active in time."""
     from lifecycle_msgs.msg import State  # noqa: PLC0415 - slow
     from lifecycle_msgs.srv import GetState  # noqa: PLC0415
 
     from play_launch.ros.node_services import NodeServiceError  # noqa: PLC0415
 
-    inactive = _managed(ros, up, deadline)
+    inactive = managed.among(up, expected, deadline)
+    if inactive is None:
+        return sorted(expected)
     while inactive:
         for name in tuple(inactive):
             left = deadline - time.monotonic()

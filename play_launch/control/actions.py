@@ -27,7 +27,7 @@ from play_launch.control.outcome import (
 )
 from play_launch.control.protocol import Code, ControlError, names_argument, seconds_argument
 from play_launch.control.targets import chosen, full_name, members_of, nodes_of
-from play_launch.control.waiting import changes_of_state, until_judged
+from play_launch.control.waiting import changes_of_state, until_all_are, until_judged
 from play_launch.core.events import ContainerState
 from play_launch.core.managed import Autostart
 from play_launch.core.node_key import NodeKey
@@ -100,12 +100,8 @@ class Actions:
                 )
         limit = seconds_argument(arguments, "timeout", USUAL_LIMIT)
         names = names_argument(arguments)
-        view = self._publisher.view
-        expected = view.expected
-        processes = [each for each in self._system.processes if each not in view.dismissed]
-        targets = [*members_of(expected, processes), *nodes_of(expected)]
-        if names:
-            targets = self._targets(None, names)
+        named = self._targets(None, names) if names else []
+        targets = named or self._expected()
         self._refuse_if_stopping()
         verdicts: dict[Target, Verdict] = {}
 
@@ -115,9 +111,22 @@ class Actions:
             return _BEING_STOPPED if self._system.is_stopping and not is_up else verdict
 
         with changes_of_state(self._feed) as changed:
-            waiting = until_judged(targets, judged, verdicts, changed)
+            waiting = until_all_are(
+                lambda: named or self._expected(),
+                judged,
+                targets=targets,
+                verdicts=verdicts,
+                changed=changed,
+                until_applied=self._system.until_applied,
+            )
             await within(limit, waiting, targets, verdicts)
         return results_or_failure(targets, verdicts)
+
+    def _expected(self) -> list[Target]:
+        view = self._publisher.view
+        expected = view.expected
+        processes = [each for each in self._system.processes if each not in view.dismissed]
+        return [*members_of(expected, processes), *nodes_of(expected)]
 
     def _refuse_if_stopping(self) -> None:
         if self._system.is_stopping:
@@ -302,7 +311,7 @@ async def within(
         more = f" and {len(left) - _MOST_NAMED} more" if len(left) > _MOST_NAMED else ""
         raise ControlError(
             Code.TIMEOUT,
-            f"not done within {limit:g} s: {named}{more}",
+            f"not done within {limit:.3g} s: {named}{more}",
             results=results(targets, verdicts),
         ) from None
 

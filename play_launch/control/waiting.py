@@ -6,10 +6,10 @@ import asyncio
 import contextlib
 from typing import TYPE_CHECKING
 
-from play_launch.core.events import ManagedNodeChanged, StateEvent
+from play_launch.core.events import ManagedNodeChanged, StateEvent, Withdrawn
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Awaitable, Callable, Iterator, Sequence
 
     from play_launch.control.feed import Feed
     from play_launch.control.outcome import Verdict
@@ -23,7 +23,7 @@ def changes_of_state(feed: Feed) -> Iterator[asyncio.Event]:
     changed = asyncio.Event()
 
     def see(event: RunEvent) -> None:
-        if isinstance(event, StateEvent | ManagedNodeChanged):
+        if isinstance(event, StateEvent | ManagedNodeChanged | Withdrawn):
             changed.set()
 
     with feed.followed_by(see):
@@ -45,10 +45,54 @@ async def until_judged(
         changed: Is set when it is worth judging again.
     """
     while True:
-        for target in targets:
-            if target not in verdicts and (verdict := judge(target)) is not None:
-                verdicts[target] = verdict
+        _judge_missing(targets, judge, verdicts)
         if len(verdicts) == len(targets):
             return
         await changed.wait()
         changed.clear()
+
+
+def _judge_missing(
+    targets: Sequence[Target],
+    judge: Callable[[Target], Verdict | None],
+    verdicts: dict[Target, Verdict],
+) -> None:
+    for target in targets:
+        if target not in verdicts and (verdict := judge(target)) is not None:
+            verdicts[target] = verdict
+
+
+async def until_all_are(
+    choose: Callable[[], Sequence[Target]],
+    judge: Callable[[Target], Verdict | None],
+    *,
+    targets: list[Target],
+    verdicts: dict[Target, Verdict],
+    changed: asyncio.Event,
+    until_applied: Callable[[], Awaitable[None]],
+) -> None:
+    """Wait until all are done at the same moment, or one never will be.
+
+    Args:
+        choose: Gives what is waited for by now.
+        judge: Gives the verdict; None: not yet.
+        targets: Gets what is waited for.
+        verdicts: Gets the verdicts.
+        changed: Is set when it is worth judging again.
+        until_applied: Waits for a configuration that is being applied: until then members are
+            stopped that will be replaced or removed.
+    """
+    while True:
+        await until_applied()
+        changed.clear()
+        targets[:] = choose()
+        for left in verdicts.keys() - {*targets}:
+            del verdicts[left]
+        _judge_missing(targets, judge, verdicts)
+        if len(verdicts) == len(targets):
+            verdicts.clear()  # what was done earlier may not be any more
+            _judge_missing(targets, judge, verdicts)
+        is_failed = any(not each.is_done for each in verdicts.values())
+        if is_failed or len(verdicts) == len(targets):
+            return
+        await changed.wait()

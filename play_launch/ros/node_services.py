@@ -78,10 +78,9 @@ class NodeServices:
         found = self._node.get_node_names_and_namespaces()
         return {f"{namespace.rstrip('/')}/{name}" for name, namespace in found}
 
-    def services(self, kind: str) -> set[str]:
-        """Names of the services of a type that are seen by now."""
-        found = self._node.get_service_names_and_types()
-        return {name for name, types in found if kind in types}
+    def services(self) -> dict[str, list[str]]:
+        """Names of the services that are seen by now, with their types."""
+        return dict(self._node.get_service_names_and_types())
 
     def until(self, is_so: Callable[[], bool], deadline: float) -> bool:
         """Spin until something is so; False when the monotonic clock comes to ``deadline``."""
