@@ -54,7 +54,9 @@ def parse_duration(value: object) -> float:
         raise ValueError(f"expected {_FORMS}")  # noqa: TRY004 - pydantic collects ValueError
     # Not turned into a float yet: integers can be larger than any double.
     number = _parse_text(value) if isinstance(value, str) else value
-    if number > LONGEST_DURATION or math.isnan(number):
+    if number != number:  # noqa: PLR0124 - NaN; math.isnan() takes no integer of any size
+        raise ValueError(f"expected {_FORMS}")
+    if number > LONGEST_DURATION:
         raise ValueError(f"is longer than {LONGEST_DURATION / 3600:.0f} h, the longest duration")
     if number < 0 or math.copysign(1.0, number) < 0:
         raise ValueError("a duration cannot be negative")
