@@ -38,6 +38,8 @@ class RosFacts:
     """Why it cannot be used."""
     import_errors: Mapping[str, str] = field(default_factory=dict)
     """By module, for those that do not load."""
+    import_fix: str = ""
+    """What helps, where that is known."""
     rmw_in_use: str = ""
     rmw_asked_for: str = ""
     """``RMW_IMPLEMENTATION``."""
@@ -54,6 +56,8 @@ class ContainerFacts:
     program: str = ""
     problem: str = ""
     """Why there is none, or why it did not answer."""
+    fix: str = ""
+    """What helps, where that is known."""
     version: str = ""
     backends: tuple[str, ...] = ()
     mechanism: str = ""

@@ -12,7 +12,7 @@ import subprocess
 import sys
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from play_launch.core.ament_index import ament_prefixes
 from play_launch.doctor.container_probe import probe_container
@@ -46,6 +46,8 @@ from play_launch.install.ros import (
 )
 from play_launch.process.capabilities import Capability, has_capability
 from play_launch.process.machine import (
+    ADDRESS_SPACE_FIX,
+    SHARED_MEMORY_FIX,
     address_space,
     address_space_problem,
     full_shared_memory,
@@ -90,14 +92,13 @@ def gather() -> MachineFacts:
         installation = ros_installation()
     except (NotInstalledError, MixedInstallationError) as error:
         problem = str(error)
-    ros = _ros(installation, problem, os.environ)
+    obstacle = _obstacle()
+    ros = _ros(installation, problem, os.environ, obstacle)
     if installation is None:
         container = ContainerFacts(problem="it cannot be asked without ROS")
-    elif address_space_problem(address_space()):
-        container = ContainerFacts(problem="it is not asked: the address space is too small")
-    elif full_shared_memory(shared_memory_room()):
+    elif obstacle is not None:
         # The messages that it speaks would be the end of this process.
-        container = ContainerFacts(problem="it is not asked: shared memory is full")
+        container = ContainerFacts(problem=f"it is not asked: {obstacle.what}", fix=obstacle.fix)
     else:
         with _middleware(ros.rmw_in_use):
             container = probe_container(installation, os.environ)
@@ -116,6 +117,21 @@ def gather() -> MachineFacts:
     )
 
 
+class _Obstacle(NamedTuple):
+    """What ends each process that loads ROS."""
+
+    what: str
+    fix: str
+
+
+def _obstacle() -> _Obstacle | None:
+    if address_space_problem(address_space()):
+        return _Obstacle("the address space is too small", ADDRESS_SPACE_FIX)
+    if full_shared_memory(shared_memory_room()):
+        return _Obstacle("shared memory is full", SHARED_MEMORY_FIX)
+    return None
+
+
 def _python() -> PythonFacts:
     packages = versions()
     packages.pop("python", None)
@@ -127,13 +143,16 @@ def _python() -> PythonFacts:
 
 
 def _ros(
-    installation: RosInstallation | None, problem: str, environ: Mapping[str, str]
+    installation: RosInstallation | None,
+    problem: str,
+    environ: Mapping[str, str],
+    obstacle: _Obstacle | None,
 ) -> RosFacts:
     asked_for = environ.get("RMW_IMPLEMENTATION", "")
     if installation is None:
         return RosFacts(problem=problem, rmw_asked_for=asked_for)
-    errors, in_use = _imports(environ)
-    if asked_for and not in_use:
+    errors, in_use = ({"rclpy": obstacle.what}, "") if obstacle else _imports(environ)
+    if asked_for and not in_use and not obstacle:
         errors, in_use = _imports(_with_middleware(environ, ""))
     prefixes = ament_prefixes(child_environment(environ, installation))
     stock = ""
@@ -148,6 +167,7 @@ def _ros(
         source=installation.source.value,
         prefix=str(prefix),
         import_errors=errors,
+        import_fix=obstacle.fix if obstacle else "",
         rmw_in_use=in_use,
         rmw_asked_for=asked_for,
         middleware_problem=middleware_problem(installation, environ) or "",

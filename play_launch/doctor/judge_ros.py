@@ -48,8 +48,10 @@ def judge_ros(facts: RosFacts) -> list[Finding]:
     if facts.problem:
         return [fail("ROS", facts.problem, _NOTHING_STARTS, "as it says")]
     findings = [ok("ROS", f"{facts.source} in {facts.prefix}")]
-    findings += [_import_error(module, error) for module, error in facts.import_errors.items()]
-    findings.append(_rmw(facts))
+    fix = facts.import_fix or _REINSTALL
+    findings += [_import_error(module, error, fix) for module, error in facts.import_errors.items()]
+    if facts.rmw_in_use or facts.middleware_problem or not facts.import_fix:
+        findings.append(_rmw(facts))
     if facts.stock_container:
         findings.append(ok("stock containers", facts.stock_container))
     else:
@@ -68,7 +70,7 @@ def judge_container(facts: ContainerFacts, own_version: str) -> list[Finding]:
     """Judge our own container by what it said of itself."""
     if facts.problem:
         where = f"{facts.program}: {facts.problem}" if facts.program else facts.problem
-        return [fail("container", where, _NOTHING_STARTS, _REINSTALL)]
+        return [fail("container", where, _NOTHING_STARTS, facts.fix or _REINSTALL)]
     findings = []
     if facts.version and own_version and facts.version != own_version:
         findings.append(
@@ -98,12 +100,10 @@ def judge_container(facts: ContainerFacts, own_version: str) -> list[Finding]:
     return findings
 
 
-def _import_error(module: str, error: str) -> Finding:
+def _import_error(module: str, error: str, fix: str) -> Finding:
     if module in _NEEDED:
-        return fail(module, f"does not load: {error}", _NOTHING_STARTS, _REINSTALL)
-    return warn(
-        module, f"does not load: {error}", "container_type stock cannot be used", _REINSTALL
-    )
+        return fail(module, f"does not load: {error}", _NOTHING_STARTS, fix)
+    return warn(module, f"does not load: {error}", "container_type stock cannot be used", fix)
 
 
 def _rmw(facts: RosFacts) -> Finding:

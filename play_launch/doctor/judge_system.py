@@ -99,7 +99,8 @@ def judge_shared_memory(facts: SharedMemoryFacts, rmw: str = "") -> list[Finding
     if facts.total is not None and facts.free is not None:
         room = Room(facts.total, facts.free)
     if problem := full_shared_memory(room):
-        return [fail("shared memory", problem, "nothing can be started", SHARED_MEMORY_FIX)]
+        failure = fail("shared memory", problem, "nothing can be started", SHARED_MEMORY_FIX)
+        return [failure, _leftovers(facts)]
     if rmw and not is_fastdds(rmw):
         return [ok("shared memory", f"not judged: {rmw} is in use, and it is Fast DDS's matter")]
     if not facts.is_writable or facts.total is None or facts.free is None:
@@ -123,18 +124,18 @@ def judge_shared_memory(facts: SharedMemoryFacts, rmw: str = "") -> list[Finding
         ]
     else:
         findings = [ok("shared memory", says)]
-    if facts.leftovers:
-        findings.append(
-            warn(
-                "leftovers",
-                f"{facts.leftovers} of {facts.segments} files of Fast DDS belong to the dead",
-                "they use up memory, and whoever gets their port number next stumbles over them",
-                "they are removed at the end of the next run of play-launch",
-            )
-        )
-    else:
-        findings.append(ok("leftovers", f"none; {facts.segments} files of Fast DDS are in use"))
-    return findings
+    return [*findings, _leftovers(facts)]
+
+
+def _leftovers(facts: SharedMemoryFacts) -> Finding:
+    if not facts.leftovers:
+        return ok("leftovers", f"none; {facts.segments} files of Fast DDS are in use")
+    return warn(
+        "leftovers",
+        f"{facts.leftovers} of {facts.segments} files of Fast DDS belong to the dead",
+        "they use up memory, and whoever gets their port number next stumbles over them",
+        "the next run of play-launch removes them",
+    )
 
 
 def judge_network(facts: NetworkFacts, rmw: str = "") -> list[Finding]:

@@ -90,7 +90,9 @@ def test_with_a_small_address_space_the_doctor_says_so(size: int) -> None:
     result = run([*limited(size), COMMAND, "doctor", "--json"])
     assert result.returncode == 1
     assert result.stderr == ""
-    assert finding(result, "address space")["level"] == "fail"
+    for subject in ("address space", "rclpy", "container"):
+        found = finding(result, subject)
+        assert (found["level"], found["fix"].split(",")[0]) == ("fail", "ulimit -v unlimited")
 
 
 def test_an_address_space_of_a_gibibyte_is_enough(tmp_path: Path) -> None:
@@ -137,13 +139,19 @@ def test_full_shared_memory_is_refused(tmp_path: Path) -> None:
     report = run(mounted(mount, COMMAND, "doctor", "--json"))
     assert report.returncode == 1
     assert report.stderr == ""
-    assert finding(report, "shared memory")["level"] == "fail"
+    failed = [each for each in json.loads(report.stdout)["findings"] if each["level"] == "fail"]
+    assert [each["subject"] for each in failed] == ["rclpy", "container", "shared memory"]
+    # One thing is wrong, and each of them says what helps.
+    assert {each["fix"].partition(":")[0] for each in failed} == {"in docker"}
+    assert "shared memory is full" in finding(report, "rclpy")["says"]
 
 
 def test_shared_memory_that_the_dead_have_filled_is_cleaned_up(tmp_path: Path) -> None:
     left = "/dev/shm/fastrtps_0123456789abcdef"
     fill = f": > {left}_el && ! dd if=/dev/zero of={left} bs=4k 2> /dev/null"
     mount = f"{small_shared_memory('24m')} && {fill}"
+    report = run(mounted(mount, COMMAND, "doctor", "--json"))
+    assert "next run of play-launch removes them" in finding(report, "leftovers")["fix"]
     result = run(mounted(mount, *replay(configuration(tmp_path), "--duration", "1s")))
     assert result.returncode != 2, result.stderr
     assert "/dev/shm" not in result.stdout
