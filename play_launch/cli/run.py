@@ -229,6 +229,7 @@ async def _beside(what: str, work: Coroutine[None, None, None]) -> AsyncIterator
     finally:
         task.cancel()
         await asyncio.gather(task, return_exceptions=True)
+        work.close()  # it has not begun where the block has ended at once
 
 
 async def _failure_logged(what: str, work: Coroutine[None, None, None]) -> None:
