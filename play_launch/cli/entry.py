@@ -7,9 +7,6 @@ import os
 import signal
 import sys
 
-from play_launch.cli.session_verbs import SESSION_VERBS
-from play_launch.cli.show.streams import give_up_output, is_about_output, prepare_standard_streams
-
 OUTPUT_FAILED = 2
 """The exit code when what was asked for could not be written."""
 
@@ -22,6 +19,12 @@ def main() -> None:
     """
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
+    from play_launch.cli.show.streams import (  # noqa: PLC0415 - after the lines above
+        give_up_output,
+        is_about_output,
+        prepare_standard_streams,
+    )
+
     prepare_standard_streams()
     try:
         _run()
@@ -33,6 +36,8 @@ def main() -> None:
 
 
 def _run() -> None:
+    from play_launch.cli.session_verbs import SESSION_VERBS  # noqa: PLC0415 - as above
+
     if len(sys.argv) > 1 and sys.argv[1] in {"node", "topic", "service", "graph"}:
         # Past typer and all that comes with it: these are done before it would be imported.
         from play_launch.cli.graph import main as ask  # noqa: PLC0415 - not for other verbs

@@ -49,6 +49,14 @@ nodes:
   - name: shell
     command: [sh, -c, "sleep 600 & sleep 600"]
 """
+# Python runs it at its start.
+INTERRUPTED = """
+import os, signal, sys
+def hook(event, arguments):
+    if event == "import" and arguments[0] == {module!r}:
+        os.kill(os.getpid(), signal.SIGINT)
+sys.addaudithook(hook)
+"""
 MARK = "PLAY_LAUNCH_TEST_MARK"
 
 
@@ -135,3 +143,22 @@ def test_a_signal_at_any_moment_of_bring_up_ends_everything(ros_domain: int, ste
 def test_a_signal_before_anything_runs_leaves_nothing(ros_domain: int, step: int) -> None:
     signum = SIGNALS[step % len(SIGNALS)]
     run_and_interrupt(ros_domain, step * 0.04, signum, from_first_line=False)
+
+
+@pytest.mark.parametrize(
+    "module", ["play_launch.cli.session_verbs", "play_launch.cli.show.streams"]
+)
+def test_a_signal_amid_our_imports_ends_the_command_without_a_word(
+    module: str, tmp_path: Path
+) -> None:
+    (tmp_path / "sitecustomize.py").write_text(INTERRUPTED.format(module=module))
+    paths = [str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])]
+    result = subprocess.run(
+        [COMMAND, "ps"],
+        check=False,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert (result.returncode, result.stdout, result.stderr) == (-signal.SIGINT, "", "")
