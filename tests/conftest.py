@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import ctypes
 import os
 import signal
 import socket
@@ -16,6 +17,7 @@ import psutil
 import pytest
 
 from play_launch.fastdds.shared_memory import sweep
+from play_launch.install.ros import RosSource, ros_installation
 
 # For `tests.…`; at the end, so that `play_launch` is the installed package.
 sys.path.append(str(Path(__file__).resolve().parents[1]))
@@ -47,6 +49,18 @@ def claim_domain() -> tuple[int, socket.socket]:
     raise RuntimeError("all 80 ROS domains are taken by test processes")
 
 
+def load_interfaces() -> None:
+    """Load the libraries of our interfaces, which the dynamic loader then finds by their names.
+
+    With wheels LD_LIBRARY_PATH has their folder. Beside a sourced ROS only the children of
+    play-launch need it, and the tests, which use rclpy with these interfaces themselves.
+    """
+    ros = ros_installation()
+    if ros.source is RosSource.SYSTEM:
+        for library in sorted((ros.prefix / "lib").glob("lib*__rosidl_*.so")):
+            ctypes.CDLL(os.fspath(library), mode=ctypes.RTLD_GLOBAL)
+
+
 _DOMAIN, _CLAIM = claim_domain()
 atexit.register(_CLAIM.close)
 if "PYTEST_XDIST_WORKER" in os.environ:
@@ -58,6 +72,7 @@ if "PYTEST_XDIST_WORKER" in os.environ:
 os.environ["ROS_DOMAIN_ID"] = str(_DOMAIN)
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ.pop("ROS_LOCALHOST_ONLY", None)
+load_interfaces()
 # What a shell starts in the background ignores these, and so would all that the tests start.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGQUIT, signal.SIG_DFL)

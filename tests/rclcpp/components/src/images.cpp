@@ -7,22 +7,33 @@
 #include <sensor_msgs/msg/image.hpp>
 #include <sstream>
 #include <std_msgs/msg/string.hpp>
-#include <utility>
 
 namespace test_components {
 
 using sensor_msgs::msg::Image;
 
 /// Publishes 2 MB images, which say in their frame_id in which process and where they were made.
+/// One that is copied is kept, so that no copy gets its place.
 class ImageSource : public rclcpp::Node {
  public:
   explicit ImageSource(const rclcpp::NodeOptions& options) : Node("image_source", options) {
     publisher_ = create_publisher<Image>("image", 10);
     timer_ = create_wall_timer(std::chrono::milliseconds(10), [this] { publish(); });
+    if (!options.use_intra_process_comms()) {
+      kept_ = make();
+    }
   }
 
  private:
   void publish() {
+    if (kept_) {
+      publisher_->publish(*kept_);
+    } else {
+      publisher_->publish(make());
+    }
+  }
+
+  static Image::UniquePtr make() {
     constexpr std::uint32_t kBytes = 2'000'000;
     auto image = std::make_unique<Image>();
     image->width = image->step = kBytes;
@@ -32,9 +43,10 @@ class ImageSource : public rclcpp::Node {
     std::ostringstream text;
     text << ::getpid() << ' ' << static_cast<const void*>(image->data.data());
     image->header.frame_id = text.str();
-    publisher_->publish(std::move(image));
+    return image;
   }
 
+  Image::UniquePtr kept_;
   rclcpp::Publisher<Image>::SharedPtr publisher_;
   rclcpp::TimerBase::SharedPtr timer_;
 };
