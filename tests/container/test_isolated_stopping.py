@@ -88,7 +88,9 @@ def test_a_constructor_that_does_not_return_is_cut_off(spawn: StartContainer) ->
     container.loaded("Talker")
     container.load("SlowConstructor", parameters=FOREVER, node_name="sleeper")
     container.event(LOADING, full_node_name="/sleeper")
-    container.status()
+    container.status_when(
+        lambda status: all(node.pid != container.process.pid for node in status.nodes), "a process"
+    )
     pids, shared = children(container), segments_of([container.process.pid])
     container.process.send_signal(signal.SIGTERM)
     gone = container.event(UNLOADED, full_node_name="/sleeper")
