@@ -8,7 +8,7 @@ _list:
 # Make .venv with an editable install; run it again after a change in C++.
 setup:
     test -x {{python}} || python3 -m venv .venv
-    CI=1 {{python}} -m pip install --editable '.[jazzy,test]'
+    {{python}} -m pip install -C cmake.define.PLAY_LAUNCH_WARNINGS_ARE_ERRORS=ON --editable '.[jazzy,test]'
 
 # Run the demo.
 demo:

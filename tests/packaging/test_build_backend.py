@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import re
 import subprocess
 import sys
 import sysconfig
+import zipfile
 from pathlib import Path
 from types import ModuleType
 
@@ -42,8 +44,39 @@ def test_no_wheel_is_asked_for_where_ros_is_sourced(
     monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
     assert any(name.startswith("ros-") for name in backend.get_requires_for_build_wheel())
     (tmp_path / "share" / "rcl").mkdir(parents=True)
-    assert not any(name.startswith("ros-") for name in backend.get_requires_for_build_wheel())
-    assert not any(name.startswith("ros-") for name in backend.get_requires_for_build_editable())
+    for required in (
+        backend.get_requires_for_build_wheel(),
+        backend.get_requires_for_build_editable(),
+    ):
+        assert not any(name.startswith("ros-") for name in required)
+        # What ROS's generators import, which build isolation hides where the system has it.
+        assert {"catkin-pkg", "empy", "lark-parser", "numpy", "setuptools"} <= {
+            re.split("[=<>]", name)[0] for name in required
+        }
+
+
+def test_python_alone_needs_neither_compiler_nor_ros(
+    backend: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(ROOT)
+    for variable in ("CC", "CXX", "AMENT_PREFIX_PATH", "PYTHONPATH"):
+        monkeypatch.delenv(variable, raising=False)
+    cmake, ninja = (Path(sys.executable).parent / name for name in ("cmake", "ninja"))
+    for program in (cmake, ninja):
+        (tmp_path / "bin").mkdir(exist_ok=True)
+        (tmp_path / "bin" / program.name).symlink_to(program)
+    monkeypatch.setenv("PATH", str(tmp_path / "bin"))
+    settings = {
+        "cmake.define.PLAY_LAUNCH_PYTHON_ONLY": "ON",
+        "build-dir": str(tmp_path / "build"),
+    }
+    assert not any(
+        each.startswith("ros-") for each in backend.get_requires_for_build_wheel(settings)
+    )
+    wheel = backend.build_wheel(str(tmp_path), settings)
+    with zipfile.ZipFile(tmp_path / wheel) as archive:
+        assert "play_launch/__init__.py" in archive.namelist()
+        assert not any("component_container" in Path(each).name for each in archive.namelist())
 
 
 def test_a_missing_compiler_is_one_sentence(
