@@ -173,7 +173,7 @@ def _how_it_ended(hello: Hello, reason: str) -> tuple[str, int]:
     try:
         connect_to(hello.folder).close()
     except NoSessionError:
-        # Whoever ends in order removes its socket first.
+        # A session that ends in order removes its socket first.
         if os.path.lexists(f"{hello.folder}/{CONTROL_SOCKET}"):
             return f"the supervisor of the {name} was killed", FAILED
         return f"the {name} has ended", OK

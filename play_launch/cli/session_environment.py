@@ -49,7 +49,7 @@ def _become(user: int, group: int) -> None:
         entry = pwd.getpwuid(user)
         groups, home = os.getgrouplist(entry.pw_name, group), entry.pw_dir
     except KeyError:
-        pass  # a user of a container, who has no name here
+        pass  # a user of a container, without a name here
     os.setgroups(groups)
     os.setresgid(group, group, group)
     os.setresuid(user, user, user)

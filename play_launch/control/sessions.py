@@ -193,7 +193,7 @@ def glance(
 def find(links: Sequence[Link], limit: float, request: Request | None = None) -> list[Found]:
     """Connect to all of them at once, and ask them something; the links of dead ones are removed.
 
-    Whoever calls closes the clients. A session that does not answer within ``limit`` seconds is
+    The caller closes the clients. A session that does not answer within ``limit`` seconds is
     alive nevertheless.
     """
     asked = [_Asked(link, b"" if request is None else request_line(request)) for link in links]

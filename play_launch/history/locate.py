@@ -39,7 +39,7 @@ def _backtrace(finding: Finding) -> Backtrace:
 def _with_lines(finding: Finding, number: int, found: SourceLines) -> Finding:
     """Add them; ``number`` is that of the frame to blame.
 
-    Why the line of that is not known is said in the problems; for others nobody expects one.
+    Why the line of that is not known is said in the problems; others have none.
     """
     lines = tuple(found.lines.get(index) for index in range(len(finding.frames)))
     problem = found.problems.get(finding.frames[number].library)

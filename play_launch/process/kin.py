@@ -73,7 +73,7 @@ _unreadable: set[ProcessIdentity] = set()
 async def _marks_of(processes: Sequence[ProcessStat]) -> dict[ProcessIdentity, str]:
     """Read marks; those that cannot be read are left out.
 
-    A process that waits for a disk may hold up whoever reads its memory, even for ever. So it is
+    A process that waits for a disk may hold up readers of its memory, even for ever. So it is
     read in a thread that the end of the program does not wait for.
     """
     found: dict[ProcessIdentity, str] = {}

@@ -35,7 +35,7 @@ class Shared(Generic[_Result]):
     """Does a piece of work for many askers at once.
 
     When a system stops, a hundred containers ask within a few milliseconds. Everyone gets a result
-    of work that began after the question, and all who wait for the same one share it.
+    of work that began after the question, and all that wait for the same one share it.
     """
 
     def __init__(self, work: Callable[[], Coroutine[object, object, _Result]]) -> None:

@@ -73,7 +73,7 @@ def test_what_is_saved_meanwhile_is_applied_afterwards(tmp_path: Path) -> None:
             os.kill(pid, signal.SIGKILL)
 
 
-# Who asks for a change is looked up in a thread, which takes until a file is there.
+# The client that asks for a change is looked up in a thread, which takes until a file is there.
 SLOW_LOOKUP = """
 import os, time
 from play_launch.cli import entry

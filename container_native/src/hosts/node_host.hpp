@@ -70,7 +70,7 @@ class NodeHost {
   /// works; then the node is what it was.
   virtual void unload(std::uint64_t unique_id) = 0;
 
-  /// Nobody wants a node any more that on_loaded did not take in yet. A host that can end its
+  /// A node that on_loaded did not take in yet is not wanted any more. A host that can end its
   /// constructor does so within the limits of unload(); with the others it leaves when that
   /// returns.
   virtual void give_up(std::uint64_t) {}

@@ -56,7 +56,8 @@ struct Once {
 /// The calling thread's innermost one.
 thread_local constinit const Once* current_once = nullptr;
 
-/// Nobody waits for one on the stack of a thread that is dead, and the donor uses its stack again.
+/// No thread waits for one on the stack of a thread that is dead, and the donor uses its stack
+/// again.
 bool is_on_own_stack(const void* address) noexcept {
   const auto place = reinterpret_cast<std::uintptr_t>(address);
   return reinterpret_cast<std::uintptr_t>(__builtin_frame_address(0)) <= place &&

@@ -231,8 +231,8 @@ void wait_until_it_sleeps(pid_t process) {
   }
 }
 
-/// The one dies amidst it, in its first thread or another one; whoever waits for it meanwhile, and
-/// whoever comes later, initialises it, and that once.
+/// The one dies amidst it, in its first thread or another one; a thread that waits for it
+/// meanwhile, or one that comes later, initialises it, and that once.
 void test_an_initialisation_that_died(void (*use)(), int signal, bool in_first_thread) {
   Event begun;
   std::atomic<int> times{0};

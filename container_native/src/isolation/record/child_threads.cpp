@@ -15,8 +15,8 @@ namespace play_launch::isolation {
 
 namespace {
 
-/// Stores the initial value and wakes those who wait. Through the kernel: the memory may be gone,
-/// or be private to the dead node.
+/// Stores the initial value and wakes the waiting threads. Through the kernel: the memory may be
+/// gone, or be private to the dead node.
 void reset(std::uintptr_t once) noexcept {
   static_assert(PTHREAD_ONCE_INIT == 0 && sizeof(pthread_once_t) == sizeof(std::uint32_t));
   constexpr int kStoreZero = FUTEX_OP(FUTEX_OP_SET, PTHREAD_ONCE_INIT, FUTEX_OP_CMP_EQ, 0);

@@ -9,7 +9,7 @@
 
 namespace play_launch::isolation {
 
-/// What threads of a child are initialising for all who share the memory: function-local static
+/// What threads of a child are initialising for all that share the memory: function-local static
 /// variables, and what pthread_once() is for. Others wait for the end, which does not come when the
 /// child dies. thread_guard.cpp notes them. Async-signal-safe.
 class Initialisations {
