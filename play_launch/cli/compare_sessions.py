@@ -65,10 +65,10 @@ def compare_sessions(
             {**msgspec.to_builtins(each), "worse": each.is_worse, "better": each.is_better}
             for each in found.changes
         ]
-        say(msgspec.json.encode(values).decode())
+        say(msgspec.json.encode(values).decode(), beside=output)
     else:
         for line in _lines(words):
-            say(printable(line, colour=False))
+            say(printable(line, colour=False), beside=output)
     damaged = [report_damage(story.session.reader) for story in stories]
     if any(damaged):
         return DAMAGED

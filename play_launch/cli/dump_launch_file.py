@@ -18,6 +18,7 @@ from play_launch.cli.target import (
     target_of,
 )
 from play_launch.core.exit_code import ExitCode
+from play_launch.history.whole_file import is_passed_on
 from play_launch.launch_files.configuration.options import Containers, Options
 
 if TYPE_CHECKING:
@@ -65,7 +66,7 @@ def _heading(target: Target) -> str:
 
 
 def _placed(options: Options, output: Path | None) -> Options:
-    if output is None or (output.exists() and not output.is_file()):
+    if output is None or is_passed_on(output):
         # Nothing can stand beside what goes to stdout, or to a device.
         return options
     folder = output.absolute().parent

@@ -15,7 +15,7 @@ from play_launch.exporting.tables import WRITERS, rows
 from play_launch.exporting.trace import trace_events, write_trace
 from play_launch.history.bag_reader import NotARecordingError
 from play_launch.history.session import PastSession
-from play_launch.history.whole_file import OutputError, whole_file
+from play_launch.history.whole_file import OutputError, is_passed_on, whole_file
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -32,6 +32,8 @@ def export_session(file: Path, form: str, output: Path | None) -> int:
         fail(f"--format {form}: use one of {', '.join(FORMATS)}")
     if form == "parquet" and find_spec("pyarrow") is None:
         fail("--format parquet needs pyarrow: pip install 'play-launch-py[parquet]', or use csv")
+    if form != TRACE and output is not None and is_passed_on(output):
+        fail(f"--output {output}: tables need a folder")
     session = PastSession(file)
     target = output or _beside(file, form)
     try:
@@ -44,7 +46,7 @@ def export_session(file: Path, form: str, output: Path | None) -> int:
         fail(str(error), ExitCode.NODE_FAILED)
     except OSError as error:  # the folder of the tables
         fail(f"{error.filename or target}: {error.strerror or error}", ExitCode.NODE_FAILED)
-    say(f"{target}: {written}")
+    say(f"{target}: {written}", beside=target)
     return DAMAGED if report_damage(session.reader) else 0
 
 

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
-import os
-import tempfile
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from msgspec.structs import asdict
@@ -15,9 +11,11 @@ from play_launch.cli.failure import fail
 from play_launch.cli.show.terminal import say
 from play_launch.cli.target import complain, report_losses, sizes
 from play_launch.core.exit_code import ExitCode
+from play_launch.history.whole_file import OutputError, is_standard_output, whole_file
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+    from pathlib import Path
 
     from play_launch.launch_files.configuration.write import Written
 
@@ -32,9 +30,12 @@ def hand_over(
 ) -> ExitCode:
     """Write the configuration, report what it does not say, and return the exit code.
 
-    With `strict` nothing is written when anything was lost. `more` goes into the JSON.
+    Without `output` it goes to stdout. With `strict` nothing is written when anything was lost.
+    `more` goes into the JSON.
     """
     is_refused = strict and made.lost > 0
+    if output is not None and is_standard_output(output):
+        output = None
     if output is not None and not is_refused:
         for path, content in made.files.items():
             _make_folder(path.parent)
@@ -59,23 +60,11 @@ def _make_folder(folder: Path) -> None:
 
 def _write(content: bytes, output: Path) -> None:
     """Write all of it or nothing; what was there before stays until then."""
-    if output.exists() and not output.is_file():
-        with contextlib.suppress(OSError):
-            output.write_bytes(content)
-            return
-    temporary: str | None = None
     try:
-        descriptor, temporary = tempfile.mkstemp(prefix=f".{output.name}-", dir=output.parent)
-        with os.fdopen(descriptor, "wb") as file:
-            file.write(content)
-        mask = os.umask(0)
-        os.umask(mask)
-        Path(temporary).chmod(0o666 & ~mask)
-        Path(temporary).replace(output)
-    except OSError as error:
-        if temporary is not None:
-            Path(temporary).unlink(missing_ok=True)
-        fail(f"{output} cannot be written: {error.strerror}")
+        with whole_file(output) as file:
+            file.write_bytes(content)
+    except OutputError as error:
+        fail(str(error))
 
 
 def _values(made: Written, output: Path | None) -> dict[str, object]:

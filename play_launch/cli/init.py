@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Annotated, Final
 
@@ -10,6 +11,7 @@ import typer
 from play_launch.cli.failure import fail
 from play_launch.cli.schema import SCHEMA_FILE
 from play_launch.cli.show.terminal import say
+from play_launch.history.whole_file import is_standard_output
 
 _STARTER: Final = """\
 # yaml-language-server: $schema=SCHEMA
@@ -53,7 +55,12 @@ def init(
     ),
 ) -> None:
     """Write a commented configuration to begin with; a file that is there is kept."""
-    text = _STARTER.replace("SCHEMA", str(SCHEMA_FILE)).replace("FILE", file.name)
+    is_stdout = is_standard_output(file)
+    values = {"SCHEMA": str(SCHEMA_FILE), "FILE": "robot.yaml" if is_stdout else file.name}
+    text = re.sub("SCHEMA|FILE", lambda found: values[found[0]], _STARTER)
+    if is_stdout:
+        say(text.rstrip("\n"))
+        return
     try:
         with file.open("x", encoding="utf-8") as opened:
             opened.write(text)

@@ -15,6 +15,7 @@ from play_launch.cli import shared_options as options  # noqa: TC001 - typer eva
 from play_launch.cli.failure import fail
 from play_launch.cli.show.terminal import say
 from play_launch.cli.target import complain
+from play_launch.history.whole_file import is_standard_output
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -68,7 +69,7 @@ def systemd_unit(
     text = unit_text(service)
     for name in (*service.environment.secrets, *service.environment.impossible):
         complain(f"note: the variable {name} is not in the unit; a comment in there says why")
-    if output is None:
+    if output is None or is_standard_output(output):
         say(text.rstrip("\n"))
         return
     try:

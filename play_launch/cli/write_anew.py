@@ -23,7 +23,7 @@ def write_anew(file: Path, output: Path | None) -> int:
         recovered = recover(file, output or default_output(file))
     except RecoverError as error:
         fail(str(error), ExitCode.NODE_FAILED)
-    say(f"{recovered.path}: {recovered.messages:,} messages")
+    say(f"{recovered.path}: {recovered.messages:,} messages", beside=recovered.path)
     if not recovered.reader.damages:
         return 0
     report_damage(recovered.reader)

@@ -47,7 +47,7 @@ def write_report(file: Path, output: Path | None) -> int:
         fail(str(error))
     except OutputError as error:
         fail(str(error), ExitCode.NODE_FAILED)
-    say(f"{output}: {size / 1e6:.1f} MB")
+    say(f"{output}: {size / 1e6:.1f} MB", beside=output)
     return DAMAGED if report_damage(session.reader) else 0
 
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
+from pathlib import Path
 from typing import IO, TYPE_CHECKING, NamedTuple
 
 from mcap.writer import CompressionType, Writer
 
 from play_launch.history.bag_reader import BagReader, NotARecordingError
 from play_launch.history.index_folder import index_folder
+from play_launch.history.whole_file import OutputError, is_passed_on, whole_file
 from play_launch.recording.folder import open_bag, part_file
 from play_launch.recording.part import ACTIVE_SUFFIX, HALF_SUFFIX
 
@@ -51,13 +53,19 @@ def recover(path: Path, output: Path) -> Recovered:
         RecoverError: When the file is no recording, is being written, or ``output`` exists or
             cannot be written.
     """
-    if output.exists():
+    is_through = is_passed_on(output)
+    if output.exists() and not is_through:
         raise RecoverError(f"{output} exists; name another file with --output")
     try:
         with open_bag(path) as source:
             _refuse_what_is_written(path, source)
-            recovered = write_whole(path, output)
-    except NotARecordingError as error:
+            if is_through:
+                with whole_file(output) as file:
+                    recovered = write_whole(path, file)._replace(path=output)
+            else:
+                target = output.resolve() if output.is_symlink() else output
+                recovered = write_whole(path, target)._replace(path=output)
+    except (NotARecordingError, OutputError) as error:
         raise RecoverError(str(error)) from error
     except OSError as error:
         raise RecoverError(f"{error.filename or path}: {error.strerror}") from error

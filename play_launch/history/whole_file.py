@@ -1,24 +1,32 @@
-"""Files that are made of recordings: each appears when it is whole."""
+"""Files that commands write: each appears when it is whole.
+
+Nothing but regular files is replaced: what goes to standard output, a pipe or a device is passed
+on when it is whole, and a symbolic link goes on leading to its target.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import os
+import shutil
 import signal
+import sys
+import tempfile
 import threading
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
-
-from play_launch.history.file_end import MAGIC
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from pathlib import Path
     from types import FrameType
 
 _ELSEWHERE: Final = "name another file with --output"
 _NAME: Final = 50
 """Characters of a name that the unfinished file bears, too; names are limited to 255 bytes."""
 _ENDINGS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_STDOUT: Final = frozenset({"-", "/dev/stdout", "/dev/fd/1", "/proc/self/fd/1"})
+_MOST_LINKS: Final = 40
+"""Links that the kernel follows."""
 _unfinished: Final[set[Path]] = set()
 
 
@@ -30,25 +38,73 @@ class OutputError(Exception):
 def whole_file(output: Path) -> Iterator[Path]:
     """Give the path to write to; behind the block, what was written there is at ``output``.
 
+    ``-`` is standard output, as is what leads to descriptor 1.
+
     Nothing is left of a file that was not completed, be it for a full disk or for Ctrl-C.
 
     Raises:
         OutputError: When it cannot be written, also for an OSError in the block, or would replace
-            a recording or something that is no file.
+            a recording.
+        OSError: When standard output takes no more.
     """
-    half = output.parent / f".{output.name[:_NAME]}.{os.getpid()}.writing"
     try:
+        if is_passed_on(output):
+            with _passed_on(output) as file:
+                yield file
+            return
         _refuse_to_replace(output)
+        target = output.resolve() if output.is_symlink() else output
+        half = target.parent / f".{target.name[:_NAME]}.{os.getpid()}.writing"
         with _removed_by_signals(half):
-            try:
-                yield half
-                half.replace(output)
-            except BaseException:
-                half.unlink(missing_ok=True)
-                raise
+            yield half
+            half.replace(target)
     except OSError as error:
+        if is_standard_output(output):
+            raise
         reason = error.strerror or str(error) or type(error).__name__
         raise OutputError(f"{output}: {reason}; {_ELSEWHERE}") from error
+
+
+def is_standard_output(output: Path) -> bool:
+    """Whether that means what this process writes to as ``sys.stdout``.
+
+    Descriptor 1 itself leads to standard error, for libraries that write to it.
+    """
+    return any(step in _STDOUT for step in _steps(output))
+
+
+def is_passed_on(output: Path) -> bool:
+    """Whether that is neither a regular file nor one that is to be made."""
+    if output.exists() and not (output.is_file() or output.is_dir()):
+        return True
+    # Of a descriptor, what it leads to may have no name, or one that has to stay.
+    return is_standard_output(output) or any(
+        step.startswith(("/proc/", "/dev/fd/")) for step in _steps(output)
+    )
+
+
+def _steps(output: Path) -> Iterator[str]:
+    """Give a path, and what it leads to as a symbolic link, step by step."""
+    step = str(output)
+    for _ in range(_MOST_LINKS):
+        yield step
+        try:
+            step = os.path.join(os.path.dirname(step), os.readlink(step))  # noqa: PTH115, PTH118, PTH120
+        except OSError:
+            return
+
+
+@contextlib.contextmanager
+def _passed_on(output: Path) -> Iterator[Path]:
+    descriptor, name = tempfile.mkstemp(prefix="play_launch-")
+    os.close(descriptor)
+    with _removed_by_signals(Path(name)):
+        yield Path(name)
+        with Path(name).open("rb") as whole, contextlib.ExitStack() as opened:
+            is_stdout = is_standard_output(output)
+            sink = sys.stdout.buffer if is_stdout else opened.enter_context(output.open("wb"))
+            shutil.copyfileobj(whole, sink)
+            sink.flush()
 
 
 def _refuse_to_replace(output: Path) -> None:
@@ -56,8 +112,8 @@ def _refuse_to_replace(output: Path) -> None:
         raise OutputError(f"{output}: Is a directory; {_ELSEWHERE}")
     if not output.exists():
         return
-    if not output.is_file():
-        raise OutputError(f"{output}: is no regular file; {_ELSEWHERE}")
+    from play_launch.history.file_end import MAGIC  # noqa: PLC0415 - slow, rarely needed
+
     with output.open("rb") as file:
         if file.read(len(MAGIC)) == MAGIC:
             raise OutputError(f"{output}: is a recording; {_ELSEWHERE}")
@@ -65,7 +121,7 @@ def _refuse_to_replace(output: Path) -> None:
 
 @contextlib.contextmanager
 def _removed_by_signals(path: Path) -> Iterator[None]:
-    """Remove the file when a signal that nobody handles ends the process."""
+    """Remove the file, also when a signal that is not handled ends the process."""
     is_main = threading.current_thread() is threading.main_thread()
     taken = [each for each in _ENDINGS if is_main and signal.getsignal(each) == signal.SIG_DFL]
     _unfinished.add(path)
@@ -77,6 +133,7 @@ def _removed_by_signals(path: Path) -> Iterator[None]:
         for each in taken:
             signal.signal(each, signal.SIG_DFL)
         _unfinished.discard(path)
+        path.unlink(missing_ok=True)
 
 
 def _remove_and_end(number: int, _: FrameType | None) -> None:

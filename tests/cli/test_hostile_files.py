@@ -137,7 +137,6 @@ def test_what_is_no_recording_is_named(
     ("output", "reason"),
     [
         ("good.mcap", "is a recording"),
-        ("pipe", "is no regular file"),
         ("/", "Is a directory"),
         ("no/such/folder", "No such file or directory"),
         ("/proc/x", "No such file or directory"),
@@ -153,15 +152,73 @@ def test_what_cannot_be_an_output_stays_as_it_is(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    os.mkfifo("pipe")
     whole = good.read_bytes()
     words = [{"GOOD": str(good), "OUTPUT": output}.get(word, word) for word in verb]
     result = CliRunner().invoke(app, words)
     assert result.exit_code == 1
     assert result.stderr == f"error: {output}: {reason}; name another file with --output\n"
-    assert sorted(tmp_path.iterdir()) == [good, tmp_path / "pipe"]
+    assert sorted(tmp_path.iterdir()) == [good]
     assert good.read_bytes() == whole
-    assert Path("pipe").is_fifo()
+
+
+@pytest.mark.parametrize("output", ["-", "/dev/stdout", "/dev/fd/1", "/proc/self/fd/1", "link"])
+@pytest.mark.parametrize(
+    ("verb", "beginning"),
+    [
+        (("report", "good.mcap", "-o"), b"<!doctype html>"),
+        (("export", "good.mcap", "-o"), b"{"),
+        (("compare", "good.mcap", "good.mcap", "-o"), b"<!doctype html>"),
+        (("recover", "good.mcap", "-o"), b"\x89MCAP"),
+        (("dump", "a.launch.xml", "-o"), b"# From a.launch.xml"),
+        (("init",), b"# yaml-language-server"),
+    ],
+    ids=lambda words: words[0] if isinstance(words, tuple) else "",
+)
+def test_standard_output_is_an_output(
+    tmp_path: Path, good: Path, verb: tuple[str, ...], beginning: bytes, output: str
+) -> None:
+    (tmp_path / "link").symlink_to("/dev/stdout")
+    launch = "<launch><executable cmd='sleep 1000' name='a'/></launch>"
+    (tmp_path / "a.launch.xml").write_text(launch, encoding="utf-8")
+    before = sorted(tmp_path.iterdir())
+    with (tmp_path / "taken").open("wb") as stdout:
+        result = subprocess.run(
+            [COMMAND, *verb, output],
+            check=False,
+            cwd=tmp_path,
+            stdout=stdout,
+            stderr=subprocess.PIPE,
+            timeout=60,
+        )
+    assert result.returncode == 0, result.stderr
+    assert (tmp_path / "taken").read_bytes().startswith(beginning)
+    assert sorted(tmp_path.iterdir()) == [*before, tmp_path / "taken"]
+
+
+@pytest.mark.parametrize("verb", ["report", "recover", "dump"])
+def test_a_pipe_stays_one_and_a_link_leads_where_it_did(
+    tmp_path: Path, good: Path, verb: str
+) -> None:
+    launch = tmp_path / "a.launch.xml"
+    launch.write_text("<launch><executable cmd='sleep 1000' name='a'/></launch>", encoding="utf-8")
+    command = [str(COMMAND), verb, str(launch) if verb == "dump" else str(good), "-o"]
+    pipe, link, target = (tmp_path / name for name in ("pipe", "link", "target"))
+    os.mkfifo(pipe)
+    with subprocess.Popen([*command, str(pipe)], stdout=subprocess.DEVNULL) as writing:
+        passed = pipe.read_bytes()
+    assert writing.returncode == 0
+    # A reader that goes, while more comes than a pipe holds.
+    program = "import pathlib, sys; from play_launch.history.whole_file import *\n"
+    program += "with whole_file(pathlib.Path(sys.argv[1])) as f: f.write_bytes(bytes(1_000_000))"
+    with subprocess.Popen([sys.executable, "-c", program, pipe], stderr=subprocess.PIPE) as writing:
+        with pipe.open("rb") as reading:
+            assert reading.read(10)
+        assert b"Broken pipe; name another file" in writing.communicate(timeout=60)[1]
+    assert pipe.is_fifo()
+    link.symlink_to(target)
+    subprocess.run([*command, str(link)], check=True, timeout=60, stdout=subprocess.DEVNULL)
+    assert link.is_symlink()
+    assert target.read_bytes()[:100] == passed[:100]
 
 
 @pytest.mark.parametrize("arguments", [("report",), ("export",), ("export", "--format", "csv")])

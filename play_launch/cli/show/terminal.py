@@ -12,6 +12,7 @@ from play_launch.cli.show.streams import is_about_output, let_go_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from pathlib import Path
 
 RESET: Final = "\x1b[0m"
 _COLOUR: Final = re.compile(r"\x1b\[[0-9;]*m")
@@ -74,8 +75,17 @@ def is_terminal(stream: IO[str]) -> bool:
         return False
 
 
-def say(text: str) -> None:
-    """Write ``text`` and a line end to stdout; a reader that has gone is no error."""
+def say(text: str, *, beside: Path | None = None) -> None:
+    """Write ``text`` and a line end to stdout; a reader that has gone is no error.
+
+    Where a file that was written ``beside`` is stdout itself, ``text`` goes to stderr.
+    """
+    if beside is not None:
+        from play_launch.history.whole_file import is_standard_output  # noqa: PLC0415
+
+        if is_standard_output(beside):
+            print(text, file=sys.stderr)  # noqa: T201 - what it is for
+            return
     with surviving_the_reader():
         print(text, flush=True)  # noqa: T201 - what it is for
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import re
+import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 from play_launch.cli.top.app import End, TopApp
 from play_launch.cli.top.cells import clean
 from play_launch.control.protocol import Code, ControlError
+from play_launch.history.whole_file import is_standard_output
 
 if TYPE_CHECKING:
     from textual.pilot import Pilot
@@ -47,7 +49,10 @@ def write_picture(client: ControlClient, file: str, size: tuple[int, int]) -> in
     if not pictures:
         raise ControlError(Code.TIMEOUT, f"{client.hello.name} does not answer")
     try:
-        Path(file).write_text(pictures[0], encoding="utf-8")
+        if is_standard_output(Path(file)):
+            sys.stdout.write(pictures[0])
+        else:
+            Path(file).write_text(pictures[0], encoding="utf-8")
     except OSError as error:
         raise ControlError(Code.FAILED, f"cannot write {file}: {error.strerror}") from None
     return 0
