@@ -42,6 +42,8 @@ def report_damage(reader: BagReader) -> bool:
     """Write to stderr what cannot be read of a file; return whether there is anything."""
     for damage in reader.damages:
         print(f"warning: {reader.path}: {damage}", file=sys.stderr)  # noqa: T201 - for people
+    if reader.log_times.note:
+        print(f"note: {reader.path}: {reader.log_times.note}", file=sys.stderr)  # noqa: T201
     if not reader.is_complete and not reader.damages:
         print(  # noqa: T201 - for people
             f"warning: {reader.path}: it was not closed in order, so its end may be missing",
@@ -71,7 +73,7 @@ def session_object(story: Story) -> dict[str, Any]:
         "complete": reader.is_complete and not reader.damages,
         "damages": [str(damage) for damage in reader.damages],
         "session": session.about,
-        "started_ns": session.started_ns,
+        "started_ns": session.started_ns + reader.log_times.set_ns,
         "duration_s": seconds,
         "containers": len(view.containers),
         "nodes": len(nodes),

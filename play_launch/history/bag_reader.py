@@ -24,9 +24,10 @@ from msgspec import Struct
 
 from play_launch.history.file_end import MAGIC, NotTheEndError, problem_at_the_end
 from play_launch.history.records import (
-    INDEX,
     INDEX_HEAD,
     BrokenError,
+    LogTimes,
+    behind_indexes,
     check_index,
     is_too_long,
     read_attachment,
@@ -34,12 +35,13 @@ from play_launch.history.records import (
     read_content,
     read_record,
     refuse,
+    started_ns,
 )
-from play_launch.history.resync import next_chunk
+from play_launch.history.resync import may_begin, next_chunk
 from play_launch.recording.bag import PART_METADATA, REPEATED
 from play_launch.recording.folder import BAG_NAME, PartFile, open_bag, parts_of
 from play_launch.recording.part import part_path
-from play_launch.recording.topics import KEY, KIND
+from play_launch.recording.topics import KEY, KIND, SYSTEM
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterator
@@ -52,12 +54,8 @@ _MESSAGE: Final = struct.Struct("<HIQQ")
 _IN_CHUNK: Final = struct.Struct("<BQHIQQ")
 """A message with what precedes each record."""
 _MESSAGE_KIND: Final = int(Opcode.MESSAGE)
-_INDEX_KIND: Final = int(Opcode.MESSAGE_INDEX)
-_LOOK_AHEAD: Final = 4096
-"""Bytes that are looked at in one go behind a chunk, where the indexes of its messages stand."""
 _LISTED: Final = 100
 """Damages that are listed one by one."""
-_KINDS: Final = range(Opcode.HEADER, Opcode.DATA_END + 1)
 
 
 class NotARecordingError(Exception):
@@ -95,13 +93,17 @@ class Message(Struct, frozen=True, gc=False):
 
     topic: Topic
     log_time: int
+    """By the clock as it was when the session began, see `LogTimes`."""
     publish_time: int
+    """As it stands in the file."""
     data: bytes
     channel: int
     """Its number in the file."""
     offset: int
     """In the file, in bytes: of its record, or of the chunk that holds it."""
     sequence: int = 0
+    set_ns: int = 0
+    """What was taken off the log time: by how much the clock had been set forward."""
 
 
 class Description(NamedTuple):
@@ -147,6 +149,7 @@ class BagReader:
     _has_chunks: bool = False
     _passes_over: bool = False
     """Whether messages that repeat earlier ones are of no use."""
+    log_times: LogTimes = field(default_factory=LogTimes)
     _noted: Damage | None = None
     _unlisted: int = 0
 
@@ -282,7 +285,7 @@ class BagReader:
                         finally:
                             yield found
                         if kind == Opcode.CHUNK:
-                            end = _behind_indexes(file, end, size)
+                            end = behind_indexes(file, end, size)
                     case Opcode.ATTACHMENT:
                         self._attachment(read_content(file, kind, length))
                     case Opcode.METADATA:
@@ -300,7 +303,7 @@ class BagReader:
             except (BrokenError, OSError) as error:
                 # A sector that cannot be read costs the record that it is in.
                 self._damaged(at, getattr(error, "strerror", None) or str(error))
-                if not _may_begin(file, end, size):
+                if not may_begin(file, end, size):
                     # Then its length is wrong as well, or nothing but zeros were written.
                     end = next_chunk(file, at + 1, size) or size
             at = file.seek(end)
@@ -320,6 +323,9 @@ class BagReader:
         begin = end = 0
         counts: dict[int, int] = {}
         earliest, latest = self.begin or sys.maxsize, self.end
+        started = started_ns(self.metadata)
+        now = started and (self.end or started)
+        set_ns, (likely_from, likely_to) = self.log_times.set_ns, self.log_times.likely(now)
         unpack, head, channels = _IN_CHUNK.unpack_from, _IN_CHUNK.size, self.channels
         # An hour of a large system has a million messages: this looks at each once.
         try:
@@ -342,6 +348,12 @@ class BagReader:
                 if sequence == REPEATED and self._passes_over:
                     continue
                 counts[number] = counts.get(number, 0) + 1
+                moved = set_ns
+                log_time -= moved
+                if not likely_from <= log_time <= likely_to:
+                    moved = self.log_times.take(log_time + moved, latest or now)
+                    log_time += set_ns - moved
+                    set_ns = self.log_times.set_ns
                 if log_time > latest:  # noqa: PLR1730 - several times as fast as max()
                     latest = log_time
                 if log_time < earliest:  # noqa: PLR1730 - and min()
@@ -356,11 +368,15 @@ class BagReader:
                             number,
                             offset,
                             sequence,
+                            moved,
                         )
                     )
         finally:
             for number, count in counts.items():
-                self.counts[channels[number].topic] += count
+                topic = channels[number].topic
+                self.counts[topic] += count
+                if topic.name == SYSTEM.name:
+                    self.log_times.has_samples = True
             if counts:
                 self.begin, self.end = earliest, latest
 
@@ -399,37 +415,6 @@ class BagReader:
 
     def _damaged(self, at: int, reason: str) -> None:
         self.note(Damage(at, reason, self.file))
-
-
-def _behind_indexes(file: IO[bytes], at: int, size: int) -> int:
-    """Pass over the indexes of messages that are as they should be; return where that ends."""
-    unpack, head = INDEX.unpack_from, INDEX.size
-    while at < size:
-        file.seek(at)
-        try:
-            block = file.read(_LOOK_AHEAD)
-        except OSError:
-            return at  # what cannot be read may stand behind them
-        begin, last = 0, len(block) - head
-        while begin <= last:
-            kind, length, _, entries = unpack(block, begin)
-            following = begin + _RECORD.size + length
-            if kind != _INDEX_KIND or length != entries + INDEX_HEAD or at + following > size:
-                return at + begin
-            begin = following
-        at += begin
-        if len(block) < _LOOK_AHEAD:
-            return at
-    return at
-
-
-def _may_begin(file: IO[bytes], at: int, size: int) -> bool:
-    """Whether a record may begin there."""
-    try:
-        file.seek(at)
-        return at == size or file.read(1)[0] in _KINDS
-    except OSError:
-        return False
 
 
 def _parts(path: Path) -> list[PartFile]:

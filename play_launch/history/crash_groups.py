@@ -12,6 +12,7 @@ from play_launch.history.frames import Signature  # noqa: TC001 - a field of a S
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from play_launch.history.bag_reader import BagReader
     from play_launch.history.findings import Finding
     from play_launch.history.story import Story
 
@@ -56,7 +57,7 @@ class CrashGroups:
         for finding in crashes_of(story):
             signature = finding.signature
             assert signature is not None
-            one = _group(signature, finding, version, str(story.session.reader.path))
+            one = _group(signature, finding, version, story.session.reader)
             known = self._groups.get(signature)
             merged = one if known is None else _merged(known, one, again=signature in seen)
             self._groups[signature] = merged
@@ -67,7 +68,7 @@ class CrashGroups:
         return tuple(sorted(self._groups.values(), key=lambda one: (-one.count, -one.last_ns)))
 
 
-def _group(signature: Signature, finding: Finding, version: str, path: str) -> CrashGroup:
+def _group(signature: Signature, finding: Finding, version: str, reader: BagReader) -> CrashGroup:
     places = "\n".join(signature.frames)
     builds = (
         f"{module.name} {module.build_id[:12]}"
@@ -77,14 +78,15 @@ def _group(signature: Signature, finding: Finding, version: str, path: str) -> C
     return CrashGroup(
         signature=signature,
         count=len(finding.times_ns),
-        first_ns=min(finding.times_ns),
-        last_ns=max(finding.times_ns),
+        # Of several sessions only those by a clock that was set are in order.
+        first_ns=min(finding.times_ns) + reader.log_times.set_ns,
+        last_ns=max(finding.times_ns) + reader.log_times.set_ns,
         sessions=1,
         nodes=(finding.who,),
         versions=tuple(filter(None, (version,))),
         builds=tuple(sorted(builds)),
         cause=finding.cause,
-        example=path,
+        example=str(reader.path),
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from play_launch.cdr.layout import CdrError
 from play_launch.cdr.messages import (
@@ -23,8 +23,10 @@ from play_launch.recording import forms, topics
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from play_launch.cdr.layout import Layout
     from play_launch.history.bag_reader import Message
 
+_DAY: Final = 24 * 3600 * 1_000_000_000
 _CUT: Final = " [cut]"
 _NO_MODULES: Final = bytes(7)
 """The length of a sequence, and up to three bytes before it that align it."""
@@ -55,8 +57,16 @@ def event_of(message: Message) -> RunEvent | None:
         raise UnreadableEventError(reason) from error
 
 
+def _fields(layout: Layout, message: Message, more: bytes = b"") -> dict[str, Any]:
+    fields = layout.read(message.data + more)
+    # The stamp may be from before the clock was set.
+    if message.set_ns and abs(fields["stamp"] - message.log_time - message.set_ns) < _DAY:
+        fields["stamp"] -= message.set_ns
+    return fields
+
+
 def _state(message: Message) -> RunEvent:
-    fields = STATE_EVENT.read(message.data)
+    fields = _fields(STATE_EVENT, message)
     if fields["state"] == forms.WITHDRAWN_STATE:
         return forms.WITHDRAWN.event(fields)
     event: RunEvent = forms.STATES[SubjectKind(fields["kind"])].event(fields)
@@ -66,31 +76,31 @@ def _state(message: Message) -> RunEvent:
 def _component(message: Message) -> RunEvent:
     return forms.COMPONENT.event(
         # Earlier versions wrote no modules: this reads as an empty sequence.
-        COMPONENT_EVENT.read(message.data + _NO_MODULES),
+        _fields(COMPONENT_EVENT, message, _NO_MODULES),
         container="",  # the message does not say: its container sent it
         received=message.data,
     )
 
 
 def _graph(message: Message) -> RunEvent:
-    return forms.GRAPH.event(GRAPH_EVENT.read(message.data))
+    return forms.GRAPH.event(_fields(GRAPH_EVENT, message))
 
 
 def _action(message: Message) -> RunEvent:
-    return forms.ACTION.event(ACTION_EVENT.read(message.data))
+    return forms.ACTION.event(_fields(ACTION_EVENT, message))
 
 
 def _process_sample(message: Message) -> RunEvent:
     kind, key = message.topic.kind, message.topic.key
     return forms.PROCESS_SAMPLE.event(
-        PROCESS_STATS.read(message.data), kind=_subject_kind(kind, key), key=key
+        _fields(PROCESS_STATS, message), kind=_subject_kind(kind, key), key=key
     )
 
 
 def _group_sample(message: Message) -> RunEvent:
     kind, key = message.topic.kind, message.topic.key
     return forms.GROUP_SAMPLE.event(
-        GROUP_STATS.read(message.data), kind=_subject_kind(kind, key), key=key
+        _fields(GROUP_STATS, message), kind=_subject_kind(kind, key), key=key
     )
 
 
@@ -103,11 +113,11 @@ def _subject_kind(word: str, key: str) -> SubjectKind:
 
 
 def _system_sample(message: Message) -> RunEvent:
-    return forms.SYSTEM_SAMPLE.event(SYSTEM_STATS.read(message.data))
+    return forms.SYSTEM_SAMPLE.event(_fields(SYSTEM_STATS, message))
 
 
 def _output(message: Message) -> RunEvent:
-    fields = LOG.read(message.data)
+    fields = _fields(LOG, message)
     text = fields["msg"]
     pid = fields["function"].removeprefix("pid ")
     return OutputLine(
@@ -121,7 +131,7 @@ def _output(message: Message) -> RunEvent:
 
 
 def _log(message: Message) -> RunEvent:
-    fields = LOG.read(message.data)
+    fields = _fields(LOG, message)
     return LogRecord(
         stamp_ns=fields["stamp"],
         level=fields["level"],

@@ -12,8 +12,10 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Chunk
 
+from play_launch.recording.session import METADATA_NAME
+
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     import zstandard
 
@@ -31,20 +33,76 @@ _HEAD: Final = 1 << 14
 _INDEX: Final = struct.Struct("<HI")
 """Channel and length of the entries, which follow."""
 INDEX_HEAD: Final = _INDEX.size
-INDEX: Final = struct.Struct("<BQHI")
+_INDEX_RECORD: Final = struct.Struct("<BQHI")
 """The same, with what precedes each record."""
+_INDEX_KIND: Final = int(Opcode.MESSAGE_INDEX)
+_LOOK_AHEAD: Final = 4096
+"""Bytes that are looked at in one go behind a chunk, where the indexes of its messages stand."""
 _CHECKSUM: Final = struct.Struct("<I")
 _SMALL: Final = struct.Struct("<I")
 _LARGE: Final = struct.Struct("<Q")
 _COMPRESSION: Final = 8 + 8 + 8 + 4
 """Bytes of a chunk before the name of its compression."""
-
-
 _ATTACHMENT_TIMES: Final = 8 + 8
+_DAY: Final = 24 * 3600 * 1_000_000_000
+_CLOCKS: Final = 8
 
 
 class BrokenError(Exception):
     """A record is not what it should be."""
+
+
+class LogTimes:
+    """The log times of a session, as if its clock had not been set while it ran.
+
+    A robot without a battery has its clock set when it reaches a network. Less than a day is not
+    noticed, and a jump forward without samples of the machine may be silence.
+    """
+
+    def __init__(self) -> None:
+        """Nothing was set yet."""
+        self.has_samples = False
+        """Whether there are any of the machine."""
+        self._known: tuple[int, ...] = (0,)
+        """By how much the clock was ahead of that of the start, the latest first."""
+
+    @property
+    def set_ns(self) -> int:
+        """By how much the clock is ahead of that of the start."""
+        return self._known[0]
+
+    @property
+    def note(self) -> str:
+        """What is to be said about times, if anything."""
+        most = max(self._known, key=abs)
+        if not most:
+            return ""
+        way = "forward" if most > 0 else "back"
+        again = "" if most == self.set_ns else ", and set again,"
+        return (
+            f"the clock was set {way} by {abs(most) / _DAY:,.1f} days{again} while this was "
+            "recorded; times after the start are given as if it had not been"
+        )
+
+    def likely(self, now: int) -> tuple[int, int]:
+        """Give from when to when times are that need no second look; ``now`` is 0: all are."""
+        return (now - _DAY, now + _DAY) if now else (0, 1 << 64)
+
+    def take(self, log_time: int, now: int) -> int:
+        """Give what to take off an unlikely one; messages may come after later ones."""
+        near = next((each for each in self._known if abs(log_time - each - now) <= _DAY), None)
+        if near is None:
+            if log_time - self.set_ns > now and not self.has_samples:
+                return self.set_ns
+            near = log_time - now
+        self._known = (near, *(each for each in self._known if each != near))[:_CLOCKS]
+        return near
+
+
+def started_ns(metadata: Mapping[str, Mapping[str, str]]) -> int:
+    """Give when a session of ours began, by its clock; 0 for other recordings."""
+    stamp = metadata.get(METADATA_NAME, {}).get("started_ns", "")
+    return int(stamp) if stamp.isascii() and stamp.isdecimal() and len(stamp) < 20 else 0
 
 
 def refuse(kind: int) -> NoReturn:
@@ -81,6 +139,28 @@ def check_index(head: bytes, length: int) -> None:
     """Check a message index by its first bytes."""
     if len(head) < _INDEX.size or _INDEX.unpack(head)[1] + _INDEX.size != length:
         raise BrokenError("an index has a wrong length, or is something else")
+
+
+def behind_indexes(file: IO[bytes], at: int, size: int) -> int:
+    """Pass over the indexes of messages that are as they should be; return where that ends."""
+    unpack, head = _INDEX_RECORD.unpack_from, _INDEX_RECORD.size
+    while at < size:
+        file.seek(at)
+        try:
+            block = file.read(_LOOK_AHEAD)
+        except OSError:
+            return at  # what cannot be read may stand behind them
+        begin, last = 0, len(block) - head
+        while begin <= last:
+            kind, length, _, entries = unpack(block, begin)
+            following = begin + 1 + 8 + length
+            if kind != _INDEX_KIND or length != entries + INDEX_HEAD or at + following > size:
+                return at + begin
+            begin = following
+        at += begin
+        if len(block) < _LOOK_AHEAD:
+            return at
+    return at
 
 
 def read_record(read: Callable[[Any], Any], content: bytes) -> Any:

@@ -116,7 +116,7 @@ def _copy(path: Path, file: IO[bytes]) -> tuple[BagReader, int, int]:
         copied.head()
         writer.add_message(
             copied.channel(message),
-            message.log_time,
+            message.log_time + message.set_ns,
             message.data,
             message.publish_time,
             message.sequence,

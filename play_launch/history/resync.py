@@ -1,4 +1,4 @@
-"""Where the next chunk begins behind a place that makes no sense."""
+"""Where a record or a chunk begins behind a place that makes no sense."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ _NAMES: Final = tuple(struct.pack("<I", len(name)) + name for name in (b"zstd", 
 by."""
 _BEFORE: Final = 1 + 8 + 8 + 8 + 8 + 4
 """Bytes of a chunk before that: kind, length, first and last log time, size, checksum."""
+_KINDS: Final = range(Opcode.HEADER, Opcode.DATA_END + 1)
 _LENGTH: Final = struct.Struct("<Q")
 _BLOCK: Final = 1024 * 1024
 _PIECE: Final = 64 * 1024
@@ -42,6 +43,15 @@ def next_chunk(file: IO[bytes], begin: int, size: int) -> int | None:
             return min(found)
         at += step
     return None
+
+
+def may_begin(file: IO[bytes], at: int, size: int) -> bool:
+    """Whether a record may begin there."""
+    try:
+        file.seek(at)
+        return at == size or file.read(1)[0] in _KINDS
+    except OSError:
+        return False
 
 
 def _places(block: bytes, name: bytes, offset: int, size: int) -> list[int]:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from play_launch.core.view import SystemView
 from play_launch.history.bag_reader import BagReader, Damage
 from play_launch.history.events import UnreadableEventError, event_of
+from play_launch.history.records import started_ns
 from play_launch.recording.session import METADATA_NAME
 
 if TYPE_CHECKING:
@@ -43,8 +44,7 @@ class PastSession:
     @property
     def started_ns(self) -> int:
         """Nanoseconds since the epoch; that of the earliest message where nothing else is known."""
-        stamp = self.about.get("started_ns", "")
-        return int(stamp) if stamp.isdecimal() else self.reader.begin
+        return started_ns(self.reader.metadata) or self.reader.begin
 
     def events(self, topics: Container[str] | None = None) -> Iterator[Happened]:
         """Give the events of these topics (None: all) in the order in which they were received.

@@ -195,9 +195,13 @@ class Scene:
             for event in self.events
             for recorded in convert(event)
         ]
+        flushed = 0
         for stamp, topic, data in messages:
             if topic not in channels:
                 channels[topic] = writer.register(topic)
+            if abs(stamp - flushed) >= SECOND:
+                writer.flush()
+                flushed = stamp
             writer.write(channels[topic], data, log_time=stamp, publish_time=stamp)
         if finished:
             writer.close()
