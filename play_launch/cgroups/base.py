@@ -18,7 +18,9 @@ _TYPE: Final = "cgroup2"
 _OCTAL: Final = re.compile(r"\\([0-7]{3})")
 _SYSTEMD: Final = "/run/systemd/system"
 _DELEGATED: Final = ("user.delegate", "trusted.delegate")
-"""Attributes by which systemd marks what it delegates."""
+"""Attributes by which systemd marks what it delegates; before version 251 only the second, which
+root alone sees."""
+_USER_MANAGER: Final = re.compile(r"user@.+\.service")
 SCOPE_FIX: Final = (
     "start it by systemd-run --user --scope -p Delegate=yes play-launch ..., or Delegate=yes in "
     "its systemd unit"
@@ -56,9 +58,10 @@ class OwnGroup(Struct, frozen=True, kw_only=True):
     is_top: bool
     """Nothing is above it, as far as this process sees."""
     is_root_user: bool
-    has_systemd: bool
+    is_systemds: bool
+    """A manager of systemd arranges it: the user's own, for root the system's."""
     is_marked: bool
-    """systemd says that it is delegated."""
+    """systemd says that it, or a group above it, is delegated to others than a manager."""
 
 
 def hierarchy(mountinfo: str, cgroup: str) -> Hierarchy | None:
@@ -125,9 +128,11 @@ def facts_of(group: Path, mount: Path) -> OwnGroup:
     """Look at a group that we may be in."""
     try:
         is_read_only = bool(os.statvfs(group).f_flag & os.ST_RDONLY)
-        marks = set(os.listxattr(group))
     except OSError:
-        is_read_only, marks = False, set()
+        is_read_only = False
+    is_root_user = os.geteuid() == 0
+    to = next((each.name for each in _upwards(group, mount) if _is_marked(each)), "")
+    to_manager = _USER_MANAGER.fullmatch(to) is not None
     return OwnGroup(
         is_writable=all(
             os.access(each, os.W_OK)
@@ -135,10 +140,22 @@ def facts_of(group: Path, mount: Path) -> OwnGroup:
         ),
         is_read_only=is_read_only,
         is_top=group == mount,
-        is_root_user=os.geteuid() == 0,
-        has_systemd=Path(_SYSTEMD).is_dir(),
-        is_marked=any(each in marks for each in _DELEGATED),
+        is_root_user=is_root_user,
+        # The user's manager gets its group marked where systemd marks any for users to see.
+        is_systemds=to_manager or (is_root_user and Path(_SYSTEMD).is_dir()),
+        is_marked=to != "" and not to_manager,
     )
+
+
+def _upwards(group: Path, mount: Path) -> Iterable[Path]:
+    return (each for each in (group, *group.parents) if each.is_relative_to(mount))
+
+
+def _is_marked(group: Path) -> bool:
+    try:
+        return not set(os.listxattr(group)).isdisjoint(_DELEGATED)
+    except OSError:
+        return False
 
 
 def own_base(own: Path) -> Path:
@@ -148,12 +165,12 @@ def own_base(own: Path) -> Path:
 
 def obstacle(group: Path, facts: OwnGroup) -> str:
     """Say why a group that was found by itself cannot be used, and the fix; empty: it can."""
+    fix = _ROOT_FIX if facts.is_root_user else SCOPE_FIX
     if facts.is_read_only:
         return f"{group} is read-only; fix: {READ_ONLY_FIX}"
     if not facts.is_writable:
-        fix = _ROOT_FIX if facts.is_root_user else SCOPE_FIX
         return f"the control group {group} is not delegated to this user; fix: {fix}"
-    if facts.is_root_user and facts.has_systemd and not (facts.is_top or facts.is_marked):
-        # systemd rearranges what it has not given away.
-        return f"the control group {group} is systemd's own, not delegated; fix: {_ROOT_FIX}"
+    if facts.is_systemds and not (facts.is_top or facts.is_marked):
+        # systemd rearranges what it has not given away, and there may be others' processes in it.
+        return f"the control group {group} is systemd's own, not delegated; fix: {fix}"
     return ""

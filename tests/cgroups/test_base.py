@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -12,6 +14,7 @@ from play_launch.cgroups.names import SessionName
 from play_launch.cgroups.session import SessionGroups
 from play_launch.core.group_limits import NO_LIMITS, GroupPolicy
 from tests.cgroups.sessions import below, lives, session_groups
+from tests.support.control_groups import group_of
 
 
 @pytest.mark.parametrize(
@@ -71,3 +74,61 @@ def test_what_a_killed_supervisor_did_to_the_base_is_undone_and_no_more(base: Pa
     assert below(base) == ["somebody_s"]
     assert below(base / "somebody_s") == []
     (base / "somebody_s").rmdir()
+
+
+ORDINARY_USER = """
+import logging, os, sys
+from pathlib import Path
+from play_launch.core.group_limits import GroupPolicy
+from tests.cgroups.sessions import session_groups
+
+logging.basicConfig(format="%(message)s")
+Path(sys.argv[1], "cgroup.procs").write_text("0")
+os.setgroups([]); os.setresgid(65534, 65534, 65534); os.setresuid(65534, 65534, 65534)
+groups = session_groups()
+groups.begin(GroupPolicy(enabled=True), {"pids"})
+print(groups.is_on, flush=True)
+sys.stdin.readline()
+groups.end()
+"""
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs root to become another user")
+@pytest.mark.parametrize(
+    ("marked", "started_in", "is_taken"),
+    [
+        (["user@65534.service"], "", False),
+        (["user@65534.service", "user@65534.service/app.scope"], "", True),
+        (["user@65534.service", "user@65534.service/app.scope"], "inner", True),
+        ([], "", True),
+    ],
+    ids=["not delegated", "delegated", "below a delegated one", "systemd before 251 marks none"],
+)
+def test_a_scope_of_a_user_is_taken_where_systemd_delegated_it(
+    base: Path, marked: list[str], started_in: str, is_taken: bool
+) -> None:
+    scope = base / "user@65534.service" / "app.scope"
+    group = scope / started_in
+    group.mkdir(parents=True)
+    for each in marked:
+        os.setxattr(base / each, "user.delegate", b"1")
+    for each in ("", "cgroup.procs", "cgroup.subtree_control"):
+        os.chown(group / each, 65534, 65534)
+    enter = 'echo 0 > "$0"/cgroup.procs; echo; exec sleep 600'
+    with subprocess.Popen(["sh", "-c", enter, group], stdout=subprocess.PIPE) as terminal:
+        assert terminal.stdout is not None
+        terminal.stdout.readline()
+        with subprocess.Popen(
+            [sys.executable, "-c", ORDINARY_USER, group],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        ) as supervisor:
+            assert supervisor.stdout is not None
+            assert supervisor.stdout.readline() == f"{is_taken}\n"
+            assert group_of(terminal.pid).endswith(group.name) == (not is_taken)
+            _, log = supervisor.communicate("\n", timeout=60)
+        terminal.kill()
+    fix = "fix: start it by systemd-run --user --scope -p Delegate=yes play-launch"
+    assert (f"{group} is systemd's own, not delegated; {fix}" in log) == (not is_taken)
