@@ -8,6 +8,7 @@ import os
 import signal
 import subprocess
 import threading
+import time
 import tty
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
@@ -81,12 +82,13 @@ class Child:
         self._pidfd = pidfd
         self._parent = parent
         self._group = group
-        self._kin = Kin(identity.pid, parent, mark)
+        self._kin = Kin(identity, parent, mark)
         self._was_killed = False
         self._oom_kills = oom_kills()
         self._readers = tuple(readers)
         self._loop = asyncio.get_running_loop()
         self._exit: Exit | None = None
+        self._lost_at: float | None = None
         self._exited = asyncio.Event()
         self._holders = 0
         self._unheld = asyncio.Event()
@@ -142,16 +144,16 @@ class Child:
         return self._exit is None
 
     def signal_group(self, number: signal.Signals) -> bool:
-        """Send a signal to its whole process group; False when nothing of it is left."""
-        # As long as nobody waited for the leader, the kernel gives its number to no other group.
+        """Send a signal to its whole process group; False when that cannot be reached by number."""
         if self._pidfd < 0:
             return False
         self._was_killed = self._was_killed or number is signal.SIGKILL
         try:
+            # No other group has its number until it was waited for, maybe not by us: `Exit.lost`.
+            with suppress(PermissionError):
+                signal.pidfd_send_signal(self._pidfd, 0)
             os.killpg(self.pid, number)
-        except ProcessLookupError:
-            return False
-        except PermissionError:  # everybody left in it belongs to another user (setuid programs)
+        except (ProcessLookupError, PermissionError):  # another user's now (setuid programs)
             return False
         return True
 
@@ -165,7 +167,7 @@ class Child:
             return []
         if self._group is not None and self._group.holds(self.pid):
             return group_members(self._group, self.pid)
-        found = await session_members(self.pid, self._kin)
+        found = await session_members(self.identity, self._kin, until=self._lost_at)
         return found if self._pidfd >= 0 else []
 
     def kill_all(self) -> bool:
@@ -196,7 +198,10 @@ class Child:
             # The zombie stays and with it the number of its group, see signal_group.
             ended = self._parent.ended(self.pid)
         except ChildProcessError:
-            self._exit = Exit.lost()
+            self._exit, self._lost_at = (
+                Exit.lost(),
+                time.clock_gettime(time.CLOCK_BOOTTIME),
+            )
         else:
             if ended is None:
                 # A tracer is told first, and when it tells the kernel to go on, the parent.
@@ -277,12 +282,9 @@ class Child:
 
     def _reap(self) -> None:
         pidfd, self._pidfd = self._pidfd, -1
-        try:
+        with suppress(ChildProcessError):  # another did, see Exit.lost
             self._parent.reap(self.pid)
-        except ChildProcessError:
-            pass  # somebody else did, see Exit.lost
-        finally:
-            os.close(pidfd)
+        os.close(pidfd)
 
     def __repr__(self) -> str:
         state = "running" if self._exit is None else str(self._exit)

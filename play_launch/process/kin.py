@@ -39,22 +39,23 @@ def mark_for(supervisor: object, name: str) -> str:
 class Kin:
     """Finds what came of one child; belongs to the loop's thread."""
 
-    def __init__(self, leader: int, parent: Parent, mark: str) -> None:
+    def __init__(self, leader: ProcessIdentity, parent: Parent, mark: str) -> None:
         """Look for what came of the child ``leader``, which has ``mark`` in its environment."""
         self._leader = leader
         self._parent = parent
         self._mark = mark
         self._seen: set[ProcessIdentity] = set()
 
-    async def among(self, table: Iterable[ProcessStat]) -> list[ProcessStat]:
+    async def among(self, table: Collection[ProcessStat]) -> list[ProcessStat]:
         """Return what of the table came of it, in whatever session, without the child itself.
 
         What was found once is found again after its parents have ended.
         """
         living = [each for each in table if each.is_alive]
         roots = {each.pid for each in living if each.identity in self._seen}
-        roots |= {self._leader, *await self._orphans(living)}
-        found = [each for each in below(living, roots) if each.pid != self._leader]
+        roots |= {each.pid for each in table if each.identity == self._leader}
+        roots |= {*await self._orphans(living)}
+        found = [each for each in below(living, roots) if each.identity != self._leader]
         self._seen = {each.identity for each in found}
         return found
 

@@ -7,8 +7,9 @@ What calls setsid(2) itself is found by `play_launch.process.kin`.
 from __future__ import annotations
 
 import asyncio
+import os
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING, Final, Generic, TypeVar
 from weakref import WeakKeyDictionary
 
 from play_launch.process.identity import (
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 
 
 _Result = TypeVar("_Result")
+_TICKS: Final = os.sysconf("SC_CLK_TCK")
 
 
 class Shared(Generic[_Result]):
@@ -65,18 +67,26 @@ _scans: WeakKeyDictionary[asyncio.AbstractEventLoop, Shared[list[ProcessStat]]]
 _scans = WeakKeyDictionary()
 
 
-async def session_members(leader: int, kin: Kin) -> list[ProcessStat]:
+async def session_members(
+    leader: ProcessIdentity, kin: Kin, *, until: float | None = None
+) -> list[ProcessStat]:
     """Find what lives in the session or the process group of `leader`, and what has left them.
 
-    Without the leader. Valid only while it was not waited for: until then its number cannot mean
-    another session.
+    Without the leader. Until that is waited for, its number cannot mean another session. When it
+    was waited for by another than us, `until` is when we noticed, in seconds after boot: what
+    started later may be in another session of that number.
     """
     scans = _scans.setdefault(asyncio.get_running_loop(), Shared(_scan))
     table = await scans.result()
+    is_taken = any(stat.pid == leader.pid and stat.identity != leader for stat in table)
     members = [
         stat
         for stat in table
-        if leader in (stat.session, stat.group) and stat.pid != leader and stat.is_alive
+        if leader.pid in (stat.session, stat.group)
+        and stat.pid != leader.pid
+        and stat.is_alive
+        and not is_taken
+        and (until is None or stat.start_time <= until * _TICKS)
     ]
     known = {stat.pid for stat in members}
     return [*members, *(stat for stat in await kin.among(table) if stat.pid not in known)]

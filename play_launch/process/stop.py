@@ -141,21 +141,14 @@ async def stop(
 def _signal_session(child: Child, members: list[ProcessStat], number: signal.Signals) -> None:
     if number is signal.SIGKILL and child.kill_all():
         return
-    child.signal_group(number)
-    # A shell with job control puts its jobs into groups of their own. Nobody gets it twice: to
-    # many programs a second SIGINT means something else.
     is_over = number is signal.SIGKILL or not child.is_running
-    signal_each(
-        (
-            member.identity
-            for member in members
-            if member.group != child.pid and (is_over or member.session == child.pid)
-        ),
-        number,
-    )
-    if number is signal.SIGTERM:
-        # A process that is stopped (SIGSTOP, a debugger) sees the signal only when continued.
-        child.signal_group(signal.SIGCONT)
+    reached = [each for each in members if is_over or each.session == child.pid]
+    # A process that is stopped (SIGSTOP, a debugger) sees SIGTERM only when continued.
+    for each in (number, signal.SIGCONT) if number is signal.SIGTERM else (number,):
+        # A shell with job control puts its jobs into groups of their own. Nobody gets it twice: to
+        # many programs a second SIGINT means something else.
+        got_it = child.pid if child.signal_group(each) else None
+        signal_each((member.identity for member in reached if member.group != got_it), each)
 
 
 def _end_strays(child: Child, members: list[ProcessStat]) -> None:

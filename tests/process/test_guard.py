@@ -265,14 +265,72 @@ async def test_a_death_costs_the_guard_no_look_at_every_process(session: Session
 @pytest.mark.anyio
 async def test_a_guard_that_was_killed_takes_its_children_along_and_says_so(guard: Path) -> None:
     session = SessionGuard.start(guard)
-    child = spawn(shell("sleep 600"), env=environment(), guard=session)
+    output = Output()
+    child = spawn(
+        shell("sleep 600 & echo $!; wait"), env=environment(), guard=session, on_output=output
+    )
+    member = psutil.Process(int(await output.wait_line("")))
     os.kill(session.pid, signal.SIGKILL)
     async with asyncio.timeout(60):
         assert (await child.gone()).is_lost
+    assert not alive([member])
     assert not session.is_alive
     with pytest.raises(SpawnError):
         spawn(shell("sleep 600"), env=environment(), guard=session)
     session.close()
+
+
+RECYCLED = """
+import asyncio, os, subprocess, sys, time
+from pathlib import Path
+from play_launch.process.child import spawn
+from play_launch.process.guard import SessionGuard
+from play_launch.process.identity import read_stat
+from play_launch.process.stop import StopPolicy, stop
+from tests.process.programs import environment, shell
+
+def recycle(number, script):
+    Path("/proc/sys/kernel/ns_last_pid").write_text(str(number - 1))
+    return subprocess.Popen(["sh", "-c", script], stdout=subprocess.PIPE, start_new_session=True)
+
+async def main(is_noticed):
+    guard = SessionGuard.start(Path(sys.argv[1]))
+    child = spawn(shell("sleep 600"), env=environment(), guard=guard)
+    os.kill(guard.pid, 9)
+    os.waitid(os.P_PID, guard.pid, os.WEXITED | os.WNOWAIT)
+    os.waitpid(child.pid, 0)  # we are the init of this namespace, and inherit it
+    with child.holding_session():
+        if is_noticed:
+            assert (await child.wait()).is_lost
+        now = time.clock_gettime(time.CLOCK_BOOTTIME)
+        while time.clock_gettime(time.CLOCK_BOOTTIME) < now + 2 / os.sysconf("SC_CLK_TCK"):
+            pass  # two that start in one tick look the same
+        stranger = recycle(child.pid, f"sleep 600 & echo $!; {'exit' if is_noticed else 'wait'}")
+        assert stranger.pid == child.pid
+        member = int(stranger.stdout.readline())
+        if is_noticed:
+            stranger.wait()
+        assert read_stat(member).group == child.pid
+        assert not child.signal_group(15)
+        assert await child.members() == []
+    assert (await stop(child, StopPolicy())).exit.is_lost
+    assert await child.members() == []
+    assert read_stat(member).is_alive
+    assert is_noticed or stranger.poll() is None
+    print("spared")
+
+asyncio.run(main(sys.argv[2] == "True"))
+"""
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs root to choose the numbers of processes")
+@pytest.mark.parametrize("is_noticed", [False, True], ids=["before", "after"])
+def test_a_group_that_got_the_number_of_a_lost_one_is_spared(guard: Path, is_noticed: bool) -> None:
+    """Its number is given to others before its end is noticed, or after that."""
+    alone = ["unshare", "--pid", "--fork", "--kill-child", "--mount-proc"]
+    command = [*alone, sys.executable, "-c", RECYCLED, str(guard), str(is_noticed)]
+    result = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    assert result.stdout == "spared\n", result.stderr
 
 
 @pytest.mark.anyio
