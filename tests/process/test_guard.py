@@ -26,6 +26,7 @@ from tests.process.programs import Output, environment, python, shell
 from tests.support.control_groups import control_group
 from tests.support.replay import alive
 from tests.support.slow_programs import slow_to_execute
+from tests.support.system_calls import CLOSE_RANGE, CLOSE_RANGE_CLOEXEC, refusing
 from tests.support.waiting import until
 
 # Each prints the pids of what it leaves, then "ready".
@@ -409,6 +410,24 @@ async def test_closing_a_guard_that_was_stopped_leaves_nothing(guard: Path) -> N
     await asyncio.to_thread(session.close)
     assert not alive(left)
     assert not session.is_alive
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize(
+    ("flags", "error"),
+    [(CLOSE_RANGE_CLOEXEC, errno.EINVAL), (0, errno.ENOSYS)],
+    ids=["5.10", "5.8"],
+)
+async def test_nothing_is_inherited_before_linux_5_11(
+    guard: Path, tmp_path: Path, flags: int, error: int
+) -> None:
+    session = SessionGuard.start(refusing(guard, tmp_path, CLOSE_RANGE, flags, error))
+    output = Output()
+    child = spawn(shell("ls /proc/self/fd"), env=environment(), guard=session, on_output=output)
+    async with asyncio.timeout(60):
+        assert await child.gone() == Exit()
+    assert output.texts() == ["0", "1", "2", "3"]  # 3 is the folder
+    await asyncio.to_thread(session.close)
 
 
 @pytest.mark.anyio

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import os
 import re
 import resource
@@ -27,14 +28,14 @@ from play_launch.install.environment import child_environment
 from play_launch.install.ros import component_container, ros_installation
 from play_launch.process.child import Child, spawn
 from play_launch.process.exit import Exit
+from play_launch.process.guard import SessionGuard
 from play_launch.process.zygote import Zygote, is_loaded_alike, is_read_before_main
 from tests.process.programs import Output
+from tests.support.system_calls import CLOSE_RANGE, CLOSE_RANGE_CLOEXEC, refusing
 from tests.support.waiting import LIMIT, until
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Iterator, Mapping
-
-    from play_launch.process.guard import SessionGuard
 
 pytestmark = pytest.mark.anyio
 PROGRAM = component_container()
@@ -209,6 +210,26 @@ async def test_a_fork_is_like_what_was_executed(
             assert forked.first_address() == other.first_address() != executed.first_address()
             await become_alike(forked, executed)
             await become_alike(other, executed)
+
+
+@pytest.mark.parametrize(
+    ("flags", "error"),
+    [(CLOSE_RANGE_CLOEXEC, errno.EINVAL), (0, errno.ENOSYS)],
+    ids=["5.10", "5.8"],
+)
+async def test_a_fork_has_nothing_of_others_before_linux_5_11(
+    guard: Path, session: SessionGuard, tmp_path: Path, flags: int, error: int
+) -> None:
+    older = SessionGuard.start(refusing(guard, tmp_path, CLOSE_RANGE, flags, error))
+    try:
+        with zygote_of(older, PLAIN) as zygote:
+            async with running(older, zygote) as forked, running(session, None) as executed:
+                await asyncio.to_thread(
+                    until, lambda: descriptors(forked) == descriptors(executed), "the same ones"
+                )
+                assert zygote.fileno() >= 0, "it was forked"
+    finally:
+        await asyncio.to_thread(older.close)
 
 
 async def test_it_shows_its_own_command_and_environment(

@@ -8,6 +8,7 @@
 #include <array>
 #include <cstring>
 
+#include "base/number_list.hpp"
 #include "base/resource_setting.hpp"
 
 namespace play_launch {
@@ -63,6 +64,24 @@ bool Command::apply_settings() const {
   return true;
 }
 
+bool close_descriptors(unsigned first, unsigned last, unsigned flags) {
+  if (::close_range(first, last, static_cast<int>(flags)) == 0) {
+    return true;
+  }
+  NumberList open("/proc/self/fd");
+  return open.for_each([&](int each) {
+    const auto number = static_cast<unsigned>(each);
+    if (number < first || number > last || each == open.descriptor()) {
+      return;
+    }
+    if ((flags & CLOSE_RANGE_CLOEXEC) != 0) {
+      ::fcntl(each, F_SETFD, FD_CLOEXEC);
+    } else {
+      ::close(each);
+    }
+  });
+}
+
 bool place_descriptors(std::span<const UniqueFd> received, std::span<const std::int32_t> wanted) {
   // Out of the way first: a number that is wanted may be one that was received.
   const int above = std::max(2, *std::max_element(wanted.begin(), wanted.end())) + 1;
@@ -73,7 +92,9 @@ bool place_descriptors(std::span<const UniqueFd> received, std::span<const std::
       return false;
     }
   }
-  ::close_range(3, ~0U, CLOSE_RANGE_CLOEXEC);
+  if (!close_descriptors(3, ~0U, CLOSE_RANGE_CLOEXEC)) {
+    return false;
+  }
   for (std::size_t index = 0; index < wanted.size(); ++index) {
     if (::dup2(moved[index], wanted[index]) < 0) {
       return false;

@@ -1,7 +1,6 @@
 #include "main/zygote.hpp"
 
 #include <fcntl.h>
-#include <linux/close_range.h>
 #include <signal.h>
 #include <sys/prctl.h>
 #include <sys/syscall.h>
@@ -41,17 +40,18 @@ bool is_as_expected(std::size_t descriptors, const TracingThreads& tracing) {
          count("/proc/self/task") == 1 + (tracing.are_there() ? TracingThreads::kCount : 0);
 }
 
-/// Closes all from 3 on but those.
-void close_others(std::vector<int> kept) {
+/// Closes all from 3 on but those; false when it cannot.
+bool close_others(std::vector<int> kept) {
   std::ranges::sort(kept);
   int from = kStandard;
   for (const int fd : kept) {
-    if (fd > from) {
-      ::close_range(static_cast<unsigned>(from), static_cast<unsigned>(fd) - 1, 0);
+    if (fd > from &&
+        !close_descriptors(static_cast<unsigned>(from), static_cast<unsigned>(fd) - 1, 0)) {
+      return false;
     }
     from = std::max(from, fd + 1);
   }
-  ::close_range(static_cast<unsigned>(from), ~0U, 0);
+  return close_descriptors(static_cast<unsigned>(from), ~0U, 0);
 }
 
 /// What fork and exec would have made of the child. False when it cannot be done.
@@ -66,7 +66,9 @@ bool become(Command& command, DescriptorMessage& message, int line, pid_t parent
   }
   std::vector<int> kept(message.numbers.begin(), message.numbers.end());
   kept.push_back(line);
-  close_others(std::move(kept));
+  if (!close_others(std::move(kept))) {
+    return false;
+  }
   environ = command.environment.data();
   if (!command.apply_settings() || !show_command(command) ||
       ::prctl(PR_SET_PDEATHSIG, SIGKILL) != 0) {
