@@ -15,7 +15,7 @@ from play_launch.fastdds.profiles import PROFILE_FILES
 
 if TYPE_CHECKING:
     import socket
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Mapping
 
     from play_launch.graph_daemon.contract import DaemonAddress
 
@@ -57,9 +57,9 @@ def spawn(
     Raises ``StartError`` when it does not come so far; it does not run then.
     """
     read, write = os.pipe()
-    path = log_path(address, environment)
+    log = _log_file(log_path(address, environment))
     try:
-        with _log_file(path) as log, open(os.devnull, "rb") as nothing:  # noqa: PTH123
+        with open(os.devnull, "rb") as nothing:  # noqa: PTH123
             process = subprocess.Popen(
                 [
                     sys.executable,
@@ -82,20 +82,22 @@ def spawn(
             )
     except OSError as error:
         os.close(read)
+        log.close()
         raise StartError(f"the daemon could not be started: {error}") from None
     finally:
         os.close(write)
-    try:
-        reported = _wait(read, wait_for, limit)
-    finally:
-        os.close(read)
-    if not reported:
-        # It may be writing why.
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            process.wait(_LAST_WORDS)
-        process.kill()
-        process.wait()
-        raise StartError(f"the daemon ended or got stuck while it started{_end_of(path)}")
+    with log:
+        try:
+            reported = _wait(read, wait_for, limit)
+        finally:
+            os.close(read)
+        if not reported:
+            # It may be writing why.
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(_LAST_WORDS)
+            process.kill()
+            process.wait()
+            raise StartError(f"the daemon ended or got stuck while it started{_end_of(log)}")
     return process
 
 
@@ -120,21 +122,23 @@ def _working_directory() -> str | None:
     return None if here else "/"
 
 
-@contextlib.contextmanager
-def _log_file(path: Path) -> Iterator[IO[bytes]]:
+def _log_file(path: Path) -> IO[bytes]:
+    """Open a new file; in a shared folder, another user may have put a link or pipe there."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        file = path.open("wb")
+        path.unlink(missing_ok=True)
+        return path.open("x+b")
     except OSError:
         # Not worth to do without the daemon.
-        file = open(os.devnull, "wb")  # noqa: PTH123, SIM115
-    with file:
-        yield file
+        return open(os.devnull, "r+b")  # noqa: PTH123
 
 
-def _end_of(path: Path) -> str:
+def _end_of(log: IO[bytes]) -> str:
     try:
-        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+        log.seek(0)
+        lines = log.read().decode("utf-8", "replace").splitlines()
     except OSError:
         return ""
-    return "\n".join([f"; see {path}", *(f"  {line}" for line in lines[-_LINES_OF_LOG:])])
+    if not lines:
+        return ""
+    return "\n".join([f"; see {log.name}", *(f"  {line}" for line in lines[-_LINES_OF_LOG:])])

@@ -10,7 +10,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -238,6 +238,28 @@ def test_without_a_place_for_its_log_it_starts_all_the_same(
     started = start_daemon(address, wait_for=LISTENING)
     stop_daemon(address)
     assert gone(started) == 0
+
+
+@pytest.mark.parametrize(
+    "put", [Path.symlink_to, Path.hardlink_to, lambda path, _: os.mkfifo(path)]
+)
+def test_what_stands_at_the_place_of_its_log_is_replaced_and_neither_followed_nor_read(
+    put: Callable[[Path, Path], None],
+    address: DaemonAddress,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
+    """In a shared folder, another user may have put it there."""
+    precious = tmp_path / "precious"
+    precious.write_text("precious")
+    monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path))
+    put(log_path(address), precious)
+    started = start_daemon(address, wait_for=LISTENING)
+    stop_daemon(address)
+    assert gone(started) == 0
+    assert precious.read_text() == "precious"
+    assert log_path(address).is_file()
+    assert not log_path(address).is_symlink()
 
 
 def test_a_client_in_another_thread_is_answered_while_it_ends(address: DaemonAddress) -> None:
