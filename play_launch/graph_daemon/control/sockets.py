@@ -83,6 +83,14 @@ def age_of(pid: int) -> float:
         return 0.0
 
 
+def environment_of(pid: int) -> dict[str, str] | None:
+    """Return the variables that a process was started with; None where the kernel hides them."""
+    try:
+        return psutil.Process(pid).environ()
+    except (psutil.Error, OSError):
+        return None
+
+
 def is_stopped(pid: int) -> bool:
     """Whether a process is stopped, by SIGSTOP or a debugger."""
     try:

@@ -20,11 +20,22 @@ from play_launch.graph_daemon.client.graph_client import (
     NoDaemonError,
     RemoteError,
 )
-from play_launch.graph_daemon.contract import GRAPH_METHODS, SHUTDOWN_METHOD, STATUS_METHOD
+from play_launch.graph_daemon.contract import (
+    DOMAIN_VARIABLE,
+    GRAPH_METHODS,
+    SHUTDOWN_METHOD,
+    STATUS_METHOD,
+)
 from play_launch.graph_daemon.control.background import START_LIMIT
 from play_launch.graph_daemon.control.port import PortBusyError, listen_within
-from play_launch.graph_daemon.control.sockets import Holder, age_of, holder_of, is_stopped
-from play_launch.graph_daemon.settings import differences
+from play_launch.graph_daemon.control.sockets import (
+    Holder,
+    age_of,
+    environment_of,
+    holder_of,
+    is_stopped,
+)
+from play_launch.graph_daemon.settings import compared_settings, differences
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -39,6 +50,11 @@ STOP_LIMIT: Final = 10.0
 _KILL_AFTER: Final = 2.0
 _STOPPED_AFTER: Final = 1.0
 """Seconds without an answer after which it is looked whether the process is stopped."""
+
+_INCOMPARABLE: Final = (
+    "the settings of the daemon cannot be compared with those here: its process belongs to "
+    "another user, or is in another container"
+)
 
 
 class Kind(Enum):
@@ -61,7 +77,8 @@ class Occupant:
     kind: Kind
     holder: Holder | None = None
     status: Mapping[str, Any] = field(default_factory=dict)
-    """What our daemon reports, by the fields of `DaemonStatus`; empty for others."""
+    """What our daemon reports, by the fields of `DaemonStatus`; empty for others. Where its process
+    is of the same user, ``settings`` are those of its environment that decide whom it meets."""
     problem: str = ""
     """Why it is foreign, or hung."""
 
@@ -123,9 +140,11 @@ def decide(occupant: Occupant, caller: Mapping[str, str], *, restart: bool = Fal
 
 def settings_warnings(occupant: Occupant, caller: Mapping[str, str]) -> tuple[str, ...]:
     """Say where a daemon of ours was started with other settings than the caller has."""
+    if occupant.kind is not Kind.OURS:
+        return ()
     settings = occupant.status.get("settings")
     if not isinstance(settings, dict):
-        return ()
+        return (_INCOMPARABLE,)
     daemon = {str(name): str(value) for name, value in settings.items()}
     return tuple(differences(daemon, caller))
 
@@ -172,6 +191,12 @@ def look(address: DaemonAddress, limit: float = PROBE_LIMIT) -> Occupant:
         return Occupant(Kind.FOREIGN, holder, problem=str(error))
     if not isinstance(status, dict) or not isinstance(status.get("pid"), int):
         return Occupant(Kind.FOREIGN, holder, problem="its status is none of a graph daemon")
+    if holder is not None and holder.pid == status["pid"]:
+        # They may hold passwords: the kernel gives them to the same user only.
+        environment = environment_of(holder.pid)
+        if environment is not None:
+            environment[DOMAIN_VARIABLE] = str(address.domain)
+            status["settings"] = compared_settings(environment, str(status.get("rmw", "")))
     return Occupant(Kind.OURS, holder, status)
 
 

@@ -9,7 +9,7 @@ import logging
 import os
 import signal
 import time
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Final
 
 from play_launch.fastdds.own_participant import OwnParticipant, decide
@@ -20,7 +20,6 @@ from play_launch.graph_daemon.server.interfaces import InterfaceWatch
 from play_launch.graph_daemon.server.replacement import Replacer
 from play_launch.graph_daemon.server.service import GraphService
 from play_launch.graph_daemon.server.warm_up import participants_here
-from play_launch.graph_daemon.settings import compared_settings
 
 if TYPE_CHECKING:
     import socket
@@ -79,8 +78,6 @@ class DaemonStatus:
     """As a value of FASTDDS_BUILTIN_TRANSPORTS, empty when they are not the daemon's choice."""
     transports_reason: str
     """Why; empty with another middleware than Fast DDS, where the variable means nothing."""
-    settings: dict[str, str] = field(default_factory=dict)
-    """The settings that decide whom it meets, by environment variable."""
 
     def to_json(self) -> str:
         """Return it as one JSON object."""
@@ -179,7 +176,6 @@ class Daemon:
             idle_timeout=self._idle_timeout,
             transports=self._participant.transports,
             transports_reason=self._participant.reason,
-            settings=compared_settings(os.environ, self._rmw),
         )
 
     def _status_text(self, generation: str = "") -> str:
