@@ -45,6 +45,9 @@ _COMPRESSION: Final = 8 + 8 + 8 + 4
 """Bytes of a chunk before the name of its compression."""
 _ATTACHMENT_TIMES: Final = 8 + 8
 _DAY: Final = 24 * 3600 * 1_000_000_000
+_NEVER: Final = 1 << 63
+"""A time that no clock shows, in nanoseconds since the epoch: from the year 2262 on."""
+_SILENCE: Final = 100 * _DAY
 _CLOCKS: Final = 8
 
 
@@ -56,7 +59,7 @@ class LogTimes:
     """The log times of a session, as if its clock had not been set while it ran.
 
     A robot without a battery has its clock set when it reaches a network. Less than a day is not
-    noticed, and a jump forward without samples of the machine may be silence.
+    noticed, and a jump forward without samples of the machine may be a silence, up to 100 days.
     """
 
     def __init__(self) -> None:
@@ -86,23 +89,26 @@ class LogTimes:
 
     def likely(self, now: int) -> tuple[int, int]:
         """Give from when to when times are that need no second look; ``now`` is 0: all are."""
-        return (now - _DAY, now + _DAY) if now else (0, 1 << 64)
+        return (max(0, now - _DAY), min(now + _DAY, _NEVER - 1)) if now else (0, _NEVER - 1)
 
     def take(self, log_time: int, now: int) -> int:
         """Give what to take off an unlikely one; messages may come after later ones."""
-        near = next((each for each in self._known if abs(log_time - each - now) <= _DAY), None)
-        if near is None:
-            if log_time - self.set_ns > now and not self.has_samples:
-                return self.set_ns
-            near = log_time - now
-        self._known = (near, *(each for each in self._known if each != near))[:_CLOCKS]
-        return near
+        found = log_time - now
+        if log_time < _NEVER:
+            near = [each for each in self._known if abs(found - each) <= _DAY]
+            if near:
+                found = near[0]
+            elif not self.has_samples and 0 < found - self.set_ns <= _SILENCE:
+                found = self.set_ns
+            self._known = (found, *(each for each in self._known if each != found))[:_CLOCKS]
+        return found if 0 <= log_time - found < _NEVER else log_time - now
 
 
 def started_ns(metadata: Mapping[str, Mapping[str, str]]) -> int:
     """Give when a session of ours began, by its clock; 0 for other recordings."""
     stamp = metadata.get(METADATA_NAME, {}).get("started_ns", "")
-    return int(stamp) if stamp.isascii() and stamp.isdecimal() and len(stamp) < 20 else 0
+    found = int(stamp) if stamp.isascii() and stamp.isdecimal() and len(stamp) < 20 else 0
+    return found if found < _NEVER else 0
 
 
 def refuse(kind: int) -> NoReturn:

@@ -49,7 +49,7 @@ def may_begin(file: IO[bytes], at: int, size: int) -> bool:
     """Whether a record may begin there."""
     try:
         file.seek(at)
-        return at == size or file.read(1)[0] in _KINDS
+        return at == size or (file.read(1) or b"\0")[0] in _KINDS
     except OSError:
         return False
 

@@ -19,13 +19,21 @@ import pytest
 from mcap.opcode import Opcode
 from msgspec.structs import replace
 
+from play_launch.cdr.messages import PROCESS_STATS
 from play_launch.cli.compare_sessions import compare_sessions
 from play_launch.cli.explain import explain
 from play_launch.cli.sum_up import sum_up
 from play_launch.cli.timeline import Filter, show_timeline
 from play_launch.cli.write_anew import write_anew
 from play_launch.cli.write_page import write_report
-from play_launch.core.events import OutputLine, ProcessEvent, ProcessEventKind, RunEvent, Stream
+from play_launch.core.events import (
+    OutputLine,
+    ProcessEvent,
+    ProcessEventKind,
+    RunEvent,
+    Stream,
+    SubjectKind,
+)
 from play_launch.history.bag_reader import BagReader
 from play_launch.recording import topics
 from play_launch.recording.bag import McapBagWriter
@@ -301,6 +309,19 @@ def test_a_wrong_length_costs_one_chunk(bit: int, tmp_path: Path) -> None:
     assert len(reader.damages) < 10
 
 
+def test_a_file_that_is_cut_while_it_is_read_ends_there(tmp_path: Path) -> None:
+    # A full disk, or another program.
+    path = tmp_path / "session.mcap.active"
+    path.write_bytes(recording())
+    reader = BagReader(path)
+    messages = reader.messages()
+    next(messages)
+    os.truncate(path, chunks()[2] + 20)
+    assert sum(1 for _ in messages) > 0
+    assert reader.damages[0].offset == chunks()[2]
+    assert not reader.is_complete
+
+
 def test_zeros_at_the_end_are_one_damage(tmp_path: Path) -> None:
     # A file system may have grown a file whose blocks were not written when the power failed.
     path = tmp_path / "session.mcap.active"
@@ -308,6 +329,19 @@ def test_zeros_at_the_end_are_one_damage(tmp_path: Path) -> None:
     reader = BagReader(path)
     assert sum(1 for _ in reader.messages()) > 0
     assert [damage.offset for damage in reader.damages] == [chunks()[5]]
+
+
+@pytest.mark.parametrize("verb", [verb for verb in VERBS if "--json" not in verb])
+def test_times_that_no_clock_shows(verb: str, tmp_path: Path) -> None:
+    writer = McapBagWriter(tmp_path / "session.mcap")
+    writer.metadata("play_launch.session", {"id": "1", "name": "demo", "started_ns": "1000"})
+    channel = writer.register(topics.stats_topic(SubjectKind.PROCESS, "/a"))
+    for time in (1 << 63, (1 << 64) - 1):
+        writer.write(channel, PROCESS_STATS.write({}), log_time=time, publish_time=time)
+        writer.flush()
+    writer.close()
+    result = call(verb, writer.path.read_bytes(), tmp_path)
+    assert (result.code, result.errors) == (0, "")
 
 
 @pytest.mark.parametrize("kind", [Opcode.CHANNEL, Opcode.SCHEMA])
