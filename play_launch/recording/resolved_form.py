@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import re
 import struct
+import sys
 from typing import TYPE_CHECKING, Any, Final
 
 from msgspec.structs import replace
 
 from play_launch.config.description import describe
+from play_launch.config.yaml.scalars import ScalarRefusedError, resolve_scalar
 from play_launch.core.events import ActionEvent, ProcessEvent
 from play_launch.recording.facts import REDACTED, is_secret
 
@@ -38,7 +40,10 @@ def resolved_form(config: ReplayConfig) -> dict[str, object]:
 def taken_secrets(config: ReplayConfig) -> frozenset[str]:
     """Return the secret values that came from outside; of an included file's, too."""
     taken = (*config.taken.variables.items(), *config.taken.arguments.items())
-    return frozenset(value for name, value in taken if value and is_secret(name, value))
+    found = [value for name, value in taken if value and is_secret(name, value)]
+    # A number is written in another way where it is passed on: 1234.50 as 1234.5.
+    numbers = (number for number in map(_number, found) if number is not None)
+    return frozenset((*found, *map(str, numbers)))
 
 
 def redacted_arguments(argv: Sequence[str]) -> list[str]:
@@ -65,9 +70,20 @@ def without(value: Any, secrets: Collection[str]) -> Any:
         return {key: without(each, secrets) for key, each in value.items()}
     if isinstance(value, list | tuple):
         return [without(each, secrets) for each in value]
-    if type(value) is int and len(str(value)) >= _SHORTEST and str(value) in secrets:
+    if type(value) in {int, float} and value in map(_number, secrets):
         return REDACTED
     return value
+
+
+def _number(secret: str) -> int | float | None:
+    """Return the number that a configuration reads; None for none, and for short ones such as 0."""
+    try:
+        _, value = resolve_scalar(secret, None, plain=True)
+    except ScalarRefusedError:
+        return None
+    if not isinstance(value, int | float) or not abs(value) <= sys.float_info.max:
+        return None
+    return value if len(str(value)) >= _SHORTEST and not isinstance(value, bool) else None
 
 
 def event_without(event: RunEvent, secrets: Collection[str]) -> RunEvent:
@@ -92,8 +108,11 @@ def in_messages(secrets: Collection[str]) -> re.Pattern[bytes] | None:
             found.append(b"(?<=%b)%b(?=\\0)" % (length, re.escape(text)))
             continue
         found.append(re.escape(text))
-        if secret.isdecimal() and int(secret) < 1 << 63:
-            found.append(re.escape(struct.pack("<q", int(secret))))
+        number = _number(secret)
+        if isinstance(number, int) and -(1 << 63) <= number < 1 << 63:
+            found.append(re.escape(struct.pack("<q", number)))
+        if number is not None:
+            found.append(re.escape(struct.pack("<d", number)))
     return re.compile(b"|".join(found)) if found else None
 
 

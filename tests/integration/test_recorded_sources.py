@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 import signal
+import struct
 import subprocess
 from pathlib import Path
 
@@ -124,18 +125,22 @@ containers:
       - package: play_launch_demo
         plugin: play_launch_demo::Crasher
         name: victim
-        parameters: {how: "${env:PL_TEST_TOKEN}"}
+        parameters:
+          how: "${env:PL_TEST_TOKEN}"
+          after: ${env:PL_TEST_PIN}
 nodes:
   - name: uploader
     command: [sh, -c, "sleep 1000; :", --token, "${arg:api_key}", "${env:PL_TEST_TOKEN}"]
 """
 KEY = "the-key-of-the-robot"
+PIN = 918273.50
 
 
 def test_no_message_of_a_recording_holds_what_sounds_secret(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("PL_TEST_TOKEN", SECRET)
+    monkeypatch.setenv("PL_TEST_PIN", f"{PIN:.2f}")
     config = tmp_path / "robot.yaml"
     config.write_text(SECRETIVE, encoding="utf-8")
 
@@ -160,7 +165,10 @@ def test_no_message_of_a_recording_holds_what_sounds_secret(
     reader = BagReader(replay.bag)
     found = [(each.topic.name, each.data) for each in reader.messages()]
     assert {PARAMETERS.name, "/play_launch/states"} <= {topic for topic, _ in found}
-    for secret in (SECRET, KEY):
+    number = struct.pack("<d", PIN)
+    assert not [topic for topic, data in found if number in data]
+    assert str(PIN).encode() not in reader.attachments["resolved_config.json"].data
+    for secret in (SECRET, KEY, str(PIN)):
         assert not [topic for topic, data in found if secret.encode() in data]
         assert secret not in feed
         assert secret not in json.dumps(replay.seen)
@@ -169,4 +177,6 @@ def test_no_message_of_a_recording_holds_what_sounds_secret(
     assert '"how"' in said.stdout
     report = tmp_path / "page.html"
     assert run("report", replay.bag, "-o", report).returncode == 0
-    assert SECRET not in said.stdout + report.read_text(encoding="utf-8")
+    shown = said.stdout + report.read_text(encoding="utf-8")
+    assert SECRET not in shown
+    assert str(PIN) not in shown

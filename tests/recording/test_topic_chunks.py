@@ -249,18 +249,21 @@ def test_what_is_attached_while_the_disk_is_full_is_there_once(
 def test_secrets_are_masked_in_what_is_about_parameters(tmp_path: Path) -> None:
     recorder = Recorder(McapBagWriter(tmp_path / "x.mcap"))
     requests = recorder.topic_requests
-    requests.secrets = in_messages({"token", "token-and-more", "4711", "abc", "****"})
+    secrets = {"token", "token-and-more", "4711", "1234.5", "abc", "****"}
+    # These are everywhere, in lengths as well.
+    requests.secrets = in_messages({*secrets, "0000", "0.00", "0x01"})
     channels, answered = list[int](), threading.Event()
     for topic in (PARAMETERS, Topic("/one", LOG), PARAMETER_EVENTS):
         requests.open_channel(topic.name, topic.type_name, "", channels.append)
     requests.after_these(answered.set)
     assert answered.wait(10)
     text = b"a token-and-more, token; abcd"
-    number = struct.pack("<qI", 4711, 4) + b"abc\0"
+    zeros = struct.pack("<qqd", 0, 1, 0.0)
+    number = zeros + struct.pack("<qdI", 4711, 1234.5, 4) + b"abc\0"
     messages = [(channel, 1 + at, text + number) for at, channel in enumerate(channels)]
     requests.append_chunk(chunk_of([*messages, (channels[0], 9, b"****")]), lambda: None)
     path = recorder.close().path
-    masked = b"a **************, *****; abcd********" + struct.pack("<I", 4) + b"***\0"
+    masked = b"a **************, *****; abcd" + zeros + b"*" * 16 + struct.pack("<I", 4) + b"***\0"
     assert [each.data for each in raw_messages(path, PARAMETERS.name)] == [masked, b"****"]
     assert [each.data for each in raw_messages(path, PARAMETER_EVENTS.name)] == [masked]
     assert [each.data for each in raw_messages(path, "/one")] == [text + number]
