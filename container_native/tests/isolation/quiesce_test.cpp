@@ -155,6 +155,29 @@ void test_thread_that_cannot_be_parked() {
   stand_in::renew_locks();
 }
 
+#if defined(__x86_64__)
+extern "C" void play_launch_test_call_without_frame(std::atomic<bool>* inside) {
+  stay_inside_without_frame(inside);
+}
+
+/// Its way out would be written where no memory is.
+void test_thread_without_a_frame() {
+  Outcome outcome;
+  Program program([](Program&) {
+    std::atomic<bool> inside{false};
+    std::thread(play_launch_test_call_without_frame, &inside).detach();
+    while (!inside) {
+      std::this_thread::yield();
+    }
+    std::abort();
+    return 0;
+  });
+  run(outcome, program, {.quiesce_limit = 20ms});
+  CHECK(outcome.end.signal == SIGABRT);
+  CHECK(outcome.slot.phase == ChildPhase::dying && outcome.slot.report.threads_not_parked == 1);
+}
+#endif
+
 /// A thread that crashes with a lock of the middleware cannot be helped, but reported.
 void test_crash_inside_the_middleware() {
   Outcome outcome;
@@ -310,6 +333,9 @@ int main() {
     test_case(subject);
   }
   test_thread_that_cannot_be_parked();
+#if defined(__x86_64__)
+  test_thread_without_a_frame();
+#endif
   test_crash_inside_the_middleware();
   test_first_thread_joins();
   test_cancelled_threads_park();

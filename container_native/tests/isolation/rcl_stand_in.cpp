@@ -6,6 +6,26 @@
 
 #include "busy.hpp"
 
+#if defined(__x86_64__)
+// Has its return address in a register, as hand-written code may, and the frame is said to be where
+// no memory is.
+asm(R"(
+    .text
+    .globl stay_inside_without_frame
+    .type stay_inside_without_frame, @function
+stay_inside_without_frame:
+    .cfi_startproc
+    mov (%rsp), %rbx
+    .cfi_register rip, rbx
+    .cfi_escape 0x0f, 2, 0x08, 0x40
+    movb $1, (%rdi)
+1:
+    jmp 1b
+    .cfi_endproc
+    .size stay_inside_without_frame, . - stay_inside_without_frame
+)");
+#endif
+
 namespace stand_in {
 namespace {
 

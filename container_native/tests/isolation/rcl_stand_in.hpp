@@ -1,7 +1,13 @@
 #pragma once
 
+#include <atomic>
 #include <functional>
 #include <mutex>
+
+#if defined(__x86_64__)
+/// Says that it is there, and never returns. Where its frame should be, no memory is.
+extern "C" [[noreturn]] void stay_inside_without_frame(std::atomic<bool>* inside);
+#endif
 
 /// What a middleware does, from a library whose name makes it one.
 namespace stand_in {

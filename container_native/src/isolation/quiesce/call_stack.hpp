@@ -39,7 +39,7 @@ void prepare_call_stack();
 
 /// Makes the thread, whose call stack that is and whose signal handler calls this, park in the
 /// moment when it would return to that frame. False where this cannot be done. The frame's function
-/// does not run on. Async-signal-safe.
+/// does not run on. Async-signal-safe; faults when the stack is not where the frame says.
 bool park_on_return_to(const Frame& frame) noexcept;
 
 }  // namespace play_launch::isolation

@@ -108,7 +108,7 @@ extern "C" void on_park_signal(int, siginfo_t* info, void* context) {
     }
     child->seen_inside += first ? 1 : 0;
     if (judgement.way_out < stack.count) {
-      park_on_return_to(stack.frames[judgement.way_out]);
+      survive([&] { park_on_return_to(stack.frames[judgement.way_out]); });
     }
   }
   errno = error;
