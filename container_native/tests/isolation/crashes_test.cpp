@@ -373,6 +373,26 @@ void test_program_that_faults_in_handlers() {
   CHECK(contains(joined(outcome.slot), "Damaged::run"));
 }
 
+/// In the handler it waits for what never comes, such as a lock that a killed thread holds.
+void test_handler_that_does_not_end() {
+  class Stuck final : public ChildProgram {
+   public:
+    int run() override { std::abort(); }
+    void cancel() noexcept override {}
+    void crashed() noexcept override {
+      while (true) {
+        ::pause();
+      }
+    }
+  };
+  Stuck program;
+  Outcome outcome;
+  run(outcome, program);
+  CHECK(outcome.end.signal == SIGKILL && outcome.slot.phase == ChildPhase::crashed);
+  CHECK(contains(outcome.text(), "SIGABRT (abort() was called) in thread 'node', whose handler"));
+  CHECK(contains(joined(outcome.slot), "Stuck::run"));
+}
+
 void crash_unlike_the_others() { *reinterpret_cast<volatile int*>(bad_address) = 1; }
 
 /// The loader's records of a library are memory that every node can overwrite.
@@ -420,6 +440,7 @@ int main() {
   }
   test_crashes_in_second_thread();
   test_program_that_faults_in_handlers();
+  test_handler_that_does_not_end();
   test_library_with_damaged_records();
   for (const auto& neighbour : neighbours) {
     neighbour->stop();

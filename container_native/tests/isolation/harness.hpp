@@ -52,7 +52,7 @@ inline std::uint64_t now_ns() {
          static_cast<std::uint64_t>(time.tv_nsec);
 }
 
-inline void run(Outcome& outcome, Program& program, const ChildOptions& options = {}) {
+inline void run(Outcome& outcome, ChildProgram& program, const ChildOptions& options = {}) {
   DonorThread donor("donor", [&] {
     outcome.end = run_in_child(program, outcome.slot, options);
     outcome.awake_ns = now_ns();

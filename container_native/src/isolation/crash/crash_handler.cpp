@@ -14,6 +14,7 @@
 #include <array>
 #include <atomic>
 #include <cerrno>
+#include <chrono>
 #include <cstdint>
 #include <cstdlib>
 #include <cstring>
@@ -44,6 +45,10 @@ constexpr std::array kRequests{SIGTERM, SIGINT,  SIGHUP,    SIGQUIT, SIGUSR1, SI
                                SIGALRM, SIGPROF, SIGVTALRM, SIGIO,   SIGPWR};
 
 std::terminate_handler terminate_before = nullptr;
+
+/// For the handler of a crash, besides quiescing: a lock that it needs may be held for good.
+constexpr std::chrono::milliseconds kHandlerLimit{3000};
+constexpr int kQuiesceLimits = 4;  // see ChildOptions::quiesce_limit
 
 /// See watch_own_crash().
 std::atomic<CrashSlot*> own_slot{nullptr};
@@ -184,7 +189,6 @@ void handle(const std::array<int, size>& signals) noexcept {
 }
 
 void crash(ChildRecord& child, int signal, const siginfo_t& info, void* context) noexcept {
-  claim_end(child);
   // From here on faults are ours, also where the node had handlers of its own.
   handle(kFaults);
   CrashSlot& slot = *child.slot;
@@ -199,14 +203,18 @@ void crash(ChildRecord& child, int signal, const siginfo_t& info, void* context)
   slot.phase = ChildPhase::dying;
 }
 
-/// The process itself dies, and no other thread comes back from a fault of its own meanwhile.
-void crash_of_all(CrashSlot& slot, int signal, const siginfo_t& info, void* context) noexcept {
+/// As claim_end(), in the process itself.
+void claim_own_end() noexcept {
   static std::atomic<bool> is_claimed{false};
   if (is_claimed.exchange(true)) {
     while (true) {
       ::pause();
     }
   }
+}
+
+/// The process itself dies, and no other thread comes back from a fault of its own meanwhile.
+void crash_of_all(CrashSlot& slot, int signal, const siginfo_t& info, void* context) noexcept {
   describe(slot, signal, info, context);
   trace(slot, context);
   slot.report.inside = false;  // nobody is left whom that could harm
@@ -227,11 +235,16 @@ extern "C" void on_crash_signal(int signal, siginfo_t* info, void* context) {
     // It is dying already.
   } else if (child == nullptr) {
     if (!is_request(signal, *info)) {
+      claim_own_end();
+      const SelfSignal limit(kHandlerLimit, SIGKILL);
       survive([&] { crash_of_all(*own, signal, *info, context); });
     }
     die_in_place(signal, *info, context);
   } else if (child->options.dies_abruptly || is_deadline(*info, *child) ||
              !is_request(signal, *info)) {
+    claim_end(*child);
+    // Not for the death itself, in which a core may be dumped.
+    const SelfSignal limit(kHandlerLimit + child->options.quiesce_limit * kQuiesceLimits, SIGKILL);
     // Whatever else goes wrong, the process dies of this signal.
     survive([&] { crash(*child, signal, *info, context); });
     die_in_place(signal, *info, context);

@@ -162,14 +162,20 @@ std::string describe_fault(const CrashReport& report) {
   return "code " + std::to_string(report.code) + " at address " + hex(report.fault_address);
 }
 
+std::string describe_crash(const CrashReport& report) {
+  return signal_name(report.signal) + " (" + describe_fault(report) + ") in thread '" +
+         report.thread_name.data() + "'" +
+         (report.in_destructors ? ", while its thread-local objects were being destroyed" : "");
+}
+
 std::string describe_signal(const ChildEnd& end, const CrashSlot& slot) {
-  std::string text = signal_name(end.signal);
   if (slot.thread != 0 && slot.report.signal == end.signal) {
-    text +=
-        " (" + describe_fault(slot.report) + ") in thread '" + slot.report.thread_name.data() + "'";
-    if (slot.report.in_destructors) {
-      text += ", while its thread-local objects were being destroyed";
-    }
+    return describe_crash(slot.report);
+  }
+  std::string text = signal_name(end.signal);
+  if (slot.thread != 0) {
+    text += "; before that " + describe_crash(slot.report) +
+            (slot.phase == ChildPhase::crashed ? ", whose handler did not come to its end" : "");
   } else if (slot.stop_signal == end.signal) {
     text += " (sent by process " + std::to_string(slot.stop_sender) + ")";
   }
