@@ -41,6 +41,7 @@ from tests.support.isolated import (
     survives,
 )
 from tests.support.ros import Probe
+from tests.support.waiting import until
 
 if TYPE_CHECKING:
     from tests.support.control_peer import Container, StartContainer
@@ -241,7 +242,10 @@ def test_nodes_that_are_ended_while_they_read_a_clock(spawn: StartContainer) -> 
             )
             for i in range(len(kinds))
         ]
-        container.loaded("Talker")
+        until(
+            lambda: container.log.read_text().count("looking at the clock") == len(busy),
+            "callbacks that have begun",
+        )
         for node in busy[:2]:
             os.kill(node.pid, SIGSEGV)
         for node in busy[2:]:
