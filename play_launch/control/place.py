@@ -23,6 +23,8 @@ CONTROL_SOCKET: Final = "control.sock"
 """In the folder of a session; a killed supervisor leaves it behind."""
 LINKS: Final = "PLAY_LAUNCH_SESSIONS_DIR"
 """Environment variable: where the links are instead, for systems that are to be kept apart."""
+SHARED_MEMORY: Final = "/dev/shm"  # noqa: S108 - see `_is_of`
+_PREFIX: Final = "play_launch-"
 _NUMBERS: Final = 3
 _START_TIME: Final = 19
 """Index in what follows the name of the program in /proc/<pid>/stat."""
@@ -66,7 +68,7 @@ class Registrant(Enum):
 
 def links_folder() -> str:
     """Give the folder of the links of this user, which may not exist yet."""
-    return os.environ.get(LINKS) or f"/dev/shm/play_launch-{os.geteuid()}"  # noqa: S108 - see links
+    return os.environ.get(LINKS) or f"{SHARED_MEMORY}/{_PREFIX}{os.geteuid()}"
 
 
 def register(folder: str) -> str:
@@ -77,7 +79,7 @@ def register(folder: str) -> str:
     """
     links = links_folder()
     os.makedirs(links, mode=0o700, exist_ok=True)  # noqa: PTH103 - pathlib is slow to import
-    if not _is_ours(links):
+    if not _is_of(os.geteuid(), links):
         raise PermissionError(f"{links} belongs to another user")
     link = Link(os.getpid(), folder, _state_and_start("self")[1], _namespace())
     path = f"{links}/{link.name}"
@@ -89,15 +91,38 @@ def register(folder: str) -> str:
 
 def registered() -> list[Link]:
     """List the sessions that registered themselves, the oldest link first."""
-    links = links_folder()
+    return _links_in(links_folder(), os.geteuid())
+
+
+def registered_by_others() -> list[tuple[int, Link]]:
+    """List sessions of other users that are alive, each with the user's number; only root may."""
+    if os.geteuid() != 0 or os.environ.get(LINKS):
+        return []
     found: list[tuple[int, Link]] = []
-    if not _is_ours(links):
+    try:
+        names = sorted(os.listdir(SHARED_MEMORY))  # noqa: PTH208
+    except OSError:
+        return []
+    for name in names:
+        number = name.removeprefix(_PREFIX)
+        if number != name and number.isdecimal() and int(number) != os.geteuid():
+            user = int(number)
+            links = _links_in(f"{SHARED_MEMORY}/{name}", user)
+            found += [(user, each) for each in links if registrant_of(each) is Registrant.ALIVE]
+    return found
+
+
+def _links_in(links: str, user: int) -> list[Link]:
+    found: list[tuple[int, Link]] = []
+    if not _is_of(user, links):
         return []
     for name in os.listdir(links):  # noqa: PTH208
         numbers = name.split("-")
         if len(numbers) != _NUMBERS or not all(number.isdecimal() for number in numbers):
             continue
         pid, start_time, namespace = map(int, numbers)
+        if f"{pid}-{start_time}-{namespace}" != name:
+            continue
         with contextlib.suppress(OSError):
             made = os.lstat(f"{links}/{name}").st_mtime_ns
             folder = os.readlink(f"{links}/{name}")  # noqa: PTH115
@@ -149,13 +174,13 @@ def address_of(folder: str) -> Iterator[str]:
         os.close(descriptor)
 
 
-def _is_ours(folder: str) -> bool:
-    """Whether a folder is no link, and belongs to the user who asks."""
+def _is_of(user: int, folder: str) -> bool:
+    """Whether a folder is no link, and belongs to that user."""
     try:
         status = os.lstat(folder)
     except OSError:
         return False
-    return status.st_uid == os.geteuid() and (status.st_mode & 0o170000) == 0o040000
+    return status.st_uid == user and (status.st_mode & 0o170000) == 0o040000
 
 
 def _state_and_start(pid: int | Literal["self"]) -> tuple[bytes, int]:

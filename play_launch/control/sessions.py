@@ -23,6 +23,7 @@ from play_launch.control.place import (
     is_registered,
     peer_of,
     registered,
+    registered_by_others,
     registrant_of,
 )
 from play_launch.control.protocol import (
@@ -42,6 +43,8 @@ COMPLETION_LIMIT: Final = 0.15
 """Seconds for the answers that a shell waits for after a key was pressed."""
 _LISTING_LIMIT: Final = 1.0
 """Seconds for the names of sessions in an error that lists them."""
+_MOST_OF_OTHERS: Final = 20
+"""Sessions of other users that are listed."""
 _BUSY: Final = 0.01
 """Seconds between two tries to connect where many do."""
 _PIECE: Final = 256 * 1024
@@ -117,9 +120,10 @@ def connect(session: str | None = None, *, limit: float = ANSWER_LIMIT) -> Contr
         others = find([link for link in links if link not in meant], min(limit, _LISTING_LIMIT))
         close(others)
         known = [each for each in (*found, *others) if each.is_alive]
-        if session is None or is_pid or not known:
-            raise
-        raise NoSessionError(f"{error}; these are running:\n{_listed(known)}") from None
+        text = str(error)
+        if known and session is not None and not is_pid:
+            text += f"; these are running:\n{_listed(known)}"
+        raise NoSessionError(text + _of_others()) from None
     finally:
         close(each for each in found if each is not chosen)
     if is_decided and isinstance(chosen.problem, ControlError):
@@ -169,7 +173,7 @@ def choose(found: Sequence[Found], session: str | None, *, is_pid: bool = False)
             "or name of a running session",
         )
     elif session is None:
-        reasons.insert(0, "no session is running; start one with play-launch replay")
+        reasons.insert(0, "no session of yours is running; start one with play-launch replay")
     raise NoSessionError("\n  ".join(reasons))
 
 
@@ -366,6 +370,26 @@ def _line(found: Found) -> str:
         return f"{hello.pid:>8}  {hello.name}  {hello.folder}"
     text, folder = str(found.problem), found.link.folder
     return f"{found.link.pid:>8}  {text if folder in text else f'{folder}: {text}'}"
+
+
+def _of_others() -> str:
+    """List the sessions of other users, which root reaches by their folders."""
+    found = registered_by_others()
+    if not found:
+        return ""
+    import pwd  # noqa: PLC0415 - rarely needed
+
+    lines = ["\nsessions of other users, to be named with --session FOLDER:"]
+    for user, link in found[:_MOST_OF_OTHERS]:
+        try:
+            name = pwd.getpwuid(user).pw_name
+        except KeyError:
+            name = str(user)
+        folder = link.folder if link.folder.isprintable() else repr(link.folder)
+        lines.append(f"{link.pid:>8}  user {name}  {folder}")
+    if len(found) > _MOST_OF_OTHERS:
+        lines.append(f"{'':>8}  and {len(found) - _MOST_OF_OTHERS} more")
+    return "\n  ".join(lines)
 
 
 def _explained(folder: str, error: OSError) -> NoSessionError | ControlError:

@@ -75,4 +75,4 @@ def test_ps_imports_next_to_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         timeout=60,
     )
     assert done.stdout == "[]\n"
-    assert "no session is running" in done.stderr
+    assert "no session of yours is running" in done.stderr

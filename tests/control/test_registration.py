@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import pwd
 import re
 import select
 import signal
@@ -16,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from play_launch.control import place
 from play_launch.control.place import CONTROL_SOCKET, LINKS, address_of, registered
 from play_launch.control.protocol import PROTOCOL, Code, ControlError, encode
 from play_launch.control.sessions import AmbiguousSessionError, NoSessionError, connect
@@ -79,7 +81,7 @@ def test_the_socket_of_a_dead_supervisor_is_recognised(tmp_path: Path, links: Pa
         put_link(links, ended.pid, tmp_path)
     with pytest.raises(NoSessionError, match="its supervisor was killed"):
         connect(str(tmp_path))
-    with pytest.raises(NoSessionError, match=r"no session is running; (.|\n)*was killed"):
+    with pytest.raises(NoSessionError, match=r"no session of yours is running; (.|\n)*was killed"):
         connect()
     assert not registered(), "the link of a dead process is removed"
 
@@ -99,7 +101,7 @@ def test_a_pid_of_another_namespace_is_not_to_be_killed(tmp_path: Path, links: P
     link = put_link(links, os.getpid(), tmp_path / "not_here", namespace=1)
     with pytest.raises(NoSessionError) as refused:
         connect()
-    assert str(refused.value) == "no session is running; start one with play-launch replay"
+    assert str(refused.value) == "no session of yours is running; start one with play-launch replay"
     with pytest.raises(NoSessionError, match=r"no session is running in .*not_here$"):
         connect(str(os.getpid()))
     assert registered() == [link], "it may run, out of our sight"
@@ -227,6 +229,42 @@ def test_a_folder_of_that_name_here_is_not_the_session(
     monkeypatch.chdir(folder.parent)
     (folder.parent / "latest").symlink_to(folder.name)
     assert connected("latest") == str(folder)
+
+
+def test_root_is_told_whose_sessions_there_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What ``sudo play-launch ps`` is meant for is the session of the user who typed it."""
+    user = os.geteuid() or 54321
+    links = tmp_path / f"play_launch-{user}"
+    folders = [tmp_path / "robot", tmp_path / "of\nmallory"]
+    for folder, start_time in zip(folders, (None, 1), strict=True):
+        put_link(links, os.getpid(), folder, start_time=start_time)
+    (tmp_path / "play_launch-99999").symlink_to(links)
+    os.chown(links, user, -1)
+    monkeypatch.delenv(LINKS)
+    monkeypatch.setattr(place, "SHARED_MEMORY", str(tmp_path))
+    monkeypatch.setattr(os, "geteuid", lambda: 0)
+    theirs = f"""
+sessions of other users, to be named with --session FOLDER:
+  {os.getpid():>8}  user {name_of(user)}  {folders[0]}"""
+    for session in (None, "robot"):
+        with pytest.raises(NoSessionError) as refused:
+            connect(session)
+        assert str(refused.value).endswith(theirs)
+    put_link(links, os.getppid(), folders[1])
+    with pytest.raises(NoSessionError, match=r"/of\\nmallory'"):
+        connect()
+    monkeypatch.setattr(os, "geteuid", lambda: 54322)
+    with pytest.raises(NoSessionError, match=r"with play-launch replay$"):
+        connect()
+
+
+def name_of(user: int) -> str:
+    try:
+        return pwd.getpwuid(user).pw_name
+    except KeyError:
+        return str(user)
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="needs root to become another user")

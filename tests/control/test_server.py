@@ -169,7 +169,7 @@ def test_it_greets_answers_and_is_gone_at_its_end(tmp_path: Path, links: Path) -
     with_server(tmp_path, talk)
     assert not (tmp_path / CONTROL_SOCKET).exists()
     assert not registered()
-    with pytest.raises(NoSessionError, match="no session is running"):
+    with pytest.raises(NoSessionError, match="no session of yours is running"):
         connect()
 
 
