@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from play_launch.cli.applied_config import as_started, attach_applied
 from play_launch.control.changes import Changes
+from play_launch.control.client import own_command
 from play_launch.control.operations import Operations
 from play_launch.control.parameter_names import ParameterNames
 from play_launch.control.place import Peer
@@ -109,6 +110,7 @@ async def _watch(watched: Watched, config: ReplayConfig, changes: Changes) -> No
 
 async def _apply(changes: Changes, target: ReplayConfig) -> None:
     try:
-        await changes.apply_own(target, Peer(os.getpid(), os.getuid(), os.getgid()))
+        us = Peer(os.getpid(), os.getuid(), os.getgid(), own_command())
+        await changes.apply_own(target, us)
     except ControlError as error:
         _log.warning("%s is not applied: %s; it is when it changes again", target.source, error)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from itertools import count
-from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
+from play_launch.control.protocol import LONGEST_COMMAND
 from play_launch.core.events import ActionEvent, ActionPhase
 from play_launch.recording.resolved_form import redacted_arguments
 
@@ -16,9 +16,6 @@ if TYPE_CHECKING:
 
     from play_launch.actors.publisher import Publisher
     from play_launch.control.place import Peer
-
-_LONGEST_COMMAND: Final = 1000
-"""Bytes of a command line that are recorded."""
 
 
 class ActionRecord:
@@ -32,14 +29,12 @@ class ActionRecord:
         action: str,
         targets: Sequence[str],
         peer: Peer,
-        command: str,
     ) -> None:
         self._publisher = publisher
         self._number = number
         self._action = action
         self._targets = tuple(targets)
         self._peer = peer
-        self._command = command
         self.failure = ""
         """Why it failed; empty: it did not."""
 
@@ -54,7 +49,7 @@ class ActionRecord:
                 targets=self._targets,
                 uid=self._peer.uid,
                 pid=self._peer.pid,
-                command=self._command,
+                command=_text_of(self._peer.command),
                 reason=reason,
             )
         )
@@ -68,7 +63,7 @@ class ActionRecords:
         self._publisher = publisher
         self._numbers = count(1)
 
-    async def begin(self, action: str, targets: Sequence[str], peer: Peer) -> ActionRecord:
+    def begin(self, action: str, targets: Sequence[str], peer: Peer) -> ActionRecord:
         """Give what publishes an action under a number of its own.
 
         Args:
@@ -76,15 +71,8 @@ class ActionRecords:
             targets: Full names of members, keys of nodes.
             peer: Who asks.
         """
-        command = await asyncio.to_thread(command_of, peer.pid)
-        return ActionRecord(
-            self._publisher,
-            next(self._numbers),
-            action=action,
-            targets=targets,
-            peer=peer,
-            command=command,
-        )
+        number = next(self._numbers)
+        return ActionRecord(self._publisher, number, action=action, targets=targets, peer=peer)
 
     @contextlib.asynccontextmanager
     async def recorded(
@@ -94,7 +82,7 @@ class ActionRecords:
 
         ``besides`` is what else was asked for.
         """
-        record = await self.begin(action, targets, peer)
+        record = self.begin(action, targets, peer)
         record.publish(ActionPhase.REQUESTED, besides)
         try:
             yield record
@@ -109,11 +97,7 @@ class ActionRecords:
             record.publish(ActionPhase.FAILED if failed else ActionPhase.DONE, record.failure)
 
 
-def command_of(pid: int) -> str:
-    """Read the command line of a process, as one line; empty where it cannot be read."""
-    try:
-        data = Path(f"/proc/{pid}/cmdline").read_bytes()[:_LONGEST_COMMAND]
-    except OSError:
-        return ""
-    words = redacted_arguments(data.decode("utf-8", "replace").split("\0"))
-    return " ".join(" ".join(words).split())
+def _text_of(command: Sequence[str]) -> str:
+    """Write a command line as one line, which can be recorded whatever it holds."""
+    text = " ".join(" ".join(redacted_arguments(command)).split())
+    return text[:LONGEST_COMMAND].encode("utf-8", "replace").decode()

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import socket
+import sys
 import time
 from itertools import count
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
@@ -10,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
 from play_launch.control.place import peer_of
 from play_launch.control.protocol import (
     LONGEST_ANSWER,
+    LONGEST_COMMAND,
     PROTOCOL,
     Code,
     ControlError,
@@ -111,7 +114,7 @@ class ControlClient:
             ControlError: When the session refuses, or the time is over.
         """
         number = next(self._numbers)
-        line = request_line(Request(number, operation, arguments or {}))
+        line = request_line(Request(number, operation, arguments or {}, own_command()))
         deadline = None if limit is None else time.monotonic() + limit
         try:
             self._connection.settimeout(ANSWER_LIMIT)
@@ -143,7 +146,7 @@ class ControlClient:
             ControlError: When the session takes no more, because it reads nothing.
         """
         number = next(self._numbers)
-        line = request_line(Request(number, operation, arguments or {}))
+        line = request_line(Request(number, operation, arguments or {}, own_command()))
         self._connection.setblocking(False)
         try:
             sent = self._connection.send(line)
@@ -189,6 +192,18 @@ class ControlClient:
             self._lines = self._splitter.feed(data)
             self._lines.reverse()
         return decode(self._lines.pop())
+
+
+def own_command() -> tuple[str, ...]:
+    """Give the command line of this process, for the record of what it asks for."""
+    program, *words = sys.argv
+    command, left = [], LONGEST_COMMAND
+    for word in (os.path.basename(program), *words):  # noqa: PTH119 - pathlib is slow to import
+        command.append(word[:left])
+        left -= len(word)
+        if left <= 0:
+            break
+    return tuple(command)
 
 
 def _broken(error: OSError) -> ControlError:

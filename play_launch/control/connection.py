@@ -209,7 +209,8 @@ class Connection(asyncio.Protocol):
     async def _answer(self, request: Request) -> bytes:
         try:
             stream = _Stream(self, request.id)
-            result = await self._operate(request, self._peer, stream)
+            peer = self._peer._replace(command=request.command)
+            result = await self._operate(request, peer, stream)
             line = encode({"id": request.id, "result": result})
             if len(line) <= LONGEST_ANSWER:
                 return line

@@ -37,8 +37,11 @@ class Peer(NamedTuple):
     """Who is at the other end of a socket, as the kernel says."""
 
     pid: int
+    """When it connected; by now, another process may have it."""
     uid: int
     gid: int
+    command: tuple[str, ...] = ()
+    """Its command line, as it says itself with each request."""
 
 
 class Link(NamedTuple):

@@ -32,6 +32,8 @@ ROS_VARIABLES: Final = (
 """What the names of environment variables begin with by which a system behaves differently, and
 nodes find each other or do not."""
 MOST_NAMES: Final = 2000
+LONGEST_COMMAND: Final = 1000
+"""Characters of a client's command line that are sent and recorded."""
 LONGEST_NAME: Final = 1000
 """Characters of a name or pattern. What is compared with everything that runs is bounded."""
 _LARGEST_ID: Final = 2**53
@@ -97,6 +99,8 @@ class Request(NamedTuple):
     id: int
     operation: str
     arguments: Mapping[str, Any]
+    command: tuple[str, ...] = ()
+    """The command line of the client, as it says itself."""
 
 
 class LineSplitter:
@@ -168,14 +172,17 @@ def request_of(line: bytes) -> Request:
             Code.PROTOCOL, f"this session speaks protocol {PROTOCOL}, not {version!r}"
         )
     number, operation = found.get("id"), found.get("op")
-    arguments = found.get("arguments", {})
+    arguments, command = found.get("arguments", {}), found.get("command", [])
     if type(number) is not int or not 0 <= number <= _LARGEST_ID:
         raise ControlError(Code.MALFORMED, "a request needs an id, an integer of 0 or more")
     if not isinstance(operation, str):
         raise ControlError(Code.MALFORMED, "a request needs an op, the name of an operation")
     if not isinstance(arguments, dict):
         raise ControlError(Code.MALFORMED, "the arguments of a request are an object")
-    return Request(number, operation, arguments)
+    if not isinstance(command, list) or not all(isinstance(word, str) for word in command):
+        raise ControlError(Code.MALFORMED, "the command of a request is a list of strings")
+    said = tuple(word[:LONGEST_COMMAND] for word in command[:LONGEST_COMMAND])
+    return Request(number, operation, arguments, said)
 
 
 def request_line(request: Request) -> bytes:
@@ -190,6 +197,7 @@ def request_line(request: Request) -> bytes:
             "op": request.operation,
             "protocol": PROTOCOL,
             "arguments": request.arguments,
+            "command": request.command,
         }
     )
     if len(line) > LONGEST_REQUEST + 1:

@@ -298,7 +298,7 @@ class ActionEvent(Struct, frozen=True, kw_only=True):
     """Of whoever asked, as the kernel says."""
     pid: int
     command: str
-    """The command line of that process, as it says itself; empty where it had ended."""
+    """The command line of that process, as it says itself; empty where it says none."""
     reason: str = ""
     """Why it failed; of a request, what was asked for besides."""
 

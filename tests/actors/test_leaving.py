@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import os
-from collections.abc import Sequence
+from collections.abc import AsyncIterator
 from typing import Any, cast
 
 import pytest
@@ -86,9 +87,11 @@ class Late(ActionRecords):
         super().__init__(sys.publisher)
         self._sys = sys
 
-    async def begin(self, action: str, targets: Sequence[str], peer: Peer) -> ActionRecord:
+    @contextlib.asynccontextmanager
+    async def recorded(self, *asked: Any) -> AsyncIterator[ActionRecord]:
         await self._sys.operated.applying.apply(system(process("other")))
-        return await super().begin(action, targets, peer)
+        async with super().recorded(*asked) as record:
+            yield record
 
 
 @pytest.mark.parametrize("action", list(Asked))

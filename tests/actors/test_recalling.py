@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import os
-from collections.abc import Sequence
 from types import MappingProxyType
 from typing import Any, cast
 
@@ -13,7 +12,7 @@ from msgspec.structs import replace
 
 from play_launch.actors.ports import StartError
 from play_launch.config.model import ReplayConfig
-from play_launch.control.action_record import ActionRecord, ActionRecords
+from play_launch.control.action_record import ActionRecords
 from play_launch.control.actions import Actions
 from play_launch.control.feed import Feed
 from play_launch.control.outcome import Action
@@ -45,17 +44,8 @@ def slow(sys: Running) -> None:
         each.lingers = SLOW
 
 
-class Quick(ActionRecords):
-    """Does not look for the command line of whoever asks: the clock would jump meanwhile."""
-
-    async def begin(self, action: str, targets: Sequence[str], peer: Peer) -> ActionRecord:
-        return ActionRecord(
-            self._publisher, 1, action=action, targets=targets, peer=peer, command=""
-        )
-
-
 async def stop(sys: Running, *names: str, **arguments: object) -> object:
-    actions = Actions(sys.operated, sys.publisher, Feed(), Quick(sys.publisher))
+    actions = Actions(sys.operated, sys.publisher, Feed(), ActionRecords(sys.publisher))
     peer, stream = Peer(os.getpid(), 0, 0), cast("Any", None)
     return await actions.act(Action.STOP, {"names": [*names], **arguments}, peer, stream)
 

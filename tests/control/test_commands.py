@@ -133,7 +133,9 @@ def test_what_runs_is_listed(config: Path, tmp_path: Path) -> None:
         assert "did you mean /talker?" in ask("ps", "/talkr", code=2)
 
 
-def test_actions_touch_only_what_they_are_about(config: Path, tmp_path: Path) -> None:
+def test_actions_touch_only_what_they_are_about(
+    config: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with running(config, tmp_path / "logs") as replay:
         before = pids()
         assert ask("reload", "talker") == "/talker: reloaded\n"
@@ -152,6 +154,9 @@ def test_actions_touch_only_what_they_are_about(config: Path, tmp_path: Path) ->
         }  # fmt: skip
         # What was done already is done.
         assert ask("load", "/other") == "/other: loaded\n"
+        monkeypatch.setattr(sys, "argv", ["/bin/tool", "token:=very_secret", "\ud800\n"])
+        with connect_to(str(replay.bag.parent)) as client:
+            client.ask("load", {"names": ["/other"]})
         replay.process.send_signal(signal.SIGINT)
         replay.read_all()
     actions = [event for event in replay.seen if event["event"] == "action"]
@@ -161,7 +166,9 @@ def test_actions_touch_only_what_they_are_about(config: Path, tmp_path: Path) ->
     assert [event.action for event in recorded][:4] == ["reload", "reload", "restart", "restart"]  # type: ignore[union-attr]
     first = recorded[0]
     assert first.targets == ("/chat:/talker",)  # type: ignore[union-attr]
-    assert (first.uid, first.command.split()[-2:]) == (os.geteuid(), ["reload", "talker"])  # type: ignore[union-attr]
+    assert (first.uid, first.command) == (os.geteuid(), "play-launch reload talker")  # type: ignore[union-attr]
+    # What a client says, not what has its pid by then; and whatever it says can be recorded.
+    assert recorded[-1].command == "tool token:=(redacted) ?"  # type: ignore[union-attr]
     shown = ask("inspect", str(replay.bag))
     assert "reload /chat:/talker: asked for by user" in shown
 

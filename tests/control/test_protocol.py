@@ -78,15 +78,15 @@ def test_anything_is_a_request_or_refused(line: bytes) -> None:
     assert refusal(lambda: request_of(line)) in {"", Code.MALFORMED, Code.PROTOCOL}
 
 
-@given(NUMBERS, st.text(max_size=20), OBJECTS)
+@given(NUMBERS, st.text(max_size=20), OBJECTS, st.lists(st.text(), max_size=3).map(tuple))
 def test_a_request_is_read_as_it_was_written(
-    number: int, operation: str, arguments: dict[str, Any]
+    number: int, operation: str, arguments: dict[str, Any], command: tuple[str, ...]
 ) -> None:
     try:
-        line = request_line(Request(number, operation, arguments))
+        line = request_line(Request(number, operation, arguments, command))
     except ValueError:
         return
-    assert request_of(line.rstrip(b"\n")) == (number, operation, arguments)
+    assert request_of(line.rstrip(b"\n")) == (number, operation, arguments, command)
 
 
 @pytest.mark.parametrize(
@@ -99,6 +99,7 @@ def test_a_request_is_read_as_it_was_written(
         b'{"id": 1}',
         b'{"id": 1, "op": 7}',
         b'{"id": 1, "op": "ps", "arguments": []}',
+        b'{"id": 1, "op": "ps", "command": "play-launch ps"}',
         b'{"id": 1, "op": "ps", "arguments": {"a": NaN}}',
         b"[" * 30_000,
         b'{"id": ' + b"9" * 10_000 + b', "op": "ps"}',

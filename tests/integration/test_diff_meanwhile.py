@@ -6,7 +6,6 @@ import json
 import os
 import signal
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -73,42 +72,20 @@ def test_what_is_saved_meanwhile_is_applied_afterwards(tmp_path: Path) -> None:
             os.kill(pid, signal.SIGKILL)
 
 
-# The client that asks for a change is looked up in a thread, which takes until a file is there.
-SLOW_LOOKUP = """
-import os, time
-from play_launch.cli import entry
-from play_launch.control import action_record
-def command_of(pid):
-    open({folder!r} + f"/asked_by_{{pid}}", "w").close()
-    while not os.path.exists({folder!r} + "/go_on"):
-        time.sleep(0.01)
-    return "slow"
-action_record.command_of = command_of
-entry.main()
-"""
-
-
 def test_of_two_that_are_asked_for_at_once_one_is_applied(tmp_path: Path) -> None:
-    folder = tmp_path / "lookups"
-    folder.mkdir()
-    program = (sys.executable, "-c", SLOW_LOOKUP.format(folder=str(folder)))
     files = [write(tmp_path / f"{number}.yaml", f"# {number}") for number in range(3)]
-    with replaying(files[0], tmp_path / "logs", program=program) as replay:
+    with replaying(files[0], tmp_path / "logs") as replay:
         deaf = replay.read_until(lambda each: each.get("text") == "deaf", "a deaf process")
         session = ["--session", str(replay.pid)]
         until(lambda: diff(files[0], *session)[0] == 0, "a session that answers")
         command = [str(COMMAND), "apply", "--timeout", "600", *session]
         first = subprocess.Popen([*command, str(files[1])])
-        until(lambda: len(list(folder.iterdir())) == 1, "the first request")
-        second = subprocess.Popen([*command, str(files[2])], stderr=subprocess.PIPE, text=True)
-        until(
-            lambda: second.poll() is not None or len(list(folder.iterdir())) == 2,
-            "the second request, or that it is refused",
+        until(lambda: diff(files[0], *session)[0] == 1, "a configuration that is applied")
+        second = subprocess.run(
+            [*command, str(files[2])], check=False, stderr=subprocess.PIPE, text=True, timeout=60
         )
-        (folder / "go_on").touch()
-        _, said = second.communicate(timeout=60)
         assert second.returncode == 1
-        assert "another configuration is being applied; wait for its end" in said
+        assert "another configuration is being applied; wait for its end" in second.stderr
         assert json.loads(diff(files[2], *session, "--json")[1])["applying"] == str(files[1])
         os.kill(deaf["pid"], signal.SIGKILL)
         assert first.wait(60) == 0
