@@ -61,7 +61,8 @@ def begin(config: Path) -> None:
         plain = child_environment(os.environ, ros_installation())
         program = component_container()
         _head_start.guard = SessionGuard.start(spawn_guard(), afterwards=sweep_command())
-        for is_isolated in kinds:
+        # Such a program refuses to be forked, see container_native/src/main/zygote.cpp.
+        for is_isolated in () if has_rclcpp(program) else kinds:
             environment = _with_allocator(plain) if is_isolated else plain
             _head_start.zygotes.append(Zygote.start(_head_start.guard, program, environment))
     except (OSError, ValueError, NotInstalledError, MixedInstallationError):
@@ -74,6 +75,11 @@ def take() -> HeadStart:
     _head_start.guard = None
     _head_start.zygotes.clear()
     return taken
+
+
+def has_rclcpp(program: Path) -> bool:
+    """Say whether a container's program is linked with rclcpp."""
+    return b"\0librclcpp.so\0" in program.read_bytes()
 
 
 def kinds_of_containers(text: bytes) -> list[bool]:

@@ -13,6 +13,7 @@ import psutil
 import pytest
 import yaml
 
+from play_launch.actors import head_start
 from play_launch.actors.head_start import kinds_of_containers
 from play_launch.install.ros import component_container
 from tests.support.replay import COMMAND, Replay, replaying
@@ -47,6 +48,23 @@ def running_containers(replay: Replay, *names: str) -> dict[str, psutil.Process]
         arguments = process.cmdline()
         found |= {name: process for name in names if f"__node:={name}" in arguments}
     return found
+
+
+@pytest.mark.parametrize("library", ["librclcpp.so", "librcl.so"])
+def test_a_program_with_rclcpp_is_not_linked_in_vain(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, library: str
+) -> None:
+    program = tmp_path / "component_container"
+    program.write_bytes(b"#!/bin/sh\nexit 0\n#\0" + library.encode() + b"\0")
+    program.chmod(0o755)
+    monkeypatch.setattr(head_start, "component_container", lambda: program)
+    head_start.begin(written(tmp_path / "system.yaml", container("c", "isolated")))
+    begun = head_start.take()
+    assert begun.guard is not None
+    for zygote in begun.zygotes:
+        zygote.close()
+    begun.guard.close()
+    assert len(begun.zygotes) == (library == "librcl.so")
 
 
 def is_left(replay: Replay) -> bool:
