@@ -47,6 +47,8 @@ class RosFacts:
     """Why that one cannot be had."""
     stock_container: str = ""
     """The program of rclcpp_components."""
+    ros2_needs: str = ""
+    """The line after which ``ros2`` finds our container and messages; empty: it does already."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

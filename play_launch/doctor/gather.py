@@ -6,10 +6,12 @@ import json
 import os
 import platform
 import resource
+import shlex
 import shutil
 import socket
 import subprocess
 import sys
+import sysconfig
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
@@ -42,6 +44,7 @@ from play_launch.install.ros import (
     MixedInstallationError,
     NotInstalledError,
     RosInstallation,
+    RosSource,
     ros_installation,
 )
 from play_launch.process.capabilities import Capability, has_capability
@@ -172,6 +175,21 @@ def _ros(
         rmw_asked_for=asked_for,
         middleware_problem=middleware_problem(installation, environ) or "",
         stock_container=stock,
+        ros2_needs=_ros2_needs(installation, environ),
+    )
+
+
+def _ros2_needs(installation: RosInstallation, environ: Mapping[str, str]) -> str:
+    """Say how the ``ros2`` of a sourced ROS is shown what is installed in our own environment."""
+    prefix = installation.prefix
+    is_ours = (prefix / "share" / "play_launch_container").is_dir()
+    if installation.source is RosSource.WHEELS or not is_ours or prefix in ament_prefixes(environ):
+        return ""
+    packages = shlex.quote(sysconfig.get_path("platlib"))
+    place = shlex.quote(str(prefix))
+    return (
+        f"export AMENT_PREFIX_PATH={place}:$AMENT_PREFIX_PATH "
+        f"LD_LIBRARY_PATH={place}/lib:$LD_LIBRARY_PATH PYTHONPATH=$PYTHONPATH:{packages}"
     )
 
 

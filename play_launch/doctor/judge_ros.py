@@ -63,6 +63,9 @@ def judge_ros(facts: RosFacts) -> list[Finding]:
                 "source a ROS installation that has it (apt install ros-jazzy-rclcpp-components)",
             )
         )
+    if facts.ros2_needs:
+        says = f"finds our container and messages after: {facts.ros2_needs}"
+        findings.append(ok("ros2 command", says))
     return findings
 
 

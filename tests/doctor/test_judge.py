@@ -123,6 +123,7 @@ CASES: list[tuple[MachineFacts, str, Level, str]] = [
     (cyclone("LOCALHOST", cyclone_uri="x"), "discovery", OK, "this machine only"),
     (ros(source="wheels", rmw_asked_for="rmw_fastrtps_cpp"), "middleware", OK, "fastrtps"),
     (ros(stock_container=""), "stock containers", WARN, "rclcpp-components"),
+    (ros(ros2_needs="export A=b"), "ros2 command", OK, "after: export A=b"),
     (container(problem="there is none", program=""), "container", FAIL, "there is none"),
     (container(version="0.0.9"), "container", WARN, "the supervisor is 0.1.0"),
     (

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import subprocess
+import sys
 import time
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -94,6 +97,29 @@ def test_what_cannot_be_loaded_is_told(spawn: StartContainer) -> None:
     done = run_ros2("component", "load", "/container", "composition", "composition::Nobody")
     assert done.returncode != 0
     assert "has no component 'composition::nobody'" in done.stderr.lower()
+
+
+@pytest.mark.needs_packages("ros2run", "ros2interface")
+def test_after_the_line_of_the_doctor_it_finds_our_container_and_messages() -> None:
+    doctor = [os.fspath(Path(sys.executable).with_name("play-launch")), "doctor", "--json"]
+    said = subprocess.run(doctor, capture_output=True, text=True, timeout=120, check=False)
+    findings = {each["subject"]: each["says"] for each in json.loads(said.stdout)["findings"]}
+    line = findings["ros2 command"].partition(": ")[2]
+    code = (
+        "import rclpy.serialization as s; from play_launch_msgs.msg import ComponentEvent as E; "
+        "print(s.deserialize_message(s.serialize_message(E(pid=7)), E).pid)"
+    )
+    commands = [
+        line,
+        "ros2 run play_launch_container component_container --version",
+        "ros2 interface show play_launch_msgs/msg/ComponentEvent",
+        f"python3 -c '{code}'",
+    ]
+    shell = ["bash", "-e", "-c", "\n".join(commands)]
+    done = subprocess.run(shell, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("component_container ")
+    assert done.stdout.endswith("\n7\n")
 
 
 @pytest.mark.needs_packages("ros2launch", "launch_ros")
