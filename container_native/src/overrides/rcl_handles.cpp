@@ -2,6 +2,8 @@
 // program: like exit() in exit_guard.cpp, they come before those of the library, for the SDK, for
 // rclcpp and for components. They do the same; in a child they enter it in the HandleLedger of its
 // program, if that has one.
+//
+// And the one that takes in the description of a type, which waits until that is whole.
 
 #include <rcl/client.h>
 #include <rcl/logging_rosout.h>
@@ -10,6 +12,12 @@
 #include <rcl/publisher.h>
 #include <rcl/service.h>
 #include <rcl/subscription.h>
+
+#include <algorithm>
+#include <chrono>
+#include <cstring>
+#include <span>
+#include <thread>
 
 #include "base/next_function.hpp"
 #include "isolation/record/child_record.hpp"
@@ -39,6 +47,8 @@ const auto next_rcl_client_fini = next_function<"rcl_client_fini">(&rcl_client_f
 const auto next_rcl_logging_rosout_init_publisher_for_node =
     next_function<"rcl_logging_rosout_init_publisher_for_node">(
         &rcl_logging_rosout_init_publisher_for_node);
+const auto next_rcl_node_type_cache_register_type =
+    next_function<"rcl_node_type_cache_register_type">(&rcl_node_type_cache_register_type);
 
 /// Calls of rcl's functions that the calling thread is in. What one of them opens by another is its
 /// own: rcl's table for /rosout takes a copy of the publisher, and finalises that.
@@ -76,6 +86,37 @@ rcl_ret_t opening(HandleKind kind, void* handle, const rcl_node_t* node, Init in
 void closing(const void* handle) noexcept {
   if (HandleLedger* const entries = ledger()) {
     entries->closed(handle);
+  }
+}
+
+using Description = rosidl_runtime_c__type_description__TypeDescription;
+using Sources = rosidl_runtime_c__type_description__TypeSource__Sequence;
+
+/// For a string or a sequence that another thread may be writing.
+template <class Value>
+bool is_there(const Value& value) {
+  return __atomic_load_n(&value.data, __ATOMIC_ACQUIRE) != nullptr &&
+         __atomic_load_n(&value.size, __ATOMIC_ACQUIRE) != 0;
+}
+
+bool is_filled(const Description& description, const Sources& sources) {
+  const auto& types = description.referenced_type_descriptions;
+  return std::ranges::all_of(std::span(types.data, types.size),
+                             [](const auto& type) { return is_there(type.fields); }) &&
+         std::ranges::all_of(std::span(sources.data, sources.size), [](const auto& source) {
+           return is_there(source.type_name) && is_there(source.encoding) &&
+                  (source.raw_file_contents.data != nullptr ||
+                   std::strcmp(source.encoding.data, "implicit") == 0);
+         });
+}
+
+/// The code that is generated for a type fills these tables when it is first asked for them, and
+/// notes before it is done that it has: a second thread may be given empty ones, which rcl refuses.
+/// Who fills them may have been killed, so this waits for a second at most.
+void wait_until_filled(const Description& description, const Sources& sources) {
+  constexpr std::chrono::microseconds kPause{100};
+  for (int i = 0; i < 10'000 && !is_filled(description, sources); ++i) {
+    std::this_thread::sleep_for(kPause);
   }
 }
 
@@ -157,6 +198,15 @@ rcl_ret_t rcl_logging_rosout_init_publisher_for_node(rcl_node_t* node) {
   }
   const Call call;
   return next_rcl_logging_rosout_init_publisher_for_node.get()(node);
+}
+
+rcl_ret_t rcl_node_type_cache_register_type(const rcl_node_t* node, const rosidl_type_hash_t* hash,
+                                            const Description* description,
+                                            const Sources* sources) {
+  if (description != nullptr && sources != nullptr) {
+    wait_until_filled(*description, *sources);
+  }
+  return next_rcl_node_type_cache_register_type.get()(node, hash, description, sources);
 }
 
 }  // extern "C"
