@@ -65,7 +65,7 @@ def test_failures_are_told_and_survived(container: Container) -> None:
         container.load("ThrowingConstructor"): "no such camera",
         container.load("ThrowingConstructor", parameters={"standard_exception": False}): "int",
         container.load("Talker", parameters={"rate": "fast"}): "rate",
-        container.load("Talker", extra_arguments={"use_intra_process_comms": 1}): "must be a bool",
+        container.load("Talker", extra_arguments={"use_intra_process_comms": 1}): "a boolean",
         container.load("Talker", remap_rules=["chatter"]): "chatter",
         container.load("Talker", node_name="1st"): "1st",
         container.load("Talker", log_level=60): "60",

@@ -63,7 +63,7 @@ def test_reasons(spawn: StartContainer, components: str, mode: str, probe: Probe
 
     for name in ("use_intra_process_comms", "forward_global_arguments"):
         reason = failure(container, "Talker", components, extra_arguments={name: "yes"})
-        assert f"'{name}' must be a bool" in reason
+        assert reason == f"Extra component argument '{name}' must be a boolean"
 
     probe.collect(String, "/chatter", 5, timeout=60.0)
     assert container.shut_down() == 0, container.log.read_text()

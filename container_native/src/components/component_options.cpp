@@ -68,8 +68,8 @@ void check_remap_rule(const std::string& rule) {
 
 bool bool_argument(const Parameter& argument) {
   if (argument.value.type != ParameterType::PARAMETER_BOOL) {
-    throw LoadError("extra argument '" + argument.name + "' must be a bool, but has type number " +
-                    std::to_string(argument.value.type) + " of rcl_interfaces/ParameterType");
+    // As rclcpp_components.
+    throw LoadError("Extra component argument '" + argument.name + "' must be a boolean");
   }
   return argument.value.bool_value;
 }
