@@ -235,11 +235,14 @@ class FakeContainer:
             unique_id=held.unique_id,
             attempt=held.load.attempt,
             state=state,
-            full_node_name=held.load.node_name,
+            full_node_name=self.name_of(held),
             pid=self.process.pid,
             elapsed_ns=10_000_000_000,
             cpu_time_ns=3_000_000_000,
         )
+
+    def name_of(self, held: Held) -> str:
+        return f"{held.load.node_namespace.rstrip('/')}/{held.load.node_name}"
 
     def on_unload(self, unique_id: int) -> None:
         held = self.held.pop(unique_id, None)
@@ -277,7 +280,7 @@ class FakeContainer:
                 container=self.config.full_name,
                 unique_id=held.unique_id,
                 attempt=held.load.attempt,
-                full_node_name=held.load.node_name,
+                full_node_name=self.name_of(held),
                 package_name=held.load.package_name,
                 plugin_name=held.load.plugin_name,
                 error_message=error,

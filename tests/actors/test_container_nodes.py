@@ -70,6 +70,21 @@ def test_silence_is_asked_about_and_the_answer_confirms() -> None:
     assert [event.kind for event in confirmed] == [ComponentEventKind.LOADED] * 2
 
 
+def test_a_node_that_ignores_its_name_is_loaded_and_says_so() -> None:
+    class NamedByItself(FakeContainer):
+        def name_of(self, held: Held) -> str:
+            return "/c" if held.load.node_name == "a" else super().name_of(held)
+
+    async def main() -> None:
+        declared = system(container("c", "a", "b"))
+        async with running(declared, launcher(NamedByItself)) as sys:
+            await sys.until_loaded(2)
+            a, b = (sys.node_events(name, NodeState.LOADED)[-1].reason for name in ("/a", "/b"))
+            assert (a, b) == ("it calls itself /c", "")
+
+    run(main())
+
+
 def test_a_contradiction_is_asked_about() -> None:
     class Contradicts(FakeContainer):
         def construct(self, held: Held) -> None:

@@ -107,16 +107,24 @@ def test_a_cancelled_node_goes_when_its_constructor_returns(container: Container
     container.loaded("Talker", node_name="slow")
 
 
-def test_a_name_is_given_once(container: Container) -> None:
+def test_a_name_that_is_asked_for_is_given_once(container: Container) -> None:
     slow = container.load("SlowConstructor", parameters={"seconds": 0.5}, node_name="same")
     second = container.load("Talker", node_name="same")
     failed = container.event(LOAD_FAILED, attempt=second)
-    assert "/same" in failed.error_message
+    assert failed.error_message.startswith("a node named /same is still constructing")
     container.event(LOADED, attempt=slow)
-    # The component's own name is only known after construction.
-    container.loaded("Talker")
-    unnamed = container.load("Talker")
-    assert "/talker" in container.event(LOAD_FAILED, attempt=unnamed).error_message
+
+
+def test_names_that_are_not_asked_for_may_be_the_same(container: Container) -> None:
+    first = container.loaded("Talker")
+    second = container.loaded("Talker")
+    assert second.full_node_name == first.full_node_name == "/talker"
+    asked = container.load("Talker", node_name="talker")
+    failed = container.event(LOAD_FAILED, attempt=asked)
+    assert failed.error_message.startswith("a node named /talker is loaded")
+    container.send(ControlUnload(unique_id=first.unique_id))
+    container.event(UNLOADED, unique_id=first.unique_id)
+    assert [node.unique_id for node in container.status().nodes] == [second.unique_id]
 
 
 @pytest.mark.parametrize("request_type", [ControlCancel, ControlUnload])

@@ -10,7 +10,7 @@ from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters
 from std_msgs.msg import String
 
-from tests.rclcpp.modes import start
+from tests.rclcpp.modes import MODES, start
 from tests.support.control_peer import parameter
 from tests.support.ros import LATCHED
 
@@ -106,6 +106,30 @@ def test_what_is_not_said_is_off(
     assert (loaded.success, loaded.full_node_name) == (True, "/options")
     (facts,) = probe.collect(String, "/options", qos=LATCHED)
     assert facts.data.startswith("intra_process=0 global=0 debug=0 pid=")
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_any_number_of_components_may_ignore_their_options(
+    spawn: StartContainer, components: str, mode: str, probe: Probe
+) -> None:
+    container = start(spawn, mode)
+    for name in ("one", "another", "third"):
+        loaded = probe.call(
+            LoadNode,
+            "/container/_container/load_node",
+            request(components, "WithoutOptions", node_name=name),
+        )
+        assert (loaded.success, loaded.full_node_name) == (True, "/container"), loaded.error_message
+    listed = probe.call(ListNodes, "/container/_container/list_nodes", ListNodes.Request())
+    assert list(listed.full_node_names) == ["/container"] * 3
+    for unique_id in listed.unique_ids:
+        gone = probe.call(
+            UnloadNode,
+            "/container/_container/unload_node",
+            UnloadNode.Request(unique_id=unique_id),
+        )
+        assert gone.success, gone.error_message
+    assert container.shut_down() == 0, container.log.read_text()
 
 
 @both

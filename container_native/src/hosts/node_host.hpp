@@ -37,8 +37,8 @@ class NodeHostObserver {
   /// it, and is valid until the next call for this node has returned.
   virtual void on_constructing(std::uint64_t unique_id, const ProcessIdentity& process,
                                clockid_t cpu_clock) = 0;
-  /// The node's callbacks run. False: nobody wants it, or another node has its name; the host makes
-  /// it leave as if unload() had been called.
+  /// The node's callbacks run. False: it was cancelled meanwhile; the host makes it leave as if
+  /// unload() had been called.
   virtual bool on_loaded(std::uint64_t unique_id, const std::string& full_name) = 0;
   virtual void on_load_failed(std::uint64_t unique_id, const std::string& reason) = 0;
   /// The process that was to hold the node died before on_loaded.

@@ -60,11 +60,6 @@ void add_death(ComponentEvent& event, const NodeDeath& death) {
   }
 }
 
-/// How the end of a node is reported that left because it should.
-std::uint8_t last_event_type(const NodeEntry& entry) {
-  return entry.refused ? ComponentEvent::LOAD_FAILED : ComponentEvent::UNLOADED;
-}
-
 /// Whether a node that should leave faulted instead. Who does not leave in time is ended by us, by
 /// systemd or by a person, with one of these signals: that is no fault of its code.
 bool faulted(const NodeDeath& death) {
@@ -82,7 +77,7 @@ bool faulted(const NodeDeath& death) {
 }
 
 std::string no_such_node(std::uint64_t unique_id) {
-  return "there is no node with unique_id " + std::to_string(unique_id) + " in this container";
+  return "No node found with unique_id: " + std::to_string(unique_id);  // as rclcpp_components
 }
 
 }  // namespace
@@ -334,7 +329,7 @@ void ObservableComponentManager::on_gone(std::uint64_t unique_id, const std::str
   if (!entry) {
     return;
   }
-  emit(*entry, last_event_type(*entry), entry->verdict.empty() ? why : entry->verdict);
+  emit(*entry, ComponentEvent::UNLOADED, entry->verdict.empty() ? why : entry->verdict);
   after_removal();
 }
 
@@ -347,10 +342,10 @@ void ObservableComponentManager::on_crashed(std::uint64_t unique_id, const NodeD
   }
   ComponentEvent event = event_of(*entry, ComponentEvent::CRASHED);
   event.error_message = death.reason;
-  if (entry->retired || entry->refused) {
+  if (entry->retired) {
     // Nobody wants it back, but a destructor that faults is a crash to whoever looks for one.
-    if (entry->refused || !faulted(death)) {
-      event.event_type = last_event_type(*entry);
+    if (!faulted(death)) {
+      event.event_type = ComponentEvent::UNLOADED;
     }
     event.error_message =
         (entry->verdict.empty() ? "" : entry->verdict + "; ") + kNotInOrder + death.reason;

@@ -28,7 +28,7 @@ NodeTable::Acceptance NodeTable::accept(const Wish& wish, ProcessIdentity proces
   }
   const std::uint64_t unique_id = ++last_id_;
   remember_attempt(wish.attempt, unique_id);
-  if (auto conflict = name_conflict(wish.expected_name, unique_id)) {
+  if (auto conflict = name_conflict(wish.expected_name)) {
     return {unique_id, false, std::move(conflict)};
   }
   NodeEntry entry;
@@ -71,12 +71,6 @@ bool NodeTable::loaded(std::uint64_t unique_id, const std::string& full_name, St
   }
   NodeEntry& entry = found->second;
   entry.cpu_clock.reset();
-  // Checked here as well because only now the name is certain.
-  if (auto conflict = name_conflict(full_name, unique_id); conflict && !entry.retired) {
-    entry.refused = true;
-    entry.verdict = std::move(*conflict);
-    return false;
-  }
   entry.full_name = full_name;
   entry.since = now;
   entry.state = entry.retired ? NodeState::unloading : NodeState::loaded;
@@ -90,7 +84,7 @@ NodeTable::Retirement NodeTable::retire(std::uint64_t unique_id, const std::stri
     return Retirement::unknown;
   }
   NodeEntry& entry = found->second;
-  if (entry.retired || entry.refused) {
+  if (entry.retired) {
     return Retirement::under_way;
   }
   entry.retired = true;
@@ -126,13 +120,12 @@ const NodeEntry* NodeTable::find(std::uint64_t unique_id) const {
   return found == entries_.end() ? nullptr : &found->second;
 }
 
-std::optional<std::string> NodeTable::name_conflict(const std::string& full_name,
-                                                    std::uint64_t except) const {
+std::optional<std::string> NodeTable::name_conflict(const std::string& full_name) const {
   if (full_name.empty()) {
     return std::nullopt;
   }
   for (const auto& [unique_id, entry] : entries_) {
-    if (unique_id == except || entry.full_name != full_name || entry.refused) {
+    if (entry.full_name != full_name) {
       continue;
     }
     return "a node named " + full_name + " " + describe(entry.state) +

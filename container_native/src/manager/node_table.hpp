@@ -33,10 +33,8 @@ struct NodeEntry {
   std::optional<clockid_t> cpu_clock;
   /// Set: nobody wants it any more, it goes once its constructor has returned.
   bool retired = false;
-  /// Error message of its last event, when it was refused or cancelled while constructing.
+  /// Error message of its last event, when it was cancelled while constructing.
   std::string verdict;
-  /// Its last event is LOAD_FAILED instead of UNLOADED.
-  bool refused = false;
 };
 
 /// The container's nodes and the decisions about them. Pure: no threads, clocks or I/O; whoever
@@ -57,7 +55,8 @@ class NodeTable {
   struct Acceptance {
     std::uint64_t unique_id = 0;
     bool repeated = false;  // the attempt was accepted before; start nothing
-    /// The name is taken: the load has failed for this reason, and there is no entry.
+    /// The name is taken: the load has failed for this reason, and there is no entry. A name that
+    /// is not known before construction may be there several times, as in upstream's containers.
     std::optional<std::string> conflict;
   };
   Acceptance accept(const Wish& wish, ProcessIdentity process, SteadyTime now);
@@ -89,8 +88,7 @@ class NodeTable {
   const std::map<std::uint64_t, NodeEntry>& entries() const { return entries_; }
 
  private:
-  std::optional<std::string> name_conflict(const std::string& full_name,
-                                           std::uint64_t except) const;
+  std::optional<std::string> name_conflict(const std::string& full_name) const;
   void remember_attempt(std::uint64_t attempt, std::uint64_t unique_id);
 
   std::map<std::uint64_t, NodeEntry> entries_;

@@ -63,6 +63,8 @@ class MirroredNode(Struct):
     """Whether its container was started anew for it, and it has not been loaded since."""
     is_withdrawn: bool = False
     """Whether it is forgotten as soon as it has left."""
+    calls_itself: str = ""
+    """Full name that it was loaded with; a component may ignore the one that it is given."""
     reported_silent: bool = False
     """Whether its present stay in callbacks was reported."""
 
@@ -107,7 +109,7 @@ class NodeReports:
                 key=node.key,
                 state=record.state,
                 elapsed_ns=round(elapsed * 1e9),
-                reason=facts.reason,
+                reason=facts.reason or self._other_name(node),
                 pid=node.pid,
                 start_time=node.start_time,
                 cpu_time_ns=facts.cpu_time_ns,
@@ -117,6 +119,12 @@ class NodeReports:
                 reloads=node.reloads,
             )
         )
+
+    @staticmethod
+    def _other_name(node: MirroredNode) -> str:
+        is_other = node.config.name and node.calls_itself not in {"", node.name}
+        is_loaded = node.record.state is NodeState.LOADED
+        return f"it calls itself {node.calls_itself}" if is_loaded and is_other else ""
 
     def resources(self, node: MirroredNode) -> None:
         """Report which of its resources the kernel refused; it is loaded."""

@@ -322,6 +322,7 @@ class ContainerNodes:
             node.loaded_at = self._clock()
             node.took = node.loaded_at - record.sent_at
             node.died_constructing, node.is_renewed = "", False
+            node.calls_itself = facts.full_node_name
             self._reports.resources(node)
             self._groups.check(node.key.name, node.pid)
         has_changed = record.state is not before.state

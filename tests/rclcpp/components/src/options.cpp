@@ -33,6 +33,13 @@ class Options : public rclcpp::Node {
   rclcpp::Publisher<std_msgs::msg::String>::SharedPtr publisher_;
 };
 
+/// Is made without its options, and so of the global arguments: it has the name of its container.
+class WithoutOptions : public rclcpp::Node {
+ public:
+  explicit WithoutOptions(const rclcpp::NodeOptions&) : Node("without_options") {}
+};
+
 }  // namespace test_components
 
+RCLCPP_COMPONENTS_REGISTER_NODE(test_components::WithoutOptions)
 RCLCPP_COMPONENTS_REGISTER_NODE(test_components::Options)
