@@ -23,6 +23,11 @@ REMOVING: Final = ".removing-"
 DAMAGED: Final = ".damaged"
 """After the name of a file from which one was recovered that has gaps."""
 
+_MADE: Final = (".html", ".trace.json")
+"""Endings of what `report` and `export` make beside a recording; it can be made again."""
+_TABLES: Final = re.compile(r"session(_\d+)?-(csv|parquet)", re.ASCII)
+"""A folder with tables, which `export` makes there, too."""
+_TABLE: Final = re.compile(r"(processes|cgroups|machine|states)\.(csv|parquet)")
 _OWN: Final = frozenset({INDEX_NAME, INDEX_NAME + NEW_SUFFIX, CONTROL_SOCKET})
 _NAME: Final = re.compile(r"\d{4}(?:-\d\d){5}-.+", re.ASCII | re.DOTALL)
 """As `recording.session` names the folder of a session."""
@@ -80,6 +85,8 @@ def session_entry(folder: Path) -> SessionEntry | None:
                 size += status.st_blocks * 512
                 if entry.name == CONTROL_SOCKET and stat.S_ISSOCK(status.st_mode):
                     continue
+                if is_tables(folder / entry.name):
+                    continue
                 if not stat.S_ISREG(status.st_mode) or not is_own_file(folder / entry.name):
                     others.append(entry.name)
                     continue
@@ -100,11 +107,25 @@ def session_entry(folder: Path) -> SessionEntry | None:
 
 def is_own_file(path: Path) -> bool:
     """Whether it has a name that play-launch gives."""
+    if _TABLES.fullmatch(path.parent.name):
+        return _TABLE.fullmatch(path.name) is not None
     for suffix in (HALF_SUFFIX, DAMAGED):
         path = path.with_name(path.name.removesuffix(suffix))
-    if path.suffix == ".html":  # a report where it is written by default; it can be made again
-        path = path.with_suffix(".mcap")
+    for suffix in _MADE:
+        if path.name.endswith(suffix):
+            path = path.with_name(f"{path.name.removesuffix(suffix)}.mcap")
     return path.name in _OWN or part_file(path) is not None
+
+
+def is_tables(path: Path) -> bool:
+    """Whether it is a folder with nothing but tables; may raise ``OSError``."""
+    if not _TABLES.fullmatch(path.name) or path.is_symlink() or not path.is_dir():
+        return False
+    with os.scandir(path) as entries:
+        return all(
+            each.is_file(follow_symlinks=False) and is_own_file(path / each.name)
+            for each in entries
+        )
 
 
 def is_being_written(path: Path) -> bool:

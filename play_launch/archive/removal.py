@@ -6,7 +6,7 @@ import contextlib
 import os
 from typing import TYPE_CHECKING
 
-from play_launch.archive.folders import REMOVING, is_own_file, session_entry
+from play_launch.archive.folders import REMOVING, is_own_file, is_tables, session_entry
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -47,10 +47,14 @@ def _empty(folder: Path) -> bool:
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
     try:
         names = os.listdir(descriptor)  # noqa: PTH208 - of a descriptor
-        if not all(is_own_file(folder / name) for name in names):
+        tables = [name for name in names if is_tables(folder / name)]
+        files = [name for name in names if name not in tables]
+        if not all(is_own_file(folder / name) for name in files):
             return False
-        for name in names:
+        for name in files:
             os.unlink(name, dir_fd=descriptor)
+        if not all(_empty(folder / name) for name in tables):
+            return False
     finally:
         os.close(descriptor)
     with contextlib.suppress(OSError):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import gc
 import os
 import signal
@@ -29,9 +30,15 @@ def main() -> None:
     try:
         _run()
     except OSError as error:
-        if not is_about_output(error):
+        if is_about_output(error):
+            give_up_output(error)
+        elif error.filename and error.errno in {errno.EACCES, errno.ENAMETOOLONG}:
+            # A name on the command line that cannot even be looked at.
+            from play_launch.cli.failure import fail  # noqa: PLC0415 - rarely needed
+
+            fail(f"{os.fsdecode(error.filename)}: {error.strerror}")
+        else:
             raise
-        give_up_output(error)
         sys.exit(OUTPUT_FAILED)
 
 

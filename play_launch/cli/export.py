@@ -16,6 +16,7 @@ from play_launch.exporting.trace import trace_events, write_trace
 from play_launch.history.bag_reader import NotARecordingError
 from play_launch.history.session import PastSession
 from play_launch.history.whole_file import OutputError, is_passed_on, whole_file
+from play_launch.recording.folder import beside
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -35,7 +36,7 @@ def export_session(file: Path, form: str, output: Path | None) -> int:
     if form != TRACE and output is not None and is_passed_on(output):
         fail(f"--output {output}: tables need a folder")
     session = PastSession(file)
-    target = output or _beside(file, form)
+    target = output or beside(file, ".trace.json" if form == TRACE else f"-{form}")
     try:
         written = (
             _write_trace(session, target) if form == TRACE else _write_tables(session, form, target)
@@ -48,11 +49,6 @@ def export_session(file: Path, form: str, output: Path | None) -> int:
         fail(f"{error.filename or target}: {error.strerror or error}", ExitCode.NODE_FAILED)
     say(f"{target}: {written}", beside=target)
     return DAMAGED if report_damage(session.reader) else 0
-
-
-def _beside(file: Path, form: str) -> Path:
-    name = file.name.removesuffix(".active").removesuffix(".mcap") or file.name
-    return file.with_name(f"{name}.trace.json" if form == TRACE else f"{name}-{form}")
 
 
 def _write_trace(session: PastSession, target: Path) -> str:

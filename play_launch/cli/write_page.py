@@ -15,7 +15,7 @@ from play_launch.history.locate import located
 from play_launch.history.session import PastSession
 from play_launch.history.story import Telling
 from play_launch.history.whole_file import OutputError
-from play_launch.recording.part import ACTIVE_SUFFIX
+from play_launch.recording.folder import beside
 from play_launch.reporting.facts import contents
 from play_launch.reporting.gather import Gathering
 from play_launch.reporting.page import write_page
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 def write_report(file: Path, output: Path | None) -> int:
     """Write the page of a recording; return the exit code."""
-    output = output or default_output(file)
+    output = output or beside(file, ".html")
     session = PastSession(file)
     telling, gathering = Telling(session), Gathering(session)
     try:
@@ -61,10 +61,3 @@ def _points(findings: Sequence[Finding], started_ns: int) -> Iterator[Point]:
             finding.who,
             IMPORTANCE[finding.kind].is_failure,
         )
-
-
-def default_output(file: Path) -> Path:
-    """``session.html``: beside ``session.mcap`` or ``session.mcap.active``, or in the folder."""
-    if file.is_dir():
-        return file / "session.html"
-    return file.with_name(f"{file.name.removesuffix(ACTIVE_SUFFIX).removesuffix('.mcap')}.html")

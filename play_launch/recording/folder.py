@@ -102,6 +102,17 @@ def part_file(path: Path) -> PartFile | None:
     return PartFile(path, number)
 
 
+def beside(recording: Path, ending: str) -> Path:
+    """``session.html`` for ``.html``: beside ``session.mcap`` or its ``.active``, or in the folder.
+
+    `archive.folders` has to know the ending, or what is made there keeps the session for ever.
+    """
+    if recording.is_dir():
+        return recording / f"{_STEM}{ending}"
+    name = recording.name.removesuffix(ACTIVE_SUFFIX).removesuffix(".mcap")
+    return recording.with_name(f"{name}{ending}")
+
+
 def open_regular(path: Path, *, follow: bool = False) -> int:
     """Open a file to read it and return the descriptor; raises ``OSError``.
 

@@ -10,9 +10,11 @@ import pytest
 
 from play_launch.archive.folders import REMOVING, list_sessions, session_entry
 from play_launch.archive.removal import finish_removals, remove_session
+from play_launch.cli.export import export_session
 from play_launch.cli.write_page import write_report
 from play_launch.control.place import CONTROL_SOCKET
 from tests.archive.scenes import begin_session, cut_off_session, name_of, past_session
+from tests.history.scenes import Scene
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -58,18 +60,32 @@ def test_removed_is_what_neither_runs_nor_is_pinned(tmp_path: Path) -> None:
     assert everything(pinned) == {"notes.txt", "session.mcap", "metadata.yaml"}
 
 
-def test_a_report_in_its_usual_place_keeps_nothing(tmp_path: Path) -> None:
+def test_what_is_made_in_its_usual_place_keeps_nothing(tmp_path: Path) -> None:
+    scene = Scene()
+    scene.machine(1)
     session = past_session(tmp_path, 1, parts=2)
+    scene.record(session / "session_2.mcap")
     for recording in (session, session / "session_1.mcap"):
         assert not write_report(recording, None)
-    reports = {"session.html", "session_1.html"}
-    assert reports < everything(session)
+        assert not export_session(recording, "perfetto", None)
+        assert not export_session(recording, "csv", None)
+    made = {"session.html", "session_1.html", "session.trace.json", "session_1.trace.json"}
+    assert made | {"session-csv/machine.csv"} < everything(session)
     (entry,) = list_sessions(tmp_path)
     assert entry.others == ()
-    (session / "mine.html").touch()
-    assert not remove_session(session)
-    (session / "mine.html").unlink()
+    for mine in (
+        "mine.html",
+        "session-csv/mine.csv",
+        "session-csv/session.mcap",
+        "session-parquet",
+    ):
+        mine.touch()
+        before = everything(session)
+        assert not remove_session(session)
+        assert everything(session) == before
+        mine.unlink()
     assert remove_session(session)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_the_socket_of_a_killed_session_keeps_nothing(

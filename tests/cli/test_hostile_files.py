@@ -132,6 +132,25 @@ def test_what_is_no_recording_is_named(
     assert sorted(tmp_path.rglob("*")) == before
 
 
+@pytest.mark.parametrize("verb", [*READERS, ("dump",)], ids=" ".join)
+def test_a_name_that_cannot_be_is_named(good: Path, verb: tuple[str, ...]) -> None:
+    words = [good if word == "SECOND" else word for word in verb]
+    result = run(*words, "x" * 300)
+    assert result.returncode in {1, 2}
+    assert result.stderr == f"error: {'x' * 300}: File name too long\n"
+
+
+@pytest.mark.parametrize("form", ["perfetto", "csv"])
+def test_the_folder_where_one_is_can_be_exported(
+    tmp_path: Path, good: Path, form: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    good.rename(tmp_path / "session.mcap")
+    monkeypatch.chdir(tmp_path)
+    assert run("export", ".", "--format", form).returncode == 0
+    name = "session.trace.json" if form == "perfetto" else "session-csv"
+    assert (tmp_path / name).exists()
+
+
 @pytest.mark.parametrize("verb", WRITERS, ids=lambda words: words[0])
 @pytest.mark.parametrize(
     ("output", "reason"),
