@@ -73,17 +73,12 @@ def test_what_is_made_in_its_usual_place_keeps_nothing(tmp_path: Path) -> None:
     assert made | {"session-csv/machine.csv"} < everything(session)
     (entry,) = list_sessions(tmp_path)
     assert entry.others == ()
-    for mine in (
-        "mine.html",
-        "session-csv/mine.csv",
-        "session-csv/session.mcap",
-        "session-parquet",
-    ):
-        mine.touch()
+    for mine in ("mine.html", "session-csv/mine.csv", "session-csv/session.mcap"):
+        (session / mine).touch()
         before = everything(session)
         assert not remove_session(session)
         assert everything(session) == before
-        mine.unlink()
+        (session / mine).unlink()
     assert remove_session(session)
     assert list(tmp_path.iterdir()) == []
 
