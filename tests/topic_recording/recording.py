@@ -17,7 +17,7 @@ from rclpy.publisher import Publisher
 from play_launch.config.load import parse_config
 from play_launch.config.model import ReplayConfig
 from play_launch.recording.bag import McapBagWriter
-from play_launch.recording.chunk import TopicChunk
+from play_launch.recording.chunk import CHUNK_HEAD, ENTRY, INDEX, MESSAGE, ChannelPart, TopicChunk
 from play_launch.recording.recorder import Recorder, RecordingSummary
 from play_launch.recording.schema import message_definition
 from play_launch.recording.topic_requests import TopicRequests
@@ -36,12 +36,14 @@ def configuration(record: str) -> ReplayConfig:
 
 
 class Counting:
-    """Passes requests on, and counts the messages of each topic that are in the file."""
+    """Passes requests on, and notes what of each topic is in the file."""
 
     def __init__(self, requests: TopicRequests) -> None:
         self._requests = requests
         self._names: dict[int, str] = {}
         self.messages: Counter[str] = Counter()
+        self.published: Counter[str] = Counter()
+        """When the newest of a topic was, in nanoseconds since the epoch."""
         self.after_these = requests.after_these
         self.count_topic_drops = requests.count_topic_drops
 
@@ -55,12 +57,24 @@ class Counting:
         self._requests.open_channel(name, type_name, offered_qos_profiles, note)
 
     def append_chunk(self, chunk: TopicChunk, done: Callable[[], None]) -> None:
+        newest = [_published(chunk, part) for part in chunk.parts]
+
         def count() -> None:
-            for part in chunk.parts:
-                self.messages[self._names[part.channel]] += part.messages
+            for part, published in zip(chunk.parts, newest, strict=True):
+                name = self._names[part.channel]
+                self.messages[name] += part.messages
+                self.published[name] = max(self.published[name], published)
             done()
 
         self._requests.append_chunk(chunk, count)
+
+
+def _published(chunk: TopicChunk, part: ChannelPart) -> int:
+    """When the last message of a channel was published."""
+    last = part.index_offset + INDEX.size + ENTRY.size * (part.messages - 1)
+    _, place = ENTRY.unpack(os.pread(chunk.descriptor, ENTRY.size, last))
+    head = os.pread(chunk.descriptor, MESSAGE.size, CHUNK_HEAD + place)
+    return int(MESSAGE.unpack(head)[-1])
 
 
 class Recording:
@@ -110,16 +124,15 @@ async def until(done: Callable[[], bool], what: str) -> None:
 
 
 async def heard(made: Recording, publisher: Publisher, hello: Any) -> None:
-    """Wait until what this one publishes is recorded; ``hello`` is at the beginning then.
+    """Wait until what this one publishes from now on is recorded; ``hello`` is the first of it.
 
     That a publisher has a subscription does not mean yet that this one knows the publisher.
     """
-    topic, messages = publisher.topic_name, made.counting.messages
-    before = messages[topic]
+    topic, since = publisher.topic_name, time.time_ns()
 
     def is_heard() -> bool:
         publisher.publish(hello)
-        return messages[topic] > before
+        return made.counting.published[topic] > since
 
     await until(is_heard, f"messages of {topic} in the file")
 
