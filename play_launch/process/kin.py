@@ -11,10 +11,13 @@ from __future__ import annotations
 import asyncio
 import logging
 import threading
+import time
 from collections import defaultdict
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
+
+from play_launch.process.identity import parse_stat
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
@@ -26,6 +29,12 @@ _log = logging.getLogger(__name__)
 
 _LONGEST_READ: Final = 1.0
 """Seconds until a process counts as one that cannot be looked into."""
+
+_LONGEST_EXECUTION: Final = 0.5
+"""Seconds that a program may take to be mapped."""
+_PAUSE: Final = 0.001
+_ENVIRONMENT: Final = slice(47, 49)
+"""Begin and end of it, among what follows the command in ``/proc/<pid>/stat``."""
 
 MEMBER_VARIABLE: Final = "PLAY_LAUNCH_MEMBER"
 """Names the child that a process came of, and the supervisor of it."""
@@ -126,10 +135,21 @@ def below(table: Collection[ProcessStat], roots: Collection[int]) -> list[Proces
 
 def mark_of(pid: int) -> str:
     """Read which child a process came of; empty where that cannot be known."""
+    deadline = time.monotonic() + _LONGEST_EXECUTION
     try:
-        variables = Path(f"/proc/{pid}/environ").read_bytes().split(b"\0")
+        while not (text := Path(f"/proc/{pid}/environ").read_bytes()):
+            if not _is_being_executed(pid) or time.monotonic() > deadline:
+                return ""
+            time.sleep(_PAUSE)
     except OSError:  # it has ended, or is another user's by now
         return ""
     name = f"{MEMBER_VARIABLE}=".encode()
-    marks = (each.removeprefix(name) for each in variables if each.startswith(name))
+    marks = (each.removeprefix(name) for each in text.split(b"\0") if each.startswith(name))
     return next(marks, b"").decode(errors="replace")
+
+
+def _is_being_executed(pid: int) -> bool:
+    """Whether a process without environment is just getting one: execve(2) begins with none."""
+    stat = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
+    begin, end = map(int, stat.rpartition(")")[2].split()[_ENVIRONMENT])
+    return parse_stat(stat).is_alive and (end == 0 or end > begin)

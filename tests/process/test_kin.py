@@ -24,7 +24,7 @@ from play_launch.process.guard import SessionGuard
 from play_launch.process.identity import ProcessStat
 from play_launch.process.kin import below, mark_of
 from play_launch.process.stop import StopPolicy, stop
-from tests.process.programs import Output, environment, python
+from tests.process.programs import Output, environment, python, shell
 from tests.support.waiting import until
 
 PATIENT = StopPolicy(sigint=60, sigterm=60)
@@ -34,6 +34,7 @@ DAEMON = """
     if os.fork() == 0:
         os.setsid()
         if os.fork() == 0:
+            {before}
             os.write(write, b"%d\\n" % os.getpid())
             os.close(1); os.close(2)
             {daemon}
@@ -42,8 +43,15 @@ DAEMON = """
     print(os.read(read, 20).decode().strip())
 """
 """Forks twice and calls setsid(2) in between, as daemon(7) says; prints its pid."""
+
+
+def daemon(then: str, before: str = "") -> str:
+    """A program that leaves a daemon behind, which does something before its pid is printed."""
+    return DAEMON.format(daemon=then, before=before)
+
+
 SLEEP = "os.execvp('sleep', ['sleep', '600'])"
-DEAF = "[signal.signal(number, signal.SIG_IGN) for number in (1, 2, 15)]; time.sleep(600)"
+DEAF = "[signal.signal(number, signal.SIG_IGN) for number in (1, 2, 15)]"
 BELOW = """
     import subprocess
     print(subprocess.Popen(["setsid", "sleep", "600"], env={"PATH": os.environ["PATH"]}).pid)
@@ -76,12 +84,12 @@ def is_alive(process: psutil.Process) -> bool:
 @pytest.mark.anyio
 @pytest.mark.parametrize(
     "body",
-    [DAEMON.format(daemon=SLEEP), DAEMON.format(daemon="time.sleep(600)"), BELOW],
+    [daemon(SLEEP), daemon("time.sleep(600)"), BELOW],
     ids=["daemon", "daemon without exec", "below"],
 )
 async def test_a_stop_ends_what_has_left_the_session(session: SessionGuard, body: str) -> None:
     child, left = await started(session, body, mark="1:/one")
-    other, stays = await started(session, DAEMON.format(daemon=SLEEP), mark="1:/other")
+    other, stays = await started(session, daemon(SLEEP), mark="1:/other")
     async with asyncio.timeout(60):
         outcome = await stop(child, PATIENT)
         assert outcome.stragglers == 0, "SIGTERM was enough"
@@ -94,9 +102,14 @@ async def test_a_stop_ends_what_has_left_the_session(session: SessionGuard, body
 
 @pytest.mark.anyio
 async def test_a_daemon_that_is_deaf_is_killed_and_counted(session: SessionGuard) -> None:
-    child, left = await started(session, DAEMON.format(daemon=DEAF), mark="1:/one")
-    async with asyncio.timeout(60):
-        outcome = await stop(child, StopPolicy(sigint=0.3, sigterm=0.2))
+    child, left = await started(session, daemon("time.sleep(600)", DEAF), mark="1:/one")
+    policy = StopPolicy(sigint=60, sigterm=60, hurried=0.2)
+    has_ended = asyncio.Event()
+    async with asyncio.timeout(60), asyncio.TaskGroup() as tasks:
+        stopping = tasks.create_task(stop(child, policy, hurry=has_ended))
+        await child.wait()  # by itself; from then on there is a limit
+        has_ended.set()
+        outcome = await stopping
     assert outcome.stragglers == 1
     assert not is_alive(left)
 
@@ -106,7 +119,7 @@ async def test_a_daemon_ends_with_a_child_that_ends_by_itself(
     session: SessionGuard, caplog: pytest.LogCaptureFixture
 ) -> None:
     then = "print('ready', flush=True)"
-    child, left = await started(session, DAEMON.format(daemon=SLEEP), mark="1:/one", then=then)
+    child, left = await started(session, daemon(SLEEP), mark="1:/one", then=then)
     async with asyncio.timeout(60):
         assert (await child.gone()).code == 0
     assert not is_alive(left)
@@ -177,8 +190,8 @@ async def test_a_daemon_that_cannot_be_looked_into_holds_no_stop_up(
     session: SessionGuard, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     """The kernel keeps readers of its environment waiting while it waits for a disk itself."""
-    other, stuck = await started(session, DAEMON.format(daemon=SLEEP), mark="1:/stuck")
-    child, left = await started(session, DAEMON.format(daemon=SLEEP), mark="1:/one")
+    other, stuck = await started(session, daemon(SLEEP), mark="1:/stuck")
+    child, left = await started(session, daemon(SLEEP), mark="1:/one")
     goes_on, readers = threading.Event(), []
 
     def read(pid: int) -> str:
@@ -205,13 +218,35 @@ async def test_a_daemon_that_cannot_be_looked_into_holds_no_stop_up(
 
 @pytest.mark.anyio
 async def test_whose_a_process_is_stands_in_its_environment(session: SessionGuard) -> None:
-    child, left = await started(session, DAEMON.format(daemon=SLEEP), mark="1:/one")
+    child, left = await started(session, daemon(SLEEP), mark="1:/one")
     assert await asyncio.to_thread(mark_of, left.pid) == "1:/one"
     child.send_signal(signal.SIGKILL)
     async with asyncio.timeout(60):
         await child.gone()
     assert not is_alive(left)
     assert await asyncio.to_thread(mark_of, left.pid) == ""
+
+
+@pytest.mark.anyio
+async def test_whose_a_process_is_stands_there_while_another_program_is_executed(
+    session: SessionGuard,
+) -> None:
+    """For a moment, it has no environment."""
+    again = 'exec sh -c "$again"'
+    output = Output()
+    child = spawn(
+        shell(f"echo ready; {again}"),
+        env={**environment(), "again": again},
+        guard=session,
+        on_output=output,
+        mark="1:/one",
+    )
+    await output.wait_line("ready")
+    marks = await asyncio.to_thread(lambda: {mark_of(child.pid) for _ in range(20_000)})
+    assert marks == {"1:/one"}
+    child.send_signal(signal.SIGKILL)
+    async with asyncio.timeout(60):
+        await child.gone()
 
 
 @given(st.lists(st.integers(0, 30), min_size=1, max_size=30), st.sets(st.integers(1, 30)))
