@@ -6,10 +6,12 @@
 #include <pthread.h>
 
 #include <cstdint>
+#include <cstdlib>
 #include <initializer_list>
 
 #include "../container/check.hpp"
 #include "base/early_code.hpp"
+#include "base/elf.hpp"
 #include "node_stand_in.hpp"
 #include "rcl_stand_in.hpp"
 
@@ -23,6 +25,8 @@ void play_launch_test_function_of_a_node() { __asm__ volatile("nop"); }
 namespace {
 
 using namespace play_launch::isolation;
+using play_launch::DynamicSymbols;
+using play_launch::library_at;
 
 [[gnu::noinline]] void unnamed() { __asm__ volatile("nop"); }
 [[gnu::noinline]] void also_unnamed() { __asm__ volatile("nop; nop"); }
@@ -133,6 +137,48 @@ void test_before_a_wake() {
   }
 }
 
+void (*in_the_cpp_library(const char* name))() {
+  void* const found = ::dlsym(RTLD_DEFAULT, name);
+  CHECK(found != nullptr);
+  return reinterpret_cast<void (*)()>(found);
+}
+
+/// Code that no exported function has, as a part that the compiler set apart.
+void (*nameless_in_the_cpp_library())() {
+  std::uintptr_t address = within(in_the_cpp_library("_ZSt9terminatev"));
+  const link_map* const library = library_at(address);
+  CHECK(library != nullptr);
+  while (!DynamicSymbols(*library).function_at(address).name.empty()) {
+    ++address;
+  }
+  CHECK(library_at(address) == library);
+  return reinterpret_cast<void (*)()>(address);
+}
+
+void test_which_frame_threw() {
+  void (*const node)() = play_launch_test_function_of_a_node;
+  void (*const nameless)() = nameless_in_the_cpp_library();
+  void (*const terminate)() = in_the_cpp_library("_ZSt9terminatev");
+  void (*const thrown)() = in_the_cpp_library("__cxa_throw");
+  void (*const thrown_on)() = in_the_cpp_library("__cxa_rethrow");
+  void (*const noexcept_met)() = in_the_cpp_library("__gxx_personality_v0");
+  const auto thrower = [&](std::initializer_list<void (*)()> callers) {
+    CallStack stack = stack_of({std::abort, unnamed, nameless, terminate});
+    for (const auto caller : callers) {
+      stack.frames[stack.count++] = {within(caller), 1};
+    }
+    return thrower_in(stack);
+  };
+  CHECK(thrower({thrown, node, stand_in::publish}) == 5);
+  CHECK(thrower({thrown_on, node, stand_in::publish}) == 5);
+  // GCC 14's __cxa_rethrow() calls std::terminate() in a part of it that was set apart.
+  CHECK(thrower({nameless, node, stand_in::publish}) == 5);
+  CHECK(thrower({nameless, noexcept_met, thrown, node, stand_in::publish}) == 7);
+  CHECK(thrower({nameless, noexcept_met, node, stand_in::publish}) == 0);
+  CHECK(thrower({node, stand_in::publish}) == 0);
+  CHECK(thrower({nameless}) == 0);
+}
+
 }  // namespace
 
 int main() {
@@ -142,6 +188,7 @@ int main() {
   test_functions_without_a_name_at_the_end_of_unlocking();
   test_functions_without_a_name_of_a_node();
   test_before_a_wake();
+  test_which_frame_threw();
   test_libraries_of_nodes();
   return 0;
 }

@@ -139,23 +139,6 @@ void describe(CrashSlot& slot, int signal, const siginfo_t& info, void* context)
   slot.thread = ::gettid();
 }
 
-/// Which frame threw the exception that nobody caught: nobody has left the stack by then. The
-/// frames before are the C++ library's and ours. 0 when there is none.
-std::size_t thrower_in(const CallStack& stack) noexcept {
-  constexpr std::array kThrow{"__cxa_throw"sv, "__cxa_rethrow"sv,
-                              "_ZSt17rethrow_exceptionNSt15__exception_ptr13exception_ptrE"sv};
-  for (std::size_t i = 1; i + 1 < stack.count; ++i) {
-    const std::uintptr_t address = stack.frames[i].address - 1;
-    const link_map* const library = library_at(address);
-    if (library != nullptr &&
-        std::ranges::find(kThrow, DynamicSymbols(*library).function_at(address).name) !=
-            kThrow.end()) {
-      return i + 1;
-    }
-  }
-  return 0;
-}
-
 void trace(CrashSlot& slot, void* context) noexcept {
   const CallStack stack = interrupted_call_stack(context, is_jump_to_no_code(slot.report));
   std::transform(stack.frames.begin(), stack.frames.begin() + stack.count,

@@ -262,4 +262,32 @@ Judgement judge(const CallStack& stack, Caution caution, std::size_t first) noex
   return judgement;
 }
 
+std::size_t thrower_in(const CallStack& stack) noexcept {
+  constexpr std::array kThrow{"__cxa_throw"sv, "__cxa_rethrow"sv,
+                              "_ZSt17rethrow_exceptionNSt15__exception_ptr13exception_ptrE"sv};
+  std::size_t behind = 0;  // std::terminate(), and what in its library has no name
+  const link_map* cpp_library = nullptr;
+  bool set_apart = false;
+  for (std::size_t i = 1; i + 1 < stack.count; ++i) {
+    const std::uintptr_t address = stack.frames[i].address - 1;
+    const link_map* const library = library_at(address);
+    const std::string_view name =
+        library == nullptr ? ""sv : DynamicSymbols(*library).function_at(address).name;
+    if (std::ranges::find(kThrow, name) != kThrow.end()) {
+      return i + 1;
+    }
+    if (name == "_ZSt9terminatev"sv) {
+      cpp_library = library;
+      behind = i + 1;
+    } else if (i == behind && library == cpp_library && name.empty()) {
+      set_apart = true;
+      ++behind;
+    }
+  }
+  // With GCC 14, the part of a throwing function that calls std::terminate() may be set apart from
+  // it. The unwinder's functions call it, too, but have names.
+  const bool is_outside = library_at(stack.frames[behind].address - 1) != cpp_library;
+  return set_apart && is_outside ? behind : 0;
+}
+
 }  // namespace play_launch::isolation

@@ -32,4 +32,8 @@ void prepare_code_map();
 /// anywhere. Frames before `first` do not count. Async-signal-safe.
 Judgement judge(const CallStack& stack, Caution caution, std::size_t first = 0) noexcept;
 
+/// Which frame threw the exception that was caught nowhere, so that no function has left the stack.
+/// The frames before it are the C++ library's and ours. 0 when there is none. Async-signal-safe.
+std::size_t thrower_in(const CallStack& stack) noexcept;
+
 }  // namespace play_launch::isolation
