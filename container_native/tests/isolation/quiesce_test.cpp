@@ -268,6 +268,52 @@ void test_other_ends() {
   }
 }
 
+/// One end beside a thread that blocks all signals, as libraries' helpers do that leave them to
+/// others: ZeroMQ's, GLib's. `wait` says that it begins before it does.
+void end_beside_deaf(Outcome& outcome, const ChildOptions& options,
+                     const std::function<void(std::atomic<bool>&)>& wait) {
+  Program program([&wait](Program&) {
+    std::atomic<bool> waiting{false};
+    std::thread([&] {
+      sigset_t all;
+      ::sigfillset(&all);
+      ::pthread_sigmask(SIG_BLOCK, &all, nullptr);
+      wait(waiting);
+    }).detach();
+    while (!waiting) {
+      std::this_thread::yield();
+    }
+    return 1;
+  });
+  run(outcome, program, options);
+  CHECK(outcome.end.exit_code == 1);
+}
+
+void test_threads_that_block_all_signals() {
+  const Event never;
+  Outcome reading;
+  end_beside_deaf(reading, {.quiesce_limit = 10s}, [&](std::atomic<bool>& waiting) {
+    waiting = true;
+    never.wait();
+  });
+  CHECK(reading.slot.report.threads_parked == 1 && reading.slot.report.threads_not_parked == 0);
+  // What it may hold cannot be seen.
+  Outcome computing;
+  end_beside_deaf(computing, {.quiesce_limit = 20ms}, [](std::atomic<bool>& waiting) {
+    waiting = true;
+    busy_for_ever();
+  });
+  CHECK(computing.slot.report.threads_not_parked == 1);
+  Outcome locking;
+  end_beside_deaf(locking, {.quiesce_limit = 20ms}, [](std::atomic<bool>& waiting) {
+    std::mutex mutex;
+    mutex.lock();
+    waiting = true;
+    mutex.lock();
+  });
+  CHECK(locking.slot.report.threads_not_parked == 1);
+}
+
 /// A node with a thread that waits for work, as its class would be written anywhere.
 class Worker {
  public:
@@ -341,6 +387,7 @@ int main() {
   test_cancelled_threads_park();
   test_several_crash_at_once();
   test_other_ends();
+  test_threads_that_block_all_signals();
   test_destroying_what_the_dead_left();
   return 0;
 }

@@ -1,5 +1,6 @@
 #include "isolation/quiesce/quiesce.hpp"
 
+#include <fcntl.h>
 #include <linux/futex.h>
 #include <sched.h>
 #include <signal.h>
@@ -10,9 +11,12 @@
 #include <algorithm>
 #include <array>
 #include <cerrno>
+#include <charconv>
 #include <chrono>
+#include <cstddef>
 #include <cstdint>
 #include <ctime>
+#include <string_view>
 
 #include "base/number_list.hpp"
 #include "isolation/memory/protection_keys.hpp"
@@ -62,21 +66,77 @@ std::uint32_t count_others(NumberList& threads) noexcept {
   return listed ? count : 1;
 }
 
+using Text = std::array<char, 4096>;
+
+/// What /proc says of a thread; empty when it cannot be read.
+std::string_view read_about(const NumberList& threads, pid_t thread, std::string_view file,
+                            Text& text) noexcept {
+  constexpr std::size_t kDigits = 10;
+  std::array<char, 32> path{};
+  char* end = std::to_chars(path.data(), path.data() + kDigits, thread).ptr;
+  *end++ = '/';
+  std::copy(file.begin(), file.end(), end);
+  const int fd = ::openat(threads.descriptor(), path.data(), O_RDONLY | O_CLOEXEC);
+  if (fd < 0) {
+    return {};
+  }
+  const ssize_t size = ::read(fd, text.data(), text.size());
+  ::close(fd);
+  return {text.data(), static_cast<std::size_t>(std::max<ssize_t>(size, 0))};
+}
+
+/// Of a thread that blocks the park signal, as do helpers of libraries which leave signals to
+/// others (ZeroMQ's, GLib's): it sleeps in a system call in which threads rarely hold anything. Its
+/// stack is not looked at.
+bool sleeps_unasked(const NumberList& threads, pid_t thread) noexcept {
+  constexpr std::array<long, 6> kMayHold{SYS_futex,  SYS_write,   SYS_writev,
+                                         SYS_sendto, SYS_sendmsg, SYS_sendmmsg};
+  constexpr std::string_view kBlocked = "\nSigBlk:\t";
+  constexpr int kHexadecimal = 16;
+  Text text;
+  // "running" for one that does not sleep, and -1 for one that sleeps elsewhere.
+  long call = -1;
+  const std::string_view sleep = read_about(threads, thread, "syscall", text);
+  std::from_chars(sleep.data(), sleep.data() + sleep.size(), call);
+  if (call < 0 || std::ranges::find(kMayHold, call) != kMayHold.end()) {
+    return false;
+  }
+  const std::string_view status = read_about(threads, thread, "status", text);
+  const std::size_t place = status.find(kBlocked);
+  // Not one that waits for the memory map, as the allocator does: that is state D.
+  if (place == status.npos || status.find("\nState:\tS") == status.npos) {
+    return false;
+  }
+  std::uint64_t blocked = 0;
+  std::from_chars(status.data() + place + kBlocked.size(), status.data() + status.size(), blocked,
+                  kHexadecimal);
+  return (blocked >> (park_signal() - 1) & 1) != 0;
+}
+
+struct Others {
+  std::uint32_t left = 0;
+  std::uint32_t unasked = 0;  // see sleeps_unasked()
+};
+
 /// Interrupts the threads that are left, and counts them.
-std::uint32_t ask_to_park(ChildRecord& child, NumberList& threads) noexcept {
+Others ask_to_park(ChildRecord& child, NumberList& threads) noexcept {
   const pid_t process = ::getpid();
   const pid_t self = ::gettid();
-  std::uint32_t left = 0;
+  Others others;
   const bool listed = threads.for_each([&](pid_t thread) {
-    if (thread == self || is_parked(child, thread)) {
+    // One that is already gone is not in the list the next time.
+    if (thread == self || is_parked(child, thread) ||
+        ::syscall(SYS_tgkill, process, thread, park_signal()) != 0) {
       return;
     }
-    // One that is already gone is not in the list the next time.
-    if (::syscall(SYS_tgkill, process, thread, park_signal()) == 0) {
-      ++left;
+    // Parked threads block all signals, too: it may have become one meanwhile.
+    if (sleeps_unasked(threads, thread) && !is_parked(child, thread)) {
+      ++others.unasked;
+    } else {
+      ++others.left;
     }
   });
-  return listed ? left : 1;
+  return listed ? others : Others{.left = 1};
 }
 
 void wait_for_change(std::atomic<std::uint32_t>& count, std::uint32_t seen) noexcept {
@@ -159,19 +219,19 @@ void quiesce(ChildRecord& child) noexcept {
   }
   const nanoseconds begin = now();
   const nanoseconds limit = child.options.quiesce_limit;
-  std::uint32_t left = 0;
+  Others others;
   while (true) {
     const std::uint32_t seen = child.parked_count;
-    left = ask_to_park(child, threads);
+    others = ask_to_park(child, threads);
     const nanoseconds passed = now() - begin;
-    const bool all_seen = left <= child.seen_inside;
-    if (left == 0 || passed >= (all_seen ? limit : limit * kPatience)) {
+    const bool all_seen = others.left <= child.seen_inside;
+    if (others.left == 0 || passed >= (all_seen ? limit : limit * kPatience)) {
       break;
     }
     wait_for_change(child.parked_count, seen);
   }
-  child.slot->report.threads_parked = child.parked_count;
-  child.slot->report.threads_not_parked = left;
+  child.slot->report.threads_parked = child.parked_count + others.unasked;
+  child.slot->report.threads_not_parked = others.left;
 }
 
 void park_if_dying() noexcept {
