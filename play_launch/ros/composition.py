@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -59,35 +59,25 @@ class CompositionClient:
         self._clients: dict[str, Any] = {}
         self._open: set[asyncio.Future[Any]] = set()
         self._closed = False
-        self._changed = asyncio.Event()
-        self._on_change: Callable[[], None] = lambda: None
+        self._forget: Callable[[], None] = lambda: None
         ros.post(self._create)
-        self._forget = ros.listen(self._graph_changed)
 
     def on_graph_change(self, callback: Callable[[], None]) -> None:
-        """Have this called after each change of the graph."""
-        self._on_change = callback
+        """Have this called after changes of the graph."""
+        self._forget = self._ros.listen(callback)
 
     async def ready(self) -> None:
-        """Wait until all three services are there."""
-        while True:
-            changed = self._changed  # of before the look, so that nothing in between is missed
-            if await self.is_ready():
-                return
-            await changed.wait()
+        """Wait until the services are there."""
+        await self._ros.until(self._is_ready)
 
     async def graph_change(self) -> None:
         """Wait for the next change of the graph."""
-        await self._changed.wait()
+        seen = self._ros.graph_changes
+        await self._ros.until(lambda _: self._ros.graph_changes != seen)
 
     async def is_ready(self) -> bool:
-        """Whether somebody offers all three services now."""
-        return await self._ros.call(
-            lambda _: (
-                len(self._clients) == len(_SERVICES)
-                and all(client.service_is_ready() for client in self._clients.values())
-            )
-        )
+        """Whether somebody offers the services now."""
+        return await self._ros.call(self._is_ready)
 
     async def servers(self) -> frozenset[bytes]:
         """Identify those who answer ListNodes; empty where the middleware does not report them.
@@ -123,7 +113,6 @@ class CompositionClient:
         if self._closed:
             return
         self._closed = True
-        self._on_change = lambda: None
         self._forget()
         for future in tuple(self._open):
             future.cancel()
@@ -151,9 +140,9 @@ class CompositionClient:
             self._hand_over(finish, None if error else ros_future.result(), error)
 
         def send(_: Node) -> None:
-            client = self._clients.get(name)
-            if client is None:  # closed in the meantime
+            if self._closed or future.done():
                 return
+            client = self._clients[name]
             try:
                 expected = client.call_async(request(client.srv_type))
             except Exception as error:  # noqa: BLE001 - it is the caller's
@@ -166,7 +155,12 @@ class CompositionClient:
             if future.cancelled() and not self._closed:
                 self._ros.post(lambda _: client.remove_pending_request(expected))
 
-        self._ros.post(send, lambda error: self._hand_over(finish, None, error))
+        def can_send(node: Node) -> bool:
+            return self._closed or future.done() or self._client(node, name).service_is_ready()
+
+        # The other services have been waited for; where they are gone, the container is.
+        when = can_send if name == "unload_node" else None
+        self._ros.post(send, lambda error: self._hand_over(finish, None, error), when=when)
         return future
 
     def _hand_over(self, callback: Callable[..., None], *values: Any) -> None:
@@ -175,15 +169,22 @@ class CompositionClient:
             self._loop.call_soon_threadsafe(callback, *values)
 
     def _create(self, node: Node) -> None:
+        # The client that asks first is made last: once a container answers it, it knows the other
+        # as well. That for unloading is made when it is needed: each is discovered by all others.
+        for name in _NEEDED:
+            self._client(node, name)
+
+    def _client(self, node: Node, name: str) -> Any:
         # Takes long, so it is done in the thread.
         from composition_interfaces import srv  # noqa: PLC0415
 
-        # The client that asks first is made last: once a container answers it, it knows the
-        # others as well.
-        for name, kind in _SERVICES.items():
-            full_name = f"{self._name}/_container/{name}"
-            self._clients[name] = node.create_client(getattr(srv, kind), full_name)
-        self._hand_over(self._graph_changed)
+        if name not in self._clients:
+            kind = getattr(srv, _SERVICES[name])
+            self._clients[name] = node.create_client(kind, f"{self._name}/_container/{name}")
+        return self._clients[name]
+
+    def _is_ready(self, _: Node) -> bool:
+        return not self._closed and all(self._clients[name].service_is_ready() for name in _NEEDED)
 
     def _destroy(self, node: Node) -> None:
         for client in self._clients.values():
@@ -199,13 +200,13 @@ class CompositionClient:
             return frozenset()
         return frozenset(bytes(each.endpoint_gid) for each in found)
 
-    def _graph_changed(self) -> None:
-        changed, self._changed = self._changed, asyncio.Event()
-        changed.set()
-        self._on_change()
 
-
-_SERVICES = {"load_node": "LoadNode", "unload_node": "UnloadNode", "list_nodes": "ListNodes"}
+_SERVICES: Final = {
+    "load_node": "LoadNode",
+    "unload_node": "UnloadNode",
+    "list_nodes": "ListNodes",
+}
+_NEEDED: Final = ("load_node", "list_nodes")
 
 
 def _listed(reply: Any) -> tuple[ListedNode, ...]:

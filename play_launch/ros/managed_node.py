@@ -41,20 +41,14 @@ class ManagedNodeClient:
         self.is_offered = False
         self._loop = asyncio.get_running_loop()
         self._entities: dict[str, Any] = {}
-        self._changed = asyncio.Event()
         ros.post(self._create)
-        self._forget = ros.listen(self._changed.set)
 
     async def state(self) -> int:
         """Wait until the node offers its services, and ask for its state.
 
         One that it enters meanwhile is newer than the answer may be: then it is asked once more.
         """
-        while True:
-            self._changed.clear()
-            if await self._ros.call(lambda _: self._is_ready()):
-                break
-            await self._changed.wait()
+        await self._ros.until(lambda _: self._is_ready())
         self.is_offered = True
         while True:
             heard = self._heard
@@ -74,7 +68,6 @@ class ManagedNodeClient:
 
     def close(self) -> None:
         """End it; answers that are still expected are dropped."""
-        self._forget()
         self._ros.post(self._destroy)
 
     def _hear(self, state: int) -> None:
@@ -119,7 +112,6 @@ class ManagedNodeClient:
             "change_state": node.create_client(ChangeState, f"{self._name}/change_state"),
             "get_state": node.create_client(GetState, f"{self._name}/get_state"),
         }
-        self._hand_over(self._changed.set)
 
     def _destroy(self, node: Node) -> None:
         entities, self._entities = self._entities, {}

@@ -72,13 +72,9 @@ class ParameterSetter:
         client: Any = await ros.call(
             lambda ours: ours.create_client(SetParametersAtomically, service)
         )
-        changed = asyncio.Event()
-        forget = ros.listen(changed.set)
         try:
             with anyio.move_on_after(FIND_LIMIT) as finding:
-                while not await ros.call(lambda _: client.service_is_ready()):
-                    await changed.wait()
-                    changed.clear()
+                await ros.until(lambda _: client.service_is_ready())
             if finding.cancelled_caught:
                 return f"its parameter service is not found within {FIND_LIMIT:g} s"
             request = SetParametersAtomically.Request()
@@ -88,7 +84,6 @@ class ParameterSetter:
             if asking.cancelled_caught:
                 return f"its parameter service does not answer within {ANSWER_LIMIT:g} s"
         finally:
-            forget()
             ros.post(lambda ours: _destroy(ours, client))
         if answer.result.successful:
             return ""

@@ -16,21 +16,17 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 
 from play_launch.fastdds.own_participant import as_our_own
 from play_launch.fastdds.waits import end_participants_safely
-from play_launch.ros.graph import GraphEvents
-from play_launch.ros.graph_guard import GraphGuardError
+from play_launch.ros.waiting import Waiting
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from rclpy.context import Context
-    from rclpy.executors import Executor
     from rclpy.node import Node
 
 _log = logging.getLogger(__name__)
 _T = TypeVar("_T")
 
-GRAPH_POLL: Final = 0.25
-"""Seconds between two looks at the graph where its event cannot be had."""
 _JOIN_LIMIT: Final = 5.0
 """Seconds for the thread's end."""
 _MOST_FAILURES: Final = 1000
@@ -44,6 +40,7 @@ class RosThreadError(Exception):
 class _Work(NamedTuple):
     do: Callable[[Node], None]
     refuse: Callable[[RosThreadError], None] | None
+    when: Callable[[Node], bool] | None
 
 
 class RosThread:
@@ -59,6 +56,8 @@ class RosThread:
         self._domain_id = domain_id
         self._work: deque[_Work] = deque()
         self._listeners: list[Callable[[], None]] = []
+        self._awaiting: list[_Work] = []
+        """What is to be done when the graph has changed."""
         self._started = threading.Event()
         self._failure: BaseException | None = None
         self._ended: RosThreadError | None = None
@@ -69,6 +68,8 @@ class RosThread:
         self.domain_id = 0
         """The domain that the node is in, once started."""
         self.rmw_implementation = ""
+        self.graph_changes = 0
+        """How often the graph was seen to change; several changes may count as one."""
 
     def begin(self) -> None:
         """Start without waiting; what is asked of it meanwhile is done when the node is there."""
@@ -104,12 +105,15 @@ class RosThread:
         self,
         work: Callable[[Node], None],
         refuse: Callable[[RosThreadError], None] | None = None,
+        *,
+        when: Callable[[Node], bool] | None = None,
     ) -> None:
         """Have something done in the thread, in order; from any thread, at any time.
 
-        ``refuse`` is called in its place when the thread cannot do it any more.
+        ``refuse`` is called in its place when the thread cannot do it any more. With ``when`` it is
+        done as soon as that holds, which is looked at now and after changes of the graph.
         """
-        self._work.append(_Work(work, refuse))
+        self._work.append(_Work(work, refuse, when))
         self._wake()
         if self._ended is not None:
             self._refuse_all(self._ended)
@@ -133,6 +137,33 @@ class RosThread:
 
         self.post(run, lambda error: _hand_over(loop, _fail, future, error))
         return await future
+
+    async def until(self, holds: Callable[[Node], bool]) -> None:
+        """Wait until something is so, looking in the thread now and after changes of the graph.
+
+        Raises:
+            RosThreadError: As `call`.
+        """
+        loop = asyncio.get_running_loop()
+        future: asyncio.Future[None] = loop.create_future()
+
+        def is_over(node: Node) -> bool:
+            try:
+                return future.done() or holds(node)
+            except Exception as error:  # noqa: BLE001 - it is the caller's
+                _hand_over(loop, _fail, future, error)
+                return True
+
+        self.post(
+            lambda _: _hand_over(loop, _finish, future, None),
+            lambda error: _hand_over(loop, _fail, future, error),
+            when=is_over,
+        )
+        try:
+            await future
+        except asyncio.CancelledError:
+            self.post(lambda _: self._look_again())  # else it stays until the graph changes
+            raise
 
     async def request(self, send: Callable[[Node], Any]) -> Any:
         """Have a service's client send a request in the thread and wait for the response.
@@ -173,7 +204,7 @@ class RosThread:
 
     def _run(self) -> None:
         try:
-            context, node, executor = self._open()
+            context, node, waiting = self._open()
         except BaseException as error:  # noqa: BLE001 - raised again where it was started
             self._failure = error
             self._end(f"the supervisor's ROS node does not start: {error}")
@@ -182,31 +213,30 @@ class RosThread:
             return
         try:
             self._started.set()
-            poll = self._watch_graph(node)
             while not self._closing:
                 self._do_work(node)
-                self._spin_once(executor, poll)
-                if poll is not None:
-                    self._graph_changed()
+                self._wait(waiting)
             self._end("the supervisor's ROS node is closed")
         except Exception as error:  # noqa: BLE001 - a thread has nobody else to report it
             _log.exception("the ROS thread has failed")
             self._end(f"the supervisor's ROS node has failed: {error}")
         finally:
             self._wake = lambda: None
-            executor.shutdown()
+            waiting.close()
             node.destroy_node()  # type: ignore[no-untyped-call]
             context.try_shutdown()
 
-    def _open(self) -> tuple[Context, Node, Executor]:
+    def _open(self) -> tuple[Context, Node, Waiting]:
         # Takes long, and only those who talk to containers of others need it.
         import rclpy  # noqa: PLC0415
         from rclpy.context import Context  # noqa: PLC0415
-        from rclpy.executors import SingleThreadedExecutor  # noqa: PLC0415
         from rclpy.node import Node  # noqa: PLC0415
+        from rclpy.parameter import Parameter  # noqa: PLC0415
         from rclpy.signals import SignalHandlerOptions  # noqa: PLC0415
         from rclpy.utilities import get_rmw_implementation_identifier  # noqa: PLC0415
 
+        # Services are not waited for, and all others would have to discover this one.
+        off = Parameter("start_type_description_service", value=False)  # type: ignore[no-untyped-call]
         context = Context()
         self.rmw_implementation = get_rmw_implementation_identifier()
         with as_our_own(os.environ, self.rmw_implementation):
@@ -223,27 +253,16 @@ class RosThread:
                 use_global_arguments=False,
                 enable_rosout=False,
                 start_parameter_services=False,
+                parameter_overrides=[off],
             )
-        executor = SingleThreadedExecutor(context=context)
-        executor.add_node(node)
-        guard = node.create_guard_condition(lambda: None)
-        self._wake = guard.trigger
+        waiting = Waiting(node, self._graph_changed)
+        self._wake = waiting.wake
         self.domain_id = context.get_domain_id()
-        return context, node, executor
+        return context, node, waiting
 
-    def _watch_graph(self, node: Node) -> float | None:
-        """Listen to the graph; the seconds after which to look where that cannot be done."""
+    def _wait(self, waiting: Waiting) -> None:
         try:
-            events = GraphEvents(node, node.default_callback_group, self._graph_changed)
-        except GraphGuardError as error:
-            _log.debug("no events of the graph, so it is looked at: %s", error)
-            return GRAPH_POLL
-        node.add_waitable(events)
-        return None
-
-    def _spin_once(self, executor: Executor, timeout: float | None) -> None:
-        try:
-            executor.spin_once(timeout_sec=timeout)
+            waiting.wait()
         except Exception:
             # For example an answer that cannot be read. One bad client must not end them all.
             self._failures += 1
@@ -254,6 +273,7 @@ class RosThread:
     def _end(self, reason: str) -> None:
         """Refuse what waits, and whatever comes later."""
         self._ended = RosThreadError(reason)
+        self._look_again()
         self._refuse_all(self._ended)
 
     def _refuse_all(self, error: RosThreadError) -> None:
@@ -269,13 +289,22 @@ class RosThread:
         while self._work:
             work = self._work.popleft()
             try:
-                work.do(node)
+                if work.when is None or work.when(node):
+                    work.do(node)
+                else:
+                    self._awaiting.append(work)
             except Exception:  # noqa: BLE001 - the others' work goes on
                 _log.exception("work in the ROS thread failed")
 
     def _graph_changed(self) -> None:
+        self.graph_changes += 1
         for listener in tuple(self._listeners):
             listener()
+        self._look_again()
+
+    def _look_again(self) -> None:
+        self._work.extend(self._awaiting)
+        self._awaiting.clear()
 
 
 def _hand_over(loop: asyncio.AbstractEventLoop, callback: Callable[..., Any], *values: Any) -> None:

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import threading
+import weakref
 from collections.abc import AsyncIterator, Iterator
-from contextlib import ExitStack, asynccontextmanager
-from typing import TYPE_CHECKING
+from contextlib import ExitStack, asynccontextmanager, closing
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from blockbuster import blockbuster_ctx
 from composition_interfaces.srv import LoadNode
+from std_msgs.msg import String
 
+from play_launch.ros import waiting
 from play_launch.ros.composition import CompositionClient, ListedNode
-from play_launch.ros.graph import GraphEvents
+from play_launch.ros.graph_guard import GraphGuard, GraphGuardError
 from play_launch.ros.thread import RosThread, RosThreadError
 from tests.support.container import running_container
 
@@ -21,6 +25,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 PATIENCE = 60.0
+NEVER = 1000.0
+"""Seconds, more than any test takes."""
 
 
 @pytest.fixture(name="ros")
@@ -48,6 +54,12 @@ def talker() -> LoadNode.Request:
     )
 
 
+def services_and_clients(node: Any) -> tuple[list[str], list[str]]:
+    both = [each.srv_name for each in node.services], [each.srv_name for each in node.clients]
+    services, clients = ([name.rpartition("/")[2] for name in names] for names in both)
+    return services, clients
+
+
 @asynccontextmanager
 async def container(log: Path) -> AsyncIterator[None]:
     with ExitStack() as stack:
@@ -67,6 +79,8 @@ def test_nodes_are_loaded_listed_and_unloaded(ros: RosThread, tmp_path: Path) ->
             assert len(await client.servers()) == 1
             assert await client.constructs_in_background()
             assert await client.list_nodes() == ()
+            # Whatever is here, all others have to discover; that for unloading is seldom needed.
+            assert await ros.call(services_and_clients) == ([], ["load_node", "list_nodes"])
             reply = await client.load_node(talker())
             assert (reply.success, reply.full_node_name) == (True, "/one"), reply
             assert await client.list_nodes() == (ListedNode(reply.unique_id, "/one"),)
@@ -84,25 +98,95 @@ def test_nodes_are_loaded_listed_and_unloaded(ros: RosThread, tmp_path: Path) ->
     run(main())
 
 
-def test_the_event_of_the_graph_is_waited_for(ros: RosThread, tmp_path: Path) -> None:
+def test_the_event_of_the_graph_is_waited_for(
+    monkeypatch: pytest.MonkeyPatch, ros: RosThread, tmp_path: Path
+) -> None:
     """Else the graph would be looked at four times a second, as rclpy itself does it."""
+    monkeypatch.setattr(waiting, "GRAPH_POLL", NEVER)
+    run(a_container_is_found(ros, tmp_path))
+
+
+def test_the_graph_is_looked_at_where_its_event_cannot_be_had(
+    monkeypatch: pytest.MonkeyPatch, ros_domain: int, tmp_path: Path
+) -> None:
+    def fails(_: GraphGuard, __: object) -> None:
+        raise GraphGuardError("another rcl")
+
+    monkeypatch.setattr(GraphGuard, "__init__", fails)
+    with closing(RosThread("bridge", domain_id=ros_domain)) as ros:
+        ros.start()
+        run(a_container_is_found(ros, tmp_path))
+
+
+async def a_container_is_found(ros: RosThread, folder: Path) -> None:
+    changes = 0
+
+    def count() -> None:
+        nonlocal changes
+        changes += 1
+
+    client = CompositionClient(ros, "/container")
+    client.on_graph_change(count)
+    ready = asyncio.create_task(client.ready())
+    assert not await client.is_ready()
+    async with container(folder / "log"):
+        await ready
+        assert changes > 0
+    client.close()
+
+
+def test_many_changes_of_the_graph_are_reported_as_one(
+    monkeypatch: pytest.MonkeyPatch, ros: RosThread
+) -> None:
+    """A thousand come while a system does; what waits for one looks at the graph each time."""
 
     async def main() -> None:
-        changes = 0
+        def publish(node: Any) -> None:
+            node.create_publisher(String, f"topic_{len(list(node.publishers))}", 1)
 
-        def count() -> None:
-            nonlocal changes
-            changes += 1
+        before = ros.graph_changes
+        await ros.call(publish)
+        await ros.until(lambda _: ros.graph_changes > before)
+        monkeypatch.setattr(waiting, "GRAPH_PAUSE", NEVER)
+        await ros.call(publish)
+        await ros.until(lambda _: ros.graph_changes > before + 1)
+        for _ in range(20):
+            await ros.call(publish)
+        assert ros.graph_changes == before + 2
 
-        waitables = await ros.call(lambda node: list(node.waitables))
-        assert any(isinstance(each, GraphEvents) for each in waitables)
-        client = CompositionClient(ros, "/container")
-        client.on_graph_change(count)
-        waiting = asyncio.create_task(client.ready())
+    run(main())
+
+
+def test_what_is_not_waited_for_any_more_is_forgotten(ros: RosThread) -> None:
+    class Never:
+        def __call__(self, _: object) -> bool:
+            return False
+
+    async def main() -> None:
+        never = Never()
+        is_kept = weakref.ref(never)
+        waiting_for_it = asyncio.ensure_future(ros.until(never))
+        del never
         await asyncio.sleep(0)
-        async with container(tmp_path / "log"):
-            await waiting
-            assert changes > 0
+        waiting_for_it.cancel()
+        await asyncio.gather(waiting_for_it, return_exceptions=True)
+        del waiting_for_it
+        for _ in range(2):
+            await ros.call(lambda node: node.get_name())
+        gc.collect()
+        assert is_kept() is None
+
+    run(main())
+
+
+def test_who_waits_for_the_graph_hears_that_the_thread_has_ended(ros: RosThread) -> None:
+    async def main() -> None:
+        client = CompositionClient(ros, "/nobody")
+        ready = asyncio.ensure_future(client.ready())
+        assert not await client.is_ready()
+        await asyncio.to_thread(ros.close)
+        with pytest.raises(RosThreadError, match="closed"):
+            await ready
         client.close()
 
     run(main())

@@ -15,8 +15,6 @@ from uuid import uuid4
 import rclpy
 import rclpy.action
 from rclpy.context import Context
-from rclpy.guard_condition import GuardCondition
-from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
@@ -24,21 +22,17 @@ from play_launch.fastdds.own_participant import as_our_own
 from play_launch.fastdds.waits import end_participants_safely
 from play_launch.graph_daemon.contract import GRAPH_METHODS, NODE_PREFIX
 from play_launch.graph_daemon.server.marshal import to_wire
-from play_launch.ros.graph_guard import GraphGuard
+from play_launch.ros.waiting import Waiting
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from play_launch.graph_daemon.server.service import Graph
 
-COALESCING: Final = 0.05
-"""Seconds after a change in which others are not reported; afterwards they are, as one."""
 _DISCOVERY_TOPIC: Final = "ros_discovery_info"
 """Every participant of ROS publishes here which nodes it has."""
 _UNKNOWN_NODE: Final = "_NODE_NAME_UNKNOWN_"
 _LOOK: Final = 0.5
-_LONGEST_WAIT: Final = 1_000_000_000
-"""Nanoseconds; a lost wake-up delays the end by this."""
 
 _log = logging.getLogger(__name__)
 
@@ -66,7 +60,7 @@ class RosGraph:
     Args:
         domain: For the node's name; the domain itself is that of the environment.
         on_change: Called in a thread of the graph's own after each change of the graph, for a
-            storm of changes once in `COALESCING`.
+            storm of changes once in `GRAPH_PAUSE`.
     """
 
     def __init__(self, domain: int, on_change: Callable[[], None]) -> None:
@@ -88,8 +82,7 @@ class RosGraph:
                     automatically_declare_parameters_from_overrides=True,
                 )
             self._name = str(self._node.get_name())
-            self._wake = GuardCondition(callback=None, callback_group=None, context=self._context)
-            self._watch = _Watch(self._node, self._wake, self._context)
+            self._watch = Waiting(self._node, on_change)
         except BaseException:
             self._context.try_shutdown()
             raise
@@ -119,47 +112,20 @@ class RosGraph:
     def close(self) -> None:
         """Leave the graph."""
         self._stopping.set()
-        self._wake.trigger()
+        self._watch.wake()
         self._thread.join()
         self._watch.close()
-        self._wake.destroy()
         self._node.destroy_node()
         self._context.try_shutdown()
 
     def _run(self) -> None:
         try:
             while not self._stopping.is_set():
-                if self._watch.wait():
-                    self._on_change()
-                    self._stopping.wait(COALESCING)
+                self._watch.wait()
         except Exception:  # noqa: BLE001 - in a thread it would go unnoticed
             _log.exception("changes of the graph are not reported; looking twice a second instead")
             while not self._stopping.wait(_LOOK):
                 self._on_change()
-
-
-class _Watch:
-    """rcl's wait set with the graph's guard condition and one to wake it up."""
-
-    def __init__(self, node: Node, wake: GuardCondition, context: Context) -> None:
-        self._graph = GraphGuard(node)
-        self._wake = wake
-        handle: Any = context.handle
-        with handle:
-            self._set = rclpy_implementation.WaitSet(0, 2, 0, 0, 0, 0, handle)
-
-    def wait(self) -> bool:
-        """Wait for a change or to be woken; whether there was a change."""
-        self._set.clear_entities()
-        with self._wake.handle:
-            self._set.add_guard_condition(self._wake.handle)
-            index = self._graph.add_to(self._set)
-            # Lets other threads of Python run meanwhile.
-            self._set.wait(_LONGEST_WAIT)
-        return bool(self._set.is_ready("guard_condition", index))
-
-    def close(self) -> None:
-        self._set.destroy_when_not_in_use()
 
 
 _ACTION_FUNCTIONS: Final[dict[str, Any]] = {

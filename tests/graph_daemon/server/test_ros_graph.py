@@ -14,6 +14,7 @@ from play_launch.graph_daemon.server.replacement import Replacer
 from play_launch.graph_daemon.server.ros_graph import RosGraph, graph_functions, rmw_implementation
 from play_launch.graph_daemon.server.service import GraphService
 from play_launch.ros.graph_guard import GraphGuardError
+from play_launch.ros.waiting import Waiting
 from tests.support.ros import Probe
 from tests.support.waiting import LIMIT, until
 
@@ -81,7 +82,7 @@ def test_where_changes_are_not_reported_it_is_looked_all_the_time(
     def broken(_: object) -> bool:
         raise GraphGuardError("by the test")
 
-    monkeypatch.setattr(ros_graph._Watch, "wait", broken)
+    monkeypatch.setattr(Waiting, "wait", broken)
     monkeypatch.setattr(ros_graph, "_LOOK", 0.01)
     made = RosGraph(ros_domain, changes)
     until(lambda: changes.count > 3, "some looks")
