@@ -9,6 +9,7 @@ import json
 import logging
 import os
 import re
+import shutil
 import sys
 import time
 import uuid
@@ -92,19 +93,25 @@ def open_session(
     now = datetime.now().astimezone()
     folder = create_session_folder(root.expanduser(), description.name, now)
     session_id = str(uuid.uuid4())
-    writer = McapBagWriter(
-        folder.bag,
-        rotation=Rotation(record.rotate.size, record.rotate.duration),
-        sync=record.sync,
-        has_index=True,
-        ros_distro=_ros_distro(description),
-    )
     try:
-        write_head(writer, description, session_id)
-        recorder = Recorder(writer, limits=limits)
+        writer = McapBagWriter(
+            folder.bag,
+            rotation=Rotation(record.rotate.size, record.rotate.duration),
+            sync=record.sync,
+            has_index=True,
+            ros_distro=_ros_distro(description),
+        )
+        try:
+            write_head(writer, description, session_id)
+            recorder = Recorder(writer, limits=limits)
+        except RecordingError:
+            writer.abandon()
+            raise
     except RecordingError:
-        writer.abandon()
+        # A service that is started again and again would leave as many folders.
+        shutil.rmtree(folder.path, ignore_errors=True)
         raise
+    folder.announce()
     return Session(session_id, folder, recorder)
 
 
@@ -171,6 +178,23 @@ class SessionFolder(Struct, frozen=True):
         """The recording's final name; while it is written, ``.active`` is appended."""
         return self.path / BAG_NAME
 
+    def announce(self) -> None:
+        """Point ``latest`` to it, and put it at the end of the order of sessions.
+
+        ``latest`` is relative, so that the log folder can be moved.
+        """
+        name, latest = self.path.name, self.path.with_name(LATEST)
+        try:
+            note_start(self.path)
+        except OSError as error:
+            _log.warning("cannot note in %s that %s began: %s", latest.parent, name, reason(error))
+        try:
+            _point(latest, name)
+        except OSError as error:
+            # A file system without symbolic links, or another file of that name: the session
+            # itself does not depend on it.
+            _log.warning("cannot point %s to %s: %s", latest, name, reason(error))
+
 
 def default_log_folder(environ: Mapping[str, str] = os.environ) -> Path:
     """Where sessions go when nobody says otherwise.
@@ -185,29 +209,17 @@ def default_log_folder(environ: Mapping[str, str] = os.environ) -> Path:
 
 
 def create_session_folder(log_folder: Path, name: str, now: datetime) -> SessionFolder:
-    """Make a new folder for the session and point ``latest`` to it.
+    """Make a new folder for the session.
 
-    A second session of the same name in the same second gets ``-2`` appended, and so on.
-    ``latest`` is relative, so that the log folder can be moved. Raises
+    A second session of the same name in the same second gets ``-2`` appended, and so on. Raises
     :class:`SessionFolderError`.
     """
     stem = f"{now:%Y-%m-%d-%H-%M-%S}-{_file_name(name)}"
     try:
         log_folder.mkdir(parents=True, exist_ok=True)
-        folder = _make_unique(log_folder, stem)
+        return SessionFolder(_make_unique(log_folder, stem))
     except OSError as error:
         raise SessionFolderError(log_folder / stem, error) from error
-    try:
-        note_start(folder)
-    except OSError as error:
-        _log.warning("cannot note in %s that %s began: %s", log_folder, folder.name, reason(error))
-    try:
-        _point(log_folder / LATEST, folder.name)
-    except OSError as error:
-        # A file system without symbolic links, or somebody's own file of that name: the session
-        # itself does not depend on it.
-        _log.warning("cannot point %s to %s: %s", log_folder / LATEST, folder.name, reason(error))
-    return SessionFolder(folder)
 
 
 def _make_unique(log_folder: Path, stem: str) -> Path:

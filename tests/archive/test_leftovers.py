@@ -153,7 +153,10 @@ def test_the_oldest_is_what_began_first_whatever_the_clock_said(tmp_path: Path) 
         *[datetime(1970, 1, 1, tzinfo=UTC)] * 2,  # without a battery, and before any network
         datetime(2025, 1, 1, tzinfo=UTC),
     ]
-    folders = [create_session_folder(tmp_path, "robot", time).path for time in times]
+    made = [create_session_folder(tmp_path, "robot", time) for time in times]
+    for each in made:
+        each.announce()
+    folders = [each.path for each in made]
     for folder in folders:
         McapBagWriter(folder / "session.mcap").close()
     done = archive(tmp_path, "--keep-sessions=2")

@@ -10,6 +10,7 @@ import pytest
 from play_launch.config.model import RecordConfig, RotateConfig
 from play_launch.core.events import LogRecord, OutputLine, Stream
 from play_launch.history.bag_reader import BagReader
+from play_launch.recording.errors import RecordingError
 from play_launch.recording.recorder import RecorderLimits
 from play_launch.recording.session import Session, open_session
 from play_launch.recording.topics import LOG_ALL, OUTPUT
@@ -29,6 +30,19 @@ LIMITS = RecorderLimits(batch=0.001, flush=0.001, retry=0.005, longest_retry=0.0
 def small_disk(tmp_path: Path) -> Iterator[Path]:
     with disk_of(str(SIZE), tmp_path / "disk") as folder:
         yield folder
+
+
+def test_a_start_for_which_there_is_no_room_leaves_nothing(small_disk: Path) -> None:
+    before = open_session(description(), log_folder=small_disk, limits=LIMITS)
+    before.recorder.close()
+    with (small_disk / "ballast").open("wb") as ballast:
+        status = os.statvfs(small_disk)
+        ballast.write(bytes(status.f_bavail * status.f_frsize))
+    listed = sorted(small_disk.iterdir())
+    with pytest.raises(RecordingError, match="No space left on device"):
+        open_session(description(), log_folder=small_disk, limits=LIMITS)
+    assert sorted(small_disk.iterdir()) == listed
+    assert (small_disk / "latest").samefile(before.folder.path)
 
 
 def publish(session: Session, first: int, count: int) -> None:

@@ -22,12 +22,15 @@ def test_the_default_log_folder_follows_the_environment() -> None:
 def test_a_session_has_a_folder_and_latest_points_to_it(tmp_path: Path) -> None:
     root = tmp_path / "not" / "there"
     first = create_session_folder(root, "demo", NOW)
+    first.announce()
     assert first.path == root / "2026-11-21-06-36-25-demo"
     assert first.bag == first.path / "session.mcap"
     assert (root / "latest").readlink() == Path(first.path.name)
 
     second = create_session_folder(root, "demo", NOW)
     third = create_session_folder(root, "demo", NOW)
+    second.announce()
+    third.announce()
     assert [second.path.name, third.path.name] == [f"{first.path.name}-2", f"{first.path.name}-3"]
     assert (root / "latest").resolve() == third.path
     hidden = [entry for entry in root.iterdir() if entry.name.startswith(".")]
@@ -63,6 +66,7 @@ def test_a_log_folder_that_is_a_file_is_explained(tmp_path: Path) -> None:
 def test_a_session_does_not_need_latest(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     (tmp_path / "latest" / "somebody's").mkdir(parents=True)
     folder = create_session_folder(tmp_path, "demo", NOW)
+    folder.announce()
     assert folder.path.is_dir()
     assert "latest" in caplog.text
     assert sorted(entry.name for entry in tmp_path.iterdir()) == [
