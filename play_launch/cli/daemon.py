@@ -254,7 +254,14 @@ def _require_ros() -> None:
         NotInstalledError,
         ros_installation,
     )
+    from play_launch.process.machine import (  # noqa: PLC0415
+        SHARED_MEMORY_FIX,
+        full_shared_memory,
+        shared_memory_room,
+    )
 
+    if full := full_shared_memory(shared_memory_room()):
+        fail(f"{full}; fix: {SHARED_MEMORY_FIX}")
     # Before rcl is loaded: it ends the process that asks for a middleware which is not there.
     try:
         problem = middleware_problem(ros_installation())

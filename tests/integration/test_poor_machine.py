@@ -146,6 +146,14 @@ def test_full_shared_memory_is_refused(tmp_path: Path) -> None:
     assert "shared memory is full" in finding(report, "rclpy")["says"]
 
 
+@pytest.mark.parametrize("verb", [("daemon", "start"), ("daemon", "run"), ("node", "list")])
+def test_the_graph_daemon_is_refused_where_shared_memory_is_full(verb: tuple[str, str]) -> None:
+    mount = f"{small_shared_memory('2m')} && ! {FILL} 2> /dev/null"
+    result = run(mounted(mount, COMMAND, *verb))
+    assert result.returncode in {1, 2}
+    assert "/dev/shm is full (0 MiB of 2 MiB free)" in result.stderr
+
+
 def test_shared_memory_that_the_dead_have_filled_is_cleaned_up(tmp_path: Path) -> None:
     left = "/dev/shm/fastrtps_0123456789abcdef"
     fill = f": > {left}_el && ! dd if=/dev/zero of={left} bs=4k 2> /dev/null"

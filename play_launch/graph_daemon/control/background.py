@@ -12,6 +12,11 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Final
 
 from play_launch.fastdds.profiles import PROFILE_FILES
+from play_launch.process.machine import (
+    SHARED_MEMORY_FIX,
+    full_shared_memory,
+    shared_memory_room,
+)
 
 if TYPE_CHECKING:
     import socket
@@ -56,6 +61,8 @@ def spawn(
 
     Raises ``StartError`` when it does not come so far; it does not run then.
     """
+    if full := full_shared_memory(shared_memory_room()):
+        raise StartError(f"{full}; fix: {SHARED_MEMORY_FIX}")
     read, write = os.pipe()
     log = _log_file(log_path(address, environment))
     try:
