@@ -14,7 +14,7 @@ import sys
 import tempfile
 import threading
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import IO, TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -45,7 +45,6 @@ def whole_file(output: Path) -> Iterator[Path]:
     Raises:
         OutputError: When it cannot be written, also for an OSError in the block, or would replace
             a recording.
-        OSError: When standard output takes no more.
     """
     try:
         if is_passed_on(output):
@@ -59,8 +58,6 @@ def whole_file(output: Path) -> Iterator[Path]:
             yield half
             half.replace(target)
     except OSError as error:
-        if is_standard_output(output):
-            raise
         reason = error.strerror or str(error) or type(error).__name__
         raise OutputError(f"{output}: {reason}; {_ELSEWHERE}") from error
 
@@ -100,11 +97,24 @@ def _passed_on(output: Path) -> Iterator[Path]:
     os.close(descriptor)
     with _removed_by_signals(Path(name)):
         yield Path(name)
-        with Path(name).open("rb") as whole, contextlib.ExitStack() as opened:
-            is_stdout = is_standard_output(output)
-            sink = sys.stdout.buffer if is_stdout else opened.enter_context(output.open("wb"))
-            shutil.copyfileobj(whole, sink)
-            sink.flush()
+        with Path(name).open("rb") as whole:
+            if is_standard_output(output):
+                _write_to_stdout(whole)
+            else:
+                with output.open("wb") as sink:
+                    shutil.copyfileobj(whole, sink)
+
+
+def _write_to_stdout(whole: IO[bytes]) -> None:
+    try:
+        shutil.copyfileobj(whole, sys.stdout.buffer)
+        sys.stdout.buffer.flush()
+    except OSError as error:
+        # Python writes what is left at exit, and would fail again.
+        with Path(os.devnull).open("wb") as nowhere:
+            os.dup2(nowhere.fileno(), sys.stdout.fileno(), inheritable=False)
+        if not isinstance(error, BrokenPipeError):  # a reader that has seen enough is no error
+            raise
 
 
 def _refuse_to_replace(output: Path) -> None:

@@ -214,6 +214,28 @@ def test_standard_output_is_an_output(
     assert sorted(tmp_path.iterdir()) == [*before, tmp_path / "taken"]
 
 
+@pytest.mark.parametrize("verb", ["report", "export", "recover", "dump"])
+def test_a_reader_that_has_gone_is_no_error_and_a_full_disk_is_that_of_the_output(
+    tmp_path: Path, good: Path, verb: str
+) -> None:
+    launch = tmp_path / "a.launch.xml"
+    launch.write_text("<launch><executable cmd='sleep 1000' name='a'/></launch>", encoding="utf-8")
+    command = [COMMAND, verb, launch if verb == "dump" else good, "-o", "-"]
+    reading, writing = os.pipe()
+    os.close(reading)
+    gone = subprocess.run(command, check=False, stdout=writing, stderr=subprocess.PIPE, timeout=60)
+    os.close(writing)
+    assert gone.returncode == 0
+    assert b"error" not in gone.stderr
+    with Path("/dev/full").open("wb") as full:
+        failed = subprocess.run(
+            command, check=False, stdout=full, stderr=subprocess.PIPE, timeout=60
+        )
+    assert failed.returncode in {1, 2}
+    (error,) = [line for line in failed.stderr.splitlines() if line.startswith(b"error: ")]
+    assert error.startswith((b"error: -: No space left", b"error: cannot write the output: No"))
+
+
 @pytest.mark.parametrize("verb", ["report", "recover", "dump"])
 def test_a_pipe_stays_one_and_a_link_leads_where_it_did(
     tmp_path: Path, good: Path, verb: str
