@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, BinaryIO, Final, Protocol, Self
 
 from play_launch.process import open_files
 from play_launch.process.exit import Exit
+from play_launch.process.identity import ancestors_of
 from play_launch.process.time_slice import ask_for_short_turns, run_ahead
 
 if TYPE_CHECKING:
@@ -96,6 +97,7 @@ class SessionGuard:
         self._is_lost = False
         self._helpers = 0
         self._started: set[int] = set()
+        self._ancestors = ancestors_of(os.getpid())
         atexit.register(self._say_farewell)
 
     @classmethod
@@ -230,8 +232,13 @@ class SessionGuard:
         self._wait(_REAP, pid)
 
     def has_inherited(self, process: ProcessStat) -> bool:
-        """See `Parent`; helpers count as inherited as well."""
-        return process.parent == self.pid and process.pid not in self._started
+        """See `Parent`; helpers count as inherited as well.
+
+        When the guard was killed, what it had inherited went to init or a subreaper above us.
+        """
+        if process.parent == self.pid:
+            return process.pid not in self._started
+        return process.parent in self._ancestors and self._process.poll() is not None
 
     def close(self) -> None:
         """Have everything ended that is left, and wait for that; blocks."""

@@ -137,6 +137,18 @@ def tracer_of(pid: int) -> str:
         return ""
 
 
+def ancestors_of(pid: int) -> set[int]:
+    """Its parent, the parent of that, and so on, as far as they can be seen."""
+    found: set[int] = set()
+    try:
+        while pid > 1:
+            pid = read_stat(pid).parent
+            found.add(pid)
+    except (NoSuchProcessError, PermissionError):
+        pass
+    return found | {1}
+
+
 def list_processes() -> list[ProcessStat]:
     """Every process visible in `/proc`, zombies included. Takes about 20 us per process.
 

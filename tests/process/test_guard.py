@@ -296,7 +296,7 @@ def recycle(number, script):
 
 async def main(is_noticed):
     guard = SessionGuard.start(Path(sys.argv[1]))
-    child = spawn(shell("sleep 600"), env=environment(), guard=guard)
+    child = spawn(shell("exec sleep 600"), env=environment(), guard=guard)
     os.kill(guard.pid, 9)
     os.waitid(os.P_PID, guard.pid, os.WEXITED | os.WNOWAIT)
     os.waitpid(child.pid, 0)  # we are the init of this namespace, and inherit it

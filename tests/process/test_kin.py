@@ -126,6 +126,21 @@ async def test_a_daemon_ends_with_a_child_that_ends_by_itself(
     assert f"sleep (pid {left.pid}), which is killed" in caplog.text
 
 
+@pytest.mark.anyio
+async def test_a_daemon_ends_with_its_child_although_the_guard_was_killed(guard: Path) -> None:
+    session = SessionGuard.start(guard)
+    child, left = await started(session, daemon(SLEEP), mark="1:/one")
+    os.kill(session.pid, signal.SIGKILL)
+    async with asyncio.timeout(60):
+        assert (await child.gone()).is_lost
+    try:
+        assert not is_alive(left)
+    finally:
+        session.close()
+        if left.is_running():
+            left.kill()
+
+
 FOREIGN = """
 import asyncio, concurrent.futures.thread, logging, os, sys
 from pathlib import Path
