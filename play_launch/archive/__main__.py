@@ -30,20 +30,27 @@ def main() -> int:
     arguments = parser.parse_args()
     _be_humble()
     keep = KeepConfig(arguments.keep_sessions, arguments.keep_size)
-    try:
-        remove(arguments.folder, keep)
-        complete(arguments.folder)
-    except (OSError, RecoverError) as error:
+    errors: list[str] = []
+    remove(arguments.folder, keep, errors)
+    complete(arguments.folder, errors)
+    for error in errors:
         print(f"warning: {error}")  # noqa: T201 - for who started it
-        return 1
-    return 0
+    return 1 if errors else 0
 
 
-def remove(log_folder: Path, keep: KeepConfig) -> None:
-    """Keep to the limits."""
-    finish_removals(log_folder)
-    chosen = sessions_to_remove(list_sessions(log_folder), keep)
-    removed = [one for one in chosen if remove_session(log_folder / one.name)]
+def remove(log_folder: Path, keep: KeepConfig, errors: list[str]) -> None:
+    """Keep to the limits; what cannot be removed keeps nothing else."""
+    removed = []
+    try:
+        finish_removals(log_folder)
+    except OSError as error:
+        errors.append(f"a removal in {log_folder} cannot be finished: {error.strerror}")
+    for one in sessions_to_remove(list_sessions(log_folder), keep):
+        try:
+            if remove_session(log_folder / one.name):
+                removed.append(one)
+        except OSError as error:
+            errors.append(f"{log_folder / one.name} cannot be removed: {error.strerror}")
     if removed:
         size = sum(one.size for one in removed) / _UNITS
         print(  # noqa: T201 - as above
@@ -52,13 +59,16 @@ def remove(log_folder: Path, keep: KeepConfig) -> None:
         )
 
 
-def complete(log_folder: Path) -> None:
+def complete(log_folder: Path, errors: list[str]) -> None:
     """Complete the recordings that were cut off."""
     deadline = time.monotonic() + _LONGEST
     completed: list[Completed] = []
     for entry in list_sessions(log_folder):
         if entry.active and time.monotonic() < deadline:
-            completed += complete_session(log_folder / entry.name)
+            try:
+                completed += complete_session(log_folder / entry.name)
+            except RecoverError as error:
+                errors.append(str(error))
     if not completed:
         return
     messages = sum(one.messages for one in completed)

@@ -77,6 +77,8 @@ def _complete(active: Path) -> Completed | None:
         return _replace(active, status)
     except BlockingIOError:
         return None
+    except OSError as error:
+        raise RecoverError(f"{error.filename or active}: {error.strerror}") from error
     finally:
         os.close(source)
 

@@ -31,15 +31,24 @@ def remove_session(folder: Path) -> bool:
 
 
 def finish_removals(log_folder: Path) -> None:
-    """Remove what is left of folders whose removal was killed; may raise ``OSError``."""
+    """Remove what is left of folders whose removal was killed.
+
+    May raise ``OSError``, after it has tried all.
+    """
     with os.scandir(log_folder) as entries:
         names = [
             entry.name
             for entry in entries
             if entry.name.startswith(REMOVING) and entry.is_dir(follow_symlinks=False)
         ]
+    failed = None
     for name in names:
-        _empty(log_folder / name)
+        try:
+            _empty(log_folder / name)
+        except OSError as error:
+            failed = error
+    if failed is not None:
+        raise failed
 
 
 def _empty(folder: Path) -> bool:

@@ -40,7 +40,7 @@ def _complete_folder(folder: Path, output: Path | None) -> int:
     parts = parts_of(folder)
     if not parts:
         raise RecoverError(f"{folder}: no session.mcap is in this folder")
-    for part in parts:
+    for part in (*parts, *active_parts(folder)):
         if not part.path.is_file():
             raise RecoverError(f"{part.path}: it is no regular file")
     for part in active_parts(folder):

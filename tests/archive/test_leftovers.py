@@ -18,6 +18,7 @@ from play_launch.recording.bag import McapBagWriter
 from play_launch.recording.session import create_session_folder
 from tests.archive.scenes import begin_session, cut_off_session, name_of, past_session
 from tests.recording.reading import messages
+from tests.support.mounts import mounted
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -144,6 +145,26 @@ def test_the_program_keeps_completes_and_says_so_in_two_lines(tmp_path: Path) ->
     again = archive(tmp_path, "--keep-sessions=3")
     assert (again.returncode, again.stdout, again.stderr) == (0, "", "")
     writer.close()
+
+
+def test_what_cannot_be_removed_or_completed_keeps_nothing_else(tmp_path: Path) -> None:
+    for day in range(1, 5):
+        past_session(tmp_path, day)
+    for day in (5, 6):
+        cut_off_session(tmp_path, day)
+    # What is a mount point cannot be removed.
+    stuck = [tmp_path / name_of(1) / "session.mcap", tmp_path / name_of(5) / "session.mcap.active"]
+    mount = " && ".join(f"mount --bind {each} {each}" for each in stuck)
+    archived = [sys.executable, "-m", "play_launch.archive", tmp_path, "--keep-sessions=3"]
+    done = subprocess.run(mounted(mount, *archived), capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (1, "")
+    assert "removed 2 sessions" in done.stdout
+    assert f"warning: {stuck[0].parent} cannot be removed: Device or resource busy" in done.stdout
+    assert f"warning: {stuck[1]}: Device or resource busy" in done.stdout
+    assert names(tmp_path / name_of(6)) == ["metadata.yaml", "session.mcap"]
+    assert names(tmp_path)[1:] == [name_of(day) for day in (4, 5, 6)]
+    assert archive(tmp_path, "--keep-sessions=3").returncode == 0
+    assert names(tmp_path) == [name_of(day) for day in (4, 5, 6)]
 
 
 def test_the_oldest_is_what_began_first_whatever_the_clock_said(tmp_path: Path) -> None:

@@ -284,6 +284,29 @@ def test_nothing_is_left_of_an_output_for_which_there_is_no_room(
     assert result.stdout == f"{folder}/x\n"
 
 
+def test_a_folder_is_recovered_as_far_as_its_files_permit(tmp_path: Path, good: Path) -> None:
+    folder = tmp_path / "session"
+    folder.mkdir()
+    active = folder / "session.mcap.active"
+    active.write_bytes(good.read_bytes()[:-100])
+    # What is a mount point cannot be removed.
+    mount = f"mount --bind {active} {active}"
+    result = subprocess.run(
+        mounted(mount, COMMAND, "recover", folder),
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert result.returncode == 1
+    assert result.stderr == f"error: {active}: Device or resource busy\n"
+    assert run("recover", folder).returncode == 0
+    assert not active.exists()
+    active.mkdir()
+    result = run("recover", folder)
+    assert (result.returncode, result.stderr) == (1, f"error: {active}: it is no regular file\n")
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_nothing_is_left_of_outputs_that_are_interrupted(
     tmp_path: Path, number: signal.Signals
