@@ -133,7 +133,7 @@ def test_what_is_not_there_is_rejected(container: Container, request_type: type)
     rejected = container.receive()
     assert isinstance(rejected, ControlRejected)
     assert (rejected.attempt, rejected.unique_id) == (0, 99)
-    assert "99" in rejected.reason
+    assert rejected.reason == "No node found with unique_id: 99"
 
 
 def test_an_attempt_needs_a_number(container: Container) -> None:
