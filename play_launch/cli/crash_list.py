@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from datetime import datetime
 from typing import TYPE_CHECKING
 
@@ -12,6 +11,7 @@ from play_launch.cli.failure import fail
 from play_launch.cli.find_mistakes import counted
 from play_launch.cli.show.terminal import printable, say
 from play_launch.cli.sum_up import DAMAGED
+from play_launch.cli.target import complain
 from play_launch.history.bag_reader import NotARecordingError
 from play_launch.history.crash_groups import CrashGroup, CrashGroups
 from play_launch.history.story import read_story
@@ -55,7 +55,7 @@ def list_crashes(folder: Path, *, as_json: bool) -> int:
                 say(printable(line, colour=False))
         say(f"{counted(len(found), 'signature')} in {counted(count, 'session')}")
     for text in unread:
-        print(f"warning: {text}", file=sys.stderr)  # noqa: T201 - for people
+        complain(f"warning: {text}")
     return DAMAGED if unread else 0
 
 

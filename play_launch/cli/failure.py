@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from typing import NoReturn
 
-from play_launch.cli.show.terminal import wants_colour
+from play_launch.cli.show.terminal import printable, wants_colour
 from play_launch.core.exit_code import ExitCode
 
 
@@ -16,6 +16,9 @@ def fail(message: str, code: ExitCode = ExitCode.USAGE) -> NoReturn:
 
 
 def report(message: str) -> None:
-    """Write ``error: message`` to stderr; several lines keep their form."""
+    """Write ``error: message`` to stderr; several lines keep their form.
+
+    Names of files and what stands in them may hold anything.
+    """
     label = "\x1b[1;31merror:\x1b[0m" if wants_colour(sys.stderr) else "error:"
-    print(f"{label} {message}", file=sys.stderr, flush=True)  # noqa: T201 - what it is for
+    print(f"{label} {printable(message, colour=False)}", file=sys.stderr, flush=True)  # noqa: T201 - what it is for

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections import Counter
 from datetime import datetime
 from typing import TYPE_CHECKING, Any, Final
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 from play_launch.cli.failure import fail
 from play_launch.cli.find_mistakes import counted
 from play_launch.cli.show.terminal import printable, say
+from play_launch.cli.target import complain
 from play_launch.history.bag_reader import NotARecordingError
 from play_launch.history.crash_groups import crashes_of
 from play_launch.history.story import read_story
@@ -40,15 +40,15 @@ def sum_up(file: Path, *, as_json: bool) -> int:
 
 def report_damage(reader: BagReader) -> bool:
     """Write to stderr what cannot be read of a file; return whether there is anything."""
-    for damage in reader.damages:
-        print(f"warning: {reader.path}: {damage}", file=sys.stderr)  # noqa: T201 - for people
+    lines = [f"warning: {reader.path}: {damage}" for damage in reader.damages]
     if reader.log_times.note:
-        print(f"note: {reader.path}: {reader.log_times.note}", file=sys.stderr)  # noqa: T201
+        lines.append(f"note: {reader.path}: {reader.log_times.note}")
     if not reader.is_complete and not reader.damages:
-        print(  # noqa: T201 - for people
-            f"warning: {reader.path}: it was not closed in order, so its end may be missing",
-            file=sys.stderr,
+        lines.append(
+            f"warning: {reader.path}: it was not closed in order, so its end may be missing"
         )
+    for line in lines:
+        complain(line)
     return bool(reader.damages) or not reader.is_complete
 
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from typing import TYPE_CHECKING
 
 from play_launch.cli.failure import fail
 from play_launch.cli.show.terminal import say
 from play_launch.cli.sum_up import DAMAGED, report_damage
+from play_launch.cli.target import complain
 from play_launch.core.exit_code import ExitCode
 from play_launch.history.recover import RecoverError, default_output, recover
 
@@ -52,5 +52,5 @@ def _complete_folder(folder: Path, output: Path | None) -> int:
     for one in completed:
         say(f"{one.path}: {one.messages:,} messages")
         for damage in one.damages:
-            print(f"warning: {one.path}: {damage}", file=sys.stderr)  # noqa: T201 - for people
+            complain(f"warning: {one.path}: {damage}")
     return DAMAGED if any(one.damages for one in completed) else 0

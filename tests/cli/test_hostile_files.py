@@ -180,6 +180,25 @@ def test_what_cannot_be_an_output_stays_as_it_is(
     assert good.read_bytes() == whole
 
 
+def test_names_of_files_do_nothing_to_the_terminal(tmp_path: Path, good: Path) -> None:
+    folder = tmp_path / "of \x1b[31m mallory"
+    folder.mkdir()
+    (folder / "cut.mcap").write_bytes(good.read_bytes()[:-100])
+    launch = folder / "a.launch.xml"
+    launch.write_text("<launch><executable cmd='sleep 1000' name='a'/></launch>", encoding="utf-8")
+    for words, code in (
+        (("crashes", tmp_path), 3),
+        (("info", folder / "cut.mcap"), 3),
+        (("info", folder / "none.mcap"), 2),
+        (("replay", folder / "none.yaml"), 2),
+        (("dump", launch), 0),
+    ):
+        done = run(*words)
+        assert done.returncode == code, done.stderr
+        assert "mallory" in done.stdout + done.stderr
+        assert "\x1b" not in done.stdout + done.stderr
+
+
 @pytest.mark.parametrize("output", ["-", "/dev/stdout", "/dev/fd/1", "/proc/self/fd/1", "link"])
 @pytest.mark.parametrize(
     ("verb", "beginning"),
@@ -220,7 +239,7 @@ def test_a_reader_that_has_gone_is_no_error_and_a_full_disk_is_that_of_the_outpu
 ) -> None:
     launch = tmp_path / "a.launch.xml"
     launch.write_text("<launch><executable cmd='sleep 1000' name='a'/></launch>", encoding="utf-8")
-    command = [COMMAND, verb, launch if verb == "dump" else good, "-o", "-"]
+    command = [str(COMMAND), verb, str(launch if verb == "dump" else good), "-o", "-"]
     reading, writing = os.pipe()
     os.close(reading)
     gone = subprocess.run(command, check=False, stdout=writing, stderr=subprocess.PIPE, timeout=60)

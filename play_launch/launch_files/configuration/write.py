@@ -13,7 +13,7 @@ from play_launch.config.source import Refused, read_bytes
 from play_launch.config.sources.surroundings import Surroundings
 from play_launch.launch_files.configuration.copies import Copies
 from play_launch.launch_files.configuration.system import configuration_of
-from play_launch.launch_files.configuration.yaml_text import yaml_text
+from play_launch.launch_files.configuration.yaml_text import printable, yaml_text
 from play_launch.launch_files.losses import Losses
 from play_launch.launch_files.records import Loss  # noqa: TC001 - msgspec reads the annotations
 
@@ -50,7 +50,7 @@ def written(description: Description, options: Options, heading: str) -> Written
     copies = None if options.files is None or options.inline else Copies(options.files)
     made = configuration_of(description, options, copies, losses)
     files = copies.files if copies is not None else {}
-    comment = "".join(f"# {line}\n" for line in heading.splitlines())
+    comment = "".join(f"# {printable(line)}\n" for line in heading.splitlines())
     text = f"{comment}{yaml_text(made)}"
     containers = made.get("containers", [])
     return Written(

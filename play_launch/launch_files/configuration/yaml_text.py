@@ -72,7 +72,7 @@ def _item(item: Any, indentation: str) -> Iterator[str]:
         yield from _below(f"{indentation}-", item, indentation)
         return
     if isinstance(item, Commented) and item.comment:
-        yield f"{indentation}# {_printable(item.comment)}"
+        yield f"{indentation}# {printable(item.comment)}"
     for number, line in enumerate(_mapping(item, indentation + "  ")):
         yield line if number else f"{indentation}- {line.lstrip()}"
 
@@ -150,5 +150,6 @@ def _character(character: str) -> str:
     return f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}"
 
 
-def _printable(text: str) -> str:
+def printable(text: str) -> str:
+    """Leave out what YAML permits in no comment."""
     return "".join(each for each in text if each.isprintable())
