@@ -54,6 +54,8 @@ _MESSAGE: Final = struct.Struct("<HIQQ")
 _IN_CHUNK: Final = struct.Struct("<BQHIQQ")
 """A message with what precedes each record."""
 _MESSAGE_KIND: Final = int(Opcode.MESSAGE)
+_FOR_APPLICATIONS: Final = 0x80
+"""From here on records mean what a program wants."""
 _LISTED: Final = 100
 """Damages that are listed one by one."""
 
@@ -412,6 +414,9 @@ class BagReader:
                 is_wanted = wanted is None or topic.name in wanted
                 self.channels[channel.id] = Description(topic, channel, described, is_wanted)
                 self.counts.setdefault(topic, 0)
+            case _ if kind < _FOR_APPLICATIONS:
+                # A gigabyte of zeros, which are small in the file, would be as many records.
+                refuse(kind)
 
     def _damaged(self, at: int, reason: str) -> None:
         self.note(Damage(at, reason, self.file))

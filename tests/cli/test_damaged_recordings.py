@@ -10,12 +10,14 @@ import io
 import os
 import random
 import signal
+import struct
 import subprocess
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import pytest
+import zstandard
 from mcap.opcode import Opcode
 from msgspec.structs import replace
 
@@ -320,6 +322,21 @@ def test_a_file_that_is_cut_while_it_is_read_ends_there(tmp_path: Path) -> None:
     assert sum(1 for _ in messages) > 0
     assert reader.damages[0].offset == chunks()[2]
     assert not reader.is_complete
+
+
+def test_zeros_in_a_chunk_are_one_damage(tmp_path: Path) -> None:
+    path = tmp_path / "session.mcap.active"
+    zeros = bytes(50_000_000)
+    data = zstandard.compress(zeros)
+    head = struct.pack("<QQQII", 0, 0, len(zeros), 0, 4) + b"zstd" + struct.pack("<Q", len(data))
+    chunk = struct.pack("<BQ", Opcode.CHUNK, len(head + data)) + head + data
+    at = chunks()[3]
+    path.write_bytes(recording()[:at] + chunk + recording()[at:])
+    reader = BagReader(path)
+    assert sum(1 for _ in reader.messages()) > 0
+    assert [str(damage) for damage in reader.damages][:1] == [
+        f"byte {at}: no record of kind 0x00 can stand here"
+    ]
 
 
 def test_zeros_at_the_end_are_one_damage(tmp_path: Path) -> None:
