@@ -49,6 +49,14 @@ def assert_death(event: ComponentEvent, how: str) -> None:
         assert "std::runtime_error: as asked for" in event.error_message
 
 
+def order_crash(probe: Probe, how: str) -> None:
+    publisher = probe.node.create_publisher(String, "/crash", 1)
+    probe.spin_until(
+        lambda: publisher.get_subscription_count() > 0, 30.0, "the crasher's subscription"
+    )
+    publisher.publish(String(data=how))
+
+
 def assert_cleaned_up(
     container: Container, *, crashes: int, leaked: int = 0, may_leak: bool = False
 ) -> int:
@@ -133,11 +141,7 @@ def test_a_crash_on_a_message(
     container = start(spawn, mode)
     with survives(container):
         crasher = container.loaded("Crasher", package=components)
-        publisher = probe.node.create_publisher(String, "/crash", 1)
-        probe.spin_until(
-            lambda: publisher.get_subscription_count() > 0, 30.0, "the crasher's subscription"
-        )
-        publisher.publish(String(data="segv"))
+        order_crash(probe, "segv")
         crashed = container.event(CRASHED, unique_id=crasher.unique_id)
         assert_death(crashed, "segv")
         assert_cleaned_up(container, crashes=1)
@@ -262,10 +266,9 @@ def test_nodes_with_memory_of_their_own(
     container = start(spawn, "isolated", "--isolation", "process")
     with survives(container):
         talker = container.loaded("Talker", package=components)
-        crasher = container.loaded(
-            "Crasher", package=components, parameters={"how": "segv", "after": 0.001}
-        )
+        crasher = container.loaded("Crasher", package=components)
         assert len({talker.pid, crasher.pid, container.process.pid}) == 3
+        order_crash(probe, "segv")
         crashed = container.event(CRASHED, unique_id=crasher.unique_id)
         assert crashed.signal == SIGSEGV
         probe.collect(String, "/chatter", 5, timeout=60.0)
