@@ -28,6 +28,8 @@ _MADE: Final = (".html", ".trace.json")
 _TABLES: Final = re.compile(r"session(_\d+)?-(csv|parquet)", re.ASCII)
 """A folder with tables, which `export` makes there, too."""
 _TABLE: Final = re.compile(r"(processes|cgroups|machine|states)\.(csv|parquet)")
+_HALF: Final = re.compile(r"\.(.+)\.\d+\.writing", re.ASCII | re.DOTALL)
+"""What `history.whole_file` leaves when it is killed."""
 _OWN: Final = frozenset({INDEX_NAME, INDEX_NAME + NEW_SUFFIX, CONTROL_SOCKET})
 _NAME: Final = re.compile(r"\d{4}(?:-\d\d){5}-.+", re.ASCII | re.DOTALL)
 """As `recording.session` names the folder of a session."""
@@ -107,6 +109,8 @@ def session_entry(folder: Path) -> SessionEntry | None:
 
 def is_own_file(path: Path) -> bool:
     """Whether it has a name that play-launch gives."""
+    if half := _HALF.fullmatch(path.name):
+        path = path.with_name(half[1])
     if _TABLES.fullmatch(path.parent.name):
         return _TABLE.fullmatch(path.name) is not None
     for suffix in (HALF_SUFFIX, DAMAGED):

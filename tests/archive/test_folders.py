@@ -13,6 +13,7 @@ from play_launch.archive.removal import finish_removals, remove_session
 from play_launch.cli.export import export_session
 from play_launch.cli.write_page import write_report
 from play_launch.control.place import CONTROL_SOCKET
+from play_launch.history.whole_file import whole_file
 from tests.archive.scenes import begin_session, cut_off_session, name_of, past_session
 from tests.history.scenes import Scene
 
@@ -69,6 +70,10 @@ def test_what_is_made_in_its_usual_place_keeps_nothing(tmp_path: Path) -> None:
         assert not write_report(recording, None)
         assert not export_session(recording, "perfetto", None)
         assert not export_session(recording, "csv", None)
+    for name in ("session.html", "session-csv/machine.csv"):
+        with whole_file(session / name) as half:
+            half.touch()
+            os.link(half, half.with_name(half.name.replace(str(os.getpid()), "4711")))  # killed
     made = {"session.html", "session_1.html", "session.trace.json", "session_1.trace.json"}
     assert made | {"session-csv/machine.csv"} < everything(session)
     (entry,) = list_sessions(tmp_path)
