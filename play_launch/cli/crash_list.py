@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from datetime import datetime
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -20,7 +22,6 @@ from play_launch.recording.part import ACTIVE_SUFFIX
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from pathlib import Path
 
 
 def list_crashes(folder: Path, *, as_json: bool) -> int:
@@ -30,7 +31,7 @@ def list_crashes(folder: Path, *, as_json: bool) -> int:
     groups = CrashGroups()
     count = 0
     unread: list[str] = []
-    for path in recordings(folder):
+    for path in recordings(folder, unread):
         try:
             story = read_story(path, only_failures=True)
         except NotARecordingError as error:
@@ -59,23 +60,25 @@ def list_crashes(folder: Path, *, as_json: bool) -> int:
     return DAMAGED if unread else 0
 
 
-def recordings(folder: Path) -> Iterator[Path]:
-    """Give the recordings below a folder, or the file itself; links are not followed.
+def recordings(folder: Path, unread: list[str]) -> list[Path]:
+    """List the recordings below a folder, or the file itself; links are not followed.
 
-    The files of one session are one recording, which is their folder.
+    The files of one session are one recording, which is their folder. Folders that cannot be read
+    are added to ``unread``.
     """
     if folder.is_file():
-        yield folder
-        return
-    names = ("*.mcap", f"*.mcap{ACTIVE_SUFFIX}")
-    found = {path for name in names for path in folder.rglob(name) if not _is_linked(path, folder)}
-    yield from sorted({path.parent if part_file(path) else path for path in found})
+        return [folder]
+    found = set()
+    walk = os.walk(folder, onerror=lambda error: unread.append(_said(error)))
+    for path in (Path(place, name) for place, _, names in walk for name in names):
+        is_recording = path.name.removesuffix(ACTIVE_SUFFIX).endswith(".mcap")
+        if is_recording and not path.is_symlink():
+            found.add(path.parent if part_file(path) else path)
+    return sorted(found)
 
 
-def _is_linked(path: Path, folder: Path) -> bool:
-    """Whether it is found by another name: `latest` is a link to one of the sessions."""
-    parents = [parent for parent in path.parents if parent.is_relative_to(folder)]
-    return any(each.is_symlink() for each in (path, *parents) if each != folder)
+def _said(error: OSError) -> str:
+    return f"{error.filename}: {error.strerror}"
 
 
 def _lines(group: CrashGroup) -> Iterator[str]:

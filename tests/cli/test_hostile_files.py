@@ -140,6 +140,26 @@ def test_a_name_that_cannot_be_is_named(good: Path, verb: tuple[str, ...]) -> No
     assert result.stderr == f"error: {'x' * 300}: File name too long\n"
 
 
+def test_a_folder_that_cannot_be_read_is_named_among_others(tmp_path: Path, good: Path) -> None:
+    closed = tmp_path / "logs" / "closed"
+    closed.mkdir(parents=True)
+    good.rename(tmp_path / "logs" / "good.mcap")
+    closed.chmod(0)
+    rights = "-dac_override,-dac_read_search"  # root's
+    drop = ["setpriv", "--inh-caps", rights, "--bounding-set", rights] if os.geteuid() == 0 else []
+    result = subprocess.run(
+        [*drop, COMMAND, "crashes", closed.parent],
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    closed.chmod(0o700)
+    assert result.returncode == 3
+    assert result.stderr == f"warning: {closed}: Permission denied\n"
+    assert result.stdout == "0 signatures in 1 session\n"
+
+
 @pytest.mark.parametrize("form", ["perfetto", "csv"])
 def test_the_folder_where_one_is_can_be_exported(
     tmp_path: Path, good: Path, form: str, monkeypatch: pytest.MonkeyPatch
