@@ -37,9 +37,21 @@ def main() -> None:
             from play_launch.cli.failure import fail  # noqa: PLC0415 - rarely needed
 
             fail(f"{os.fsdecode(error.filename)}: {error.strerror}")
+        elif isinstance(error, FileNotFoundError) and _folder_is_gone():
+            from play_launch.cli.failure import fail  # noqa: PLC0415 - rarely needed
+
+            fail("the working directory was removed; change to another one")
         else:
             raise
         sys.exit(OUTPUT_FAILED)
+
+
+def _folder_is_gone() -> bool:
+    try:
+        os.getcwd()  # noqa: PTH109 - pathlib is slow to import
+    except FileNotFoundError:
+        return True
+    return False
 
 
 def _run() -> None:

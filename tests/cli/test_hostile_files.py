@@ -200,6 +200,27 @@ def test_what_cannot_be_an_output_stays_as_it_is(
     assert good.read_bytes() == whole
 
 
+@pytest.mark.parametrize("verb", [("dump", "a.launch.xml"), ("systemd-unit", "robot.yaml")])
+def test_a_working_directory_that_was_removed_is_named(
+    tmp_path: Path, verb: tuple[str, str]
+) -> None:
+    (tmp_path / "gone").mkdir()
+    launch = "<launch><executable cmd='sleep 1000' name='a'/></launch>"
+    (tmp_path / "a.launch.xml").write_text(launch, encoding="utf-8")
+    (tmp_path / "robot.yaml").write_text("{version: 1, nodes: [{name: a, command: [a]}]}")
+    remove = 'rmdir ../gone && exec "$@"'
+    done = subprocess.run(
+        ["sh", "-c", remove, "sh", str(COMMAND), verb[0], str(tmp_path / verb[1])],
+        check=False,
+        capture_output=True,
+        text=True,
+        cwd=tmp_path / "gone",
+        timeout=60,
+    )
+    assert done.returncode == 2
+    assert done.stderr == "error: the working directory was removed; change to another one\n"
+
+
 def test_names_of_files_do_nothing_to_the_terminal(tmp_path: Path, good: Path) -> None:
     folder = tmp_path / "of \x1b[31m mallory"
     folder.mkdir()
