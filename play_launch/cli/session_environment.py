@@ -17,6 +17,14 @@ def enter_environment_of(client: ControlClient) -> None:
     Root becomes the user of the session before that: profiles and middleware, which that user
     chooses, load libraries. Raises ControlError.
     """
+    from play_launch.process.machine import (  # noqa: PLC0415 - slow, and rclpy is slower
+        SHARED_MEMORY_FIX,
+        full_shared_memory,
+        shared_memory_room,
+    )
+
+    if full := full_shared_memory(shared_memory_room()):
+        raise ControlError(Code.REFUSED, f"{full}; fix: {SHARED_MEMORY_FIX}")
     found = client.ask("environment")
     user = client.peer()
     if os.geteuid() == 0 and user.uid != 0:
@@ -32,14 +40,6 @@ def enter_environment_of(client: ControlClient) -> None:
     os.environ.update(
         {name: str(value) for name, value in found.items() if name.startswith(ROS_VARIABLES)}
     )
-    from play_launch.process.machine import (  # noqa: PLC0415 - slow, and rclpy is slower
-        SHARED_MEMORY_FIX,
-        full_shared_memory,
-        shared_memory_room,
-    )
-
-    if full := full_shared_memory(shared_memory_room()):
-        raise ControlError(Code.REFUSED, f"{full}; fix: {SHARED_MEMORY_FIX}")
     try:
         import rclpy  # noqa: F401, PLC0415
     except ImportError as error:
