@@ -160,9 +160,11 @@ def report_end(hello: Hello, reason: str = "") -> int:
         hello: Which session.
         reason: Why its client gave up; empty: the connection was closed.
     """
+    from play_launch.cli.show.terminal import printable  # noqa: PLC0415 - rarely needed
+
     text, status = _how_it_ended(hello, reason)
     if status == OK:
-        sys.stderr.write(f"{text}\n")
+        sys.stderr.write(f"{printable(text, colour=False)}\n")
     else:
         _report(text)
     return status

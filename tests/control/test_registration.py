@@ -17,7 +17,9 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from play_launch.cli.operate import report_end
 from play_launch.control import place
+from play_launch.control.client import Hello
 from play_launch.control.place import CONTROL_SOCKET, LINKS, address_of, registered
 from play_launch.control.protocol import PROTOCOL, Code, ControlError, encode
 from play_launch.control.sessions import AmbiguousSessionError, NoSessionError, connect
@@ -289,6 +291,15 @@ def test_root_speaks_ros_as_the_user_of_the_session(tmp_path: Path) -> None:
     assert "CYCLONEDDS_URI" not in after
     for name in ("PATH", "LD_LIBRARY_PATH"):
         assert after.get(name) == before.get(name)
+
+
+def test_the_name_of_a_session_that_has_ended_does_nothing_to_the_terminal(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What listens may be another user's program, which root was told of."""
+    hello = Hello(1, "ro\x1b[31mbot", "x", str(tmp_path), "1", 0)
+    assert report_end(hello) == 0
+    assert capsys.readouterr().err == "the session robot (pid 1) has ended\n"
 
 
 @pytest.mark.parametrize(
