@@ -6,6 +6,7 @@ from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING
 
+import psutil
 from play_launch_msgs.msg import ComponentEvent, ControlUnload, NodeStatus
 
 if TYPE_CHECKING:
@@ -113,3 +114,19 @@ def test_a_component_that_brings_libpython_gets_its_symbols(container: Container
 def test_a_component_that_is_linked_against_a_python_half_loads(container: Container) -> None:
     container.loaded("Overlinked")
     container.loaded("PythonUser")  # the symbols that were lent are withdrawn again
+
+
+def test_a_container_without_descriptors_says_so_and_not_that_there_is_no_package(
+    container: Container,
+) -> None:
+    container.loaded("Talker", node_name="talker")
+    process = psutil.Process(container.process.pid)
+    limit = process.rlimit(psutil.RLIMIT_NOFILE)
+    numbers = {int(each.name) for each in Path(f"/proc/{process.pid}/fd").iterdir()}
+    free = min(set(range(len(numbers) + 1)) - numbers)
+    process.rlimit(psutil.RLIMIT_NOFILE, (free, limit[1]))
+    attempt = container.load("Talker", node_name="one_too_many")
+    event = container.event(LOAD_FAILED, attempt=attempt)
+    assert "cannot search the ament index: Too many open files" in event.error_message
+    process.rlimit(psutil.RLIMIT_NOFILE, limit)
+    container.loaded("Talker", node_name="one_too_many")

@@ -1,13 +1,18 @@
 #include "components/component_index.hpp"
 
+#include <fcntl.h>
+
 #include <algorithm>
 #include <ament_index_cpp/get_resource.hpp>
 #include <ament_index_cpp/get_resources.hpp>
 #include <ament_index_cpp/get_search_paths.hpp>
 #include <ament_index_cpp/has_resource.hpp>
+#include <cerrno>
 #include <exception>
 #include <sstream>
+#include <system_error>
 
+#include "base/unique_fd.hpp"
 #include "components/load_request.hpp"
 
 namespace play_launch::container {
@@ -113,6 +118,11 @@ std::filesystem::path ComponentIndex::library_of(const std::string& package,
 
 std::string no_such_package(const std::string& package,
                             const std::vector<ComponentIndex>& indexes) {
+  // To the index, a file that cannot be opened is not there.
+  if (!UniqueFd(::open("/", O_RDONLY | O_CLOEXEC)) && (errno == EMFILE || errno == ENFILE)) {
+    return "cannot search the ament index: " + std::generic_category().message(errno) +
+           "; raise the limit of open files (ulimit -n, or LimitNOFILE= in the systemd unit)";
+  }
   std::string kinds;
   std::vector<std::string> known;
   for (const ComponentIndex& index : indexes) {
