@@ -17,6 +17,11 @@
 namespace play_launch {
 namespace {
 
+/// Asked at each symbol of a table; the clock is read at every 1,024th.
+bool is_late(std::size_t symbol, LookUpEnd end) noexcept {
+  return symbol % 1024 == 0 && end != kNoLookUpEnd && std::chrono::steady_clock::now() >= end;
+}
+
 /// The table of symbols does not say its length: one more than the highest index in its hash table.
 std::size_t symbol_count(const std::uint32_t* hash) noexcept {
   const std::uint32_t buckets = hash[0];
@@ -129,11 +134,15 @@ DynamicSymbols::DynamicSymbols(const link_map& library) noexcept : base_(library
   call_count_ = calls_ == nullptr ? 0 : call_count_;
 }
 
-/// The last exported function for which better(it, the one before it) held.
+/// The last exported function for which better(it, the one before it) held; null when the end came
+/// first.
 template <class Better>
-    const ElfW(Sym) * DynamicSymbols::best(Better better) const noexcept {
+    const ElfW(Sym) * DynamicSymbols::best(Better better, LookUpEnd end) const noexcept {
   const ElfW(Sym)* chosen = nullptr;
   for (std::size_t i = 0; symbols_ != nullptr && names_ != nullptr && i < count_; ++i) {
+    if (is_late(i, end)) {
+      return nullptr;
+    }
     const ElfW(Sym)& symbol = symbols_[i];
     const auto type = ELF64_ST_TYPE(symbol.st_info);
     if (symbol.st_shndx != SHN_UNDEF && (type == STT_FUNC || type == STT_GNU_IFUNC) &&
@@ -144,11 +153,13 @@ template <class Better>
   return chosen;
 }
 
-DynamicSymbols::Function DynamicSymbols::function_at(std::uintptr_t address) const noexcept {
+DynamicSymbols::Function DynamicSymbols::function_at(std::uintptr_t address,
+                                                     LookUpEnd end) const noexcept {
   const std::uintptr_t offset = address - base_;
-  const ElfW(Sym)* const symbol = best([offset](const ElfW(Sym) & candidate, const ElfW(Sym)*) {
+  const auto contains = [offset](const ElfW(Sym) & candidate, const ElfW(Sym)*) {
     return candidate.st_value <= offset && offset < candidate.st_value + candidate.st_size;
-  });
+  };
+  const ElfW(Sym)* const symbol = best(contains, end);
   return symbol == nullptr ? Function{}
                            : Function{names_ + symbol->st_name, base_ + symbol->st_value};
 }
@@ -215,7 +226,8 @@ const T* FileSymbols::at(std::uint64_t offset, std::uint64_t count) const {
   return reinterpret_cast<const T*>(static_cast<const char*>(mapping_) + offset);
 }
 
-std::optional<FileSymbols::Function> FileSymbols::function_at(std::uintptr_t address) const {
+std::optional<FileSymbols::Function> FileSymbols::function_at(std::uintptr_t address,
+                                                              LookUpEnd end) const {
   const auto* const header = at<ElfW(Ehdr)>(0);
   if (header == nullptr || std::memcmp(header->e_ident, ELFMAG, SELFMAG) != 0) {
     return std::nullopt;
@@ -231,6 +243,9 @@ std::optional<FileSymbols::Function> FileSymbols::function_at(std::uintptr_t add
     const ElfW(Shdr)& names = sections[section.sh_link];
     const auto* const text = at<char>(names.sh_offset, names.sh_size);
     for (std::size_t n = 0; symbols != nullptr && text != nullptr && n < count; ++n) {
+      if (is_late(n, end)) {
+        return std::nullopt;
+      }
       const ElfW(Sym)& symbol = symbols[n];
       if (ELF64_ST_TYPE(symbol.st_info) == STT_FUNC && symbol.st_shndx != SHN_UNDEF &&
           symbol.st_value <= address && address - symbol.st_value < symbol.st_size &&

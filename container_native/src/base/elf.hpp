@@ -2,6 +2,7 @@
 
 #include <link.h>
 
+#include <chrono>
 #include <cstddef>
 #include <cstdint>
 #include <optional>
@@ -9,6 +10,11 @@
 #include <string_view>
 
 namespace play_launch {
+
+/// When to give up looking a symbol up: tables of large libraries take long where they have to be
+/// read from a slow disk.
+using LookUpEnd = std::chrono::steady_clock::time_point;
+constexpr LookUpEnd kNoLookUpEnd = LookUpEnd::max();
 
 /// The library, or the program, whose code or data is at the address; null when there is none.
 /// Neither allocates nor takes the dynamic loader's lock, unlike dladdr(): async-signal-safe, and
@@ -32,8 +38,8 @@ class DynamicSymbols {
     std::string_view name;  // mangled; empty when none is exported there
     std::uintptr_t begin = 0;
   };
-  /// The exported function at the address.
-  Function function_at(std::uintptr_t address) const noexcept;
+  /// The exported function at the address; none when the end came first.
+  Function function_at(std::uintptr_t address, LookUpEnd end = kNoLookUpEnd) const noexcept;
 
   /// Address of an exported function; 0 when there is none.
   std::uintptr_t find(std::string_view name) const noexcept;
@@ -74,7 +80,7 @@ class DynamicSymbols {
 
  private:
   template <class Better>
-      const ElfW(Sym) * best(Better better) const noexcept;
+      const ElfW(Sym) * best(Better better, LookUpEnd end = kNoLookUpEnd) const noexcept;
 
   std::uintptr_t base_;
   const ElfW(Sym) * symbols_ = nullptr;
@@ -98,8 +104,9 @@ class FileSymbols {
     std::string name;           // mangled
     std::uintptr_t offset = 0;  // of the address, from the function's begin
   };
-  /// The function at an address that is relative to where the file was loaded.
-  std::optional<Function> function_at(std::uintptr_t address) const;
+  /// The function at an address that is relative to where the file was loaded; none when the end
+  /// came first.
+  std::optional<Function> function_at(std::uintptr_t address, LookUpEnd end = kNoLookUpEnd) const;
 
  private:
   template <class T>

@@ -39,6 +39,8 @@ constexpr auto kHurriedStopLimit = 200ms;
 constexpr auto kTeardownLimit = 1s;
 /// For the supervisor to read the last events.
 constexpr auto kFlushLimit = 500ms;
+/// For the names in the report of the container's own crash, which the dying thread awaits for 1 s.
+constexpr auto kLookUpLimit = 500ms;
 
 bool is_orphaned(StopCause cause) {
   return cause == StopCause::closed || cause == StopCause::protocol_error;
@@ -157,7 +159,7 @@ ComponentEvent ContainerProcess::own_crash(const isolation::CrashSlot& slot) con
   event.pid = process_.pid;
   event.start_time = process_.start_time;
   event.signal = slot.report.signal;
-  event.backtrace = isolation::symbolise(slot);
+  event.backtrace = isolation::symbolise(slot, Clock::now() + kLookUpLimit);
   event.modules = isolation::modules_of(slot);
   return event;
 }

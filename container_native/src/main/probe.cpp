@@ -12,6 +12,7 @@
 #include <string_view>
 #include <vector>
 
+#include "base/elf.hpp"
 #include "base/unique_fd.hpp"
 #include "components/backend_list.hpp"
 #include "components/open_library.hpp"
@@ -127,7 +128,7 @@ Finding open_library(const BackendList& backends, const BackendList::Place& plac
                     isolation::describe_end(end, slot);
     finding.signal = end.signal;
     finding.modules = isolation::modules_of(slot);
-    finding.backtrace = isolation::symbolise(slot);
+    finding.backtrace = isolation::symbolise(slot, kNoLookUpEnd);
   }
   opening.forget();
   return finding;

@@ -6,6 +6,7 @@
 #include <unistd.h>
 
 #include <atomic>
+#include <chrono>
 #include <cstdint>
 #include <cstdio>
 #include <functional>
@@ -86,9 +87,10 @@ class Event {
   int ends_[2] = {-1, -1};
 };
 
-inline std::string joined(const CrashSlot& slot) {
+inline std::string joined(const CrashSlot& slot, std::chrono::steady_clock::time_point end =
+                                                     std::chrono::steady_clock::time_point::max()) {
   std::string text;
-  for (const std::string& line : symbolise(slot)) {
+  for (const std::string& line : symbolise(slot, end)) {
     text += line + "\n";
   }
   return text;

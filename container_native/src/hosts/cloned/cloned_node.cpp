@@ -139,7 +139,10 @@ void ClonedNode::name_owner() {
 void ClonedNode::symbolise() {
   if (!backtrace_) {
     name_owner();
-    backtrace_ = isolation::symbolise(donor_.slot());
+    static isolation::LookUpTime time;  // of the monitor: the reports of all nodes come from it
+    backtrace_ =
+        isolation::symbolise(donor_.slot(), time.begin(isolation::LookUpTime::Clock::now()));
+    time.end(isolation::LookUpTime::Clock::now());
   }
 }
 

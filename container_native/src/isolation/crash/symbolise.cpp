@@ -31,7 +31,13 @@ std::string base_name(const std::string& path) { return path.substr(path.rfind('
 /// loaded, so that an address keeps its meaning.
 class Memory {
  public:
-  std::string describe(std::uintptr_t address, bool is_return_address);
+  struct Description {
+    std::string text;
+    bool is_final = false;  // it will not be another one later
+  };
+  /// In the tables that are in memory, or in those that are in files.
+  Description describe(std::uintptr_t address, bool is_return_address, bool in_files,
+                       LookUpEnd end);
 
  private:
   static constexpr std::size_t kMostFrames = 4096;
@@ -40,27 +46,25 @@ class Memory {
   std::map<std::string, FileSymbols> files_;
   std::map<std::pair<std::uintptr_t, bool>, std::string> frames_;
 
-  struct Description {
-    std::string text;
-    bool is_final = false;  // it will not be another one later
-  };
-  Description look_up(std::uintptr_t address, bool is_return_address);
+  Description look_up(std::uintptr_t address, bool is_return_address, bool in_files, LookUpEnd end);
 };
 
-std::string Memory::describe(std::uintptr_t address, bool is_return_address) {
+Memory::Description Memory::describe(std::uintptr_t address, bool is_return_address, bool in_files,
+                                     LookUpEnd end) {
   const std::lock_guard lock(mutex_);
   const auto known = frames_.find({address, is_return_address});
   if (known != frames_.end()) {
-    return known->second;
+    return {known->second, true};
   }
-  const Description found = look_up(address, is_return_address);
+  const Description found = look_up(address, is_return_address, in_files, end);
   if (found.is_final && frames_.size() < kMostFrames) {
     frames_.emplace(std::pair(address, is_return_address), found.text);
   }
-  return found.text;
+  return found;
 }
 
-Memory::Description Memory::look_up(std::uintptr_t address, bool is_return_address) {
+Memory::Description Memory::look_up(std::uintptr_t address, bool is_return_address, bool in_files,
+                                    LookUpEnd end) {
   // A return address may belong to what follows the call's function.
   const std::uintptr_t inside = is_return_address ? address - 1 : address;
   const link_map* const library = library_at(inside);
@@ -73,20 +77,22 @@ Memory::Description Memory::look_up(std::uintptr_t address, bool is_return_addre
   std::uintptr_t offset = 0;
   // The library's tables are memory of all nodes, and its file may shrink while it is read.
   const bool is_read = survive([&] {
-    const DynamicSymbols::Function exported = DynamicSymbols(*library).function_at(inside);
-    if (!exported.name.empty()) {
-      function = demangled(exported.name.data());  // ends in a null byte, in the library's table
-      offset = address - exported.begin;
+    if (!in_files) {
+      const DynamicSymbols::Function exported = DynamicSymbols(*library).function_at(inside, end);
+      if (!exported.name.empty()) {
+        function = demangled(exported.name.data());  // ends in a null byte, in the library's table
+        offset = address - exported.begin;
+      }
       return;
     }
     const FileSymbols& symbols = files_.try_emplace(path, path).first->second;
-    if (const auto found = symbols.function_at(inside - library->l_addr)) {
+    if (const auto found = symbols.function_at(inside - library->l_addr, end)) {
       function = demangled(found->name.c_str());
       offset = found->offset + (address - inside);
     }
   });
   if (!is_read || function.empty()) {
-    return {where, is_read};
+    return {where, in_files && is_read && LookUpTime::Clock::now() < end};
   }
   return {function + "+" + hex(offset) + " (" + where + ")", true};
 }
@@ -184,7 +190,7 @@ std::string describe_signal(const ChildEnd& end, const CrashSlot& slot) {
 
 }  // namespace
 
-std::vector<std::string> symbolise(const CrashSlot& slot) {
+std::vector<std::string> symbolise(const CrashSlot& slot, LookUpEnd end) {
   std::vector<std::string> lines;
   if (slot.thread == 0) {
     return lines;
@@ -193,11 +199,30 @@ std::vector<std::string> symbolise(const CrashSlot& slot) {
   const SurvivalOfReports survival;
   // How the C++ library gets from a throw to the end of the process says nothing.
   const std::size_t first = slot.report.thrower;
-  for (std::size_t i = first; i < slot.report.frame_count; ++i) {
-    lines.push_back("#" + std::to_string(i - first) + " " +
-                    memory.describe(slot.report.frames[i], i > 0));
+  std::vector<Memory::Description> found(slot.report.frame_count);
+  // What takes little time first.
+  for (const bool in_files : {false, true}) {
+    for (std::size_t i = first; i < found.size(); ++i) {
+      if (!found[i].is_final) {
+        found[i] = memory.describe(slot.report.frames[i], i > 0, in_files, end);
+      }
+    }
+  }
+  for (std::size_t i = first; i < found.size(); ++i) {
+    lines.push_back("#" + std::to_string(i - first) + " " + found[i].text);
   }
   return lines;
+}
+
+LookUpTime::Clock::time_point LookUpTime::begin(Clock::time_point now) {
+  left_ = std::min(kMost, left_ + (now - since_) / 10);
+  since_ = now;
+  return now + left_;
+}
+
+void LookUpTime::end(Clock::time_point now) {
+  left_ -= std::min(left_, now - since_);
+  since_ = now;
 }
 
 std::vector<std::string> modules_of(const CrashSlot& slot) {
