@@ -134,9 +134,10 @@ def _rclcpp(facts: ContainerFacts) -> Finding:
 
 
 def _isolation(facts: ContainerFacts) -> Finding:
-    notes = "; ".join(facts.notes)
     if facts.mechanism == "shared_memory":
-        return ok("isolation", "by shared memory: messages between nodes go by pointer")
+        by = "by shared memory: messages between nodes go by pointer"
+        return ok("isolation", "; ".join((by, *facts.notes)))
+    notes = "; ".join(facts.notes)
     return warn(
         "isolation",
         f"by {facts.mechanism or 'nothing'}" + (f": {notes}" if notes else ""),

@@ -139,6 +139,7 @@ CASES: list[tuple[MachineFacts, str, Level, str]] = [
         WARN,
         "by process: Linux is 5.10",
     ),
+    (container(notes=("code is missing",)), "isolation", OK, "by pointer; code is missing"),
     (container(allocator=""), "allocator", WARN, "cmeel-mimalloc"),
     (container(allocator="", allocator_problem="it is a text"), "allocator", WARN, "it is a text"),
     (kernel(has_pidfd=False), "kernel", FAIL, "5.3 or newer"),

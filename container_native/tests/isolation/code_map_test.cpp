@@ -124,6 +124,23 @@ void test_functions_without_a_name_of_a_node() {
   CHECK(!way_out.harmless && way_out.way_out == 1);
 }
 
+/// Whatever called them.
+void test_functions_of_the_c_library_that_take_locks() {
+  void* const library = ::dlopen("libc.so.6", RTLD_NOW | RTLD_NOLOAD);
+  const auto at = [library](const char* name) {
+    return reinterpret_cast<void (*)()>(::dlsym(library, name));
+  };
+  for (const char* const name :
+       {"malloc", "free", "realloc", "posix_memalign", "malloc_info", "printf", "fopen", "fflush",
+        "fwrite", "pthread_create", "pthread_mutex_lock", "pthread_mutex_unlock",
+        "pthread_rwlock_rdlock", "pthread_rwlock_unlock"}) {
+    CHECK(!judge(stack_of({at(name), play_launch_test_function_of_a_node}), Caution::lenient)
+               .harmless);
+  }
+  CHECK(judge(stack_of({at("strlen"), play_launch_test_function_of_a_node}), Caution::lenient)
+            .harmless);
+}
+
 /// A thread that gave back a lock and has not yet woken who waits for it.
 void test_before_a_wake() {
   CallStack stack = stack_of({nullptr, play_launch_test_function_of_a_node});
@@ -187,6 +204,7 @@ int main() {
   test_who_called_decides();
   test_functions_without_a_name_at_the_end_of_unlocking();
   test_functions_without_a_name_of_a_node();
+  test_functions_of_the_c_library_that_take_locks();
   test_before_a_wake();
   test_which_frame_threw();
   test_libraries_of_nodes();

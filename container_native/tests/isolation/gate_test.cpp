@@ -121,6 +121,15 @@ void test_other_allocator() {
   CHECK(gate.notes.size() == 1 && contains(gate.notes[0], "cmeel-mimalloc"));
 }
 
+void test_other_code_of_the_c_library() {
+  Facts facts = good_machine();
+  facts.missing_landmarks = {"stdio", "mutexes"};
+  const Gate gate = choose_mechanism(MechanismChoice::automatic, facts);
+  CHECK(gate.mechanism == Mechanism::shared_memory && gate.notes.size() == 1);
+  CHECK(contains(gate.notes[0], "stdio, mutexes") && contains(gate.notes[0], "isolation: process"));
+  CHECK(choose_mechanism(MechanismChoice::process, facts).notes.empty());
+}
+
 void test_this_machine() {
   const Facts facts = look_at_machine();
   CHECK(!facts.kernel_release.empty() && facts.obstacle.empty());
@@ -128,6 +137,7 @@ void test_this_machine() {
   const char* const preload = std::getenv("LD_PRELOAD");
   const bool expected = preload != nullptr && contains(preload, "mimalloc");
   CHECK((facts.allocator == "mimalloc") == expected);
+  CHECK(facts.missing_landmarks.empty());
 }
 
 }  // namespace
@@ -142,6 +152,7 @@ int main() {
   test_no_descriptors_of_processes();
   test_waits_that_cannot_be_read();
   test_other_allocator();
+  test_other_code_of_the_c_library();
   test_this_machine();
   test_hidden_process();
   return 0;

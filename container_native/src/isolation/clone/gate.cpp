@@ -6,6 +6,7 @@
 #include <cstring>
 
 #include "isolation/clone/vm_clone.hpp"
+#include "isolation/quiesce/code_map.hpp"
 
 namespace play_launch::isolation {
 namespace {
@@ -90,6 +91,7 @@ Facts look_at_machine() {
   }
   facts.probe = probe_machine();
   facts.allocator = allocator_in_use();
+  facts.missing_landmarks = find_landmarks();
   return facts;
 }
 
@@ -125,6 +127,17 @@ Gate choose_mechanism(MechanismChoice choice, const Facts& facts) {
         "its whole container, which is then restarted; the supervisor preloads mimalloc where it "
         "finds it (pip install cmeel-mimalloc, or your distribution's); without a supervisor, "
         "start the container with LD_PRELOAD=/path/to/libmimalloc.so");
+  }
+  if (!facts.missing_landmarks.empty()) {
+    std::string names;
+    for (const std::string& name : facts.missing_landmarks) {
+      names += (names.empty() ? "" : ", ") + name;
+    }
+    gate.notes.push_back(
+        "code of the C and the C++ library is not where it is expected (" + names +
+        "): whether a thread of a dying node holds a lock there is not known, and a node that dies "
+        "can freeze its whole container, which is then restarted; with isolation: process it "
+        "cannot");
   }
   return gate;
 }

@@ -44,6 +44,8 @@ struct Facts {
   Probe probe;
   /// "mimalloc", "jemalloc", or empty when malloc is another.
   std::string allocator;
+  /// See find_landmarks().
+  std::vector<std::string> missing_landmarks;
 };
 
 Facts look_at_machine();

@@ -7,7 +7,9 @@
 #include <array>
 #include <cstring>
 #include <initializer_list>
+#include <string>
 #include <string_view>
+#include <vector>
 
 #include "base/early_code.hpp"
 #include "base/elf.hpp"
@@ -59,17 +61,67 @@ constexpr std::array kCppHeaders{"_ZSt"sv, "_ZNSt"sv, "_ZNKSt"sv, "_ZN9__gnu_cxx
 constexpr std::array kCallers{"_ZNSt17_Function_handler"sv, "_ZNSt6thread11_State_impl"sv,
                               "_ZNSt13__future_base"sv};
 
-struct Landmarks {
-  std::array<Range, 3> c_library_inside{};  // allocator, stdio, starting of threads
-  // What takes and gives back locks: the one that called it may be out of the picture already, as
-  // the last thing that a function does is often a jump.
-  std::array<Range, 4> c_library_locks{};
-  /// Says why the process ends, when a check of the C library or of the compiler failed: without a
-  /// lock, so that the one that called it decides.
-  Range c_library_last_words;
-  Range join;  // std::thread::join()
+/// What a thread in the code of a landmark is.
+enum class Meaning {
+  inside,  // maybe in possession of a lock
+  // Taking or giving back a lock: the one that called it may be out of the picture already, as the
+  // last thing that a function does is often a jump.
+  locking,
+  // Saying why the process ends, when a check of the C library or of the compiler failed: without a
+  // lock, so that the one that called it decides.
+  last_words,
+  waiting,  // for the end of another thread
 };
-Landmarks landmarks;
+
+/// Code of a library that is found by the exported functions in it.
+struct Landmark {
+  const char* name;
+  const char* library;
+  Meaning meaning;
+  std::array<std::string_view, 11> functions;
+  Range range{};
+};
+
+constexpr const char* kLibc = "libc.so.6";
+
+constinit std::array landmarks{
+    Landmark{"allocator",
+             kLibc,
+             Meaning::inside,
+             {"malloc", "free", "calloc", "realloc", "memalign", "aligned_alloc", "posix_memalign",
+              "malloc_trim", "malloc_usable_size", "mallopt", "malloc_info"}},
+    Landmark{"stdio",
+             kLibc,
+             Meaning::inside,
+             {"printf", "fprintf", "vfprintf", "fopen", "fclose", "fflush", "fputs", "puts",
+              "fwrite", "_IO_file_write", "_IO_file_xsputn"}},
+    Landmark{"starting of threads", kLibc, Meaning::inside, {"pthread_create"}},
+    Landmark{"mutexes",
+             kLibc,
+             Meaning::locking,
+             {"pthread_mutex_lock", "pthread_mutex_trylock", "pthread_mutex_timedlock",
+              "pthread_mutex_clocklock", "pthread_mutex_unlock"}},
+    Landmark{"read-write locks",
+             kLibc,
+             Meaning::locking,
+             {"pthread_rwlock_rdlock", "pthread_rwlock_wrlock", "pthread_rwlock_tryrdlock",
+              "pthread_rwlock_trywrlock", "pthread_rwlock_timedrdlock",
+              "pthread_rwlock_timedwrlock", "pthread_rwlock_unlock"}},
+    Landmark{"internal locks",
+             kLibc,
+             Meaning::locking,
+             {"__lll_lock_wait_private", "__lll_lock_wake_private"}},
+    Landmark{
+        "conditions", kLibc, Meaning::locking, {"pthread_cond_signal", "pthread_cond_broadcast"}},
+    Landmark{"last words", kLibc, Meaning::last_words, {"__libc_fatal"}},
+    Landmark{"std::thread::join()", "libstdc++.so.6", Meaning::waiting, {"_ZNSt6thread4joinEv"}},
+};
+
+bool is_in(std::uintptr_t address, Meaning meaning) {
+  return std::ranges::any_of(landmarks, [=](const Landmark& landmark) {
+    return landmark.meaning == meaning && landmark.range.contains(address);
+  });
+}
 
 template <std::size_t size>
 bool begins_with_any(std::string_view text, const std::array<std::string_view, size>& prefixes) {
@@ -82,18 +134,24 @@ std::string_view base_name(const char* path) {
   return text.substr(text.rfind('/') + 1);
 }
 
-/// The code of some functions that are linked next to each other, and of what was compiled together
-/// with them.
-Range code_of(const DynamicSymbols& library, std::initializer_list<std::string_view> functions) {
+/// Looks up the code of the functions, which are linked next to each other, and of what was
+/// compiled together with them. False when one of them is missing, or they are not next to each
+/// other.
+bool find(Landmark& landmark, const DynamicSymbols& library) {
   constexpr std::uintptr_t kImplausible = 1 << 20;
+  bool is_whole = true;
   Range range{~std::uintptr_t{0}, 0};
-  for (const std::string_view name : functions) {
-    if (const std::uintptr_t address = library.find(name)) {
+  for (const std::string_view name : landmark.functions) {
+    if (const std::uintptr_t address = name.empty() ? 0 : library.find(name)) {
       range.begin = std::min(range.begin, library.gap_before(address));
       range.end = std::max(range.end, library.gap_after(address));
+    } else {
+      is_whole = is_whole && name.empty();
     }
   }
-  return range.end <= range.begin || range.end - range.begin > kImplausible ? Range{} : range;
+  const bool is_plausible = range.begin < range.end && range.end - range.begin <= kImplausible;
+  landmark.range = is_plausible ? range : Range{};
+  return is_whole && is_plausible;
 }
 
 #if defined(__x86_64__)
@@ -133,17 +191,11 @@ bool in_call_stub(std::uintptr_t address) {
 #endif
 }
 
-template <std::size_t size>
-bool is_in_any(std::uintptr_t address, const std::array<Range, size>& ranges) {
-  return std::any_of(ranges.begin(), ranges.end(),
-                     [address](const Range& range) { return range.contains(address); });
-}
-
 Place in_c_library(std::uintptr_t address, bool innermost, bool wakes_others, Caution caution) {
-  if (landmarks.c_library_last_words.contains(address)) {
+  if (is_in(address, Meaning::last_words)) {
     return Place::neutral;
   }
-  if (is_in_any(address, landmarks.c_library_inside)) {
+  if (is_in(address, Meaning::inside)) {
     return Place::inside;
   }
   if (innermost && wakes_others && before_system_call(address)) {
@@ -152,7 +204,7 @@ Place in_c_library(std::uintptr_t address, bool innermost, bool wakes_others, Ca
     return Place::inside;
   }
   const bool running = innermost && !at_system_call(address);
-  if (running && (caution == Caution::careful || is_in_any(address, landmarks.c_library_locks))) {
+  if (running && (caution == Caution::careful || is_in(address, Meaning::locking))) {
     return Place::inside;
   }
   return Place::neutral;
@@ -162,7 +214,7 @@ Place place_of(const CallStack& stack, std::size_t frame, Caution caution) {
   const bool innermost = frame == 0;
   // A return address may already be the next function's: a call can be the last of its caller.
   const std::uintptr_t address = stack.frames[frame].address - (innermost ? 0 : 1);
-  if (landmarks.join.contains(address)) {
+  if (is_in(address, Meaning::waiting)) {
     return Place::harmless;
   }
   const link_map* const found = library_at(address);
@@ -204,32 +256,22 @@ Place place_of(const CallStack& stack, std::size_t frame, Caution caution) {
 
 void prepare_code_map() {
   note_early_code();
-  if (void* const library = ::dlopen("libc.so.6", RTLD_NOW | RTLD_NOLOAD)) {
-    const DynamicSymbols symbols(*static_cast<const link_map*>(library));
-    landmarks.c_library_inside = {
-        code_of(symbols,
-                {"malloc", "free", "calloc", "realloc", "memalign", "aligned_alloc",
-                 "posix_memalign", "malloc_trim", "malloc_usable_size", "mallopt", "malloc_info"}),
-        code_of(symbols, {"printf", "fprintf", "vfprintf", "fopen", "fclose", "fflush", "fputs",
-                          "puts", "fwrite", "_IO_file_write", "_IO_file_xsputn"}),
-        code_of(symbols, {"pthread_create"})};
-    landmarks.c_library_locks = {
-        code_of(symbols, {"pthread_mutex_lock", "pthread_mutex_trylock", "pthread_mutex_timedlock",
-                          "pthread_mutex_clocklock", "pthread_mutex_unlock"}),
-        code_of(symbols,
-                {"pthread_rwlock_rdlock", "pthread_rwlock_wrlock", "pthread_rwlock_tryrdlock",
-                 "pthread_rwlock_trywrlock", "pthread_rwlock_timedrdlock",
-                 "pthread_rwlock_timedwrlock", "pthread_rwlock_unlock"}),
-        code_of(symbols, {"__lll_lock_wait_private", "__lll_lock_wake_private"}),
-        code_of(symbols, {"pthread_cond_signal", "pthread_cond_broadcast"})};
-    landmarks.c_library_last_words = code_of(symbols, {"__libc_fatal"});
-    ::dlclose(library);
+  find_landmarks();
+}
+
+std::vector<std::string> find_landmarks() {
+  std::vector<std::string> missing;
+  for (Landmark& landmark : landmarks) {
+    void* const library = ::dlopen(landmark.library, RTLD_NOW | RTLD_NOLOAD);
+    if (library == nullptr ||
+        !find(landmark, DynamicSymbols(*static_cast<const link_map*>(library)))) {
+      missing.emplace_back(landmark.name);
+    }
+    if (library != nullptr) {
+      ::dlclose(library);
+    }
   }
-  if (void* const library = ::dlopen("libstdc++.so.6", RTLD_NOW | RTLD_NOLOAD)) {
-    const DynamicSymbols symbols(*static_cast<const link_map*>(library));
-    landmarks.join = code_of(symbols, {"_ZNSt6thread4joinEv"});
-    ::dlclose(library);
-  }
+  return missing;
 }
 
 Judgement judge(const CallStack& stack, Caution caution, std::size_t first) noexcept {

@@ -1,6 +1,8 @@
 #pragma once
 
 #include <cstddef>
+#include <string>
+#include <vector>
 
 #include "isolation/quiesce/call_stack.hpp"
 
@@ -20,9 +22,13 @@ struct Judgement {
   std::size_t way_out = 0;
 };
 
-/// Notes which libraries are there, and looks up the places in the C library that matter. Once,
-/// before the first library of a node.
+/// Notes which libraries are there, and looks up the places in the C library that matter. Before
+/// the first library of a node.
 void prepare_code_map();
+
+/// Looks those places up; the names of the ones that are missing, or not what they are expected to
+/// be, as another C library may have it: judge() goes by the caller there.
+std::vector<std::string> find_landmarks();
 
 /// Decided by the innermost frame that is neither in the C nor the C++ library: whether it is in a
 /// library that was there before the first node, see note_early_code(), which has locks that all
