@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from play_launch.history.findings import Finding
-    from play_launch.history.source_lines import SourceLines
+    from play_launch.history.frames import Frame
+    from play_launch.history.source_lines import SourceLine, SourceLines
 
 
 def located(
@@ -43,9 +44,19 @@ def _with_lines(finding: Finding, number: int, found: SourceLines) -> Finding:
     """
     lines = tuple(found.lines.get(index) for index in range(len(finding.frames)))
     problem = found.problems.get(finding.frames[number].library)
+    frames = tuple(map(_with_function, finding.frames, lines))
     return replace(
         finding,
+        frames=frames,
         lines=lines,
-        place=replace(finding.place, line=lines[number]),
+        place=replace(finding.place, frame=frames[number], line=lines[number]),
         problems=(*finding.problems, f"no source line: {problem}") if problem else finding.problems,
     )
+
+
+def _with_function(frame: Frame, line: SourceLine | None) -> Frame:
+    """Name what the container had no time to look up."""
+    if frame.function or line is None or not line.function:
+        return frame
+    number, _, where = frame.text.rpartition(" ")
+    return replace(frame, text=f"{number} {line.function} ({where})", function=line.function)

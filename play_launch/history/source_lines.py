@@ -40,6 +40,8 @@ class SourceLine(Struct, frozen=True):
     file: str
     """As the compiler was given it."""
     line: int
+    function: str = ""
+    """In which function; empty where that is not known."""
 
     def __str__(self) -> str:
         return f"{self.file}:{self.line}"
@@ -160,7 +162,7 @@ def _addr2line(file: Path, addresses: Sequence[int]) -> list[SourceLine | None] 
     environ = {k: v for k, v in os.environ.items() if not k.startswith("DEBUGINFOD_")}
     try:
         done = subprocess.run(
-            [tool, "--exe", str(file)],
+            [tool, "--functions", "--demangle", "--exe", str(file)],
             input="".join(f"{each:#x}\n" for each in addresses),
             capture_output=True,
             text=True,
@@ -172,13 +174,14 @@ def _addr2line(file: Path, addresses: Sequence[int]) -> list[SourceLine | None] 
         return f"addr2line {file}: {error}"
     if done.returncode != 0:
         return f"addr2line {file}: {done.stderr.strip() or f'exit status {done.returncode}'}"
-    return [_line_of(text) for text in done.stdout.splitlines()]
+    said = done.stdout.splitlines()
+    return [_line_of(text, name) for name, text in zip(said[::2], said[1::2], strict=False)]
 
 
-def _line_of(text: str) -> SourceLine | None:
+def _line_of(text: str, function: str) -> SourceLine | None:
     """Read ``/src/talker.cpp:31 (discriminator 2)``; None for ``??:0``."""
     file, _, line = text.split(" (discriminator", maxsplit=1)[0].rpartition(":")
     if not (line.isdecimal() and int(line) and file):
         return None
     # Compilers write ``build/../src/talker.cpp``.
-    return SourceLine(os.path.normpath(file), int(line))
+    return SourceLine(os.path.normpath(file), int(line), "" if function == "??" else function)

@@ -12,7 +12,7 @@ import pytest
 
 from play_launch.history.elf_files import debug_files, read_elf
 from play_launch.history.findings import Finding, Kind
-from play_launch.history.frames import Frame
+from play_launch.history.frames import Frame, frame_of
 from play_launch.history.locate import located
 from play_launch.history.source_lines import Backtrace, Module, SourceLines, module_of, source_lines
 
@@ -207,6 +207,21 @@ def test_a_library_is_read_once_for_all_findings(
     assert [str(each.place.line).rpartition(":")[2] for each in found[:5]] == [
         "2", "7", "2", "None", "7"
     ]  # fmt: skip
+
+
+def test_a_function_that_the_container_had_no_time_to_look_up_is_named(library: Library) -> None:
+    at = library.address("add") + 1
+    lines = (f"#0 libadd.so+0x{at:x}", f"#1 known+0x4 (libadd.so+0x{at:x})", "#2 0x10")
+    finding = Finding(
+        kind=Kind.CRASHED,
+        who="/a",
+        times_ns=(1,),
+        frames=tuple(map(frame_of, lines)),
+        modules=(library.module,),
+    )
+    (found,) = located([finding], (library.folder,))
+    assert [frame.text for frame in found.frames] == [f"#0 add (libadd.so+0x{at:x})", *lines[1:]]
+    assert [frame.function for frame in found.frames] == ["add", "known", ""]
 
 
 def test_a_library_that_the_recording_does_not_describe_is_named() -> None:
