@@ -18,11 +18,11 @@ demo:
 test-all *arguments:
     {{python}} -m pytest -n auto --dist worksteal --durations 15 {{arguments}}
 
-# Run what is named, one after the other: just test tests/core -k restart
+# Run what is named, one after the other: just test tests/supervisor -k restart
 test *arguments:
     {{python}} -m pytest {{arguments}}
 
-# Look for examples that break the property tests: just search tests/core
+# Look for examples that break the property tests: just search tests/supervisor
 search *arguments:
     {{python}} -m pytest --hypothesis-profile search {{arguments}}
 

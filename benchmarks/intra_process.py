@@ -27,11 +27,10 @@ from benchmarks.progress import Progress
 from benchmarks.range_chart import Bar, Lane, range_chart
 from benchmarks.statistics import Summary
 from benchmarks.systems import Node, keep_to_this_machine, system
-from play_launch.actors.publisher import Publisher
-from play_launch.actors.stop_requests import StopRequests
-from play_launch.actors.system import run_system
-from play_launch.core.events import NodeState, NodeStateChanged, RunEvent
-from play_launch.core.view import SystemView
+from play_launch.runtime.publisher import Publisher, StopRequests
+from play_launch.runtime.run import run_system
+from play_launch.supervisor.events import NodeState, NodeStateChanged, RunEvent
+from play_launch.supervisor.view import SystemView
 
 BYTES: Final = 2_000_000
 LARGE_SEGMENT: Final = Path(__file__).parents[1] / "fixtures" / "fastdds" / "large_segment.xml"

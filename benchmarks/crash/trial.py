@@ -19,11 +19,10 @@ from benchmarks.crash.footprint import Footprint, footprint
 from benchmarks.crash.tally import SECOND, Tally
 from benchmarks.figures import Figures
 from benchmarks.systems import Node, system
-from play_launch.actors.publisher import Publisher
-from play_launch.actors.stop_requests import StopRequests
-from play_launch.actors.system import Outcome, run_system
 from play_launch.config.model import ReplayConfig
-from play_launch.core.events import (
+from play_launch.runtime.publisher import Publisher, StopRequests
+from play_launch.runtime.run import Outcome, run_system
+from play_launch.supervisor.events import (
     ComponentEvent,
     ComponentEventKind,
     ContainerState,
@@ -35,7 +34,7 @@ from play_launch.core.events import (
     ProcessEventKind,
     RunEvent,
 )
-from play_launch.core.view import SystemView
+from play_launch.supervisor.view import SystemView
 
 VICTIM: Final = "/victim"
 NEIGHBOURS: Final = ("/left", "/right")

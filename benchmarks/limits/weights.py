@@ -27,13 +27,12 @@ from benchmarks.figures import Figures
 from benchmarks.limits.ways import groups_problem
 from benchmarks.statistics import Summary
 from benchmarks.systems import Node, keep_to_this_machine, system
-from play_launch.actors.publisher import Publisher
-from play_launch.actors.stop_requests import StopRequests
-from play_launch.actors.system import run_system
 from play_launch.cgroups.group import Group
 from play_launch.cgroups.usage import group_of
-from play_launch.core.events import NodeState, NodeStateChanged, RunEvent
-from play_launch.core.view import SystemView
+from play_launch.runtime.publisher import Publisher, StopRequests
+from play_launch.runtime.run import run_system
+from play_launch.supervisor.events import NodeState, NodeStateChanged, RunEvent
+from play_launch.supervisor.view import SystemView
 
 _RATE: Final = 1000.0
 _BEATS, _HEADER = 1, 3

@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from benchmarks.long_session.plan import stamp
-from play_launch.core.events import (
+from play_launch.config.node_key import NodeKey
+from play_launch.supervisor.events import (
     ComponentEvent,
     ComponentEventKind,
     ContainerState,
@@ -16,7 +17,6 @@ from play_launch.core.events import (
     ProcessEvent,
     ProcessEventKind,
 )
-from play_launch.core.node_key import NodeKey
 
 
 def container_state(

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from heapq import merge
 
 from benchmarks.long_session.plan import Robot, Timed, stamp
-from play_launch.core.events import OutputLine, Stream
+from play_launch.supervisor.events import OutputLine, Stream
 
 WORDS = (
     *("scan received with", "published pose", "transform is late by", "queue length", "retry"),

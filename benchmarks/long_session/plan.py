@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 from dataclasses import dataclass, field
 
-from play_launch.core.events import RunEvent
+from play_launch.supervisor.events import RunEvent
 
 BEGIN = 1_790_000_000_000_000_000
 """When it begins: nanoseconds since the epoch."""

@@ -7,7 +7,7 @@ import random
 from collections.abc import Iterator
 
 from benchmarks.long_session.plan import Life, Robot, Timed, stamp
-from play_launch.core.events import MemoryKind, ProcessSample, SubjectKind, SystemSample
+from play_launch.supervisor.events import MemoryKind, ProcessSample, SubjectKind, SystemSample
 
 PERIOD = 1.0
 """Seconds."""

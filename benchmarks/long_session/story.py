@@ -8,8 +8,13 @@ from typing import NamedTuple
 
 from benchmarks.long_session.makers import component, container_state, log, node_state, step
 from benchmarks.long_session.plan import AREAS, PROCESSES, Life, Plan, Robot, container_of, names
-from play_launch.core.events import ComponentEventKind, ContainerState, NodeState, ProcessEventKind
-from play_launch.core.node_key import NodeKey
+from play_launch.config.node_key import NodeKey
+from play_launch.supervisor.events import (
+    ComponentEventKind,
+    ContainerState,
+    NodeState,
+    ProcessEventKind,
+)
 
 CRASHES = (
     (11, "SIGSEGV (invalid address 0x0)", "on_scan"),

@@ -20,8 +20,7 @@ from play_launch.cgroups.refusals import (
     no_limit,
     unavailable_controller,
 )
-from play_launch.core.cpu_list import cpu_text, cpus_in
-from play_launch.core.group_limits import NO_LIMITS, GroupLimits
+from play_launch.config.group_limits import NO_LIMITS, GroupLimits, cpu_text, cpus_in
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator

@@ -28,12 +28,12 @@ from play_launch.cgroups.names import (
 )
 from play_launch.cgroups.refusals import no_entry, no_group
 from play_launch.cgroups.sweep import sweep
-from play_launch.core.group_limits import NO_LIMITS
+from play_launch.config.group_limits import NO_LIMITS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from play_launch.core.group_limits import GroupLimits, GroupPolicy
+    from play_launch.config.group_limits import GroupLimits, GroupPolicy
 
 _END_LIMIT: Final = 10.0
 """Seconds for what is left of a session to die."""

@@ -14,12 +14,12 @@ from msgspec.structs import asdict
 from play_launch.cgroups.base import GroupError, own_hierarchy
 from play_launch.cgroups.group import Group
 from play_launch.cgroups.names import CONTAINER, SessionName
-from play_launch.core.events import GroupSample
+from play_launch.supervisor.events import GroupSample
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from play_launch.core.events import SubjectKind
+    from play_launch.supervisor.events import SubjectKind
 
 _MICROSECONDS: Final = 1e6
 _OF_CONTROLLERS: Final = {

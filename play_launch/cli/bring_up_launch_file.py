@@ -18,8 +18,8 @@ from play_launch.cli.target import (
     sizes,
     target_of,
 )
-from play_launch.core.exit_code import ExitCode
 from play_launch.launch_files.configuration.options import Containers, Options
+from play_launch.supervisor.exit_code import ExitCode
 from play_launch.systemd.notification import claim
 
 if TYPE_CHECKING:

@@ -9,7 +9,6 @@ import msgspec
 from play_launch.cli.failure import fail
 from play_launch.cli.show.terminal import printable, say
 from play_launch.cli.sum_up import DAMAGED, report_damage
-from play_launch.core.exit_code import ExitCode
 from play_launch.history.bag_reader import NotARecordingError
 from play_launch.history.comparison import (
     Change,
@@ -24,6 +23,7 @@ from play_launch.history.story import read_story
 from play_launch.history.whole_file import OutputError
 from play_launch.reporting.comparison import Words, comparison_page, scaled
 from play_launch.reporting.page import put
+from play_launch.supervisor.exit_code import ExitCode
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -10,7 +10,7 @@ import typer
 from play_launch.cli.daemon_patch import patch, unpatch
 from play_launch.cli.failure import fail
 from play_launch.cli.show.terminal import say, wants_colour
-from play_launch.core.exit_code import ExitCode
+from play_launch.supervisor.exit_code import ExitCode
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -9,7 +9,7 @@ import typer
 
 from play_launch.cli.failure import fail
 from play_launch.cli.show.terminal import say
-from play_launch.core.exit_code import ExitCode
+from play_launch.supervisor.exit_code import ExitCode
 
 if TYPE_CHECKING:
     from play_launch.ros2cli_patch import PatchError

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 import typer
 
 from play_launch.cli.show.terminal import say, surviving_the_reader, wants_colour
-from play_launch.core.exit_code import ExitCode
+from play_launch.supervisor.exit_code import ExitCode
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, NamedTuple
 
-from play_launch.core.dependency import Otherwise, StartRule
+from play_launch.config.dependency import Otherwise, StartRule
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from play_launch.config.dependency import Dependency
     from play_launch.config.model import ReplayConfig
-    from play_launch.core.dependency import Dependency
 
 
 def as_text(config: ReplayConfig) -> str:

@@ -14,7 +14,7 @@ OWN_NAME: Final = "play-launch"
 
 
 def lines_of(event: Mapping[str, Any]) -> str:
-    """Write an event as `play_launch.core.event_object` makes it; a text of several lines stays."""
+    """Write an event as `supervisor.event_object` makes it; a text of several lines stays."""
     source, text = _words(event)
     clean = printable(text, colour=False).replace("\n", f"\n{' ' * 13}")
     return f"{clock(event.get('stamp_ns', 0))} [{printable(source, colour=False)}] {clean}"

@@ -6,7 +6,7 @@ import sys
 from typing import NoReturn
 
 from play_launch.cli.show.terminal import printable, wants_colour
-from play_launch.core.exit_code import ExitCode
+from play_launch.supervisor.exit_code import ExitCode
 
 
 def fail(message: str, code: ExitCode = ExitCode.USAGE) -> NoReturn:

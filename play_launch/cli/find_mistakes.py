@@ -10,7 +10,7 @@ from msgspec.structs import asdict
 
 from play_launch.cli.failure import fail, report
 from play_launch.cli.show.terminal import say
-from play_launch.core.exit_code import ExitCode
+from play_launch.supervisor.exit_code import ExitCode
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -69,8 +69,8 @@ def _anything(_event: dict[str, Any]) -> bool:
 
 
 def _by_level(least: int) -> Callable[[dict[str, Any]], bool]:
-    from play_launch.core.events import OutputLine, Stream  # noqa: PLC0415 - slow, and rarely asked
     from play_launch.recording.console_format import line_level  # noqa: PLC0415
+    from play_launch.supervisor.events import OutputLine, Stream  # noqa: PLC0415
 
     def is_wanted(event: dict[str, Any]) -> bool:
         if event["event"] == "log":

@@ -7,15 +7,14 @@ import contextlib
 import logging
 from typing import TYPE_CHECKING, Final
 
-from play_launch.core.settled import is_up
+from play_launch.supervisor.view import is_up
 
 if TYPE_CHECKING:
-    from play_launch.actors.publisher import Publisher
-    from play_launch.actors.stop_requests import StopRequests
     from play_launch.config.model import ReplayConfig
-    from play_launch.core.events import RunEvent
-    from play_launch.core.view import SystemView
     from play_launch.recording.session import Session
+    from play_launch.runtime.publisher import Publisher, StopRequests
+    from play_launch.supervisor.events import RunEvent
+    from play_launch.supervisor.view import SystemView
     from play_launch.topic_recording.session import FailureWatch
     from play_launch.topic_recording.snapshot import Snapshots
 

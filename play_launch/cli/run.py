@@ -19,14 +19,13 @@ from play_launch.cli.find_mistakes import describe
 from play_launch.cli.library_output import library_output_logged
 from play_launch.cli.running_ahead import run_ahead_of
 from play_launch.cli.show.display import Display, Style
+from play_launch.cli.show.group_totals import GroupTotals
 from play_launch.cli.show.json_style import JsonStyle, encode
 from play_launch.cli.show.terminal import is_terminal, surviving_the_loss_of_stdout, wants_colour
 from play_launch.cli.show.text_styles import LiveStyle, PlainStyle
 from play_launch.cli.signals import RunSignals
 from play_launch.control.door import Door
 from play_launch.control.feed import Feed
-from play_launch.core.events import GroupSample, OutputLine
-from play_launch.core.group_totals import GroupTotals
 from play_launch.process import open_files
 from play_launch.process.time_slice import ask_for_short_turns, run_ahead
 from play_launch.recording.log_handler import log_published
@@ -38,21 +37,22 @@ from play_launch.recording.resolved_form import (
     without,
 )
 from play_launch.recording.session import Session, SessionDescription, open_session
+from play_launch.supervisor.events import GroupSample, OutputLine
 from play_launch.topic_recording.snapshot import Snapshots
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Coroutine, Mapping
     from pathlib import Path
 
-    from play_launch.actors.publisher import Publisher
-    from play_launch.actors.stop_requests import StopRequests
-    from play_launch.actors.system import Outcome, System
+    from play_launch.cli.show.group_totals import GroupTotal
     from play_launch.cli.watch import Watched
     from play_launch.config.model import ReplayConfig
-    from play_launch.core.events import EventSink, LogRecord, RunEvent, SubjectKind
-    from play_launch.core.group_totals import GroupTotal
-    from play_launch.core.view import SystemView
     from play_launch.recording.recorder import Recorder, RecordingSummary
+    from play_launch.runtime.publisher import Publisher, StopRequests
+    from play_launch.runtime.run import Outcome
+    from play_launch.runtime.system import System
+    from play_launch.supervisor.events import EventSink, LogRecord, RunEvent, SubjectKind
+    from play_launch.supervisor.view import SystemView
     from play_launch.systemd.notification import ServiceManager
 
 _log = logging.getLogger(__name__)
@@ -171,9 +171,8 @@ async def _until_the_end(
     *,
     door: Door,
 ) -> Outcome:
-    from play_launch.actors.publisher import Publisher  # noqa: PLC0415
-    from play_launch.actors.stop_requests import StopRequests  # noqa: PLC0415
-    from play_launch.actors.system import run_system  # noqa: PLC0415
+    from play_launch.runtime.publisher import Publisher, StopRequests  # noqa: PLC0415
+    from play_launch.runtime.run import run_system  # noqa: PLC0415
 
     # What is there now stays to the end; no collection needs to look at it.
     gc.freeze()

@@ -6,12 +6,11 @@ import asyncio
 import contextlib
 from typing import TYPE_CHECKING, Final
 
-from play_launch.core.settled import is_up
 from play_launch.process.time_slice import run_ahead, run_along
+from play_launch.supervisor.view import is_up
 
 if TYPE_CHECKING:
-    from play_launch.actors.publisher import Publisher
-    from play_launch.actors.stop_requests import StopRequests
+    from play_launch.runtime.publisher import Publisher, StopRequests
 
 LATEST: Final = 30.0
 """Seconds after which it runs along even though nodes are still being loaded."""

@@ -23,13 +23,13 @@ from play_launch.recording.versions import OURSELVES, installed_versions
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from play_launch.actors.publisher import Publisher
-    from play_launch.actors.system import System
     from play_launch.cli.watch import Watched
     from play_launch.config.model import ReplayConfig
     from play_launch.control.door import Door
     from play_launch.control.feed import Feed
     from play_launch.recording.session import Session
+    from play_launch.runtime.publisher import Publisher
+    from play_launch.runtime.system import System
     from play_launch.topic_recording.snapshot import Snapshots
 
 _log = logging.getLogger(__name__)

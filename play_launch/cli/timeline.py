@@ -19,12 +19,6 @@ from play_launch.cli.show.terminal import printable
 from play_launch.cli.story_words import change
 from play_launch.cli.sum_up import DAMAGED, report_damage
 from play_launch.config.values import parse_duration
-from play_launch.core.event_object import event_object, names_of
-from play_launch.core.events import (
-    ComponentEvent,
-    ComponentEventKind,
-)
-from play_launch.core.exit_code import ExitCode
 from play_launch.history.bag_reader import BagReader, NotARecordingError
 from play_launch.history.events import UnreadableEventError
 from play_launch.history.parameters import TOPICS as PARAMETER_TOPICS
@@ -32,6 +26,9 @@ from play_launch.history.parameters import Parameters, Said, shortened
 from play_launch.history.session import PastSession
 from play_launch.recording import topics
 from play_launch.recording.console_format import DEBUG, ERROR, FATAL, INFO, WARN
+from play_launch.supervisor.event_object import event_object, names_of
+from play_launch.supervisor.events import ComponentEvent, ComponentEventKind
+from play_launch.supervisor.exit_code import ExitCode
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

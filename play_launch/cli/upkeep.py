@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from play_launch.config.model import KeepConfig
-    from play_launch.core.events import Stream
-    from play_launch.core.view import SystemView
     from play_launch.process.lines import Line
+    from play_launch.supervisor.events import Stream
+    from play_launch.supervisor.view import SystemView
 
 _PATIENCE: Final = 60.0
 """Seconds after which a system that is not complete counts as one that never will be."""

@@ -9,7 +9,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from play_launch.actors.head_start import SWITCH
 from play_launch.cli.failure import fail
 from play_launch.config.model import ContainerConfig
 from play_launch.install.environment import caller_environment, child_environment
@@ -20,12 +19,13 @@ from play_launch.install.ros import (
     ros_installation,
     topic_recorder,
 )
-from play_launch.launching.command import Command, Machine
-from play_launch.launching.needs import is_own, shares_memory
-from play_launch.launching.survey import DESCRIPTOR, Start, allocator_for, survey
 from play_launch.process.program import SpawnError, check_program
 from play_launch.recording.facts import REDACTED, is_secret
 from play_launch.recording.resolved_form import taken_secrets, without
+from play_launch.runtime.commands import Command, Machine
+from play_launch.runtime.needs import is_own, shares_memory
+from play_launch.runtime.prestart import SWITCH
+from play_launch.runtime.survey import DESCRIPTOR, Start, allocator_for, survey
 from play_launch.topic_recording.program import recorder_argv
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ from play_launch.cli.failure import fail
 from play_launch.cli.show.terminal import say
 from play_launch.cli.sum_up import DAMAGED, report_damage
 from play_launch.cli.target import complain
-from play_launch.core.exit_code import ExitCode
 from play_launch.history.recover import RecoverError, default_output, recover
+from play_launch.supervisor.exit_code import ExitCode
 
 if TYPE_CHECKING:
     from pathlib import Path

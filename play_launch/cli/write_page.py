@@ -8,7 +8,6 @@ from play_launch.cli.failure import fail
 from play_launch.cli.show.terminal import say
 from play_launch.cli.story_words import details, headline
 from play_launch.cli.sum_up import DAMAGED, report_damage
-from play_launch.core.exit_code import ExitCode
 from play_launch.history.bag_reader import NotARecordingError
 from play_launch.history.findings import IMPORTANCE
 from play_launch.history.locate import located
@@ -21,6 +20,7 @@ from play_launch.reporting.gather import Gathering
 from play_launch.reporting.page import write_page
 from play_launch.reporting.parameters import parameters_shown
 from play_launch.reporting.story import Point
+from play_launch.supervisor.exit_code import ExitCode
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

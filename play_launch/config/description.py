@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from play_launch.config.model import ParameterType
 
 if TYPE_CHECKING:
+    from play_launch.config.dependency import StartRule
     from play_launch.config.model import (
         ComposableNodeConfig,
         ContainerConfig,
@@ -19,8 +20,7 @@ if TYPE_CHECKING:
         RecordConfig,
         ReplayConfig,
     )
-    from play_launch.core.dependency import StartRule
-    from play_launch.core.restart import RestartLimits
+    from play_launch.config.policies import RestartLimits
 
 
 def describe(config: ReplayConfig) -> dict[str, object]:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import re
 from typing import Final
 
+from play_launch.config.group_limits import NO_LIMIT, CpuMax
 from play_launch.config.problems import excerpt
 from play_launch.config.values import parse_size
-from play_launch.core.group_limits import NO_LIMIT, CpuMax
 
 MAX: Final = "max"
 HIGHEST_PIDS: Final = 2**22

@@ -11,18 +11,17 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 
 from msgspec import Struct, field
 
-from play_launch.core.crash import OnCrash
-from play_launch.core.group_limits import GroupPolicy
-from play_launch.core.resources import Resources
-from play_launch.core.restart import OnExit, RestartLimits
+from play_launch.config.group_limits import GroupPolicy
+from play_launch.config.policies import OnCrash, OnExit, RestartLimits
+from play_launch.config.resources import Resources
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from play_launch.core.dependency import StartRule
-    from play_launch.core.managed import Autostart
-    from play_launch.core.node_key import NodeKey
+    from play_launch.config.dependency import StartRule
+    from play_launch.config.node_key import NodeKey
+    from play_launch.config.policies import Autostart
 
 
 class ContainerType(StrEnum):
@@ -359,8 +358,8 @@ class ReplayConfig(Struct, frozen=True, kw_only=True):
     `taken` is what they took from outside. `duration`
     is the seconds after which the system is stopped, None for never. `graph_daemon` says whether
     the graph daemon of the ROS domain runs beside the nodes, and is asked what it sees.
-    `start_rules` are by unit, see `play_launch.core.dependency`, for units that wait for something,
-    as are the nodes in `managed`.
+    `start_rules` are by unit, see `play_launch.config.dependency`, for units that wait for
+    something, as are the nodes in `managed`.
     """
 
     name: str

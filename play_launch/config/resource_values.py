@@ -7,8 +7,8 @@ import re
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from play_launch.config.problems import excerpt
+from play_launch.config.resources import IoClass, IoPriority, ResourceLimit, nice_limit
 from play_launch.config.values import parse_duration, parse_size
-from play_launch.core.resources import IoClass, IoPriority, ResourceLimit, nice_limit
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -10,20 +10,18 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from play_launch.config import kinds
+from play_launch.config.dependency import Otherwise, UnitCondition
 from play_launch.config.model import ContainerType, Isolation, MemoryDomains, Output
+from play_launch.config.policies import Autostart, OnCrash, OnExit
 from play_launch.config.resource_values import LIMIT_FORMS
+from play_launch.config.resources import SchedulerPolicy
 from play_launch.config.section import Section, merging, nested, optional, raw, required
-from play_launch.core.crash import OnCrash
-from play_launch.core.dependency import Otherwise, UnitCondition
-from play_launch.core.managed import Autostart
-from play_launch.core.resources import SchedulerPolicy
-from play_launch.core.restart import OnExit
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from play_launch.core.group_limits import CpuMax
-    from play_launch.core.resources import IoPriority
+    from play_launch.config.group_limits import CpuMax
+    from play_launch.config.resources import IoPriority
 
 
 class DependencySection(Section):

@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Final
 from play_launch.config.problems import excerpt
 from play_launch.config.yaml.scalars import ScalarKind
 from play_launch.config.yaml.tree import Mapping, Scalar, describe_node
-from play_launch.core.domain import LARGEST_DOMAIN
 
 if TYPE_CHECKING:
     from play_launch.config.yaml.tree import At
@@ -328,3 +327,7 @@ def log_folder_problem(environ: dict[str, str]) -> str | None:
     if any(environ.get(name) for name in ("ROS_LOG_DIR", "ROS_HOME", "HOME")):
         return None
     return "ROS has no folder for its log files; set HOME or ROS_LOG_DIR"
+
+
+LARGEST_DOMAIN: Final = 232
+"""With more, port numbers of DDS do not fit into 16 bits; Fast DDS then just ends the process."""

@@ -8,14 +8,14 @@ from itertools import count
 from typing import TYPE_CHECKING
 
 from play_launch.control.protocol import LONGEST_COMMAND
-from play_launch.core.events import ActionEvent, ActionPhase
 from play_launch.recording.resolved_form import redacted_arguments
+from play_launch.supervisor.events import ActionEvent, ActionPhase
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Sequence
 
-    from play_launch.actors.publisher import Publisher
     from play_launch.control.place import Peer
+    from play_launch.runtime.publisher import Publisher
 
 
 class ActionRecord:

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import anyio
 
+from play_launch.config.node_key import NodeKey
+from play_launch.config.policies import Autostart
 from play_launch.control.outcome import (
     FOR_MEMBERS,
     FOR_NODES,
@@ -28,22 +30,20 @@ from play_launch.control.outcome import (
 from play_launch.control.protocol import Code, ControlError, names_argument, seconds_argument
 from play_launch.control.targets import chosen, full_name, members_of, nodes_of
 from play_launch.control.waiting import changes_of_state, until_all_are, until_judged
-from play_launch.core.events import ContainerState
-from play_launch.core.managed import Autostart
-from play_launch.core.node_key import NodeKey
 from play_launch.process.identity import NoSuchProcessError, ProcessHandle, ProcessIdentity
+from play_launch.supervisor.events import ContainerState
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine, Mapping, Sequence
 
-    from play_launch.actors.publisher import Publisher
-    from play_launch.actors.system import System
     from play_launch.control.action_record import ActionRecords
     from play_launch.control.connection import Stream
     from play_launch.control.feed import Feed
     from play_launch.control.place import Peer
     from play_launch.control.targets import Target
-    from play_launch.core.events import NodeState
+    from play_launch.runtime.publisher import Publisher
+    from play_launch.runtime.system import System
+    from play_launch.supervisor.events import NodeState
 
 USUAL_LIMIT: Final = 60.0
 """Seconds that an action may take where nobody says otherwise."""

@@ -7,23 +7,22 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from play_launch.actors.applying import STEP_LIMIT
 from play_launch.config.bundle import unbundled
 from play_launch.config.problems import ConfigError
 from play_launch.control.protocol import Code, ControlError, flag_argument, seconds_argument
-from play_launch.plan.outcome import Result
+from play_launch.runtime.applying import STEP_LIMIT
+from play_launch.supervisor.steps import Result
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from play_launch.actors.applying import Applying
-    from play_launch.actors.system import System
     from play_launch.config.model import ReplayConfig
     from play_launch.control.action_record import ActionRecords
     from play_launch.control.connection import Stream
     from play_launch.control.place import Peer
-    from play_launch.plan.outcome import Applied, StepOutcome
-    from play_launch.plan.steps import Plan
+    from play_launch.runtime.applying import Applying
+    from play_launch.runtime.system import System
+    from play_launch.supervisor.steps import Applied, Plan, StepOutcome
 
 
 class Changes:

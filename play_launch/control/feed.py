@@ -7,12 +7,12 @@ import contextlib
 from collections import deque
 from typing import TYPE_CHECKING, Final
 
-from play_launch.core.events import LogRecord, OutputLine, RunEvent, Sample
+from play_launch.supervisor.events import LogRecord, OutputLine, RunEvent, Sample
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from play_launch.core.view import SystemView
+    from play_launch.supervisor.view import SystemView
 
 MOST_EVENTS: Final = 2000
 """Events other than output that are kept; the recording has all."""

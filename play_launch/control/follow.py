@@ -6,15 +6,15 @@ import asyncio
 from collections import deque
 from typing import TYPE_CHECKING, Final
 
-from play_launch.core.event_object import event_object
-from play_launch.core.events import LogRecord, OutputLine
+from play_launch.supervisor.event_object import event_object
+from play_launch.supervisor.events import LogRecord, OutputLine
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from play_launch.control.connection import Stream
     from play_launch.control.selection import Selection
-    from play_launch.core.events import RunEvent
+    from play_launch.supervisor.events import RunEvent
 
 MOST_WAITING: Final = 5000
 """Events that wait for one client; further ones are dropped for it, and counted."""

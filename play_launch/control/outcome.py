@@ -7,8 +7,8 @@ from typing import Final
 
 from msgspec import Struct
 
-from play_launch.core.events import ContainerState, NodeState
-from play_launch.core.managed import ManagedState
+from play_launch.supervisor.events import ContainerState, NodeState
+from play_launch.supervisor.goal_life import ManagedState
 
 
 class Action(StrEnum):

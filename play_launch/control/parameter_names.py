@@ -6,17 +6,17 @@ from typing import TYPE_CHECKING, Any
 
 from play_launch.cdr.layout import CdrError
 from play_launch.cdr.messages import NODE_PARAMETERS
+from play_launch.config.node_key import NodeKey
 from play_launch.control.protocol import names_argument
-from play_launch.core.node_key import NodeKey
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from play_launch.actors.system import System
     from play_launch.config.model import ReplayConfig
     from play_launch.control.connection import Stream
     from play_launch.control.place import Peer
     from play_launch.control.targets import Target
+    from play_launch.runtime.system import System
 
 
 class ParameterNames:

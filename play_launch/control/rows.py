@@ -7,19 +7,19 @@ import time
 from typing import TYPE_CHECKING, Any, Final
 
 from play_launch.cgroups.usage import group_of, usage_of
-from play_launch.core.events import (
+from play_launch.supervisor.events import (
+    UNKNOWN_STATUS,
     MemoryKind,
     NodeState,
     ProcessEventKind,
     ProcessSample,
     SubjectKind,
 )
-from play_launch.core.exit_status import UNKNOWN_STATUS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from play_launch.core.view import ContainerView, NodeView, ProcessView, SystemView
+    from play_launch.supervisor.view import ContainerView, NodeView, ProcessView, SystemView
 
 CONTAINER: Final = "container"
 COMPONENT: Final = "component"

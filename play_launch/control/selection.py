@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
+from play_launch.config.node_key import NodeKey
 from play_launch.control.targets import full_name
-from play_launch.core.event_object import EVENT_TYPES, names_of
-from play_launch.core.events import OutputLine
-from play_launch.core.node_key import NodeKey
+from play_launch.supervisor.event_object import EVENT_TYPES, names_of
+from play_launch.supervisor.events import OutputLine
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from play_launch.control.targets import Target
-    from play_launch.core.events import RunEvent
+    from play_launch.supervisor.events import RunEvent
 
 KINDS: Final = frozenset(EVENT_TYPES.values())
 OF_OLD: Final = KINDS - {"output", "process_sample", "group_sample", "system_sample"}

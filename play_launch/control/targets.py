@@ -5,13 +5,13 @@ from __future__ import annotations
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Final
 
+from play_launch.config.node_key import NodeKey
 from play_launch.control.protocol import Code, ControlError
-from play_launch.core.node_key import NodeKey
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from play_launch.core.view import SystemView
+    from play_launch.supervisor.view import SystemView
 
 Target = NodeKey | str
 """A composable node, or the full name of a container or ordinary process."""

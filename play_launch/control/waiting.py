@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 from typing import TYPE_CHECKING
 
-from play_launch.core.events import ManagedNodeChanged, StateEvent, Withdrawn
+from play_launch.supervisor.events import ManagedNodeChanged, StateEvent, Withdrawn
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Iterator, Sequence
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from play_launch.control.feed import Feed
     from play_launch.control.outcome import Verdict
     from play_launch.control.targets import Target
-    from play_launch.core.events import RunEvent
+    from play_launch.supervisor.events import RunEvent
 
 
 @contextlib.contextmanager

@@ -16,7 +16,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from play_launch.core.ament_index import ament_prefixes
+from play_launch.config.ament_index import ament_prefixes
 from play_launch.doctor.container_probe import probe_container
 from play_launch.doctor.facts import (
     ContainerFacts,

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from play_launch.cgroups.controllers import VERSION_2_FIX, Lack, switched_on
-from play_launch.core.resources import nice_limit
+from play_launch.config.resources import nice_limit
 from play_launch.doctor.facts import KeySupport
 from play_launch.doctor.finding import Finding, ok, size_text
 from play_launch.doctor.rights import Right, how_to_get

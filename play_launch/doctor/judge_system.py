@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
-from play_launch.core.domain import LARGEST_DOMAIN
+from play_launch.config.values import LARGEST_DOMAIN
 from play_launch.doctor.finding import Finding, fail, ok, size_text, warn
 from play_launch.doctor.rights import Right, how_to_get
 from play_launch.fastdds.middleware import is_fastdds

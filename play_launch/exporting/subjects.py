@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from play_launch.core.events import (
+from play_launch.config.node_key import NodeKey
+from play_launch.recording.topics import stats_topic
+from play_launch.supervisor.events import (
     MemoryKind,
     NodeStateChanged,
     ProcessEvent,
@@ -12,9 +14,7 @@ from play_launch.core.events import (
     ProcessSample,
     SubjectKind,
 )
-from play_launch.core.node_key import NodeKey
-from play_launch.core.view import FAILED_STATES
-from play_launch.recording.topics import stats_topic
+from play_launch.supervisor.view import FAILED_STATES
 
 if TYPE_CHECKING:
     from play_launch.history.session import PastSession

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
 
 from msgspec import structs
 
-from play_launch.core.events import (
+from play_launch.supervisor.events import (
     ContainerStateChanged,
     GroupSample,
     NodeStateChanged,
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
     from pathlib import Path
 
-    from play_launch.core.events import RunEvent
     from play_launch.history.session import PastSession
+    from play_launch.supervisor.events import RunEvent
 
     Value = str | int | float
 

@@ -14,7 +14,9 @@ from typing import IO, TYPE_CHECKING, Any, Final
 
 from msgspec import Struct
 
-from play_launch.core.events import (
+from play_launch.config.node_key import NodeKey
+from play_launch.recording.console_format import ERROR, WARN, line_level
+from play_launch.supervisor.events import (
     ComponentEvent,
     ComponentEventKind,
     ContainerState,
@@ -31,14 +33,12 @@ from play_launch.core.events import (
     SubjectKind,
     SystemSample,
 )
-from play_launch.core.node_key import NodeKey
-from play_launch.recording.console_format import ERROR, WARN, line_level
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
-    from play_launch.core.events import RunEvent
     from play_launch.history.session import Happened, PastSession
+    from play_launch.supervisor.events import RunEvent
 
     TraceEvent = dict[str, Any]
 

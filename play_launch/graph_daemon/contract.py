@@ -10,7 +10,7 @@ import os
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from play_launch.core.domain import LARGEST_DOMAIN
+from play_launch.config.values import LARGEST_DOMAIN
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

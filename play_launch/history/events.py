@@ -16,9 +16,9 @@ from play_launch.cdr.messages import (
     STATE_EVENT,
     SYSTEM_STATS,
 )
-from play_launch.core.events import LogRecord, OutputLine, RunEvent, Stream, SubjectKind
-from play_launch.core.node_key import NodeKey
+from play_launch.config.node_key import NodeKey
 from play_launch.recording import forms, topics
+from play_launch.supervisor.events import LogRecord, OutputLine, RunEvent, Stream, SubjectKind
 
 if TYPE_CHECKING:
     from collections.abc import Callable

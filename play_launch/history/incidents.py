@@ -10,7 +10,10 @@ import re
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
-from play_launch.core.events import (
+from play_launch.history.findings import Away, Kind
+from play_launch.history.frames import Frame, Signature, ending, frame_of, signature_of
+from play_launch.history.source_lines import Module, module_of
+from play_launch.supervisor.events import (
     ComponentEvent,
     ComponentEventKind,
     ContainerStateChanged,
@@ -19,9 +22,6 @@ from play_launch.core.events import (
     ProcessEvent,
     ProcessEventKind,
 )
-from play_launch.history.findings import Away, Kind
-from play_launch.history.frames import Frame, Signature, ending, frame_of, signature_of
-from play_launch.history.source_lines import Module, module_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from play_launch.core.view import SystemView
 from play_launch.history.bag_reader import BagReader, Damage
 from play_launch.history.events import UnreadableEventError, event_of
 from play_launch.history.records import started_ns
 from play_launch.recording.session import METADATA_NAME
+from play_launch.supervisor.view import SystemView
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterator
     from pathlib import Path
 
-    from play_launch.core.events import RunEvent
     from play_launch.history.bag_reader import Message
+    from play_launch.supervisor.events import RunEvent
 
 
 class Happened(NamedTuple):

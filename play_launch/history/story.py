@@ -8,14 +8,7 @@ from typing import TYPE_CHECKING, Final
 from msgspec import Struct
 from msgspec.structs import replace
 
-from play_launch.core.events import (
-    ComponentEvent,
-    ContainerStateChanged,
-    LogRecord,
-    NodeStateChanged,
-    ProcessEvent,
-)
-from play_launch.core.node_key import NodeKey
+from play_launch.config.node_key import NodeKey
 from play_launch.history.declared import declared_places
 from play_launch.history.events import UnreadableEventError, event_of
 from play_launch.history.findings import (
@@ -34,6 +27,13 @@ from play_launch.history.parameters import Parameters
 from play_launch.history.session import PastSession
 from play_launch.history.trends import LITTLE_DISK, Samples
 from play_launch.recording import topics
+from play_launch.supervisor.events import (
+    ComponentEvent,
+    ContainerStateChanged,
+    LogRecord,
+    NodeStateChanged,
+    ProcessEvent,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from play_launch.cdr.layout import CdrError
 from play_launch.cdr.messages import SYSTEM_STATS
-from play_launch.core.events import MemoryKind
 from play_launch.history.findings import Quantity, Trend
+from play_launch.supervisor.events import MemoryKind
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -10,7 +10,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from play_launch.core.ament_index import ament_prefixes
+from play_launch.config.ament_index import ament_prefixes
 from play_launch.fastdds.middleware import IMPLEMENTATION
 from play_launch.install.ros import RosSource
 

@@ -15,7 +15,7 @@ import msgspec
 from msgspec import Struct, field
 
 from play_launch.config.model import FOR_ALL, ParameterType, ParameterValue
-from play_launch.core.managed import Autostart  # noqa: TC001 - msgspec reads the annotations
+from play_launch.config.policies import Autostart  # noqa: TC001 - msgspec reads the annotations
 
 FORMAT: Final = 1
 """The version of the JSON."""

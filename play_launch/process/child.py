@@ -16,7 +16,6 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from play_launch.cgroups.deaths import why_failed, why_killed
-from play_launch.core.events import Stream
 from play_launch.process.exit import Exit
 from play_launch.process.guard import Ourselves, Parent, SessionGuard
 from play_launch.process.identity import ProcessIdentity, ProcessStat, read_stat, tracer_of
@@ -31,6 +30,7 @@ from play_launch.process.session import (
     signal_each,
     wait_all_ended,
 )
+from play_launch.supervisor.events import Stream
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

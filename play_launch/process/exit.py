@@ -6,7 +6,7 @@ import os
 import signal as signals
 from dataclasses import dataclass
 
-from play_launch.core.exit_status import UNKNOWN_STATUS
+from play_launch.supervisor.events import UNKNOWN_STATUS
 
 
 @dataclass(frozen=True, slots=True, repr=False)

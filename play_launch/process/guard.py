@@ -171,7 +171,7 @@ class SessionGuard:
             zygote: Who is forked for it; if that fails, the command is executed, and the zygote
                 is lost.
             cwd: Its working directory, ours by default; not with a zygote.
-            settings: What it asks of the kernel for itself, see `play_launch.core.resources`; what
+            settings: What it asks of the kernel for itself, see `config.resources`; what
                 is refused is left out.
 
         Raises:

@@ -10,7 +10,7 @@ import os
 from collections.abc import Callable, Sequence
 from typing import NamedTuple, TypeAlias
 
-from play_launch.core.events import Stream
+from play_launch.supervisor.events import Stream
 
 MAX_LINE_BYTES = 16 * 1024
 """Longer lines are cut here and marked as truncated."""

@@ -4,7 +4,7 @@ Linking takes longer than all else that a container does before it meets the mid
 to the same in every container. The other side is ``container_native/src/main/zygote.hpp``.
 
 This module, and what it imports, is loaded before anything else of `replay`: see
-`play_launch.actors.head_start`.
+`play_launch.runtime.prestart`.
 """
 
 from __future__ import annotations

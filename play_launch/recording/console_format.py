@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import Final
 
-from play_launch.core.events import OutputLine, Stream
+from play_launch.supervisor.events import OutputLine, Stream
 
 DEBUG: Final = 10
 INFO: Final = 20

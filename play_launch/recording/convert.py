@@ -5,7 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final, NamedTuple, assert_never
 
 from play_launch.cdr.log import log_message
-from play_launch.core.events import (
+from play_launch.recording import forms, topics
+from play_launch.recording.console_format import ERROR, WARN, line_level
+from play_launch.supervisor.events import (
     ActionEvent,
     ComponentEvent,
     ComponentEventKind,
@@ -26,9 +28,7 @@ from play_launch.core.events import (
     SystemSample,
     Withdrawn,
 )
-from play_launch.core.managed import ManagedState
-from play_launch.recording import forms, topics
-from play_launch.recording.console_format import ERROR, WARN, line_level
+from play_launch.supervisor.goal_life import ManagedState
 
 if TYPE_CHECKING:
     from play_launch.recording.topics import Topic

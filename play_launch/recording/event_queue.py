@@ -7,11 +7,11 @@ import time
 from collections import Counter
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from play_launch.core.events import OutputLine, Sample
+from play_launch.supervisor.events import OutputLine, Sample
 
 if TYPE_CHECKING:
-    from play_launch.core.events import RunEvent
     from play_launch.recording.recorder import RecorderLimits
+    from play_launch.supervisor.events import RunEvent
 
 _NAMED_PROCESSES: Final = 5
 """How many processes a report of drops names; the rest is summed up."""

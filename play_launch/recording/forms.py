@@ -14,7 +14,8 @@ from play_launch.cdr.messages import (
     STATE_EVENT,
     SYSTEM_STATS,
 )
-from play_launch.core.events import (
+from play_launch.config.node_key import NodeKey
+from play_launch.supervisor.events import (
     ActionEvent,
     ActionPhase,
     ComponentEvent,
@@ -34,8 +35,7 @@ from play_launch.core.events import (
     SystemSample,
     Withdrawn,
 )
-from play_launch.core.managed import ManagedState
-from play_launch.core.node_key import NodeKey
+from play_launch.supervisor.goal_life import ManagedState
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

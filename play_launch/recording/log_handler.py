@@ -15,7 +15,7 @@ from logging.handlers import QueueHandler, QueueListener
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Final
 
-from play_launch.core.events import LogRecord
+from play_launch.supervisor.events import LogRecord
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
-from play_launch.core.events import LogRecord, OutputLine, RunEvent
 from play_launch.recording import topics
 from play_launch.recording.console_format import ERROR, WARN
 from play_launch.recording.convert import convert, convert_output, is_failure
 from play_launch.recording.errors import RecordingError, SchemaNotFoundError, WriteFailedError
 from play_launch.recording.event_queue import EventQueue
 from play_launch.recording.topic_requests import TopicRequests
+from play_launch.supervisor.events import LogRecord, OutputLine, RunEvent
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -80,7 +80,7 @@ class RecordingSummary(Struct, frozen=True):
 
 
 class Recorder:
-    """An :class:`~play_launch.core.events.EventSink` that records.
+    """An :class:`~play_launch.supervisor.events.EventSink` that records.
 
     :meth:`publish` may be called from any thread; it never blocks and never fails. The file
     belongs to the recorder's thread. While that cannot write, because the disk is full or for

@@ -15,14 +15,14 @@ from msgspec.structs import replace
 
 from play_launch.config.description import describe
 from play_launch.config.yaml.scalars import ScalarRefusedError, resolve_scalar
-from play_launch.core.events import ActionEvent, ProcessEvent
 from play_launch.recording.facts import REDACTED, is_secret
+from play_launch.supervisor.events import ActionEvent, ProcessEvent
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
 
     from play_launch.config.model import ReplayConfig
-    from play_launch.core.events import RunEvent
+    from play_launch.supervisor.events import RunEvent
 
 _SHORTEST: Final = 4
 """Characters; a shorter secret is recognised only where it is the whole value."""

@@ -12,7 +12,7 @@ from typing import Final
 
 from msgspec import Struct
 
-from play_launch.core.events import SubjectKind
+from play_launch.supervisor.events import SubjectKind
 
 KIND: Final = "play_launch.kind"
 KEY: Final = "play_launch.key"

@@ -6,7 +6,7 @@ from typing import Final
 
 from msgspec import Struct, field
 
-from play_launch.core.events import (
+from play_launch.supervisor.events import (
     ContainerState,
     ContainerStateChanged,
     NodeState,

@@ -8,17 +8,6 @@ from msgspec import Struct, field
 
 from play_launch.cdr.layout import CdrError
 from play_launch.cdr.messages import PROCESS_STATS
-from play_launch.core.events import (
-    REPORTED_LOGGER,
-    ComponentEvent,
-    ContainerStateChanged,
-    LogRecord,
-    NodeStateChanged,
-    OutputLine,
-    ProcessEvent,
-    SubjectKind,
-    SystemSample,
-)
 from play_launch.history.events import UnreadableEventError, event_of
 from play_launch.recording import topics
 from play_launch.recording.console_format import ERROR, INFO
@@ -29,11 +18,22 @@ from play_launch.reporting.marks import DEAF, Mark, Marks
 from play_launch.reporting.rates import Rates
 from play_launch.reporting.rows import Rows
 from play_launch.reporting.usage import Usage
+from play_launch.supervisor.events import (
+    REPORTED_LOGGER,
+    ComponentEvent,
+    ContainerStateChanged,
+    LogRecord,
+    NodeStateChanged,
+    OutputLine,
+    ProcessEvent,
+    SubjectKind,
+    SystemSample,
+)
 
 if TYPE_CHECKING:
-    from play_launch.core.events import RunEvent
     from play_launch.history.bag_reader import Message, Topic
     from play_launch.history.session import PastSession
+    from play_launch.supervisor.events import RunEvent
 
 _USED = PROCESS_STATS.picker("cpu_percent", "memory_bytes", "memory_kind")
 _STATS = "/play_launch/…/stats"

@@ -8,7 +8,7 @@ from typing import Final
 
 from msgspec import Struct, field
 
-from play_launch.core.events import ContainerState, NodeState, ProcessEventKind
+from play_launch.supervisor.events import ContainerState, NodeState, ProcessEventKind
 
 MOST: Final = 300_000
 """Stays that a page shows; further ones are counted."""

@@ -14,7 +14,7 @@ from play_launch.reporting.rows import NOBODY, Rows
 from play_launch.reporting.text import shown
 
 if TYPE_CHECKING:
-    from play_launch.core.events import LogRecord, OutputLine
+    from play_launch.supervisor.events import LogRecord, OutputLine
 
 MOST: Final = 400_000
 """Lines."""

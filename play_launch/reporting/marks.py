@@ -6,16 +6,16 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct, field
 
-from play_launch.core.events import (
+from play_launch.history.findings import Kind, is_crash
+from play_launch.history.incidents import Incidents
+from play_launch.reporting.text import shown
+from play_launch.supervisor.events import (
     ComponentEvent,
     NodeState,
     NodeStateChanged,
     ProcessEvent,
     ProcessEventKind,
 )
-from play_launch.history.findings import Kind, is_crash
-from play_launch.history.incidents import Incidents
-from play_launch.reporting.text import shown
 
 if TYPE_CHECKING:
     from play_launch.history.incidents import Incident

@@ -6,8 +6,8 @@ from typing import Final
 
 from msgspec import Struct
 
-from play_launch.core.events import SubjectKind
 from play_launch.reporting.text import shown
+from play_launch.supervisor.events import SubjectKind
 
 MOST: Final = 60_000
 """Rows that a page has; a number of 16 bits names one."""

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct, field
 
-from play_launch.core.events import MemoryKind
+from play_launch.supervisor.events import MemoryKind
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from play_launch.core.events import SystemSample
+    from play_launch.supervisor.events import SystemSample
 
 MOST: Final = 16_384
 """Samples of one thing, a multiple of four; of more, lowest and highest of each few are kept."""
@@ -21,7 +21,7 @@ PROCESS_COLUMNS: Final = ("cpu", "memory")
 SYSTEM_COLUMNS: Final = (
     *("cpu", "memory", "cpu_pressure", "memory_pressure", "io_pressure", "steal"),
 )
-"""All in percent; see `play_launch.core.events.SystemSample`."""
+"""All in percent; see `play_launch.supervisor.events.SystemSample`."""
 
 
 class Series(Struct):

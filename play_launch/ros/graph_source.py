@@ -7,7 +7,7 @@ import logging
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
-from play_launch.core.dependency import Condition
+from play_launch.config.dependency import Condition
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable

@@ -150,7 +150,7 @@ class RosThread:
         def is_over(node: Node) -> bool:
             try:
                 return future.done() or holds(node)
-            except Exception as error:  # noqa: BLE001 - it is the caller's
+            except Exception as error:  # noqa: BLE001
                 _hand_over(loop, _fail, future, error)
                 return True
 

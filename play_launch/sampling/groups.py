@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
-    from play_launch.core.events import GroupSample
     from play_launch.sampling.targets import Target
+    from play_launch.supervisor.events import GroupSample
 
 PERIOD: Final = 5.0
 """Seconds between two looks at a group that is kept from nothing: what it uses is summed up by the

@@ -8,8 +8,8 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from play_launch.core.events import SystemSample
 from play_launch.sampling.process_usage import field, read_file
+from play_launch.supervisor.events import SystemSample
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
-from play_launch.core.events import MemoryKind, ProcessSample
 from play_launch.sampling.process_usage import (
     ProcessFiles,
     ProcessUsage,
     process_usage,
     proportional_set_size,
 )
+from play_launch.supervisor.events import MemoryKind, ProcessSample
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from play_launch.core.events import RunEvent, Sample
-    from play_launch.core.view import SystemView
+    from play_launch.supervisor.events import RunEvent, Sample
+    from play_launch.supervisor.view import SystemView
 
 _Result = TypeVar("_Result")
 

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
-from play_launch.core.events import NodeState, SubjectKind
+from play_launch.supervisor.events import NodeState, SubjectKind
 
 if TYPE_CHECKING:
-    from play_launch.core.view import ContainerView, SystemView
+    from play_launch.supervisor.view import ContainerView, SystemView
 
 _HAS_A_PROCESS: Final = frozenset({NodeState.LOADING, NodeState.LOADED, NodeState.UNLOADING})
 _SHARES_MEMORY: Final = "shared_memory"

@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from play_launch.core.dependency import DependencyGraph
-from play_launch.core.resources import IoClass, nice_limit
+from play_launch.config.dependency import DependencyGraph
+from play_launch.config.resources import IoClass, nice_limit
 from play_launch.process.stop import StopPolicy
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from play_launch.config.model import ReplayConfig
-    from play_launch.core.resources import Resources
+    from play_launch.config.resources import Resources
 
 _HIGHEST_PRIORITY: Final = 99
 _LOWEST_NICE: Final = -20

@@ -5,12 +5,12 @@ from __future__ import annotations
 from enum import StrEnum, auto
 from typing import TYPE_CHECKING, Final
 
-from play_launch.core.events import ContainerState
+from play_launch.supervisor.events import ContainerState
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from play_launch.core.view import SystemView
+    from play_launch.supervisor.view import SystemView
 
 _MOST_NAMED: Final = 3
 _LONGEST: Final = 400

@@ -9,15 +9,14 @@ from typing import TYPE_CHECKING, Final
 
 import anyio
 
-from play_launch.core.events import ActionEvent, ManagedNodeChanged, StateEvent
+from play_launch.supervisor.events import ActionEvent, ManagedNodeChanged, StateEvent
 from play_launch.systemd.phase import ANNOUNCED, EXTENDED, Phase, following, status
 
 if TYPE_CHECKING:
-    from play_launch.actors.publisher import Publisher
-    from play_launch.actors.stop_requests import StopRequests
-    from play_launch.actors.system import System
-    from play_launch.core.events import RunEvent
-    from play_launch.core.view import SystemView
+    from play_launch.runtime.publisher import Publisher, StopRequests
+    from play_launch.runtime.system import System
+    from play_launch.supervisor.events import RunEvent
+    from play_launch.supervisor.view import SystemView
     from play_launch.systemd.notification import ServiceManager
 
 _log = logging.getLogger(__name__)

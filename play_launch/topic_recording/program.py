@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from play_launch.config.model import RecordConfig
-    from play_launch.core.events import Stream
     from play_launch.process.child import Child
     from play_launch.process.lines import Line
+    from play_launch.supervisor.events import Stream
     from play_launch.topic_recording.packets import Packet
 
 _log = logging.getLogger(__name__)

@@ -6,13 +6,13 @@ import asyncio
 import contextlib
 from typing import TYPE_CHECKING
 
-from play_launch.core.events import (
+from play_launch.recording.convert import is_failure
+from play_launch.supervisor.events import (
     ComponentEvent,
     ContainerStateChanged,
     NodeStateChanged,
     ProcessEvent,
 )
-from play_launch.recording.convert import is_failure
 from play_launch.topic_recording.snapshot import SnapshotError
 from play_launch.topic_recording.supervision import TopicRecording
 
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from play_launch.config.model import ReplayConfig
-    from play_launch.core.events import RunEvent
-    from play_launch.core.view import SystemView
+    from play_launch.supervisor.events import RunEvent
+    from play_launch.supervisor.view import SystemView
     from play_launch.topic_recording.snapshot import Snapshot, Snapshots
     from play_launch.topic_recording.supervision import TopicSink
 

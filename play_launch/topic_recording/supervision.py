@@ -12,11 +12,12 @@ import signal
 from functools import partial
 from typing import TYPE_CHECKING, Final, Protocol
 
-from play_launch.core.restart import Restart, RestartHistory, RestartLimits, decide
+from play_launch.config.policies import RestartLimits
 from play_launch.fastdds.middleware import asks_for_fastdds
 from play_launch.fastdds.shared_memory import sweep_shared_memory
 from play_launch.install.ros import MixedInstallationError, NotInstalledError
 from play_launch.process.program import SpawnError
+from play_launch.supervisor.restart import Restart, RestartHistory, decide
 from play_launch.topic_recording import packets
 from play_launch.topic_recording.program import Program
 from play_launch.topic_recording.snapshot import Snapshot, SnapshotError

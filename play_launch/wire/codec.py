@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from play_launch.cdr import messages as layouts
 from play_launch.config.model import ParameterConfig
-from play_launch.core.events import ComponentEvent, ComponentEventKind
-from play_launch.core.questions import NodeStatusState
+from play_launch.supervisor.events import ComponentEvent, ComponentEventKind
 from play_launch.wire.frames import Frame, FrameKind, FrameLengthError, encode_frame
 from play_launch.wire.messages import (
     Accepted,
@@ -21,6 +20,7 @@ from play_launch.wire.messages import (
     Incoming,
     Load,
     NodeStatus,
+    NodeStatusState,
     Outgoing,
     Query,
     Rejected,

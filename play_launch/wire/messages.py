@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+from enum import IntEnum
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 from msgspec import Struct
 
-from play_launch.core.events import ComponentEvent
+from play_launch.supervisor.events import ComponentEvent
 from play_launch.wire.frames import PROTOCOL_VERSION
 
 if TYPE_CHECKING:
     from play_launch.config.model import ParameterConfig
-    from play_launch.core.questions import NodeStatusState
 
 
 class Hello(Struct, frozen=True, kw_only=True):
@@ -49,7 +49,7 @@ class Load(Struct, frozen=True, kw_only=True):
     parameters: tuple[ParameterConfig, ...] = ()
     extra_arguments: tuple[ParameterConfig, ...] = ()
     resources: tuple[str, ...] = ()
-    """What its process asks of the kernel, see `play_launch.core.resources`."""
+    """What its process asks of the kernel, see `play_launch.config.resources`."""
     lock_memory: bool = False
 
 
@@ -146,3 +146,13 @@ Incoming: TypeAlias = Hello | Accepted | Rejected | ComponentEvent | Status
 """What a container sends."""
 Outgoing: TypeAlias = Hello | Load | Query | Cancel | Unload | Shutdown
 """What a supervisor sends."""
+
+
+class NodeStatusState(IntEnum):
+    """``play_launch_msgs/NodeStatus.state``, and one that no container sends."""
+
+    CONSTRUCTING = 0
+    LOADED = 1
+    UNLOADING = 2
+    QUEUED = 255
+    """A load that waits on our side, in the queue of a stock container."""

@@ -11,14 +11,14 @@ from benchmarks.crash.cases import Case, Kind
 from benchmarks.crash.tally import SECOND
 from benchmarks.crash.trial import FIGURES, NEIGHBOURS, VICTIM, Trial
 from benchmarks.figures import Figures
-from play_launch.core.events import (
+from play_launch.supervisor.events import (
     ComponentEvent,
     ComponentEventKind,
     ProcessEvent,
     ProcessEventKind,
     RunEvent,
 )
-from play_launch.core.view import SystemView
+from play_launch.supervisor.view import SystemView
 
 PID = 4_000_000_000
 """Of no process: larger than any pid."""

@@ -9,7 +9,8 @@ import pytest
 
 from benchmarks.long_session.plan import Plan
 from benchmarks.long_session.write import write_session
-from play_launch.core.events import (
+from play_launch.history.session import PastSession
+from play_launch.supervisor.events import (
     ComponentEvent,
     ComponentEventKind,
     NodeState,
@@ -19,7 +20,6 @@ from play_launch.core.events import (
     ProcessSample,
     SystemSample,
 )
-from play_launch.history.session import PastSession
 
 PLAN = Plan(nodes=13, seconds=300.0, crashes=10, lines=500)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from play_launch.cgroups.names import SessionName
 from play_launch.cgroups.session import SessionGroups
-from play_launch.core.group_limits import GroupPolicy
+from play_launch.config.group_limits import GroupPolicy
 from play_launch.process.identity import ProcessIdentity, read_stat
 
 

@@ -12,7 +12,7 @@ import pytest
 from play_launch.cgroups.base import GroupError
 from play_launch.cgroups.names import SessionName
 from play_launch.cgroups.session import SessionGroups
-from play_launch.core.group_limits import NO_LIMITS, GroupPolicy
+from play_launch.config.group_limits import NO_LIMITS, GroupPolicy
 from tests.cgroups.sessions import below, lives, session_groups
 from tests.support.control_groups import group_of
 
@@ -79,7 +79,7 @@ def test_what_a_killed_supervisor_did_to_the_base_is_undone_and_no_more(base: Pa
 ORDINARY_USER = """
 import logging, os, sys
 from pathlib import Path
-from play_launch.core.group_limits import GroupPolicy
+from play_launch.config.group_limits import GroupPolicy
 from tests.cgroups.sessions import session_groups
 
 logging.basicConfig(format="%(message)s")

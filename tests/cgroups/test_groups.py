@@ -19,7 +19,7 @@ from play_launch.cgroups.group import Group
 from play_launch.cgroups.names import SUPERVISOR
 from play_launch.cgroups.usage import group_of as group_of_pid
 from play_launch.cgroups.usage import usage_of
-from play_launch.core.group_limits import NO_LIMITS, CpuMax, GroupLimits, GroupPolicy
+from play_launch.config.group_limits import NO_LIMITS, CpuMax, GroupLimits, GroupPolicy
 from play_launch.process.identity import ProcessIdentity, read_stat
 from tests.cgroups.sessions import begun, below, session_groups
 from tests.support.control_groups import group_of

@@ -32,8 +32,7 @@ from play_launch.cgroups.refusals import (
 )
 from play_launch.cgroups.sweep import dead_sessions
 from play_launch.cgroups.usage import GroupUsage, withdrawn
-from play_launch.core.cpu_list import cpu_text, cpus_in
-from play_launch.core.group_limits import NO_LIMIT, GroupLimits
+from play_launch.config.group_limits import NO_LIMIT, GroupLimits, cpu_text, cpus_in
 
 numbers = st.integers(1, 2**40)
 sessions = st.builds(SessionName, numbers, numbers, numbers)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from play_launch.core.events import (
+from play_launch.config.node_key import NodeKey
+from play_launch.supervisor.events import (
     ContainerState,
     ContainerStateChanged,
     NodeState,
@@ -13,8 +14,7 @@ from play_launch.core.events import (
     RunEvent,
     Stream,
 )
-from play_launch.core.node_key import NodeKey
-from play_launch.core.view import SystemView
+from play_launch.supervisor.view import SystemView
 
 SECOND = 1_000_000_000
 START = 1_700_000_000 * SECOND

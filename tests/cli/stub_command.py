@@ -19,7 +19,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from play_launch.cli.app import main
-from play_launch.core.events import (
+from play_launch.config.node_key import NodeKey
+from play_launch.supervisor.events import (
     ContainerState,
     ContainerStateChanged,
     NodeState,
@@ -27,14 +28,12 @@ from play_launch.core.events import (
     OutputLine,
     Stream,
 )
-from play_launch.core.exit_code import exit_code
-from play_launch.core.node_key import NodeKey
-from play_launch.core.view import SystemView
+from play_launch.supervisor.exit_code import exit_code
+from play_launch.supervisor.view import SystemView
 
 if TYPE_CHECKING:
-    from play_launch.actors.publisher import Publisher
-    from play_launch.actors.stop_requests import StopRequests
     from play_launch.config.model import ReplayConfig
+    from play_launch.runtime.publisher import Publisher, StopRequests
 
 
 @dataclass(frozen=True)
@@ -112,7 +111,7 @@ async def run_system(
 
 
 if __name__ == "__main__":
-    stand_in = types.ModuleType("play_launch.actors.system")
+    stand_in = types.ModuleType("play_launch.runtime.system")
     stand_in.run_system = run_system  # type: ignore[attr-defined]
     sys.modules[stand_in.__name__] = stand_in
     main()

@@ -40,7 +40,7 @@ LATER = {
     "lark",
     "mcap.writer",
     "numpy",
-    "play_launch.actors.stock",
+    "play_launch.runtime.stock",
     "play_launch.cli.daemon",
     "play_launch.cli.doctor",
     "play_launch.cli.graph",

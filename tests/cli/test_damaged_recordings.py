@@ -28,7 +28,11 @@ from play_launch.cli.sum_up import sum_up
 from play_launch.cli.timeline import Filter, show_timeline
 from play_launch.cli.write_anew import write_anew
 from play_launch.cli.write_page import write_report
-from play_launch.core.events import (
+from play_launch.history.bag_reader import BagReader
+from play_launch.recording import topics
+from play_launch.recording.bag import McapBagWriter
+from play_launch.recording.convert import convert
+from play_launch.supervisor.events import (
     OutputLine,
     ProcessEvent,
     ProcessEventKind,
@@ -36,10 +40,6 @@ from play_launch.core.events import (
     Stream,
     SubjectKind,
 )
-from play_launch.history.bag_reader import BagReader
-from play_launch.recording import topics
-from play_launch.recording.bag import McapBagWriter
-from play_launch.recording.convert import convert
 from tests.cli.test_past_sessions import EVENTS
 from tests.support.replay import COMMAND
 

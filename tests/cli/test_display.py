@@ -12,7 +12,7 @@ from play_launch.cli.show.display import Display, DisplayLimits, Shown
 from play_launch.cli.show.json_style import JsonStyle
 from play_launch.cli.show.live_view import live_view
 from play_launch.cli.show.text_styles import LiveStyle, PlainStyle
-from play_launch.core.events import (
+from play_launch.supervisor.events import (
     ComponentEvent,
     ComponentEventKind,
     ContainerState,
@@ -22,7 +22,7 @@ from play_launch.core.events import (
     ProcessSample,
     RunEvent,
 )
-from play_launch.core.view import SystemView
+from play_launch.supervisor.view import SystemView
 from tests.cli.scenes import SECOND, START, container, node, output, process, view
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ import pytest
 from typer.testing import CliRunner
 
 from play_launch.cli.app import app
-from play_launch.core.events import NodeState
+from play_launch.supervisor.events import NodeState
 from tests.history.scenes import Scene
 from tests.support.mounts import mounted
 from tests.support.replay import COMMAND

@@ -4,7 +4,7 @@ import pytest
 
 from play_launch.cli.show.lines import Line, line_of
 from play_launch.cli.show.text_styles import format_lines
-from play_launch.core.events import (
+from play_launch.supervisor.events import (
     ActionEvent,
     ActionPhase,
     ContainerState,
@@ -15,7 +15,7 @@ from play_launch.core.events import (
     RunEvent,
     Stream,
 )
-from play_launch.core.managed import ManagedState
+from play_launch.supervisor.goal_life import ManagedState
 from tests.cli.scenes import START, container, node, output, process, view
 
 

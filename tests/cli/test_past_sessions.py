@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from play_launch.cli.logs import since
-from play_launch.core.events import (
+from play_launch.config.node_key import NodeKey
+from play_launch.supervisor.events import (
     ComponentEvent,
     ComponentEventKind,
     ContainerState,
@@ -25,7 +26,6 @@ from play_launch.core.events import (
     RunEvent,
     Stream,
 )
-from play_launch.core.node_key import NodeKey
 from tests.archive.scenes import begin_session, past_session
 from tests.history.scenes import Scene
 from tests.history.test_session import record

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from play_launch.core.events import NodeState, ProcessEventKind
+from play_launch.supervisor.events import NodeState, ProcessEventKind
 from tests.history.scenes import Scene
 from tests.support.replay import COMMAND
 

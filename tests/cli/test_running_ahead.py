@@ -9,11 +9,10 @@ from collections.abc import Awaitable, Callable
 
 import pytest
 
-from play_launch.actors.publisher import Publisher
-from play_launch.actors.stop_requests import StopRequests
 from play_launch.cli import running_ahead
 from play_launch.cli.running_ahead import run_ahead_of
-from play_launch.core.events import ContainerState, NodeState
+from play_launch.runtime.publisher import Publisher, StopRequests
+from play_launch.supervisor.events import ContainerState, NodeState
 from tests.cli.scenes import container, node
 
 LONG = 60.0

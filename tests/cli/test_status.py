@@ -9,7 +9,7 @@ from play_launch.cli.show.status import (
     is_complete,
     process_status,
 )
-from play_launch.core.events import ContainerState, NodeState, ProcessEventKind, RunEvent
+from play_launch.supervisor.events import ContainerState, NodeState, ProcessEventKind, RunEvent
 from tests.cli.scenes import SECOND, START, container, node, process, view
 
 

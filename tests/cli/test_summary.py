@@ -6,9 +6,12 @@ from pathlib import Path
 
 from msgspec.structs import replace
 
+from play_launch.cli.show.group_totals import GroupTotal
 from play_launch.cli.show.sizes import size
 from play_launch.cli.show.summary import print_summary, summary_object
-from play_launch.core.events import (
+from play_launch.config.node_key import NodeKey
+from play_launch.recording.recorder import RecordingSummary
+from play_launch.supervisor.events import (
     ActionEvent,
     ActionPhase,
     ContainerState,
@@ -16,9 +19,6 @@ from play_launch.core.events import (
     ProcessEventKind,
     SubjectKind,
 )
-from play_launch.core.group_totals import GroupTotal
-from play_launch.core.node_key import NodeKey
-from play_launch.recording.recorder import RecordingSummary
 from tests.cli.scenes import START, container, folded_after, node, process, view
 
 LONG = Path("/" + "very/" * 40) / "session.mcap"

@@ -17,7 +17,7 @@ from play_launch.config.model import (
     ReplayConfig,
     StopLimits,
 )
-from play_launch.core.restart import OnExit, RestartLimits
+from play_launch.config.policies import OnExit, RestartLimits
 
 GOOD = Path(__file__).parent / "good"
 FULL = GOOD / "full.yaml"

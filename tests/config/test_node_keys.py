@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from play_launch.config.load import parse_config
 
 if TYPE_CHECKING:
-    from play_launch.core.node_key import NodeKey
+    from play_launch.config.node_key import NodeKey
 
 CONTAINERS = ("/one", "/ns/two", "/three")
 

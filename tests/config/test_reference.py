@@ -22,6 +22,7 @@ from play_launch.config.model import (
     RecordConfig,
     StopLimits,
 )
+from play_launch.config.policies import OnCrash, OnExit, RestartLimits
 from play_launch.config.problems import ConfigError
 from play_launch.config.schema import DependencySection
 from play_launch.config.section import Section
@@ -36,9 +37,7 @@ from play_launch.config.values import (
     parse_size,
 )
 from play_launch.config.yaml.compose import ARRAY_TAGS, DEEPEST, MOST_VALUES
-from play_launch.core.crash import OnCrash
-from play_launch.core.restart import OnExit, RestartLimits
-from play_launch.core.watchdog import WatchLimits
+from play_launch.runtime.watch import WatchLimits
 
 REFERENCE = Path(__file__).parents[2] / "docs" / "config.md"
 TEXT = REFERENCE.read_text(encoding="utf-8")

@@ -4,9 +4,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from play_launch.config.node_key import NodeKey
 from play_launch.control.protocol import Code, ControlError
 from play_launch.control.targets import Target, chosen, full_name
-from play_launch.core.node_key import NodeKey
 
 MEMBERS: list[Target] = ["/sensing/box", "/chat", "/monitor"]
 NODES: list[Target] = [

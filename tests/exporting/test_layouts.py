@@ -11,11 +11,11 @@ from mcap.reader import make_reader
 
 from play_launch.cdr.messages import PROCESS_STATS, STATE_EVENT, SYSTEM_STATS
 from play_launch.cli.layout import show_layout
-from play_launch.core.events import MemoryKind, NodeState, RunEvent, SubjectKind, SystemSample
 from play_launch.exporting.foxglove import foxglove_layout
 from play_launch.exporting.plotjuggler import plotjuggler_layout
 from play_launch.exporting.subjects import MOST, NOBODY, chosen
 from play_launch.history.session import PastSession
+from play_launch.supervisor.events import MemoryKind, NodeState, RunEvent, SubjectKind, SystemSample
 from tests.exporting.test_trace import KEY, node, sample
 from tests.history.test_session import record
 

@@ -14,14 +14,14 @@ from hypothesis import strategies as st
 
 from play_launch.cli import export as export_verb
 from play_launch.cli.export import export_session
-from play_launch.core.events import (
+from play_launch.exporting import tables
+from play_launch.supervisor.events import (
     GroupSample,
     NodeStateChanged,
     ProcessSample,
     RunEvent,
     SystemSample,
 )
-from play_launch.exporting import tables
 from tests.history.test_session import EVERYTHING, record
 from tests.recording.test_states import EVENTS, PROCESS_SAMPLES, SYSTEM_SAMPLES
 

@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from play_launch.cli.export import export_session
-from play_launch.core.events import (
+from play_launch.config.node_key import NodeKey
+from play_launch.supervisor.events import (
     ComponentEvent,
     ComponentEventKind,
     ContainerState,
@@ -27,7 +28,6 @@ from play_launch.core.events import (
     Stream,
     SubjectKind,
 )
-from play_launch.core.node_key import NodeKey
 from tests.exporting.trace_format import read_trace
 from tests.history.test_session import EVERYTHING, record
 

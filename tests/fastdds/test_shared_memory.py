@@ -17,9 +17,9 @@ from pathlib import Path
 import psutil
 import pytest
 
-from play_launch.core.events import Stream
 from play_launch.fastdds.shared_memory import SHARED_MEMORY, SweepReport, sweep, sweep_shared_memory
 from play_launch.process.child import Child, spawn
+from play_launch.supervisor.events import Stream
 from tests.process.programs import READY_THEN_SLEEP, Output, python
 
 # Others would sweep what is to be swept here.

@@ -17,11 +17,11 @@ from play_launch.cgroups.group import Group
 from play_launch.cgroups.names import SUPERVISOR, SessionName
 from play_launch.cgroups.session import SessionGroups
 from play_launch.cgroups.usage import group_of, usage_of
-from play_launch.core.events import SubjectKind
-from play_launch.core.group_limits import CpuMax, GroupLimits, GroupPolicy
+from play_launch.config.group_limits import CpuMax, GroupLimits, GroupPolicy
 from play_launch.process.identity import read_stat
 from play_launch.sampling.groups import GroupSampler
 from play_launch.sampling.targets import Target
+from play_launch.supervisor.events import SubjectKind
 
 TOP = Path("/sys/fs/cgroup")
 BASE = TOP / "robot" / "inner"

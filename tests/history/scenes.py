@@ -7,7 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 from play_launch.cdr.messages import NODE_PARAMETERS, PARAMETER_EVENT
 from play_launch.config.model import ParameterType
-from play_launch.core.events import (
+from play_launch.config.node_key import NodeKey
+from play_launch.history.story import read_story
+from play_launch.recording import topics
+from play_launch.recording.bag import McapBagWriter
+from play_launch.recording.convert import convert
+from play_launch.recording.session import METADATA_NAME
+from play_launch.supervisor.events import (
     ComponentEvent,
     ComponentEventKind,
     ContainerState,
@@ -24,12 +30,6 @@ from play_launch.core.events import (
     SubjectKind,
     SystemSample,
 )
-from play_launch.core.node_key import NodeKey
-from play_launch.history.story import read_story
-from play_launch.recording import topics
-from play_launch.recording.bag import McapBagWriter
-from play_launch.recording.convert import convert
-from play_launch.recording.session import METADATA_NAME
 
 if TYPE_CHECKING:
     from pathlib import Path

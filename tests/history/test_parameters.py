@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 
 from play_launch.cdr.messages import NODE_PARAMETERS
 from play_launch.cli.story_words import paragraphs
-from play_launch.core.events import NodeState
 from play_launch.history.bag_reader import Message, Topic
 from play_launch.history.comparison import ParameterChange, compare
 from play_launch.history.events import UnreadableEventError
@@ -25,6 +24,7 @@ from play_launch.history.parameters import (
 )
 from play_launch.history.story import read_story
 from play_launch.recording import topics
+from play_launch.supervisor.events import NodeState
 from tests.history.scenes import Scene, ns
 from tests.support.replay import COMMAND
 

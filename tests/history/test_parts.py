@@ -10,14 +10,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from play_launch.core.events import RunEvent
-from play_launch.core.view import SystemView
 from play_launch.history.bag_reader import BagReader, NotARecordingError
 from play_launch.history.session import PastSession
 from play_launch.recording import topics
 from play_launch.recording.bag import McapBagWriter, Rotation
 from play_launch.recording.convert import convert
 from play_launch.recording.session import METADATA_NAME
+from play_launch.supervisor.events import RunEvent
+from play_launch.supervisor.view import SystemView
 from tests.history.test_session import OTHERS
 from tests.recording.test_parts import three_parts
 from tests.recording.test_states import EVENTS

@@ -9,11 +9,11 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from play_launch.archive.folders import is_being_written
-from play_launch.core.events import OutputLine, RunEvent, Stream
 from play_launch.history.bag_reader import BagReader
 from play_launch.history.recover import RecoverError, default_output, recover
 from play_launch.recording import topics
 from play_launch.recording.bag import McapBagWriter
+from play_launch.supervisor.events import OutputLine, RunEvent, Stream
 from tests.history.test_session import record
 from tests.recording.reading import messages, raw_messages
 from tests.support.replay import alive, replaying

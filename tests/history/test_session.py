@@ -19,17 +19,6 @@ from play_launch.cli.explain import explain
 from play_launch.cli.story_words import headline
 from play_launch.cli.sum_up import session_object
 from play_launch.cli.write_page import write_report
-from play_launch.core.events import (
-    ComponentEvent,
-    ComponentEventKind,
-    LogRecord,
-    NodeState,
-    OutputLine,
-    RunEvent,
-    Stream,
-    SubjectKind,
-)
-from play_launch.core.view import SystemView
 from play_launch.history.bag_reader import Message, Topic
 from play_launch.history.crash_groups import CrashGroups
 from play_launch.history.events import event_of
@@ -41,6 +30,17 @@ from play_launch.recording import topics
 from play_launch.recording.bag import McapBagWriter
 from play_launch.recording.convert import convert
 from play_launch.recording.session import METADATA_NAME
+from play_launch.supervisor.events import (
+    ComponentEvent,
+    ComponentEventKind,
+    LogRecord,
+    NodeState,
+    OutputLine,
+    RunEvent,
+    Stream,
+    SubjectKind,
+)
+from play_launch.supervisor.view import SystemView
 from tests.history.scenes import SECOND, Scene, ns
 from tests.recording.reading import raw_messages
 from tests.recording.test_states import (

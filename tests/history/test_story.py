@@ -13,12 +13,6 @@ from hypothesis import strategies as st
 
 from play_launch.cdr.log import log_message
 from play_launch.cli.story_words import headline, paragraphs
-from play_launch.core.events import (
-    LogRecord,
-    MemoryKind,
-    NodeState,
-    ProcessEventKind,
-)
 from play_launch.history.bag_reader import Message, Topic
 from play_launch.history.findings import (
     IMPORTANCE,
@@ -34,11 +28,12 @@ from play_launch.history.known_causes import BY_NAME, known_cause
 from play_launch.history.last_lines import MOST_LOGGERS, LastLines
 from play_launch.history.story import read_story
 from play_launch.recording import topics
+from play_launch.supervisor.events import LogRecord, MemoryKind, NodeState, ProcessEventKind
 from tests.history.scenes import NAN, SECOND, Scene, ns
 from tests.recording.test_states import EVENTS
 
 if TYPE_CHECKING:
-    from play_launch.core.events import RunEvent
+    from play_launch.supervisor.events import RunEvent
 
 LOADING, LOADED, LOST = NodeState.LOADING, NodeState.LOADED, NodeState.LOST
 

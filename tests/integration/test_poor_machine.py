@@ -207,7 +207,7 @@ def test_a_death_of_a_bus_error_names_shared_memory_that_is_full(tmp_path: Path,
 
 STOCK = """
 from pathlib import Path
-from play_launch.actors.launcher import NativeLauncher
+from play_launch.runtime.launcher import NativeLauncher
 from play_launch.config.load import parse_config
 from play_launch.install.ros import NotInstalledError
 text = b"{version: 1, containers: [{name: c, container_type: stock, attach: true}]}"

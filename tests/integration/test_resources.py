@@ -13,9 +13,8 @@ from typing import Any
 
 import pytest
 
-from play_launch.core.resource_check import HeldResources
-from play_launch.core.resources import IoClass, IoPriority, Scheduler, SchedulerPolicy
-from play_launch.process.resources import held_resources
+from play_launch.config.resources import IoClass, IoPriority, Scheduler, SchedulerPolicy
+from play_launch.process.resources import HeldResources, held_resources
 from tests.support.replay import COMMAND, Replay, replaying
 from tests.support.waiting import until
 

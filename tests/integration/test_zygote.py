@@ -13,9 +13,9 @@ import psutil
 import pytest
 import yaml
 
-from play_launch.actors import head_start
-from play_launch.actors.head_start import kinds_of_containers
 from play_launch.install.ros import component_container
+from play_launch.runtime import prestart as head_start
+from play_launch.runtime.prestart import kinds_of_containers
 from tests.support.replay import COMMAND, Replay, replaying
 
 PROGRAM = component_container()

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from play_launch.config.model import ParameterType, ParameterValue
-from play_launch.core.managed import Autostart
+from play_launch.config.policies import Autostart
 from play_launch.launch_files import records
 from play_launch.launch_files.records import (
     Composable,

@@ -9,7 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from play_launch.core.events import Stream
+from play_launch.supervisor.events import Stream
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -15,12 +15,12 @@ from unittest.mock import Mock
 
 import pytest
 
-from play_launch.core.events import Stream
 from play_launch.process.child import OUTPUT_GRACE, Child, spawn
 from play_launch.process.exit import Exit
 from play_launch.process.guard import Ourselves, SessionGuard
 from play_launch.process.identity import read_stat
 from play_launch.process.program import SpawnError
+from play_launch.supervisor.events import Stream
 from tests.process.programs import (
     READY_THEN_SLEEP,
     Output,

@@ -17,11 +17,11 @@ import psutil
 import pytest
 
 from play_launch.cgroups.group import Group
-from play_launch.core.events import Stream
 from play_launch.process.child import spawn
 from play_launch.process.exit import Exit
 from play_launch.process.guard import SessionGuard
 from play_launch.process.program import SpawnError
+from play_launch.supervisor.events import Stream
 from tests.process.programs import Output, environment, python, shell
 from tests.support.control_groups import control_group
 from tests.support.replay import alive

@@ -22,7 +22,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from play_launch.core.events import Stream
 from play_launch.install.allocator import find_allocator, for_isolation
 from play_launch.install.environment import child_environment
 from play_launch.install.ros import component_container, ros_installation
@@ -30,6 +29,7 @@ from play_launch.process.child import Child, spawn
 from play_launch.process.exit import Exit
 from play_launch.process.guard import SessionGuard
 from play_launch.process.zygote import Zygote, is_loaded_alike, is_read_before_main
+from play_launch.supervisor.events import Stream
 from tests.process.programs import Output
 from tests.support.system_calls import CLOSE_RANGE, CLOSE_RANGE_CLOEXEC, refusing
 from tests.support.waiting import LIMIT, until

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from play_launch.core.ament_index import ament_prefixes
+from play_launch.config.ament_index import ament_prefixes
 from play_launch.install.environment import child_environment
 from play_launch.install.ros import component_container, ros_installation
 from tests.container.conftest import spawn

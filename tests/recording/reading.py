@@ -13,7 +13,8 @@ from mcap.stream_reader import StreamReader
 from rosbags.highlevel import AnyReader
 from zstandard import ZstdError
 
-from play_launch.core.events import (
+from play_launch.config.node_key import NodeKey
+from play_launch.supervisor.events import (
     ContainerState,
     ContainerStateChanged,
     GraphChanged,
@@ -22,7 +23,6 @@ from play_launch.core.events import (
     ProcessEvent,
     ProcessEventKind,
 )
-from play_launch.core.node_key import NodeKey
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -8,7 +8,9 @@ from play_launch_msgs.msg import ComponentEvent as ComponentMessage
 from rcl_interfaces.msg import Log
 from rclpy.serialization import deserialize_message
 
-from play_launch.core.events import (
+from play_launch.config.node_key import NodeKey
+from play_launch.recording.convert import convert, is_failure
+from play_launch.supervisor.events import (
     ComponentEvent,
     ComponentEventKind,
     LogRecord,
@@ -20,8 +22,6 @@ from play_launch.core.events import (
     RunEvent,
     Stream,
 )
-from play_launch.core.node_key import NodeKey
-from play_launch.recording.convert import convert, is_failure
 
 STAMP = 1_700_000_000_123_456_789
 

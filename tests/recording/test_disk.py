@@ -13,12 +13,12 @@ import pytest
 import yaml
 
 from play_launch.cdr.log import log_message
-from play_launch.core.events import OutputLine, Stream
 from play_launch.history.bag_reader import BagReader
 from play_launch.recording.bag import McapBagWriter, Rotation
 from play_launch.recording.errors import WriteFailedError
 from play_launch.recording.recorder import Recorder, RecorderLimits
 from play_launch.recording.topics import OUTPUT
+from play_launch.supervisor.events import OutputLine, Stream
 
 
 def line(number: int) -> OutputLine:

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 import pytest
 
 from play_launch.config.model import RecordConfig, RotateConfig
-from play_launch.core.events import LogRecord, OutputLine, Stream
 from play_launch.history.bag_reader import BagReader
 from play_launch.recording.errors import RecordingError
 from play_launch.recording.recorder import RecorderLimits
 from play_launch.recording.session import Session, open_session
 from play_launch.recording.topics import LOG_ALL, OUTPUT
+from play_launch.supervisor.events import LogRecord, OutputLine, Stream
 from tests.recording.reading import messages, raw_messages
 from tests.recording.test_opening import description
 from tests.support.mounts import disk_of

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from play_launch.recording.log_handler import MOST_WAITING, log_published
 
 if TYPE_CHECKING:
-    from play_launch.core.events import LogRecord
+    from play_launch.supervisor.events import LogRecord
 
 
 def test_a_flood_of_other_loggers_is_bounded_and_what_is_dropped_is_counted() -> None:

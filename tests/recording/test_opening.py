@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import pytest
 from mcap.records import Attachment, Header, Metadata
 
-from play_launch.core.events import LogRecord
 from play_launch.recording.errors import RecordingError
 from play_launch.recording.session import SessionDescription, open_session
+from play_launch.supervisor.events import LogRecord
 from tests.recording.reading import messages, records
 
 if TYPE_CHECKING:

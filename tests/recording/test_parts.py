@@ -11,7 +11,6 @@ from mcap.records import Attachment, Metadata, Schema
 from rosbags.highlevel import AnyReader
 
 from play_launch.cdr.log import log_message
-from play_launch.core.events import ContainerState, ContainerStateChanged, OutputLine, Stream
 from play_launch.recording.bag import McapBagWriter, Rotation
 from play_launch.recording.convert import convert
 from play_launch.recording.mcap_file import MAGIC
@@ -19,6 +18,7 @@ from play_launch.recording.part import part_number, part_path
 from play_launch.recording.recorder import Recorder, RecorderLimits
 from play_launch.recording.schema import message_definition
 from play_launch.recording.topics import OUTPUT, STATES, Topic
+from play_launch.supervisor.events import ContainerState, ContainerStateChanged, OutputLine, Stream
 from tests.recording.reading import messages, raw_messages, records
 
 if TYPE_CHECKING:

@@ -10,7 +10,13 @@ from typing import TYPE_CHECKING, cast
 
 import pytest
 
-from play_launch.core.events import (
+from play_launch.config.node_key import NodeKey
+from play_launch.recording.bag import McapBagWriter
+from play_launch.recording.errors import SchemaNotFoundError, WriteFailedError
+from play_launch.recording.log_handler import EventLogHandler
+from play_launch.recording.recorder import Recorder, RecorderLimits
+from play_launch.recording.topics import LOG_ALL, OUTPUT
+from play_launch.supervisor.events import (
     ComponentEvent,
     ComponentEventKind,
     ContainerState,
@@ -26,12 +32,6 @@ from play_launch.core.events import (
     Stream,
     SubjectKind,
 )
-from play_launch.core.node_key import NodeKey
-from play_launch.recording.bag import McapBagWriter
-from play_launch.recording.errors import SchemaNotFoundError, WriteFailedError
-from play_launch.recording.log_handler import EventLogHandler
-from play_launch.recording.recorder import Recorder, RecorderLimits
-from play_launch.recording.topics import LOG_ALL, OUTPUT
 from tests.recording.reading import messages, raw_messages
 
 if TYPE_CHECKING:

@@ -14,7 +14,13 @@ from play_launch_msgs.msg import StateEvent as StateMessage
 from rclpy.serialization import deserialize_message
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
-from play_launch.core.events import (
+from play_launch.config.node_key import NodeKey
+from play_launch.history.bag_reader import Message, Topic
+from play_launch.history.events import event_of
+from play_launch.recording import topics
+from play_launch.recording.bag import McapBagWriter
+from play_launch.recording.convert import convert
+from play_launch.supervisor.events import (
     ContainerState,
     ContainerStateChanged,
     GraphChanged,
@@ -30,13 +36,7 @@ from play_launch.core.events import (
     SystemSample,
     Withdrawn,
 )
-from play_launch.core.node_key import NodeKey
-from play_launch.core.view import SystemView
-from play_launch.history.bag_reader import Message, Topic
-from play_launch.history.events import event_of
-from play_launch.recording import topics
-from play_launch.recording.bag import McapBagWriter
-from play_launch.recording.convert import convert
+from play_launch.supervisor.view import SystemView
 from tests.recording.reading import graph_changed, messages, state_event
 from tests.support.structs import structs
 

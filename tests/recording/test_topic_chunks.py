@@ -16,13 +16,13 @@ from mcap.reader import make_reader
 from mcap.records import Attachment, Metadata
 from msgspec.structs import replace
 
-from play_launch.core.events import LogRecord
 from play_launch.recording.bag import McapBagWriter, Rotation
 from play_launch.recording.chunk import ChannelPart, TopicChunk
 from play_launch.recording.errors import WriteFailedError
 from play_launch.recording.recorder import Recorder, RecorderLimits
 from play_launch.recording.resolved_form import in_messages
 from play_launch.recording.topics import LOG_ALL, PARAMETER_EVENTS, PARAMETERS, Topic
+from play_launch.supervisor.events import LogRecord
 from tests.recording.reading import raw_messages, records
 from tests.recording.test_bag import write_lines
 

@@ -6,7 +6,16 @@ from pathlib import Path
 
 from benchmarks.long_session.plan import Plan
 from benchmarks.long_session.write import write_session
-from play_launch.core.events import (
+from play_launch.config.node_key import NodeKey
+from play_launch.history.session import PastSession
+from play_launch.recording.bag import McapBagWriter
+from play_launch.recording.convert import convert
+from play_launch.recording.session import METADATA_NAME
+from play_launch.recording.topics import ALL_TOPICS
+from play_launch.reporting.facts import contents
+from play_launch.reporting.gather import Gathered, Gathering
+from play_launch.reporting.page import write_page
+from play_launch.supervisor.events import (
     ComponentEvent,
     ComponentEventKind,
     ContainerState,
@@ -20,15 +29,6 @@ from play_launch.core.events import (
     RunEvent,
     Stream,
 )
-from play_launch.core.node_key import NodeKey
-from play_launch.history.session import PastSession
-from play_launch.recording.bag import McapBagWriter
-from play_launch.recording.convert import convert
-from play_launch.recording.session import METADATA_NAME
-from play_launch.recording.topics import ALL_TOPICS
-from play_launch.reporting.facts import contents
-from play_launch.reporting.gather import Gathered, Gathering
-from play_launch.reporting.page import write_page
 
 SECOND = 1_000_000_000
 BEGIN = 1_790_000_000 * SECOND

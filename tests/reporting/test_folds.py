@@ -11,7 +11,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from play_launch.core.events import (
+from play_launch.config.node_key import NodeKey
+from play_launch.reporting import lanes, marks, usage
+from play_launch.reporting.gather import Gathered
+from play_launch.reporting.lanes import Lanes, Shown
+from play_launch.reporting.lines import Lines
+from play_launch.reporting.rates import PARTS, Rates
+from play_launch.reporting.rows import NOBODY, Rows
+from play_launch.reporting.usage import Usage
+from play_launch.supervisor.events import (
     ComponentEvent,
     ComponentEventKind,
     ContainerState,
@@ -26,14 +34,6 @@ from play_launch.core.events import (
     Stream,
     SubjectKind,
 )
-from play_launch.core.node_key import NodeKey
-from play_launch.reporting import lanes, marks, usage
-from play_launch.reporting.gather import Gathered
-from play_launch.reporting.lanes import Lanes, Shown
-from play_launch.reporting.lines import Lines
-from play_launch.reporting.rates import PARTS, Rates
-from play_launch.reporting.rows import NOBODY, Rows
-from play_launch.reporting.usage import Usage
 
 KEY = NodeKey("/box", "/sensing/talker")
 TALKER = str(KEY)

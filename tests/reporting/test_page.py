@@ -16,9 +16,9 @@ from typing import Any
 import pytest
 
 from play_launch.cli.write_page import write_report
-from play_launch.core.events import LogRecord
 from play_launch.history.bag_reader import NotARecordingError
 from play_launch.history.whole_file import OutputError
+from play_launch.supervisor.events import LogRecord
 from tests.reporting.recordings import BEGIN, HOSTILE, SECOND, hostile, ordinary, page_of, record
 from tests.support.replay import COMMAND
 

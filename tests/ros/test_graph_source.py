@@ -10,7 +10,7 @@ from typing import Any, cast
 
 import pytest
 
-from play_launch.core.dependency import Condition
+from play_launch.config.dependency import Condition
 from play_launch.ros import graph_source
 from play_launch.ros.graph_source import GraphSource, Wanted
 from play_launch.ros.shared_thread import SharedRosThread

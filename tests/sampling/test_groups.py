@@ -14,10 +14,10 @@ import pytest
 from play_launch.cgroups.group import Group
 from play_launch.cgroups.names import CONTAINER, SessionName
 from play_launch.cgroups.usage import usage_of
-from play_launch.core.events import SubjectKind
 from play_launch.sampling import groups as room
 from play_launch.sampling.groups import PERIOD, GroupSampler
 from play_launch.sampling.targets import Target
+from play_launch.supervisor.events import SubjectKind
 from tests.support.control_groups import control_group
 from tests.support.waiting import until
 

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 import psutil
 import pytest
 
-from play_launch.core.events import MemoryKind, ProcessSample, SubjectKind
 from play_launch.process.identity import read_stat
 from play_launch.sampling import process_usage
 from play_launch.sampling.process_usage import (
@@ -22,6 +21,7 @@ from play_launch.sampling.process_usage import (
 )
 from play_launch.sampling.sampler import PSS_PERIOD, Sampler
 from play_launch.sampling.targets import Target
+from play_launch.supervisor.events import MemoryKind, ProcessSample, SubjectKind
 from tests.support.waiting import until
 
 if TYPE_CHECKING:

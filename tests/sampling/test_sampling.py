@@ -12,18 +12,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from play_launch.core.events import (
+from play_launch.history.session import PastSession
+from play_launch.sampling import machine_usage, sampling
+from play_launch.sampling.process_usage import read_file
+from play_launch.sampling.sampling import next_due, sample
+from play_launch.supervisor.events import (
     MemoryKind,
     ProcessSample,
     RunEvent,
     SubjectKind,
     SystemSample,
 )
-from play_launch.core.view import SystemView
-from play_launch.history.session import PastSession
-from play_launch.sampling import machine_usage, sampling
-from play_launch.sampling.process_usage import read_file
-from play_launch.sampling.sampling import next_due, sample
+from play_launch.supervisor.view import SystemView
 from tests.support.replay import replaying
 from tests.support.waiting import until
 
@@ -186,7 +186,7 @@ def test_a_run_is_recorded_in_numbers(tmp_path: Path) -> None:
 
 def test_json_has_null_for_what_is_not_a_number() -> None:
     from play_launch.cli.show.json_style import encode
-    from play_launch.core.event_object import event_object
+    from play_launch.supervisor.event_object import event_object
 
     values = dict.fromkeys(SystemSample.__annotations__, float("nan"))
     event = SystemSample(**{**values, "core_percent": (1.0, float("nan"))})  # type: ignore[arg-type]

@@ -5,7 +5,9 @@ from __future__ import annotations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from play_launch.core.events import (
+from play_launch.config.node_key import NodeKey
+from play_launch.sampling.targets import Target, targets
+from play_launch.supervisor.events import (
     ContainerState,
     ContainerStateChanged,
     NodeState,
@@ -15,9 +17,7 @@ from play_launch.core.events import (
     RunEvent,
     SubjectKind,
 )
-from play_launch.core.node_key import NodeKey
-from play_launch.core.view import SystemView
-from play_launch.sampling.targets import Target, targets
+from play_launch.supervisor.view import SystemView
 from tests.recording.test_states import EVENTS
 
 

@@ -11,11 +11,11 @@ PACKAGE = Path(__file__).resolve().parents[2] / "play_launch"
 
 # From the bottom up. A package may import those of lower layers, never its neighbours.
 LAYERS = (
-    {"cdr", "core"},
-    {"cgroups", "config", "fastdds"},
-    {"wire", "install", "process", "recording", "ros", "sampling", "plan"},
-    {"launching"},
-    {"actors", "graph_daemon", "history", "ros2cli_patch", "topic_recording"},
+    {"cdr", "config"},
+    {"supervisor"},
+    {"cgroups", "fastdds"},
+    {"wire", "install", "process", "recording", "ros", "sampling"},
+    {"runtime", "graph_daemon", "history", "ros2cli_patch", "topic_recording"},
     {"control", "launch_files"},
     {"reporting", "doctor", "archive", "exporting", "importing", "systemd"},
     {"cli"},
@@ -75,4 +75,4 @@ def test_rooms_of_the_graph_daemon_are_apart(room: str) -> None:
 def test_every_package_has_a_layer() -> None:
     packages = {path.name for path in PACKAGE.iterdir() if (path / "__init__.py").is_file()}
     assert packages <= LEVEL.keys()
-    assert {"core", "config", "cli"} <= packages
+    assert {"supervisor", "config", "cli"} <= packages

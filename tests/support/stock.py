@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from play_launch.core.ament_index import ament_prefixes
+from play_launch.config.ament_index import ament_prefixes
 from play_launch.install.command import ExecutableNotFoundError, find_executable
 from play_launch.install.environment import child_environment
 from play_launch.install.ros import ros_installation

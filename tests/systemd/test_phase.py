@@ -7,8 +7,8 @@ import itertools
 from hypothesis import given
 from hypothesis import strategies as st
 
-from play_launch.core.events import ContainerState, NodeState, ProcessEventKind
-from play_launch.core.view import SystemView
+from play_launch.supervisor.events import ContainerState, NodeState, ProcessEventKind
+from play_launch.supervisor.view import SystemView
 from play_launch.systemd.phase import ANNOUNCED, Phase, following, status
 from tests.cli.scenes import container, node, process, view
 

@@ -8,16 +8,16 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
-from play_launch.actors.ports import StartError
-from play_launch.actors.system import System
 from play_launch.config.model import ReplayConfig
-from play_launch.core.events import ContainerState
 from play_launch.process.exit import Exit
+from play_launch.runtime.ports import StartError
+from play_launch.runtime.system import System
+from play_launch.supervisor.events import ContainerState
 from play_launch.systemd.notification import ServiceManager
 from play_launch.systemd.report import ServiceReport
-from tests.actors.fakes import FakeContainer, FakeLauncher, Held, container, process, system
-from tests.actors.jumping_loop import run
-from tests.actors.running import Running, running
+from tests.runtime.fakes import FakeContainer, FakeLauncher, Held, container, process, system
+from tests.runtime.jumping_loop import run
+from tests.runtime.running import Running, running
 
 from .listening import Listening, closing
 
@@ -185,8 +185,8 @@ def test_a_member_that_nobody_looks_after_is_not_hidden(tmp_path: Path) -> None:
         async with reported(system(process("p")), FakeLauncher(), listening) as one:
             await asyncio.sleep(60)
             assert "WATCHDOG=1" in listening.hear_all()
-            (member,) = one.operated._members.all
-            companion = member._companion
+            (actor,) = one.operated._actors.values()
+            companion = actor._companion
             companion.runs = False
             await asyncio.sleep(11)
             listening.hear_all()
@@ -211,12 +211,11 @@ def test_a_timer_that_is_lost_is_not_hidden(tmp_path: Path) -> None:
         launcher = FakeLauncher()
         async with reported(system(container("a")), launcher, listening) as one:
             await one.until_state("/a", ContainerState.RUNNING)
-            (member,) = one.operated._members.all
-            inbox: Any = member._inbox
+            timer: Any = one.operated._timer
             assert one.operated.ailment() == ""
-            inbox._timer.cancel()
+            timer.cancel()
             await asyncio.sleep(60)
-            assert one.operated.ailment().startswith("/a: what was due ")
+            assert one.operated.ailment().startswith("what was due ")
 
     with closing(Listening.in_folder(tmp_path)) as listening:
         run(main())

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from play_launch.core.events import ComponentEvent, ComponentEventKind
+from play_launch.supervisor.events import ComponentEvent, ComponentEventKind
 from play_launch.wire import channel as channel_module
 from play_launch.wire.channel import (
     ChannelClosedError,

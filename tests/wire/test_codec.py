@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from play_launch.config.model import ParameterConfig, ParameterType, ParameterValue
-from play_launch.core.events import ComponentEvent
+from play_launch.supervisor.events import ComponentEvent
 from play_launch.wire.codec import EncodeError, MessageError, decode_message, encode_message
 from play_launch.wire.frames import Frame, FrameDecoder, FrameKind
 from play_launch.wire.messages import Cancel, Incoming, Load, Outgoing, Query

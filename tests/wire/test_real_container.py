@@ -17,11 +17,10 @@ from play_launch.config.model import (
     ParameterType,
     ParameterValue,
 )
-from play_launch.core.events import ComponentEvent, ComponentEventKind
-from play_launch.core.questions import NodeStatusState
 from play_launch.install.command import container_argv
 from play_launch.install.environment import child_environment
 from play_launch.install.ros import component_container, ros_installation
+from play_launch.supervisor.events import ComponentEvent, ComponentEventKind
 from play_launch.wire.channel import ChannelClosedError, ControlChannel, control_pair
 from play_launch.wire.frames import PROTOCOL_VERSION
 from play_launch.wire.messages import (
@@ -29,6 +28,7 @@ from play_launch.wire.messages import (
     Hello,
     Incoming,
     Load,
+    NodeStatusState,
     Query,
     Rejected,
     Shutdown,

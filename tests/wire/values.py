@@ -5,8 +5,7 @@ from __future__ import annotations
 from hypothesis import strategies as st
 
 from play_launch.config.model import ParameterConfig, ParameterType, ParameterValue
-from play_launch.core.events import ComponentEvent, ComponentEventKind
-from play_launch.core.questions import NodeStatusState
+from play_launch.supervisor.events import ComponentEvent, ComponentEventKind
 from play_launch.wire.messages import (
     Accepted,
     Cancel,
@@ -14,6 +13,7 @@ from play_launch.wire.messages import (
     Incoming,
     Load,
     NodeStatus,
+    NodeStatusState,
     Outgoing,
     Query,
     Rejected,

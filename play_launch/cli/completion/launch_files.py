@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from play_launch.cli.completion.candidates import Candidate
+from play_launch.config.ament_index import ament_prefixes
 from play_launch.config.sources.surroundings import share_folder
-from play_launch.core.ament_index import ament_prefixes
 from play_launch.launch_files.find import ENDINGS, find, launch_files
 from play_launch.launch_files.records import LaunchFileError
 

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 from msgspec import Struct
 
 from play_launch.cli.show.streams import let_go_of
-from play_launch.core.events import LogRecord, OutputLine, RunEvent
-from play_launch.core.view import SystemView
+from play_launch.supervisor.events import LogRecord, OutputLine, RunEvent
+from play_launch.supervisor.view import SystemView
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 from typing import IO, TYPE_CHECKING
 
-from play_launch.core.event_object import event_object
-from play_launch.core.events import OutputLine, RunEvent, Sample
+from play_launch.supervisor.event_object import event_object
+from play_launch.supervisor.events import OutputLine, RunEvent, Sample
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

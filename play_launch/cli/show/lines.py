@@ -8,7 +8,8 @@ from msgspec import Struct
 
 from play_launch.cli.show.durations import duration
 from play_launch.cli.show.status import container_status, ending
-from play_launch.core.events import (
+from play_launch.recording.console_format import ERROR, INFO, WARN, line_level
+from play_launch.supervisor.events import (
     REPORTED_LOGGER,
     ActionEvent,
     ActionPhase,
@@ -24,11 +25,10 @@ from play_launch.core.events import (
     RunEvent,
     Withdrawn,
 )
-from play_launch.core.managed import ManagedState
-from play_launch.recording.console_format import ERROR, INFO, WARN, line_level
+from play_launch.supervisor.goal_life import ManagedState
 
 if TYPE_CHECKING:
-    from play_launch.core.view import ProcessView, SystemView
+    from play_launch.supervisor.view import ProcessView, SystemView
 
 OWN_NAME: Final = "play-launch"
 _UNSAID: Final = frozenset({ManagedState.ABSENT, ManagedState.ASKED})

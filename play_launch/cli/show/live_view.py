@@ -9,10 +9,10 @@ from rich.text import Text
 
 from play_launch.cli.find_mistakes import counted
 from play_launch.cli.show.status import container_status, is_complete, process_status
-from play_launch.core.events import ContainerState
+from play_launch.supervisor.events import ContainerState
 
 if TYPE_CHECKING:
-    from play_launch.core.view import ContainerView, SystemView
+    from play_launch.supervisor.view import ContainerView, SystemView
 
 _OTHER_ROWS: Final = 3
 """Rows that are kept free: the totals, the line that says what is left out, and the prompt."""

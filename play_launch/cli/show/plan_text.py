@@ -78,7 +78,7 @@ def _waiting(path: str) -> str:
 
 def _awaited(rule: Any) -> str:
     """Put a start rule into words, or its dependencies; a delay is in seconds."""
-    from play_launch.core.dependency import Condition, Dependency  # noqa: PLC0415 - rarely needed
+    from play_launch.config.dependency import Condition, Dependency  # noqa: PLC0415
 
     delay = rule["delay"] if isinstance(rule, dict) else 0.0
     found = rule["dependencies"] if isinstance(rule, dict) else rule

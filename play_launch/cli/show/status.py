@@ -6,11 +6,11 @@ import signal
 from typing import TYPE_CHECKING, Final
 
 from play_launch.cli.show.durations import duration
-from play_launch.core.events import ContainerState, ProcessEventKind
 from play_launch.process.exit import Exit
+from play_launch.supervisor.events import ContainerState, ProcessEventKind
 
 if TYPE_CHECKING:
-    from play_launch.core.view import ContainerView, NodeView, ProcessView
+    from play_launch.supervisor.view import ContainerView, NodeView, ProcessView
 
 _SECOND: Final = 1_000_000_000
 _SHOWN_AFTER: Final = 2 * _SECOND

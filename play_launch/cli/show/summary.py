@@ -14,16 +14,15 @@ from rich.text import Text
 from play_launch.cli.find_mistakes import counted
 from play_launch.cli.show.sizes import size
 from play_launch.cli.show.status import container_at_end, process_at_end
-from play_launch.core.events import NodeState, ProcessEventKind, SubjectKind
-from play_launch.core.exit_status import UNKNOWN_STATUS
-from play_launch.core.node_key import NodeKey
+from play_launch.config.node_key import NodeKey
+from play_launch.supervisor.events import UNKNOWN_STATUS, NodeState, ProcessEventKind, SubjectKind
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from play_launch.core.group_totals import GroupTotal
-    from play_launch.core.view import ContainerView, ProcessView, SystemView
+    from play_launch.cli.show.group_totals import GroupTotal
     from play_launch.recording.recorder import RecordingSummary
+    from play_launch.supervisor.view import ContainerView, ProcessView, SystemView
 
     Used = Mapping[tuple[SubjectKind, str], GroupTotal]
 

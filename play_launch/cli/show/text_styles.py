@@ -9,9 +9,9 @@ from typing import IO, TYPE_CHECKING, Final
 
 from play_launch.cli.show.lines import OWN_NAME, Line, line_of
 from play_launch.cli.show.terminal import RESET, printable
-from play_launch.core.events import LogRecord, OutputLine, RunEvent, Sample
-from play_launch.core.view import SystemView
 from play_launch.recording.console_format import ERROR, WARN
+from play_launch.supervisor.events import LogRecord, OutputLine, RunEvent, Sample
+from play_launch.supervisor.view import SystemView
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

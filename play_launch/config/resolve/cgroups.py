@@ -7,17 +7,17 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec.structs import replace
 
+from play_launch.config.group_limits import GroupPolicy
 from play_launch.config.resolve.resources import refined_limits, refuse
 from play_launch.config.schema import GroupLimitsSection
 from play_launch.config.validation import validate_mapping
 from play_launch.config.yaml.tree import Mapping
-from play_launch.core.group_limits import GroupPolicy
 
 if TYPE_CHECKING:
     from play_launch.config.resolve.resources import Process
+    from play_launch.config.resources import Resources
     from play_launch.config.schema import CgroupsSection
     from play_launch.config.yaml.tree import At
-    from play_launch.core.resources import Resources
 
 _DEFAULTS: Final = "defaults"
 _PER_NODE: Final = "per_node"

@@ -9,17 +9,17 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from play_launch.config.model import ContainerConfig, ContainerType, Output
+from play_launch.config.policies import OnExit
 from play_launch.config.resolve.nodes import resolve_composable_node
 from play_launch.config.resolve.policy import ISOLATED_KEYS, refuse, refuse_unread
 from play_launch.config.resolve.process_parameters import resolve_process_parameters
 from play_launch.config.resolve.resources import Process, refined_resources
+from play_launch.config.resources import Resources
 from play_launch.config.schema import ContainerSection
 from play_launch.config.source import path_from
 from play_launch.config.validation import items_of, validate_mapping
 from play_launch.config.values import join_full_name, resolve_environment
 from play_launch.config.yaml.tree import Mapping
-from play_launch.core.resources import Resources
-from play_launch.core.restart import OnExit
 
 if TYPE_CHECKING:
     from play_launch.config.model import ComposableNodeConfig

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Final
 from msgspec import Struct
 
 from play_launch.config.model import ComposableNodeConfig, Output, ProcessConfig
+from play_launch.config.node_key import NodeKey
+from play_launch.config.policies import OnExit, RestartLimits
 from play_launch.config.resolve.parameters import resolve_parameters
 from play_launch.config.resolve.policy import refined_restart, refuse_unread
 from play_launch.config.resolve.process_parameters import resolve_process_parameters
@@ -20,6 +22,7 @@ from play_launch.config.resolve.resources import (
     refined_resources,
     refuse_inherited,
 )
+from play_launch.config.resources import Resources
 from play_launch.config.schema import ComposableNodeSection, ProcessSection
 from play_launch.config.source import path_from
 from play_launch.config.validation import validate_mapping
@@ -31,9 +34,6 @@ from play_launch.config.values import (
     resolve_environment,
 )
 from play_launch.config.yaml.tree import Mapping
-from play_launch.core.node_key import NodeKey
-from play_launch.core.resources import Resources
-from play_launch.core.restart import OnExit, RestartLimits
 
 if TYPE_CHECKING:
     from collections.abc import Mapping as Variables

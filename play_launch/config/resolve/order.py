@@ -8,13 +8,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 from msgspec import Struct, field
 
-from play_launch.config.model import ManagedConfig
-from play_launch.config.problems import excerpt
-from play_launch.config.schema import DependencySection
-from play_launch.config.source import path_from
-from play_launch.config.validation import items_of, validate_mapping
-from play_launch.config.values import NEVER
-from play_launch.core.dependency import (
+from play_launch.config.dependency import (
     Condition,
     Dependency,
     DependencyGraph,
@@ -22,7 +16,13 @@ from play_launch.core.dependency import (
     StartRule,
     UnitCondition,
 )
-from play_launch.core.restart import OnExit
+from play_launch.config.model import ManagedConfig
+from play_launch.config.policies import OnExit
+from play_launch.config.problems import excerpt
+from play_launch.config.schema import DependencySection
+from play_launch.config.source import path_from
+from play_launch.config.validation import items_of, validate_mapping
+from play_launch.config.values import NEVER
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping

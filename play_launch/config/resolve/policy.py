@@ -8,9 +8,8 @@ from msgspec import Struct, field
 from msgspec.structs import replace
 
 from play_launch.config.model import ContainerType, Isolation, MemoryDomains
-from play_launch.core.crash import OnCrash
-from play_launch.core.resources import Resources
-from play_launch.core.restart import RestartLimits
+from play_launch.config.policies import OnCrash, RestartLimits
+from play_launch.config.resources import Resources
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -7,21 +7,20 @@ from typing import TYPE_CHECKING, Any, Final
 
 from msgspec.structs import replace
 
+from play_launch.config.group_limits import LIMIT_KEYS, NO_LIMIT, cpu_text
 from play_launch.config.model import Isolation
-from play_launch.core.cpu_list import cpu_text
-from play_launch.core.group_limits import LIMIT_KEYS, NO_LIMIT
-from play_launch.core.resources import Resources, Scheduler
+from play_launch.config.resources import Resources, Scheduler
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from play_launch.config.group_limits import GroupLimits
     from play_launch.config.schema import (
         LimitsSection,
         ResourcesSection,
         SchedulerSection,
     )
     from play_launch.config.yaml.tree import At
-    from play_launch.core.group_limits import GroupLimits
 
 KEY: Final = "resources"
 _RLIMITS: Final = "rlimits"

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct, field
 
+from play_launch.config.ament_index import ament_prefixes
 from play_launch.config.sources.substitution import Lookup, SubstitutionError, substitute
-from play_launch.core.ament_index import ament_prefixes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

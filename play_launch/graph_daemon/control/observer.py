@@ -13,7 +13,6 @@ from concurrent.futures import Future
 from functools import partial
 from typing import TYPE_CHECKING, Final, TypeVar
 
-from play_launch.core.events import GraphChanged
 from play_launch.graph_daemon.client.graph_client import (
     BadReplyError,
     DaemonError,
@@ -29,12 +28,13 @@ from play_launch.graph_daemon.contract import (
     daemon_address,
 )
 from play_launch.graph_daemon.control.start_stop import PortHeldError, StartError, start_daemon
+from play_launch.supervisor.events import GraphChanged
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
-    from play_launch.core.events import EventSink
     from play_launch.graph_daemon.contract import DaemonAddress
+    from play_launch.supervisor.events import EventSink
 
 _Result = TypeVar("_Result")
 

@@ -13,9 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 _PLAIN: Final = re.compile(r"(?:--?[A-Za-z]|[A-Za-z_/])[A-Za-z0-9_./-]*", re.ASCII)
-_OTHER_MEANING: Final = frozenset(
-    "null true false yes no on off y n".split()  # noqa: SIM905 - a list of words
-)
+_OTHER_MEANING: Final = frozenset("null true false yes no on off y n".split())  # noqa: SIM905
 _SUBSTITUTION: Final = re.compile(r"\$(?=[{(])")
 _ESCAPES: Final = {'"': '\\"', "\\": "\\\\", "\n": "\\n", "\t": "\\t", "\r": "\\r"}
 _WIDEST: Final = 96

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final
 
 import msgspec
 
-from play_launch.core.ament_index import ament_prefixes
+from play_launch.config.ament_index import ament_prefixes
 from play_launch.install.ros import spawn_guard
 from play_launch.launch_files.records import Description, Failure, LaunchFileError, Origin, Place
 from play_launch.launch_files.records import decode as decode_records

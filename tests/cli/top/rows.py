@@ -7,7 +7,7 @@ from typing import Any
 from hypothesis import strategies as st
 
 from play_launch.cli.top.rows import Row
-from play_launch.core.events import ContainerState, NodeState
+from play_launch.supervisor.events import ContainerState, NodeState
 
 STATES = sorted(
     {state.value for state in (*ContainerState, *NodeState)} | {"exited", "waiting", "unheard of"}

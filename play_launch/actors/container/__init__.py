@@ -1,1 +1,0 @@
-"""One container: its process, its control channel and, mirrored, its nodes."""

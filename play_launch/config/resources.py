@@ -1,0 +1,189 @@
+"""What a process asks of the kernel for itself: scheduling, CPUs, limits.
+
+All of it is inherited by the threads and processes that it starts. `Resources.settings` is what
+``container_native/src/base/resource_setting.hpp`` reads. What its control group limits is written
+by the supervisor, see `play_launch.cgroups`.
+"""
+
+from __future__ import annotations
+
+import math
+import resource
+from enum import IntEnum, StrEnum
+from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct
+
+from play_launch.config.group_limits import NO_LIMITS, GroupLimits
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+_UNLIMITED: Final = 2**64 - 1
+_IO_CLASS_SHIFT: Final = 13
+_NICE_TO_LIMIT: Final = 20
+
+
+class SchedulerPolicy(StrEnum):
+    """See sched(7)."""
+
+    OTHER = "other"
+    BATCH = "batch"
+    IDLE = "idle"
+    FIFO = "fifo"
+    RR = "rr"
+
+    @property
+    def is_real_time(self) -> bool:
+        """Whether it has priorities, and goes before all threads of other policies."""
+        return self in {SchedulerPolicy.FIFO, SchedulerPolicy.RR}
+
+
+POLICY_NUMBERS: Final = {
+    SchedulerPolicy.OTHER: 0,
+    SchedulerPolicy.FIFO: 1,
+    SchedulerPolicy.RR: 2,
+    SchedulerPolicy.BATCH: 3,
+    SchedulerPolicy.IDLE: 5,
+}
+
+
+class Scheduler(Struct, frozen=True):
+    """A policy, with a priority from 1 to 99 where it is a real-time one, else 0."""
+
+    policy: SchedulerPolicy
+    priority: int = 0
+
+    def __str__(self) -> str:
+        return f"{self.policy} {self.priority}" if self.policy.is_real_time else str(self.policy)
+
+
+class IoClass(IntEnum):
+    """See ioprio_set(2)."""
+
+    NONE = 0
+    """Derived from the nice value."""
+    REALTIME = 1
+    BEST_EFFORT = 2
+    IDLE = 3
+
+
+class IoPriority(Struct, frozen=True):
+    """A class, with a level from 0 (first) to 7 but for the class idle."""
+
+    io_class: IoClass
+    level: int = 0
+
+    @property
+    def number(self) -> int:
+        """As the kernel has it."""
+        return self.io_class << _IO_CLASS_SHIFT | self.level
+
+    @classmethod
+    def of_number(cls, number: int) -> IoPriority:
+        """Read what the kernel gives."""
+        return cls(IoClass(number >> _IO_CLASS_SHIFT & 3), number & 7)
+
+    def __str__(self) -> str:
+        name = self.io_class.name.lower()
+        has_level = self.io_class in {IoClass.REALTIME, IoClass.BEST_EFFORT}
+        return f"{name}:{self.level}" if has_level else name
+
+
+class ResourceLimit(Struct, frozen=True):
+    """A limit of setrlimit(2) by its name in lower case; infinity is unlimited.
+
+    Sizes are bytes, `cpu` is seconds, `rttime` microseconds, and `nice` 20 less the nice value.
+    """
+
+    name: str
+    soft: float
+    hard: float
+
+    @property
+    def number(self) -> int:
+        """Which one it is for the kernel."""
+        number: int = getattr(resource, f"RLIMIT_{self.name.upper()}")
+        return number
+
+
+class Resources(Struct, frozen=True, kw_only=True):
+    """What is asked for; None and empty: what the process has anyway."""
+
+    nice: int | None = None
+    scheduler: Scheduler | None = None
+    cpu_affinity: tuple[int, ...] = ()
+    """Numbers of CPUs, in order."""
+    io_priority: IoPriority | None = None
+    oom_score_adj: int | None = None
+    lock_memory: bool = False
+    rlimits: tuple[ResourceLimit, ...] = ()
+    group: GroupLimits = NO_LIMITS
+
+    def __bool__(self) -> bool:
+        """Whether anything is asked for."""
+        return self != NO_RESOURCES
+
+    @property
+    def limit_names(self) -> tuple[str, ...]:
+        """Which limits are asked for."""
+        return tuple(limit.name for limit in self.rlimits)
+
+    def settings(self) -> tuple[str, ...]:
+        """Write all but `lock_memory` and `group`, in the order in which they are applied.
+
+        Limits come first: they decide what of the others is allowed.
+        """
+        return tuple(self._settings())
+
+    def _settings(self) -> Iterator[str]:
+        for limit in self.rlimits:
+            soft, hard = _kernel_limit(limit.soft), _kernel_limit(limit.hard)
+            yield f"rlimit {limit.number} {soft} {hard}"
+        if self.oom_score_adj is not None:
+            yield f"oom_score_adj {self.oom_score_adj}"
+        if self.io_priority is not None:
+            yield f"io_priority {self.io_priority.number}"
+        if self.cpu_affinity:
+            yield f"cpu_affinity {' '.join(map(str, self.cpu_affinity))}"
+        if self.nice is not None:
+            yield f"nice {self.nice}"
+        if self.scheduler is not None:
+            number = POLICY_NUMBERS[self.scheduler.policy]
+            yield f"scheduler {number} {self.scheduler.priority}"
+
+    def described(self) -> dict[str, object]:
+        """Give what is asked for as values for JSON, by the keys of the configuration."""
+        given = {
+            "nice": self.nice,
+            "scheduler": self.scheduler
+            and {"policy": str(self.scheduler.policy), "priority": self.scheduler.priority},
+            "cpu_affinity": list(self.cpu_affinity) or None,
+            "io_priority": self.io_priority and str(self.io_priority),
+            "oom_score_adj": self.oom_score_adj,
+            "lock_memory": self.lock_memory or None,
+            "rlimits": {
+                limit.name: [limit_text(limit.soft), limit_text(limit.hard)]
+                for limit in self.rlimits
+            }
+            or None,
+        }
+        own = {name: value for name, value in given.items() if value is not None}
+        return own | self.group.described()
+
+
+NO_RESOURCES: Final = Resources()
+
+
+def nice_limit(nice: int) -> int:
+    """Convert a nice value to what RLIMIT_NICE counts, and back."""
+    return _NICE_TO_LIMIT - nice
+
+
+def limit_text(limit: float) -> int | str:
+    """Write a limit for people and JSON."""
+    return "unlimited" if math.isinf(limit) else int(limit)
+
+
+def _kernel_limit(limit: float) -> int:
+    return _UNLIMITED if math.isinf(limit) else int(limit)

@@ -1,0 +1,197 @@
+"""Applies another configuration to a running system: plan, preparation, result."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from functools import partial
+from typing import TYPE_CHECKING, Final
+
+from play_launch.config.node_key import NodeKey
+from play_launch.runtime.ports import StartError
+from play_launch.runtime.sources import Sources
+from play_launch.supervisor.change import declared
+from play_launch.supervisor.inputs import ChangeRequested, ParametersSet, StepEnded
+from play_launch.supervisor.plan import plan
+from play_launch.supervisor.steps import Applied, Kind, Need, Result, StepOutcome, after
+from play_launch.supervisor.view import absent
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from play_launch.config.model import ContainerConfig, ProcessConfig, ReplayConfig
+    from play_launch.runtime.ports import ParameterService
+    from play_launch.runtime.system import System
+    from play_launch.supervisor.steps import Plan, Step
+
+_log = logging.getLogger(__name__)
+
+STEP_LIMIT: Final = 60.0
+"""Seconds for what one step waits for, by default."""
+
+
+class BusyError(Exception):
+    """Another configuration is being applied."""
+
+
+def _ignore(outcome: StepOutcome) -> None:
+    del outcome
+
+
+class Applying:
+    """Changes a running system; one change at a time."""
+
+    def __init__(self, system: System, parameters: ParameterService) -> None:
+        self._system = system
+        self._parameters = parameters
+        self._sources = Sources(lambda error: _log.error("%s", error, exc_info=error))
+        self._sources.run_in(system.sources.tasks)
+        self._outcomes: list[StepOutcome] = []
+        self._on_outcome: Callable[[StepOutcome], None] = _ignore
+        self._target = system.config
+        self._ended = asyncio.Event()
+        self.idle = asyncio.Event()
+        """Set unless something is being applied."""
+        self.idle.set()
+
+    @property
+    def config(self) -> ReplayConfig:
+        """The system as it is configured now."""
+        return self._system.config
+
+    def plan(self, target: ReplayConfig) -> Plan:
+        """Compare the system with what it is to become."""
+        return plan(self.config, target, self._absent())
+
+    def _absent(self) -> dict[str, str]:
+        world, config = self._system.world, self.config
+        members = {*(each.full_name for each in config.containers)}
+        members |= {each.full_name for each in config.nodes}
+        nodes = {each.key for box in config.containers for each in box.composable_nodes}
+        left = [*(members - world.processes.keys()), *map(str, nodes - world.nodes.keys())]
+        leaving = [each.name for each in world.processes.values() if each.is_removed]
+        leaving += [each.name for each in world.processes.values() if each.next_config is not None]
+        leaving += [str(each.key) for each in world.nodes.values() if each.is_removed]
+        return {
+            **absent(self._system.publisher.view),
+            **dict.fromkeys([*leaving, *left], "it was asked to end"),
+        }
+
+    async def apply(
+        self,
+        target: ReplayConfig,
+        *,
+        limit: float = STEP_LIMIT,
+        rolls_back: bool = False,
+        on_outcome: Callable[[StepOutcome], None] = _ignore,
+    ) -> Applied:
+        """Change what differs from ``target``, and nothing else.
+
+        A step that fails is the last one, beside those that are done at the same time with it.
+
+        Args:
+            target: What the system is to become.
+            limit: Seconds for each step.
+            rolls_back: Whether a failure is followed by the way back to where it began.
+            on_outcome: Gets each step when it is over.
+
+        Raises:
+            BusyError: When another configuration is being applied.
+        """
+        if not self.idle.is_set():
+            raise BusyError("another configuration is being applied")
+        self.idle.clear()
+        self._on_outcome = on_outcome
+        try:
+            before, absent_before = self.config, self._absent()
+            found = self.plan(target)
+            outcomes = await self._carry_out(found, target, limit)
+            applied = Applied(plan=found, outcomes=outcomes)
+            if applied.succeeded or not rolls_back:
+                return applied
+            _log.warning("the new configuration failed; the one before is applied again")
+            lost = {
+                name: reason for name, reason in self._absent().items() if name not in absent_before
+            }
+            back = plan(self.config, before, lost)
+            rollback = await self._carry_out(back, before, limit)
+            return Applied(plan=found, outcomes=outcomes, rollback=rollback)
+        finally:
+            self.idle.set()
+
+    async def close(self) -> None:
+        """Release what it takes to talk to nodes."""
+        await self._parameters.close()
+
+    async def _carry_out(
+        self, found: Plan, target: ReplayConfig, limit: float
+    ) -> tuple[StepOutcome, ...]:
+        problem = await self._prepare(target) if found.to_do else ""
+        self._outcomes = []
+        if not problem:
+            self._target = target
+            self._ended.clear()
+            self._system.use_rules(target)
+            self._system.post(ChangeRequested(target, found.phases(), limit))
+            await self._ended.wait()
+        done = {each.step.id for each in self._outcomes}
+        outcomes = self._outcomes + [
+            StepOutcome(step=step, result=Result.SKIPPED, reason=problem)
+            for phase in found.phases()
+            for step in phase
+            if step.id not in done
+        ]
+        held = (each.step for each in outcomes if each.holds)
+        self._system.config = after(self.config, target, held)
+        return tuple(outcomes)
+
+    async def _prepare(self, target: ReplayConfig) -> str:
+        try:
+            await self._system.launcher.prepare(target)
+        except StartError as error:
+            return str(error)
+        return ""
+
+    # Effects.
+
+    def step_ended(self, effect: StepEnded) -> None:
+        """Note the result of a step."""
+        outcome = StepOutcome(
+            step=effect.step,
+            result=Result.DONE if effect.is_done else Result.FAILED,
+            reason=effect.reason,
+            seconds=effect.seconds,
+        )
+        self._outcomes.append(outcome)
+        self._on_outcome(outcome)
+
+    def change_ended(self) -> None:
+        """Note that all steps are over."""
+        self._ended.set()
+
+    def set_parameters(self, step: Step) -> None:
+        """Set the parameters that a step names."""
+        self._sources.begin(partial(self._set, step))
+
+    async def _set(self, step: Step) -> None:
+        prefix = "parameters."
+        names = {
+            change.path.removeprefix(prefix) for change in step.changes if change.need is Need.SET
+        }
+        config = declared(self._target, step)
+        chosen = [each for each in config.parameters if each.name in names]  # type: ignore[union-attr]
+        node = NodeKey.parsed(step.name).name if step.kind is Kind.COMPONENT else step.name
+        try:
+            refusal = await self._parameters.set(node, chosen, self._environment(step))
+        except Exception as error:  # noqa: BLE001 - the node is replaced instead
+            _log.exception("the parameters of %s could not be set", step.name)
+            refusal = f"{type(error).__name__}: {error}"
+        self._system.post(ParametersSet(step, refusal))
+
+    def _environment(self, step: Step) -> dict[str, str]:
+        name = NodeKey.parsed(step.name).container if step.kind is Kind.COMPONENT else step.name
+        members: tuple[ContainerConfig | ProcessConfig, ...] = (
+            *self._target.containers,
+            *self._target.nodes,
+        )
+        return dict(next(each.environment for each in members if each.full_name == name))

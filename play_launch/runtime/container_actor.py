@@ -1,0 +1,300 @@
+"""One container: its process, its control channel, and whether it still answers."""
+
+from __future__ import annotations
+
+import logging
+from collections import defaultdict
+from functools import partial
+from typing import TYPE_CHECKING, Final
+
+import anyio
+from msgspec.structs import replace
+
+from play_launch.config.model import ContainerConfig
+from play_launch.runtime.container_messages import (
+    description,
+    inputs_of,
+    isolation_shortfall,
+    load_request,
+)
+from play_launch.runtime.ports import StartError
+from play_launch.runtime.process_actor import ProcessActor
+from play_launch.runtime.publisher import report_shortfalls
+from play_launch.runtime.queries import Asked, Questions
+from play_launch.runtime.watch import ContainerWatch
+from play_launch.supervisor.events import ComponentEvent, NodeState
+from play_launch.supervisor.inputs import Faulty, Greeted, HealthReported, NodeReported, Probed
+from play_launch.supervisor.node_life import NodeFact
+from play_launch.supervisor.world import Hello, Phase, is_wanted
+from play_launch.wire.channel import ChannelClosedError, ControlError, VersionMismatchError
+from play_launch.wire.codec import EncodeError
+from play_launch.wire.messages import Cancel, Shutdown, Status, Unload
+from play_launch.wire.messages import Hello as HelloMessage
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from play_launch.config.model import ComposableNodeConfig
+    from play_launch.config.node_key import NodeKey
+    from play_launch.runtime.ports import ControlLink, ManagedProcess
+    from play_launch.runtime.probes import LibraryProbes
+    from play_launch.runtime.sources import Source
+    from play_launch.runtime.system import System
+    from play_launch.wire.messages import Incoming, Outgoing
+
+_log = logging.getLogger(__name__)
+
+_LAST_WORDS: Final = 0.5
+"""Seconds from the exit of a container to the end of what it sent on the control channel."""
+_EXIT_AFTER_CLOSE: Final = 2.0
+"""Seconds from the end of the control channel to the exit of the container."""
+
+
+class ContainerActor(ProcessActor):
+    """Owns the process of one container and its channel."""
+
+    def __init__(self, name: str, system: System) -> None:
+        super().__init__(name, system)
+        self._link: ControlLink | None = None
+        self._listening: anyio.CancelScope | None = None
+        self._has_ended = anyio.Event()
+        self._is_draining = False
+        """Whether its process exited, and what it sent before is still read."""
+        self._questions = Questions(name)
+        self._watch = ContainerWatch(name, clock=system.time, limits=system.watch_limits)
+        self._probes: list[Source] = []
+
+    @property
+    def config(self) -> ContainerConfig:
+        """Of its unit."""
+        config = super().config
+        assert isinstance(config, ContainerConfig)
+        return config
+
+    # Its process.
+
+    def _begin(self) -> ManagedProcess:
+        self._has_ended = anyio.Event()
+        self._is_draining = False
+        self._questions.clear()
+        process, self._link = self._system.launcher.start_container(self.config, self._on_output)
+        return process
+
+    def _has_started(self, start: int) -> None:
+        assert self._link is not None
+        self._sources.begin(partial(self._listen, self._link, start, self._has_ended))
+
+    def _ask_to_stop(self, reason: str) -> bool:
+        if self._link is None:
+            return False
+        try:
+            self._link.send(Shutdown(reason=reason))
+        except ControlError:
+            return False
+        return True
+
+    def _stops(self) -> None:
+        self._watch.end()
+
+    async def _drained(self) -> None:
+        self._watch.end()
+        self._is_draining = True
+        with anyio.move_on_after(_LAST_WORDS):
+            await self._has_ended.wait()
+
+    def _let_go(self) -> None:
+        if self._listening is not None:
+            self._listening.cancel()
+            self._listening = None
+        if self._link is not None:
+            self._link.close()
+            self._link = None
+        self._watch.end()
+
+    async def _clean_up(self) -> None:
+        # A lock that a killed participant left would keep the next one waiting.
+        process = self._system.world.processes.get(self.name)
+        if process is not None and is_wanted(self._system.world, process):
+            await self._system.launcher.clean_up()
+
+    def next_deadline(self) -> float | None:
+        """When the watch is due next."""
+        return self._watch.next_deadline()
+
+    def on_time(self) -> None:
+        """Check whether it still answers."""
+        if frozen := self._watch.on_time():
+            self._system.post(Faulty(self.name, self._start, frozen))
+
+    # Its channel.
+
+    async def _listen(self, link: ControlLink, start: int, has_ended: anyio.Event) -> None:
+        """Post what the container sends, up to the end of the channel."""
+        with anyio.CancelScope() as self._listening:
+            try:
+                self._on_hello(await link.handshake(self._system.launcher.hello()), start)
+                while True:
+                    self._on_message(await link.receive(), start)
+            except VersionMismatchError as error:
+                self._fault(start, error, is_fatal=True)
+            except ChannelClosedError as error:
+                has_ended.set()
+                # The channel ends a moment before the process does.
+                await anyio.sleep(_EXIT_AFTER_CLOSE)
+                self._fault(start, error)
+            except ControlError as error:
+                self._fault(start, error)
+            finally:
+                has_ended.set()
+
+    def _fault(self, start: int, error: ControlError, *, is_fatal: bool = False) -> None:
+        if not self._is_draining:
+            self._system.post(Faulty(self.name, start, str(error), is_fatal=is_fatal))
+
+    def _on_hello(self, hello: HelloMessage, start: int) -> None:
+        config = self.config
+        is_first = self._system.world.processes[self.name].phase is Phase.STARTING
+        pid = hello.pid or self.pid
+        if is_first and self._link is not None and not config.prefix:  # a debugger may stop it
+            self._watch.begin(self._link.send, pid)
+        facts = Hello(mechanism=hello.mechanism, description=description(hello))
+        self._system.post(Greeted(self.name, start, facts))
+        if not is_first:
+            return
+        if hello.full_node_name != self.name:
+            _log.warning("%s calls itself %s", self.name, hello.full_node_name)
+        shortfall = isolation_shortfall(config, hello)
+        if shortfall and self._system.publisher.is_news(shortfall):
+            _log.warning("%s: %s", self.name, shortfall)
+        self._check_resources(pid)
+
+    def _on_message(self, message: Incoming, start: int) -> None:
+        if isinstance(message, HelloMessage):
+            _log.warning("%s said hello again", self.name)
+            return
+        if isinstance(message, Status) and self._watch.hear(message):
+            silences = {each.attempt: each.silence_ns / 1e9 for each in message.nodes}
+            self._system.post(
+                HealthReported(
+                    self.name,
+                    start,
+                    message.leaked,
+                    message.unquiesced,
+                    message.dead_locks,
+                    silences,
+                )
+            )
+            return
+        if isinstance(message, ComponentEvent):
+            self._system.publisher.publish(message)
+        nodes = {node.attempt: node for node in self._system.world.nodes_of(self.name)}
+        for said in inputs_of(message, self.config, start, self._questions, nodes):
+            self._system.post(self._with_group(said))
+            self._check_node(said)
+
+    def _with_group(self, said: NodeReported) -> NodeReported:
+        """Leave the control group of a node that exited; why the kernel killed it, if it did."""
+        if said.said not in {NodeFact.CRASHED, NodeFact.UNLOADED, NodeFact.LOAD_FAILED}:
+            return said
+        for node in self._system.world.nodes_of(self.name):
+            if node.attempt == said.attempt:
+                why = self._system.launcher.groups.leave(node.key, said.attempt)
+                return _with_reason(said, why) if why else said
+        return said
+
+    def _check_node(self, said: NodeReported) -> None:
+        """Report what a node that is loaded did not get of its resources."""
+        if said.said not in {NodeFact.LOADED, NodeFact.STATUS_LOADED}:
+            return
+        for node in self._system.world.nodes_of(self.name):
+            if node.attempt == said.attempt and node.state is NodeState.LOADED:
+                name, publisher = node.key.name, self._system.publisher
+                report_shortfalls(name, node.config.resources, node.pid, publisher)
+                self._system.launcher.groups.check(name, node.pid)
+
+    # Requests.
+
+    def load(self, key: NodeKey, attempt: int) -> None:
+        """Request a load."""
+        config = self._system.world.nodes[key].config
+        reason = ""
+        try:
+            entry = self._system.launcher.groups.enter(config, attempt)
+            self._send(load_request(config, attempt, entry))
+        except (StartError, EncodeError) as error:
+            reason = str(error)
+        if reason:
+            self._system.post(
+                NodeReported(
+                    unit=self.name,
+                    start=self._start,
+                    said=NodeFact.REJECTED,
+                    attempt=attempt,
+                    reason=reason,
+                )
+            )
+
+    def cancel(self, unique_id: int) -> None:
+        """Request that a load is given up."""
+        self._send(Cancel(unique_id=unique_id))
+
+    def unload(self, unique_id: int) -> None:
+        """Request that a node is unloaded."""
+        self._send(Unload(unique_id=unique_id))
+
+    def query(self, about: Sequence[tuple[NodeKey, int, int]]) -> None:
+        """Query it about nodes."""
+        self._send(self._questions.put(tuple(Asked(*each) for each in about)))
+
+    def _send(self, message: Outgoing) -> None:
+        if self._link is None:
+            return
+        try:
+            self._link.send(message)
+        except ControlError as error:
+            # What reads the channel notices it as well and deals with the container.
+            _log.debug("%s: a request was not sent: %s", self.name, error)
+
+    # Scratch processes.
+
+    def probe(self, nodes: Sequence[NodeKey]) -> None:
+        """Load the libraries of nodes in scratch processes."""
+        self._probes = [each for each in self._probes if each.runs]
+        self._probes.append(self._sources.begin(partial(self._probe_all, tuple(nodes))))
+
+    def cancel_probes(self) -> None:
+        """End the scratch processes."""
+        for source in self._probes:
+            source.cancel()
+        self._probes.clear()
+
+    async def _probe_all(self, keys: Sequence[NodeKey]) -> None:
+        probes, world = self._system.probes, self._system.world
+        groups: defaultdict[str, list[ComposableNodeConfig]] = defaultdict(list)
+        for key in keys:
+            if key in world.nodes:
+                node = world.nodes[key].config
+                groups[await probes.library_of(self.config, node)].append(node)
+        async with anyio.create_task_group() as tasks:
+            for group in groups.values():
+                tasks.start_soon(self._probe_library, probes, group)
+
+    async def _probe_library(
+        self, probes: LibraryProbes, group: list[ComposableNodeConfig]
+    ) -> None:
+        """Probe the nodes of one library, in most cases by the first of them."""
+        while group:
+            first = group[0]
+            finding = await probes.probe(self.config, first)
+            is_about_all = finding is None or finding.is_about_library
+            settled = [node for node in group if is_about_all or node.plugin == first.plugin]
+            group = [node for node in group if node not in settled]
+            for node in settled:
+                known = self._system.world.nodes.get(node.key)
+                if known is not None and known.config is node:  # else it was declared anew
+                    self._system.post(Probed(node.key, finding))
+
+
+def _with_reason(said: NodeReported, reason: str) -> NodeReported:
+    """Give another reason."""
+    return replace(said, reason=reason)

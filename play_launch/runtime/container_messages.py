@@ -1,0 +1,188 @@
+"""Maps messages of a container to inputs about its nodes."""
+
+from __future__ import annotations
+
+import logging
+from typing import TYPE_CHECKING, Final, assert_never
+
+from msgspec.structs import replace
+
+from play_launch.config.model import ContainerType, Isolation
+from play_launch.install.command import remap_rules
+from play_launch.process.exit import Exit
+from play_launch.process.identity import ProcessIdentity
+from play_launch.process.machine import explained
+from play_launch.process.thread_wait import thread_wait
+from play_launch.supervisor.events import ComponentEvent, ComponentEventKind
+from play_launch.supervisor.inputs import NodeReported, blamed_frame
+from play_launch.supervisor.node_life import NodeFact
+from play_launch.wire.messages import Accepted, Load, Rejected, Status
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from play_launch.config.model import ComposableNodeConfig, ContainerConfig
+    from play_launch.runtime.queries import Answer, Questions
+    from play_launch.supervisor.world import Node
+    from play_launch.wire.messages import Hello, NodeStatus
+
+_log = logging.getLogger(__name__)
+
+_FACT_OF_EVENT: Final = {
+    ComponentEventKind.LOADED: NodeFact.LOADED,
+    ComponentEventKind.UNLOADED: NodeFact.UNLOADED,
+    ComponentEventKind.LOAD_FAILED: NodeFact.LOAD_FAILED,
+    ComponentEventKind.CRASHED: NodeFact.CRASHED,
+    ComponentEventKind.LOADING: NodeFact.LOADING,
+}
+
+
+def inputs_of(
+    message: Accepted | Rejected | ComponentEvent | Status,
+    config: ContainerConfig,
+    start: int,
+    questions: Questions,
+    nodes: Mapping[int, Node],
+) -> Iterator[NodeReported]:
+    """Read a message; ``nodes`` are those of the container by their latest attempt."""
+    name = config.full_name
+    match message:
+        case Accepted():
+            yield NodeReported(
+                unit=name,
+                start=start,
+                said=NodeFact.ACCEPTED,
+                attempt=message.attempt,
+                unique_id=message.unique_id,
+            )
+        case Rejected():
+            is_known = any(node.unique_id == message.unique_id for node in nodes.values())
+            if not message.attempt and not (message.unique_id and is_known):
+                _log.warning("%s rejected a request: %s", name, message.reason)
+                return
+            yield NodeReported(
+                unit=name,
+                start=start,
+                said=NodeFact.REJECTED if message.attempt else NodeFact.UNLOAD_REJECTED,
+                attempt=message.attempt,
+                unique_id=message.unique_id,
+                reason=message.reason,
+            )
+        case ComponentEvent():
+            if message.attempt in nodes:
+                yield _of_event(message, name, start)
+            elif message.attempt:
+                text = "%s: %s of old attempt %d is ignored"
+                _log.info(text, name, message.kind.name.lower(), message.attempt)
+        case Status():
+            for answer in questions.read(message):
+                yield _of_answer(answer, config, start)
+        case _:
+            assert_never(message)
+
+
+def _of_event(event: ComponentEvent, container: str, start: int) -> NodeReported:
+    """Read an event of a container; the reason of a crash names its location."""
+    reason = event.error_message
+    if event.kind is ComponentEventKind.CRASHED:
+        ending = str(explained(Exit(code=event.exit_code, signal=event.signal)))
+        reason = f"{ending}: {reason}" if reason else ending
+        if event.backtrace:
+            reason += f" at {blamed_frame(event.backtrace)}"
+    return NodeReported(
+        unit=container,
+        start=start,
+        said=_FACT_OF_EVENT[event.kind],
+        attempt=event.attempt,
+        unique_id=event.unique_id,
+        reason=reason,
+        pid=event.pid,
+        start_time=event.start_time,
+        signal=event.signal,
+        full_node_name=event.full_node_name,
+    )
+
+
+def _of_answer(answer: Answer[NodeStatus], config: ContainerConfig, start: int) -> NodeReported:
+    """Read what the container reported of one of the nodes that a query was about."""
+    listed, asked = answer.listed, answer.asked
+    said = NodeReported(
+        unit=config.full_name,
+        start=start,
+        said=answer.said,
+        attempt=asked.attempt,
+        unique_id=asked.unique_id,
+        reason="the container does not know it",
+    )
+    if listed is None:
+        return said
+    elapsed, cpu = listed.elapsed_ns / 1e9, listed.cpu_time_ns / 1e9
+    reason = ""
+    if listed.note:
+        reason = f"{listed.note} ({elapsed:.1f} s so far)"
+    elif listed.state == 0:
+        runs = f"its constructor runs for {elapsed:.1f} s in pid {listed.pid}"
+        reason = f"{runs}, {cpu:.1f} s of it on CPU{_wait(listed, config)}"
+    return replace(
+        said,
+        unique_id=listed.unique_id,
+        reason=reason,
+        pid=listed.pid,
+        start_time=listed.start_time,
+        cpu_time_ns=listed.cpu_time_ns,
+        full_node_name=listed.full_node_name,
+    )
+
+
+def _wait(listed: NodeStatus, config: ContainerConfig) -> str:
+    """Describe what a constructor waits for, where that can be seen."""
+    if config.container_type is ContainerType.STOCK or not listed.pid:
+        return ""
+    # A node with a process of its own is constructed in the first thread.
+    thread = "" if config.container_type.is_isolated else f"load-{listed.unique_id}"
+    waits = thread_wait(ProcessIdentity(listed.pid, listed.start_time), thread)
+    return f"; it {waits}" if waits else ""
+
+
+def description(hello: Hello) -> str:
+    """Say in one line what kind of container it is, and what that rests on."""
+    mode = f"{hello.mode} by {hello.mechanism}" if hello.mechanism else hello.mode
+    facts = f"{mode}, {hello.rmw_implementation}, domain {hello.domain_id}"
+    return "; ".join([facts, *hello.notes])
+
+
+def isolation_shortfall(config: ContainerConfig, hello: Hello) -> str:
+    """Say how its nodes are isolated otherwise than they would be at best; empty if they are not.
+
+    The text is the same for all containers with the same reasons.
+    """
+    wanted = config.isolation
+    at_best = Isolation.SHARED_MEMORY if wanted is Isolation.AUTO else wanted
+    if not hello.mechanism or hello.mechanism == at_best:
+        return ""
+    reasons = "; ".join(hello.notes) or "it does not say why"
+    return f"nodes are isolated by {hello.mechanism}, not by {at_best}: {reasons}"
+
+
+_SEVERITIES: Final = {"debug": 10, "info": 20, "warn": 30, "error": 40, "fatal": 50}
+"""``rcl_interfaces/Log``."""
+
+
+def load_request(config: ComposableNodeConfig, attempt: int, entry: tuple[str, ...] = ()) -> Load:
+    """Make the request; names that were not given stay empty, so the component keeps its own.
+
+    `entry` is how its process enters its control group.
+    """
+    return Load(
+        attempt=attempt,
+        package_name=config.package,
+        plugin_name=config.plugin,
+        node_name=config.name,
+        node_namespace=config.namespace,
+        log_level=_SEVERITIES[config.log_level.lower()] if config.log_level else 0,
+        remap_rules=remap_rules(config.remappings),
+        parameters=config.parameters,
+        extra_arguments=config.extra_arguments,
+        resources=(*entry, *config.resources.settings()),
+        lock_memory=config.resources.lock_memory,
+    )

@@ -1,0 +1,130 @@
+"""Control groups for the members and nodes of a configuration."""
+
+from __future__ import annotations
+
+import logging
+import os
+import time
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from play_launch.cgroups.base import GroupError
+from play_launch.cgroups.group import Group
+from play_launch.cgroups.names import SessionName
+from play_launch.cgroups.session import SessionGroups, needed_controllers
+from play_launch.cgroups.usage import usage_of
+from play_launch.config.model import ContainerConfig
+from play_launch.process.identity import ProcessIdentity, read_stat
+from play_launch.runtime.needs import group_limits, stalls, wants_groups
+from play_launch.runtime.ports import StartError
+from play_launch.supervisor.events import SubjectKind
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from play_launch.config.model import ComposableNodeConfig, ProcessConfig, ReplayConfig
+    from play_launch.config.node_key import NodeKey
+    from play_launch.process.guard import SessionGuard
+    from play_launch.supervisor.events import GroupSample
+
+_log = logging.getLogger(__name__)
+
+
+class Groups:
+    """Asks `SessionGroups` for them, and logs what is not as it should be."""
+
+    def __init__(self, publish: Callable[[GroupSample], None]) -> None:
+        """Be the groups of the session of this process; there are none yet.
+
+        ``publish`` takes the last numbers of each.
+        """
+        self._publish = publish
+        pid = os.getpid()
+        name = SessionName(Path("/proc/self/ns/pid").stat().st_ino, pid, read_stat(pid).start_time)
+        self._groups = SessionGroups(
+            name, lambda pid, start_time: ProcessIdentity(pid, start_time).is_alive()
+        )
+        self._warned: set[tuple[str, str]] = set()
+        self._entrusted: tuple[SessionGuard, int] | None = None
+
+    def entrust(self, guard: SessionGuard) -> None:
+        """Have a guard remove them, should we die; does so once for each, and for each group."""
+        folder = self._groups.folder
+        if folder is None:
+            return
+        entrusted = guard, Group(folder).number  # it may have been removed, and made anew
+        if entrusted != self._entrusted:
+            self._entrusted = entrusted
+            with suppress(OSError):  # removed by somebody else: nothing is left to be done
+                guard.entrust(folder)
+
+    def begin(self, config: ReplayConfig) -> None:
+        """Have groups, if the configuration asks for any; raises GroupError where it has to."""
+        if wants_groups(config):
+            self._groups.begin(config.cgroups, needed_controllers(group_limits(config)))
+            self._warn_of_stalls(config)
+
+    def _warn_of_stalls(self, config: ReplayConfig) -> None:
+        for container in config.containers:
+            for name, why in stalls(container):
+                if (name, why) not in self._warned:
+                    self._warned.add((name, why))
+                    _log.warning("%s: %s", name, why)
+
+    def of_container(self, config: ContainerConfig) -> tuple[Group | None, tuple[str, ...]]:
+        """Make that of a container; gives it and what its process asks for. Raises StartError."""
+        has_nodes = config.container_type.is_isolated
+        return self._member(config, has_nodes=has_nodes)
+
+    def of_process(self, config: ProcessConfig) -> tuple[Group | None, tuple[str, ...]]:
+        """Make that of a process, likewise."""
+        return self._member(config, has_nodes=False)
+
+    def _member(
+        self, config: ContainerConfig | ProcessConfig, *, has_nodes: bool
+    ) -> tuple[Group | None, tuple[str, ...]]:
+        is_container = isinstance(config, ContainerConfig)
+        kind = SubjectKind.CONTAINER if is_container else SubjectKind.PROCESS
+        name = config.full_name
+        used = partial(self._used, kind, name)
+        limits = config.resources.group
+        try:
+            made = self._groups.member(name, limits, has_nodes=has_nodes, on_end=used)
+        except GroupError as error:
+            raise StartError(str(error), permanent=True) from error
+        return (None, ()) if made is None else (made[0], (made[1],))
+
+    def enter(self, config: ComposableNodeConfig, attempt: int) -> tuple[str, ...]:
+        """Make that of a node; gives what its process asks for. Raises StartError."""
+        try:
+            entry = self._groups.node(
+                config.key.container, config.key.name, attempt, config.resources.group
+            )
+        except GroupError as error:
+            raise StartError(str(error), permanent=True) from error
+        return () if entry is None else (entry,)
+
+    def leave(self, key: NodeKey, attempt: int) -> str:
+        """Kill what a node has left, whose process has ended.
+
+        Returns:
+            Why the kernel killed it; empty: it did not.
+        """
+        used = partial(self._used, SubjectKind.NODE, str(key))
+        return self._groups.leave(key.container, key.name, attempt, used)
+
+    def _used(self, kind: SubjectKind, key: str, group: Group) -> None:
+        """Report what a group used all in all."""
+        usage = usage_of(group)
+        _log.info("the control group %s used %s", group.path.name, usage)
+        self._publish(usage.sample(time.time_ns(), kind, key, group.number))
+
+    def check(self, full_name: str, pid: int) -> None:
+        """Report a process that is not in the group that was made for it; it runs on."""
+        self._groups.check(full_name, pid)
+
+    def end(self) -> None:
+        """Remove them all, with what is left in them; blocks for a moment."""
+        self._groups.end()

@@ -1,0 +1,206 @@
+"""One process at a time: started, watched until nothing of it is left, stopped or killed."""
+
+from __future__ import annotations
+
+import logging
+from functools import partial
+from typing import TYPE_CHECKING, Final
+
+import anyio
+
+from play_launch.config.model import ProcessConfig
+from play_launch.runtime.ports import StartError
+from play_launch.runtime.publisher import report_shortfalls
+from play_launch.runtime.sources import Source, Sources
+from play_launch.supervisor.inputs import CleanedUp, Exited, NotStarted, Started, Unkillable
+from play_launch.supervisor.world import Exit, Phase
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from play_launch.config.model import ContainerConfig
+    from play_launch.process.exit import Exit as ProcessExit
+    from play_launch.process.lines import Line
+    from play_launch.runtime.ports import ManagedProcess
+    from play_launch.runtime.system import System
+    from play_launch.supervisor.events import Stream
+
+_log = logging.getLogger(__name__)
+
+GONE_LIMIT: Final = 10.0
+"""Seconds from the exit of a process to the end of its children and its output."""
+
+
+class ProcessActor:
+    """Owns the process of one unit; posts what happens to it, and carries out effects."""
+
+    def __init__(self, name: str, system: System) -> None:
+        self.name = name
+        self._system = system
+        self._sources = Sources(partial(system.fail, name))
+        self._sources.run_in(system.sources.tasks)
+        self._process: ManagedProcess | None = None
+        self._start = 0
+        self._companion = Source()
+        self._stopped: anyio.Event | None = None
+        self._was_killed = False
+
+    @property
+    def pid(self) -> int:
+        """Of its process; 0 without one."""
+        return 0 if self._process is None else self._process.pid
+
+    @property
+    def is_deserted(self) -> bool:
+        """Whether there is a process whose exit is not awaited."""
+        return self._process is not None and not self._companion.runs
+
+    @property
+    def config(self) -> ContainerConfig | ProcessConfig:
+        """Of its unit."""
+        return self._system.world.processes[self.name].config
+
+    # Effects.
+
+    def spawn(self, start: int) -> None:
+        """Start its process."""
+        self._start = start
+        try:
+            process = self._begin()
+        except StartError as error:
+            self._system.post(
+                NotStarted(self.name, start, str(error), is_permanent=error.permanent)
+            )
+            return
+        except Exception as error:  # noqa: BLE001 - it is the failure of this unit alone
+            self._system.fail(self.name, error)
+            self._system.post(NotStarted(self.name, start, str(error), is_permanent=True))
+            return
+        self._process = process
+        self._stopped = None
+        self._companion = self._sources.begin(partial(self._accompany, process, start))
+        self._system.post(Started(self.name, start, process.pid, process.start_time, process.argv))
+        self._has_started(start)
+
+    def kill(self, start: int) -> None:
+        """Kill its process."""
+        if start == self._start and self._process is not None:
+            self._stops()
+            self._process.kill()
+
+    def stop(self, start: int, *, asks: bool, reason: str) -> None:
+        """Stop its process, from gentle to hard."""
+        if start != self._start or self._process is None or self._stopped is not None:
+            return
+        self._stops()
+        ask = partial(self._ask_to_stop, reason) if asks else None
+        self._stopped = anyio.Event()
+        self._sources.begin(partial(self._stop_in_order, self._process, start, ask, self._stopped))
+
+    # What a kind of process has to say.
+
+    def _begin(self) -> ManagedProcess:
+        """Start its process; raises StartError."""
+        config = self.config
+        assert isinstance(config, ProcessConfig)
+        return self._system.launcher.start_process(config, self._on_output)
+
+    def _has_started(self, start: int) -> None:
+        del start
+        self._check_resources(self.pid)
+
+    def _ask_to_stop(self, reason: str) -> bool:
+        del reason
+        return False
+
+    def _stops(self) -> None:
+        """Silence means nothing from now on."""
+
+    async def _drained(self) -> None:
+        """Wait for what it sent before its exit."""
+
+    def _let_go(self) -> None:
+        """Nothing is heard of its process any more."""
+
+    async def _clean_up(self) -> None:
+        """Remove what its process left in the system."""
+        # Whoever writes to it, in this system or another, would go on writing into its memory, and
+        # may wait for itself there if it is none of ours (docs/fastdds.md).
+        if self._was_killed:
+            await self._system.launcher.clean_up()
+
+    def next_deadline(self) -> float | None:
+        """When `on_time` has to be called next; None: nothing is due."""
+        return None
+
+    def on_time(self) -> None:
+        """Do what is due."""
+
+    def _check_resources(self, pid: int) -> None:
+        report_shortfalls(self.name, self.config.resources, pid, self._system.publisher)
+        self._system.launcher.groups.check(self.name, pid)
+
+    def _on_output(self, stream: Stream, lines: Sequence[Line]) -> None:
+        self._system.publisher.publish_output(self.name, self.pid, stream, lines)
+
+    # The life of a process.
+
+    async def _accompany(self, process: ManagedProcess, start: int) -> None:
+        """Wait until nothing of a process is left; cancelled, it is stopped in order."""
+        try:
+            exit_ = await process.wait()
+            await self._drained()
+            self._let_go()
+            self._note_exit(exit_)
+            self._system.post(Exited(self.name, start, _exit_of(exit_)))
+        except Exception as error:  # noqa: BLE001 - the others go on
+            self._system.fail(self.name, error)
+        except BaseException:
+            with anyio.CancelScope(shield=True):
+                await process.stop(ask=None, hurry=self._system.stop_requests.hurry)
+            raise
+        finally:
+            self._let_go()
+            if not self._system.world.processes[self.name].is_stuck:
+                try:
+                    await self._nothing_is_left_of(process)
+                finally:
+                    self._process = None
+                    self._system.post(CleanedUp(self.name, start))
+
+    def _note_exit(self, exit_: ProcessExit) -> None:
+        phase = self._system.world.processes[self.name].phase
+        is_asked = phase in {Phase.STOPPING, Phase.KILLING}
+        self._was_killed = (exit_.signal != 0 or exit_.is_lost) and not is_asked
+
+    async def _nothing_is_left_of(self, process: ManagedProcess) -> None:
+        with anyio.CancelScope(shield=True):
+            if self._stopped is not None:
+                await self._stopped.wait()
+            with anyio.move_on_after(GONE_LIMIT) as scope:
+                await process.gone()
+            if scope.cancelled_caught:
+                text = "%s (pid %d): %g s after its end, something of it is left"
+                _log.error(text, self.name, process.pid, GONE_LIMIT)
+        await self._clean_up()
+
+    async def _stop_in_order(
+        self,
+        process: ManagedProcess,
+        start: int,
+        ask: Callable[[], bool] | None,
+        stopped: anyio.Event,
+    ) -> None:
+        """Stop it as gently as it allows; at once when that fails."""
+        try:
+            if not await process.stop(ask=ask, hurry=self._system.stop_requests.hurry):
+                self._system.post(Unkillable(self.name, start))
+        except Exception:  # noqa: BLE001 - it is logged, and the stop goes on
+            _log.exception("%s could not be stopped in order and is killed", self.name)
+            process.kill()
+        finally:
+            stopped.set()
+
+
+def _exit_of(exit_: ProcessExit) -> Exit:
+    return Exit(str(exit_), exit_.code, exit_.signal, exit_.is_lost)

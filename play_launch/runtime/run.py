@@ -1,0 +1,102 @@
+"""A run of a system, from its start to the end of its last process."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from typing import TYPE_CHECKING
+
+from msgspec import Struct
+
+from play_launch.runtime.launcher import NativeLauncher
+from play_launch.runtime.system import System
+from play_launch.supervisor.exit_code import exit_code
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from play_launch.config.model import ReplayConfig
+    from play_launch.runtime.ports import Launcher, ParameterService, RosAccess
+    from play_launch.runtime.publisher import Publisher, StopRequests
+    from play_launch.supervisor.view import SystemView
+    from play_launch.supervisor.world import Limits
+
+
+class Outcome(Struct, frozen=True, kw_only=True):
+    """How a run ended."""
+
+    exit_code: int
+    """As :mod:`play_launch.supervisor.exit_code` has it."""
+    view: SystemView
+    """The system when the run began to end, so before it was stopped."""
+    final_view: SystemView
+    """The system after that."""
+    reason: str
+    signum: int | None = None
+
+
+async def run_system(
+    config: ReplayConfig,
+    publisher: Publisher,
+    stop: StopRequests,
+    *,
+    launcher: Launcher | None = None,
+    parameters: ParameterService | None = None,
+    limits: Limits | None = None,
+    starts: int | None = None,
+    ros: RosAccess | None = None,
+    on_begin: Callable[[System], None] = lambda _system: None,
+) -> Outcome:
+    """Run a system from its start to the end of its last process.
+
+    It ends on a stop request, after the configured duration, or when nothing is left that could
+    still run. When it returns, or is cancelled, no process of it is left.
+
+    Args:
+        config: What to run.
+        publisher: Gets every event, on the loop's thread, and keeps the view.
+        stop: The way to end it.
+        launcher: Starts the processes; None for the real one.
+        parameters: Sets parameters of nodes; None for the real one.
+        limits: Time limits.
+        starts: How many containers start at the same time; None for `default_starts`.
+        ros: Access to the graph and to managed nodes; None for the real one.
+        on_begin: Gets the system, to operate it while it runs.
+    """
+    if launcher is None:
+        launcher = await asyncio.to_thread(NativeLauncher.of, config, publisher.publish)
+    try:
+        # A participant that gets a port number of a dead one stumbles over what that one left.
+        await launcher.clean_up()
+        system = System(
+            config,
+            publisher,
+            stop,
+            launcher=launcher,
+            parameters=parameters,
+            limits=limits,
+            starts=starts or default_starts(),
+            ros=ros,
+        )
+        on_begin(system)
+        await system.run()
+        view = publisher.view_before_stop
+        return Outcome(
+            exit_code=exit_code(view, publisher.view, stop.signum),
+            view=view,
+            final_view=publisher.view,
+            reason=stop.reason,
+            signum=stop.signum,
+        )
+    finally:
+        await launcher.clean_up()
+        await launcher.close()
+
+
+def default_starts() -> int:
+    """How many containers start up at the same time.
+
+    Enough for all of most systems: see docs/decisions/start.md. Hundreds would outlast the limits
+    that each has for its start.
+    """
+    return max(16, 4 * (os.cpu_count() or 1))

@@ -1,0 +1,424 @@
+"""A running system: one world, the inputs that change it, and the effects that follow."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import math
+import random
+from collections import deque
+from typing import TYPE_CHECKING, Final
+
+import anyio
+
+from play_launch.runtime.container_actor import ContainerActor
+from play_launch.runtime.event_log import EventLog
+from play_launch.runtime.goals import Conversations
+from play_launch.runtime.outside import Outside
+from play_launch.runtime.probes import LibraryProbes
+from play_launch.runtime.process_actor import ProcessActor
+from play_launch.runtime.sources import Sources, failure_reason
+from play_launch.runtime.watch import WATCH_LIMITS
+from play_launch.supervisor.conditions import has_ended, pending_dependencies, pending_units
+from play_launch.supervisor.difference import NOTHING, Snapshot, events_between
+from play_launch.supervisor.events import REPORTED_LOGGER
+from play_launch.supervisor.inputs import (
+    Begun,
+    Cancel,
+    CancelProbes,
+    ChangeEnded,
+    Drive,
+    End,
+    EndRequested,
+    Failed,
+    Hurried,
+    Kill,
+    Load,
+    LoadRequested,
+    Log,
+    Probe,
+    Query,
+    Raised,
+    Release,
+    SetParameters,
+    Spawn,
+    StartRequested,
+    StepEnded,
+    Stop,
+    StopRequested,
+    Time,
+    Transit,
+    Unload,
+    UnloadRequested,
+)
+from play_launch.supervisor.reducer import deadline, reduce
+from play_launch.supervisor.world import STATE_OF_PHASE, Limits, Phase, World, is_wanted
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from anyio.abc import TaskGroup
+
+    from play_launch.config.model import ReplayConfig
+    from play_launch.config.node_key import NodeKey
+    from play_launch.runtime.applying import Applying
+    from play_launch.runtime.ports import Launcher, ParameterService, RosAccess
+    from play_launch.runtime.publisher import Publisher, StopRequests
+    from play_launch.supervisor.events import ContainerState
+    from play_launch.supervisor.inputs import Effect, Input
+
+_log = logging.getLogger(__name__)
+_reported = logging.getLogger(REPORTED_LOGGER)
+
+LATE: Final = 5.0
+"""Seconds after which what is due counts as forgotten."""
+
+
+class System:
+    """A world and what acts on it. Belongs to the thread of the event loop."""
+
+    def __init__(
+        self,
+        config: ReplayConfig,
+        publisher: Publisher,
+        stop: StopRequests,
+        *,
+        launcher: Launcher,
+        parameters: ParameterService | None = None,
+        limits: Limits | None = None,
+        starts: int = 16,
+        ros: RosAccess | None = None,
+        jitter: Callable[[], float] = random.random,
+    ) -> None:
+        """Begin nothing yet; ``starts`` bounds how many containers start at the same time."""
+        self.world = World(config, starts=starts, limits=limits)
+        self.config = config
+        """As it is configured now."""
+        self.publisher = publisher
+        self.launcher = launcher
+        self._stop = stop
+        self._jitter = jitter
+        self._parameters = parameters
+        self._loop = asyncio.get_running_loop()
+        self._inputs: deque[Input] = deque()
+        self._is_busy = False
+        self._is_closed = False
+        self._timer: asyncio.TimerHandle | None = None
+        self._changed = asyncio.Event()
+        self._actors: dict[str, ProcessActor] = {}
+        self._ros = ros
+        self.sources = Sources(lambda error: _log.error("%s", error, exc_info=error))
+        self._outside = Outside(self.post, self._ros_access)
+        self._conversations = Conversations(self.post, self._ros_access, self.world)
+        self._applying: Applying | None = None
+        self._pending_at_end: tuple[str, ...] | None = None
+        self.time = self._loop.time
+        self.watch_limits = WATCH_LIMITS
+        self.probes = LibraryProbes(launcher, publisher)
+        publisher.add_sink(self._outside)
+        publisher.add_sink(EventLog())
+        self._outside.expect(config.start_rules.values())
+
+    # Inputs and effects.
+
+    def post(self, said: Input) -> None:
+        """Process an input at once, or after the one that is being processed."""
+        self._inputs.append(said)
+        if self._is_busy:
+            return
+        self._is_busy = True
+        try:
+            while self._inputs or self._is_due():
+                self._process(self._inputs.popleft() if self._inputs else Time())
+        finally:
+            self._is_busy = False
+        self._settled()
+
+    def _is_due(self) -> bool:
+        due = deadline(self.world)
+        return due is not None and due <= self._loop.time() and not self._is_closed
+
+    def _process(self, said: Input) -> None:
+        before, now = Snapshot.of(self.world), self._loop.time()
+        effects: list[Effect] = []
+        try:
+            effects = reduce(self.world, said, now, self._jitter())
+        except Exception:  # noqa: BLE001 - the rules of single units are confined
+            _log.exception("%s could not be processed", said)
+        stamp_ns = self.publisher.stamp_ns()
+        for event in events_between(before, self.world, now=now, stamp_ns=stamp_ns):
+            try:
+                self.publisher.publish(event)
+            except Exception:  # noqa: BLE001 - what was decided is carried out all the same
+                _log.exception("%s could not be published", type(event).__name__)
+        for effect in effects:
+            try:
+                self._carry_out(effect)
+            except Exception as error:  # noqa: BLE001 - it is the failure of its unit alone
+                self.fail(getattr(effect, "unit", getattr(effect, "container", "")), error)
+
+    def fail(self, unit: str, error: Exception) -> None:
+        """Give a unit up because of an exception of our own; the others go on."""
+        reason = failure_reason(error)
+        _reported.error("%s: %s", unit, reason, exc_info=error)
+        if unit in self.world.processes:
+            self.post(Failed(unit, reason))
+
+    def _settled(self) -> None:
+        world = self.world
+        if any(
+            unit.wait is not None
+            for units in (world.processes, world.nodes)
+            for unit in units.values()
+        ):
+            self._outside.watch(pending_dependencies(world))
+        else:
+            self._outside.watch(())
+        for name in [name for name in self._actors if name not in world.processes]:
+            del self._actors[name]
+        self._changed.set()
+        self._changed = asyncio.Event()
+        self._set_timer()
+
+    def _set_timer(self) -> None:
+        due = self._due()
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        if due is not None and not self._is_closed:
+            self._timer = self._loop.call_at(due, self._on_time)
+
+    def _due(self) -> float | None:
+        times = [deadline(self.world), *(each.next_deadline() for each in self._actors.values())]
+        return min((at for at in times if at is not None), default=None)
+
+    def _on_time(self) -> None:
+        self._timer = None
+        for actor in tuple(self._actors.values()):
+            actor.on_time()
+        self.post(Time())
+
+    def _carry_out(self, effect: Effect) -> None:
+        match effect:
+            case Spawn():
+                self._actor(effect.unit).spawn(effect.start)
+            case Kill():
+                self._actor(effect.unit).kill(effect.start)
+            case Stop():
+                actor = self._actor(effect.unit)
+                actor.stop(effect.start, asks=effect.asks, reason=effect.reason)
+            case Load():
+                self._container(effect.node.container).load(effect.node, effect.attempt)
+            case Cancel():
+                self._container(effect.container).cancel(effect.unique_id)
+            case Unload():
+                self._container(effect.container).unload(effect.unique_id)
+            case Query():
+                self._container(effect.container).query(effect.about)
+            case Probe():
+                self._container(effect.container).probe(effect.nodes)
+            case CancelProbes():
+                self._container(effect.container).cancel_probes()
+            case Drive():
+                self._conversations.begin(effect.unit, effect.instance)
+            case Transit():
+                self._conversations.transit(effect.unit, effect.instance, effect.action)
+            case Release():
+                self._conversations.end(effect.unit)
+            case SetParameters():
+                self.applying.set_parameters(effect.step)
+            case StepEnded():
+                self.applying.step_ended(effect)
+            case ChangeEnded():
+                self.applying.change_ended()
+            case Log(is_error=True):
+                _reported.error("%s", effect.text)
+            case Log():
+                _log.warning("%s", effect.text)
+            case Raised():
+                self.fail(effect.unit, effect.error)
+            case End():
+                self._stop.request(reason=effect.reason)
+                self.post(StopRequested(effect.reason))
+
+    def _actor(self, name: str) -> ProcessActor:
+        if name not in self._actors:
+            kind = ProcessActor if self.world.processes[name].container is None else ContainerActor
+            self._actors[name] = kind(name, self)
+        return self._actors[name]
+
+    def _container(self, name: str) -> ContainerActor:
+        actor = self._actor(name)
+        assert isinstance(actor, ContainerActor)
+        return actor
+
+    def _ros_access(self) -> RosAccess:
+        if self._ros is None:
+            # Only for those who need it.
+            from play_launch.ros.access import RosAccess  # noqa: PLC0415
+
+            self._ros = RosAccess(self.config.environment)
+        return self._ros
+
+    # What can be done to it, and asked.
+
+    @property
+    def stop_requests(self) -> StopRequests:
+        """The way to end it."""
+        return self._stop
+
+    @property
+    def processes(self) -> tuple[str, ...]:
+        """Full names of the ordinary executables, as declared."""
+        found = self.world.processes.values()
+        return tuple(each.name for each in found if each.container is None)
+
+    @property
+    def applying(self) -> Applying:
+        """What changes it while it runs."""
+        if self._applying is None:
+            # The start of a system needs none of it.
+            from play_launch.ros.parameter_setter import ParameterSetter  # noqa: PLC0415
+            from play_launch.runtime.applying import Applying  # noqa: PLC0415
+
+            self._applying = Applying(self, self._parameters or ParameterSetter())
+        return self._applying
+
+    async def until_applied(self) -> None:
+        """Wait until no configuration is being applied."""
+        if self._applying is not None:
+            await self._applying.idle.wait()
+
+    @property
+    def is_stopping(self) -> bool:
+        """Whether its end was requested."""
+        return self._stop.requested.is_set()
+
+    @property
+    def is_changing(self) -> bool:
+        """Whether another configuration is being applied."""
+        return self._applying is not None and not self._applying.idle.is_set()
+
+    @property
+    def coming(self) -> tuple[str, ...]:
+        """Units that have neither been up nor failed for good, as it was when its end began."""
+        if self._pending_at_end is not None:
+            return self._pending_at_end
+        return pending_units(self.world)
+
+    def ailment(self) -> str:
+        """Describe the first health problem; empty if there is none."""
+        for actor in self._actors.values():
+            if actor.is_deserted and not self.world.processes[actor.name].is_stuck:
+                return f"{actor.name}: nobody waits for the end of its process {actor.pid}"
+        due = self._due()
+        late = 0.0 if due is None or self._is_closed else self._loop.time() - due
+        return f"what was due {late:.0f} s ago is not done" if late > LATE else ""
+
+    def state_of(self, member: str) -> ContainerState:
+        """State of a container or executable; KeyError for an unknown name."""
+        return STATE_OF_PHASE[self.world.processes[member].phase]
+
+    async def end_of(self, member: str) -> ContainerState | None:
+        """Wait until one is at rest and return its state; None when it is wanted again before."""
+        process = self.world.processes[member]
+        while not process.is_at_rest:
+            if is_wanted(self.world, process) and process.phase is not Phase.GAVE_UP:
+                return None
+            await self._changed.wait()
+            process = self.world.processes.get(member, process)
+            if member not in self.world.processes:
+                break
+        return STATE_OF_PHASE[process.phase]
+
+    def start(self, member: str) -> None:
+        """Have a container or executable run that does not; KeyError for an unknown name.
+
+        It does not wait for what it depends on.
+        """
+        self._known(member)
+        self.post(StartRequested(member))
+
+    def stop(self, member: str, reason: str) -> None:
+        """Have one stopped, for good; the others are left alone."""
+        self._known(member)
+        self.post(EndRequested(member, reason))
+
+    def restart(self, member: str, reason: str) -> None:
+        """Have one replaced by a new process, or started."""
+        self._known(member)
+        self.post(StartRequested(member, anew=True, reason=reason))
+
+    def load(self, node: NodeKey) -> None:
+        """Have a composable node loaded, whatever it waits for; KeyError for an unknown one."""
+        self._known(node)
+        self.post(LoadRequested(node))
+
+    def unload(self, node: NodeKey) -> None:
+        """Have one unloaded, for good."""
+        self._known(node)
+        self.post(UnloadRequested(node))
+
+    def reload(self, node: NodeKey) -> None:
+        """Have one replaced by a new one, or loaded."""
+        self._known(node)
+        self.post(LoadRequested(node, anew=True))
+
+    def _known(self, unit: str | NodeKey) -> None:
+        units = self.world.processes if isinstance(unit, str) else self.world.nodes
+        if unit not in units:
+            raise KeyError(unit)
+
+    def use_rules(self, config: ReplayConfig) -> None:
+        """Have the lines that others depend on looked for."""
+        self._outside.expect(config.start_rules.values())
+
+    # Its life.
+
+    async def run(self) -> None:
+        """Run it to its end, see `play_launch.runtime.run`."""
+        until = None if self.config.duration is None else self._loop.time() + self.config.duration
+        now, stamp_ns = self._loop.time(), self.publisher.stamp_ns()
+        for event in events_between(NOTHING, self.world, now=now, stamp_ns=stamp_ns):
+            self.publisher.publish(event)
+        self.publisher.remember_view_before(self._stop)
+        try:
+            async with anyio.create_task_group() as tasks:
+                self._begin(tasks)
+                with anyio.CancelScope(deadline=math.inf if until is None else until):
+                    await self._stop.requested.wait()
+                if not self._stop.requested.is_set():
+                    reason = f"its duration of {self.config.duration:g} s is over"
+                    self._stop.request(reason=reason)
+                self._pending_at_end = self.coming
+                _log.info("stopping: %s", self._stop.reason)
+                tasks.start_soon(self._hurry)
+                self.post(StopRequested(self._stop.reason, self._stop.signum))
+                await self.until(lambda: has_ended(self.world))
+                tasks.cancel_scope.cancel()
+        finally:
+            self._close()
+            await self._outside.close()
+            if self._applying is not None:
+                await self._applying.close()
+
+    def _begin(self, tasks: TaskGroup) -> None:
+        self.sources.run_in(tasks)
+        self.sources.begin(self._outside.run)
+        self._conversations.run_in(tasks)
+        if not self._stop.requested.is_set():
+            self.post(Begun())
+
+    async def _hurry(self) -> None:
+        await self._stop.hurry.wait()
+        self.post(Hurried())
+
+    def _close(self) -> None:
+        self._is_closed = True
+        if self._timer is not None:
+            self._timer.cancel()
+
+    async def until(self, condition: Callable[[], bool]) -> None:
+        """Wait until a condition of the world holds."""
+        while not condition():
+            await self._changed.wait()

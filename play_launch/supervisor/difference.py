@@ -1,0 +1,259 @@
+"""Events as the difference of two worlds: the only source of what is published about a system."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from msgspec.structs import replace
+
+from play_launch.supervisor.events import (
+    ComponentEvent,
+    ComponentEventKind,
+    ContainerState,
+    ContainerStateChanged,
+    ManagedNodeChanged,
+    NodeState,
+    NodeStateChanged,
+    ProcessEvent,
+    ProcessEventKind,
+    SubjectKind,
+    Withdrawn,
+)
+from play_launch.supervisor.goal_life import ManagedState
+from play_launch.supervisor.world import STATE_OF_PHASE, Phase
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from play_launch.config.node_key import NodeKey
+    from play_launch.supervisor.events import RunEvent
+    from play_launch.supervisor.world import Goal, Node, Process, World
+
+_TIMED: Final = frozenset(
+    {NodeState.REQUESTED, NodeState.LOADING, NodeState.LOADED, NodeState.LOAD_FAILED}
+)
+"""States that are reported with the time since the load was sent."""
+
+
+class Snapshot(NamedTuple):
+    """The units of a world at one moment."""
+
+    processes: Mapping[str, Process]
+    nodes: Mapping[NodeKey, Node]
+    goals: Mapping[str, Goal]
+
+    @classmethod
+    def of(cls, world: World) -> Snapshot:
+        """Keep how the units are now."""
+        return cls(dict(world.processes), dict(world.nodes), dict(world.goals))
+
+
+NOTHING: Final = Snapshot({}, {}, {})
+
+
+def events_between(
+    before: Snapshot, world: World, *, now: float, stamp_ns: int
+) -> Iterator[RunEvent]:
+    """Give the events that lead from one world to the next, in the order of their publication."""
+    requested = []
+    for name, process in world.processes.items():
+        old = before.processes.get(name)
+        has_changed = old is not process
+        if has_changed:
+            yield from _process(old, process, stamp_ns)
+        if process.container is not None:
+            for node in world.nodes_of(name):
+                if before.nodes.get(node.key) is node:
+                    continue
+                if node.state is NodeState.REQUESTED:
+                    requested.append(node)
+                else:
+                    yield from _node(before.nodes.get(node.key), node, now, stamp_ns)
+            # A container that is removed takes its nodes along.
+            for key in before.nodes:
+                if key.container == name and key not in world.nodes:
+                    yield Withdrawn(stamp_ns=stamp_ns, kind=SubjectKind.NODE, key=str(key))
+        if has_changed:
+            yield from _sequel(old, process, stamp_ns)
+    for node in requested:  # what led to them comes first
+        yield from _node(before.nodes.get(node.key), node, now, stamp_ns)
+    for name, old in before.processes.items():
+        if name not in world.processes:
+            kind = SubjectKind.PROCESS if old.container is None else SubjectKind.CONTAINER
+            yield Withdrawn(stamp_ns=stamp_ns, kind=kind, key=name)
+    for unit, goal in world.goals.items():
+        was = before.goals.get(unit)
+        if goal is not was:
+            yield from _goal(was, goal, stamp_ns)
+    for unit, was in before.goals.items():
+        if unit not in world.goals:
+            yield from _goal(was, replace(was, state=ManagedState.ABSENT, reason=""), stamp_ns)
+
+
+def _process(old: Process | None, new: Process, stamp_ns: int) -> Iterator[RunEvent]:
+    is_new = old is None or old.attempt != new.attempt
+    if new.is_started and (old is None or is_new or not old.is_started):
+        yield _event(new, ProcessEventKind.STARTED, stamp_ns, command=new.argv)
+    if new.exit is not None and (old is None or is_new or old.exit is None):
+        because = f"{new.killed_because}; " if new.killed_because else ""
+        yield _event(
+            new,
+            ProcessEventKind.EXITED,
+            stamp_ns,
+            message=f"{because}{new.exit.text}",
+            exit_code=new.exit.code,
+            signal=new.exit.signal,
+            restarts=(old or new).restarts.total,
+        )
+    text = _new_wait(old, new)
+    if new.container is None:
+        return
+    state = STATE_OF_PHASE[new.phase]
+    if text or old is None or STATE_OF_PHASE[old.phase] is not state:
+        yield ContainerStateChanged(
+            stamp_ns=stamp_ns,
+            container=new.name,
+            state=state,
+            reason=text or new.reason,
+            mechanism=new.hello.mechanism if new.hello and state is ContainerState.RUNNING else "",
+        )
+
+
+def _sequel(old: Process | None, new: Process, stamp_ns: int) -> Iterator[RunEvent]:
+    """Give the events that say what follows, after those of the nodes of a container."""
+    if new.container is None and (text := _new_wait(old, new)):
+        yield _event(new, ProcessEventKind.WAITING, stamp_ns, message=text)
+    if old is None:
+        return
+    if new.stopped and not (old.stopped and old.attempt == new.attempt):
+        yield _event(new, ProcessEventKind.STOPPING, stamp_ns, message=new.reason)
+    if new.phase is old.phase:
+        return
+    match new.phase:
+        case Phase.RUNNING if new.hello is not None:
+            message = new.hello.description
+            yield _event(new, ProcessEventKind.READY, stamp_ns, message=message)
+        case Phase.KILLING:
+            message = f"killed: {new.killed_because}"
+            yield _event(new, ProcessEventKind.STOPPING, stamp_ns, message=message)
+        case Phase.BACKOFF:
+            yield _event(new, ProcessEventKind.RESTARTING, stamp_ns, message=new.reason)
+        case Phase.GAVE_UP:
+            yield _event(new, ProcessEventKind.GAVE_UP, stamp_ns, message=new.reason)
+        case Phase.STOPPED if old.phase is Phase.BACKOFF or old.wait is not None:
+            # Without an exit to report, it would be shown as waiting for its start.
+            if new.container is None:
+                yield _event(new, ProcessEventKind.STOPPED, stamp_ns, message=new.reason)
+        case _:
+            pass
+
+
+def _new_wait(old: Process | Node | None, new: Process | Node) -> str:
+    """Give what a unit waits for, if that is news."""
+    if new.wait is None or not new.wait.text:
+        return ""
+    before = old.wait.text if old is not None and old.wait is not None else ""
+    return new.wait.text if new.wait.text != before else ""
+
+
+def _event(
+    process: Process,
+    kind: ProcessEventKind,
+    stamp_ns: int,
+    *,
+    message: str = "",
+    exit_code: int = 0,
+    signal: int = 0,
+    command: tuple[str, ...] = (),
+    restarts: int | None = None,
+) -> ProcessEvent:
+    return ProcessEvent(
+        stamp_ns=stamp_ns,
+        kind=kind,
+        name=process.name,
+        pid=process.pid,
+        start_time=process.start_time,
+        exit_code=exit_code,
+        signal=signal,
+        restarts=process.restarts.total if restarts is None else restarts,
+        message=message,
+        command=command,
+    )
+
+
+def _node(old: Node | None, new: Node, now: float, stamp_ns: int) -> Iterator[RunEvent]:
+    if old is not None and new.refusals != old.refusals:
+        yield _refusal(new, stamp_ns)
+    text = _new_wait(old, new)
+    has_changed = old is None or (old.state, old.attempt, old.reports) != (
+        new.state,
+        new.attempt,
+        new.reports,
+    )
+    if not has_changed and not text:
+        return
+    elapsed = now - new.sent_at if new.state in _TIMED and new.attempt else 0.0
+    yield NodeStateChanged(
+        stamp_ns=stamp_ns,
+        key=new.key,
+        state=new.state,
+        elapsed_ns=round(elapsed * 1e9),
+        reason=text or new.reason,
+        pid=new.pid,
+        start_time=new.start_time,
+        cpu_time_ns=new.cpu_time_ns,
+        unique_id=new.unique_id,
+        attempt=new.attempt,
+        crashes=new.crashes,
+        reloads=new.reloads,
+    )
+    if new.is_confirmed and (old is None or old.state is not new.state):
+        yield _confirmation(new, stamp_ns)
+
+
+def _refusal(node: Node, stamp_ns: int) -> ComponentEvent:
+    finding = node.finding
+    return ComponentEvent(
+        stamp_ns=stamp_ns,
+        kind=ComponentEventKind.LOAD_FAILED,
+        container=node.key.container,
+        unique_id=node.unique_id,
+        attempt=node.attempt,
+        full_node_name=node.key.name,
+        package_name=node.config.package,
+        plugin_name=node.config.plugin,
+        error_message=node.reason,
+        exit_code=finding.exit_code if finding and not finding.signal else 0,
+        signal=finding.signal if finding else 0,
+        backtrace=finding.backtrace if finding else (),
+        modules=finding.modules if finding else (),
+        confirmed_by="supervisor" if finding is None else "probe",
+    )
+
+
+def _confirmation(node: Node, stamp_ns: int) -> ComponentEvent:
+    return ComponentEvent(
+        stamp_ns=stamp_ns,
+        kind=ComponentEventKind.LOADED,
+        container=node.key.container,
+        unique_id=node.unique_id,
+        attempt=node.attempt,
+        full_node_name=node.full_node_name,
+        package_name=node.config.package,
+        plugin_name=node.config.plugin,
+        pid=node.pid,
+        start_time=node.start_time,
+        confirmed_by="status",
+    )
+
+
+def _goal(old: Goal | None, new: Goal, stamp_ns: int) -> Iterator[RunEvent]:
+    is_news = old is not None and old.state is not new.state
+    if is_news and new.config.autostart is not None:
+        yield ManagedNodeChanged(
+            stamp_ns=stamp_ns,
+            unit=new.unit,
+            node=new.config.name,
+            state=new.state,
+            reason=new.reason,
+        )

@@ -1,0 +1,431 @@
+"""Everything that can happen in a run, as immutable values.
+
+These are the only things that actors publish: the live view, the summary, the exit code
+and the recording are all derived from this one stream. The numbers of the enumerations are those
+of the ``play_launch_msgs`` messages, so that they can go to the wire and the recording unchanged.
+
+Units: ``stamp_ns`` is wall-clock time in nanoseconds since the epoch; ``elapsed_ns`` and
+``cpu_time_ns`` are durations in nanoseconds; ``start_time`` is in clock ticks after boot
+(``/proc/<pid>/stat``, field 22).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import IntEnum, StrEnum
+from typing import TYPE_CHECKING, Final, Protocol
+
+from msgspec import Struct
+
+if TYPE_CHECKING:
+    from play_launch.config.node_key import NodeKey
+    from play_launch.supervisor.goal_life import ManagedState
+
+
+class ComponentEventKind(IntEnum):
+    """``play_launch_msgs/ComponentEvent.event_type``."""
+
+    LOADED = 0
+    UNLOADED = 1
+    LOAD_FAILED = 2
+    CRASHED = 3
+    LOADING = 4
+
+
+class ProcessEventKind(IntEnum):
+    """``play_launch_msgs/ProcessEvent.event_type``."""
+
+    STARTED = 0
+    READY = 1
+    EXITED = 2
+    RESTARTING = 3
+    GAVE_UP = 4
+    STOPPING = 5
+    WAITING = 6
+    """It is not started before what it depends on."""
+    STOPPED = 7
+    """It was stopped while it did not run, and so is not started."""
+
+
+class NodeState(StrEnum):
+    """What is known about one declared composable node."""
+
+    PENDING = "pending"
+    """Not asked for yet (its container is not ready)."""
+    REQUESTED = "requested"
+    """The load was sent; the container has not answered."""
+    LOADING = "loading"
+    """Accepted: it has a unique_id and its constructor runs."""
+    LOADED = "loaded"
+    LOAD_FAILED = "load failed"
+    UNLOADING = "unloading"
+    UNLOADED = "unloaded"
+    CRASHED = "crashed"
+    """The node alone died; its container lives."""
+    GAVE_UP = "gave up"
+    """It crashed and is not loaded again by itself."""
+    LOST = "lost"
+    """Its container died or forgot it."""
+
+
+class ContainerState(StrEnum):
+    """What is known about one container, or another member of the system."""
+
+    STOPPED = "stopped"
+    STARTING = "starting"
+    """Waits for its turn to start, or was spawned and has not said hello."""
+    RUNNING = "running"
+    KILLING = "killing"
+    """It was sent SIGKILL, for it no longer answers; its end has not been seen."""
+    BACKOFF = "backoff"
+    """Dead; waits before it is started again."""
+    GAVE_UP = "gave up"
+    STOPPING = "stopping"
+
+
+class SubjectKind(IntEnum):
+    """What a state or a sample is about: ``play_launch_msgs/StateEvent.kind``."""
+
+    NODE = 0
+    CONTAINER = 1
+    PROCESS = 2
+    MANAGED = 3
+    """A managed node, beside what it is otherwise."""
+
+
+class MemoryKind(IntEnum):
+    """What a number of bytes counts: ``play_launch_msgs/ProcessStats.memory_kind``."""
+
+    UNKNOWN = 0
+    PSS = 1
+    """Proportional set size: of shared pages the share of this process."""
+    RSS = 2
+    """Resident set size: shared pages in full."""
+    SHARED = 3
+    """That of the container, whose memory the node shares: not the node's alone."""
+
+
+class ActionPhase(IntEnum):
+    """``play_launch_msgs/ActionEvent.phase``."""
+
+    REQUESTED = 0
+    DONE = 1
+    FAILED = 2
+
+
+class Stream(StrEnum):
+    """Where a line of output came from."""
+
+    STDOUT = "stdout"
+    STDERR = "stderr"
+
+
+# Not a Struct, which would compare all of its fields.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ComponentEvent:
+    """One step of one load attempt, as the container reported it."""
+
+    stamp_ns: int
+    kind: ComponentEventKind
+    container: str
+    """Full name of the container's node."""
+    unique_id: int
+    attempt: int
+    full_node_name: str
+    package_name: str
+    plugin_name: str
+    error_message: str = ""
+    pid: int = 0
+    start_time: int = 0
+    exit_code: int = 0
+    signal: int = 0
+    backtrace: tuple[str, ...] = ()
+    modules: tuple[str, ...] = ()
+    """Libraries and programs of the backtrace: ``name build-id path``, ``-`` for no build id."""
+    confirmed_by: str = ""
+    """How it is known when the container has not said it by itself, else empty.
+
+    ``"status"`` and ``"list_nodes"``: it was asked, by the control channel or the service of that
+    name. ``"probe"``: a scratch process loaded the library. ``"supervisor"``: it was decided by us.
+    """
+    received: bytes = field(default=b"", compare=False, repr=False)
+    """The message in CDR as its container sent it, for the recording; else empty."""
+
+
+class ProcessEvent(Struct, frozen=True, kw_only=True):
+    """One step in the life of a process that the supervisor owns."""
+
+    stamp_ns: int
+    kind: ProcessEventKind
+    name: str
+    """Full name of the container or node."""
+    pid: int = 0
+    start_time: int = 0
+    exit_code: int = 0
+    signal: int = 0
+    restarts: int = 0
+    """How often this member was restarted so far."""
+    message: str = ""
+    """Why, and what happens next."""
+    command: tuple[str, ...] = ()
+
+
+class OutputLine(Struct, frozen=True, kw_only=True):
+    """One line that a process wrote, without its line end."""
+
+    stamp_ns: int
+    process: str
+    """Full name of the container or node."""
+    pid: int
+    stream: Stream
+    text: str
+    truncated: bool = False
+
+
+class LogRecord(Struct, frozen=True, kw_only=True):
+    """One record of the supervisor's own log; ``level`` as in ``rcl_interfaces/Log``."""
+
+    stamp_ns: int
+    level: int
+    """10 debug, 20 info, 30 warning, 40 error, 50 fatal."""
+    name: str
+    message: str
+    file: str = ""
+    function: str = ""
+    line: int = 0
+
+
+class NodeStateChanged(Struct, frozen=True, kw_only=True):
+    """The supervisor's view of a declared composable node changed, or is reported again.
+
+    It is repeated with the same state while a constructor is slow.
+    """
+
+    stamp_ns: int
+    key: NodeKey
+    state: NodeState
+    elapsed_ns: int = 0
+    """Time since the load was sent, or that it took; 0 where no load is meant."""
+    reason: str = ""
+    pid: int = 0
+    start_time: int = 0
+    """Of the process with this pid; 0 where unknown."""
+    cpu_time_ns: int = 0
+    """CPU time of the constructor; 0 where unknown."""
+    unique_id: int = 0
+    attempt: int = 0
+    crashes: int = 0
+    """How often it crashed so far."""
+    reloads: int = 0
+    """How often it was loaded again because of that."""
+
+    @property
+    def container(self) -> str:
+        """Full name of the container that it is declared in."""
+        return self.key.container
+
+    @property
+    def node(self) -> str:
+        """Declared full name, or the label of a node that has none."""
+        return self.key.name
+
+
+class ContainerStateChanged(Struct, frozen=True, kw_only=True):
+    """The supervisor's view of a container changed."""
+
+    stamp_ns: int
+    container: str
+    state: ContainerState
+    reason: str = ""
+    mechanism: str = ""
+    """How its nodes are isolated, while it runs: ``shared_memory``, ``process``; else empty."""
+
+
+class Withdrawn(Struct, frozen=True, kw_only=True):
+    """A container, composable node or process was taken out of the running system.
+
+    It counts no more: neither for the view nor for the exit code.
+    """
+
+    stamp_ns: int
+    kind: SubjectKind
+    key: str
+    """As in the changes of state: ``/container:/node`` for a composable node, else the name."""
+    reason: str = ""
+
+
+class GraphChanged(Struct, frozen=True, kw_only=True):
+    """Nodes came into the ROS graph, or left it, as the graph daemon sees it.
+
+    They may be anybody's: the graph is that of the whole ROS domain. A name stands there as often
+    as there are nodes that bear it.
+    """
+
+    stamp_ns: int
+    """When it was noticed, up to half a second after it happened."""
+    appeared: tuple[str, ...]
+    """Full names."""
+    vanished: tuple[str, ...]
+    nodes: int
+    """How many there are now."""
+
+
+class ManagedNodeChanged(Struct, frozen=True, kw_only=True):
+    """A managed (lifecycle) node that is brought somewhere by ``autostart`` is in another state."""
+
+    stamp_ns: int
+    unit: str
+    """The key of the composable node, written out, or the full name of the process."""
+    node: str
+    """Full name."""
+    state: ManagedState
+    reason: str = ""
+    """Why it failed; else empty."""
+
+
+class ActionEvent(Struct, frozen=True, kw_only=True):
+    """Somebody had something done to the running system, or it is known what came of that."""
+
+    stamp_ns: int
+    number: int
+    """Of the action, from 1 on; all that is published about one has the same."""
+    action: str
+    """``stop``, ``reload`` ...: an operation of the control socket."""
+    phase: ActionPhase
+    targets: tuple[str, ...]
+    """Full names of containers and processes, keys of composable nodes."""
+    uid: int
+    """Of whoever asked, as the kernel says."""
+    pid: int
+    command: str
+    """The command line of that process, as it says itself; empty where it says none."""
+    reason: str = ""
+    """Why it failed; of a request, what was asked for besides."""
+
+
+class ProcessSample(Struct, frozen=True, kw_only=True):
+    """What the process of a container, of an isolated node or of its own used up to now."""
+
+    stamp_ns: int
+    kind: SubjectKind
+    key: str
+    """As in the changes of state: ``/container:/node`` for a composable node, else the name."""
+    pid: int
+    start_time: int
+    cpu_percent: float
+    """Of one core, since the sample before; in the first one since its start."""
+    cpu_seconds: float
+    """Since its start, user and system."""
+    memory_bytes: int
+    memory_kind: MemoryKind
+    threads: int
+    descriptors: int
+    read_bytes: int
+    """From storage, since its start."""
+    write_bytes: int
+    voluntary_switches: int
+    """Context switches of its main thread since its start, because it waited."""
+    involuntary_switches: int
+
+
+class GroupSample(Struct, frozen=True, kw_only=True):
+    """What a control group used and was kept from since it was made, by the kernel's numbers.
+
+    NaN and 0 stand where its controller is not in use.
+    """
+
+    stamp_ns: int
+    kind: SubjectKind
+    key: str
+    """As in `ProcessSample`; the group of a container has its isolated nodes in it as well."""
+    group: int
+    """Which one, by the inode of its folder; of each process and each load of a node another."""
+    cpu_seconds: float
+    """Of all that was in it."""
+    throttled_periods: int
+    """In which ``cpu_max`` held it back."""
+    throttled_seconds: float
+    cpu_pressure: float
+    """Pressure stall: percent of the latest 10 s in which some of its threads waited for a core."""
+    memory_pressure: float
+    io_pressure: float
+    memory_bytes: int
+    processes: int
+    """And threads, now."""
+    oom_kills: int
+    """Processes that were killed for want of memory."""
+    pids_max_hits: int
+    """Processes and threads that could not be started because of ``pids_max``."""
+
+
+class SystemSample(Struct, frozen=True, kw_only=True):
+    """What the machine was doing; NaN or 0 where the kernel offers no such number.
+
+    Percentages are of the time since the sample before, sizes are in bytes.
+    """
+
+    stamp_ns: int
+    cpu_percent: float
+    """0 to 100, of all cores together."""
+    core_percent: tuple[float, ...]
+    """Of each core by its number; NaN for one that is offline."""
+    core_mhz: tuple[float, ...]
+    """Empty where the machine does not show it."""
+    memory_total: int
+    memory_available: int
+    swap_used: int
+    shm_used: int
+    """Of ``/dev/shm``."""
+    shm_total: int
+    disk_free: int
+    """On the file system of the recording."""
+    load_1: float
+    load_5: float
+    load_15: float
+    cpu_some_avg10: float
+    """Pressure stall: percent of the latest 10 s in which some tasks waited for a core."""
+    memory_some_avg10: float
+    memory_full_avg10: float
+    """As above, but all tasks at once."""
+    io_some_avg10: float
+    io_full_avg10: float
+    steal_percent: float
+    """Time that the hypervisor gave to other machines."""
+
+
+Sample = ProcessSample | GroupSample | SystemSample
+"""Measurements come all the time: they are recorded, and not shown one by one."""
+
+StateEvent = NodeStateChanged | ContainerStateChanged | ProcessEvent
+"""What the view of a system follows from."""
+
+RunEvent = (
+    ComponentEvent
+    | ProcessEvent
+    | OutputLine
+    | LogRecord
+    | NodeStateChanged
+    | ContainerStateChanged
+    | Withdrawn
+    | GraphChanged
+    | ActionEvent
+    | ManagedNodeChanged
+    | ProcessSample
+    | GroupSample
+    | SystemSample
+)
+
+
+REPORTED_LOGGER: Final = "play_launch.reported"
+"""Logger for what an event reports as well: recorded, but shown once only."""
+
+
+class EventSink(Protocol):
+    """Takes events; never blocks. Call it from the loop's thread unless a sink says otherwise."""
+
+    def publish(self, event: RunEvent) -> None:
+        """Take one event."""
+
+
+UNKNOWN_STATUS: Final = -1
+"""Stands for one that nobody knows: who could have read it was killed, or somebody else did."""

@@ -1,0 +1,429 @@
+"""Rules of composable nodes: when a fact holds, and what follows from it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final, assert_never
+
+from msgspec.structs import replace
+
+from play_launch.supervisor import process_rules, quarantine
+from play_launch.supervisor.conditions import readiness
+from play_launch.supervisor.events import NodeState
+from play_launch.supervisor.inputs import Cancel, CancelProbes, Load, Unload
+from play_launch.supervisor.node_life import (
+    AWAITED,
+    IDLE,
+    LOADING,
+    REPORTED,
+    STATUS,
+    TABLE,
+    NodeAction,
+    NodeFact,
+)
+from play_launch.supervisor.process_life import Fact
+from play_launch.supervisor.restart import (
+    GiveUp,
+    Ignore,
+    Restart,
+    RestartHistory,
+    Shutdown,
+    StopContainer,
+    follow_up,
+)
+from play_launch.supervisor.world import Phase, is_wanted
+
+if TYPE_CHECKING:
+    from play_launch.config.node_key import NodeKey
+    from play_launch.supervisor.inputs import HealthReported, NodeReported, ProbeResult
+    from play_launch.supervisor.step import Step
+    from play_launch.supervisor.world import Node, Process, World
+
+_RELOAD_FAILURES: Final = frozenset(
+    {
+        (NodeState.REQUESTED, NodeFact.REJECTED),
+        (NodeState.REQUESTED, NodeFact.LOAD_FAILED),
+        (NodeState.REQUESTED, NodeFact.STATUS_UNKNOWN_AGAIN),
+        (NodeState.LOADING, NodeFact.LOAD_FAILED),
+        (NodeState.LOADING, NodeFact.STATUS_UNKNOWN_AGAIN),
+    }
+)
+"""Where a failed load is a failed reload, if it followed a crash."""
+_REFUSABLE: Final = frozenset({NodeState.PENDING, NodeState.LOST, NodeState.LOAD_FAILED})
+
+
+def under_way(world: World, container: str) -> tuple[NodeKey, ...]:
+    """Name the nodes of a container that are being loaded."""
+    return tuple(node.key for node in world.nodes_of(container) if node.state in LOADING)
+
+
+def reported(step: Step, said: NodeReported) -> None:
+    """A container reported something about a node."""
+    node = _meant(step.world, said)
+    if node is not None:
+        _apply(step, node, said.said, said)
+
+
+def _meant(world: World, said: NodeReported) -> Node | None:
+    """Find the node whose latest load a report is about."""
+    for node in world.nodes_of(said.unit):
+        if said.said in REPORTED:
+            if said.attempt and node.attempt == said.attempt:
+                matches = not (said.unique_id and node.unique_id) or (
+                    said.unique_id == node.unique_id
+                )
+                return node if matches else None
+        elif said.unique_id and node.unique_id == said.unique_id:
+            return node
+    return None
+
+
+def _apply(step: Step, before: Node, fact: NodeFact, said: NodeReported | None = None) -> None:
+    """Apply a fact to a node by the table; ``said`` is the report that it comes from, if any."""
+    world, now = step.world, step.now
+    if fact is NodeFact.STATUS_UNKNOWN and before.resent:
+        fact = NodeFact.STATUS_UNKNOWN_AGAIN
+    if before.is_reload and (before.state, fact) in _RELOAD_FAILURES:
+        fact = NodeFact.RELOAD_FAILED
+    state, actions = TABLE[before.state][fact]
+    node = replace(before, state=state)
+    has_changed = state is not before.state
+    if said is not None:
+        node = _with_report(node, said, has_changed=has_changed)
+    elif has_changed:
+        node = replace(node, reason="", is_confirmed=False)
+    if has_changed and state is NodeState.LOADED:
+        node = replace(
+            node,
+            loaded_at=now,
+            took=now - node.sent_at,
+            died_constructing="",
+            has_renewed=False,
+            is_confirmed=fact is NodeFact.STATUS_LOADED,
+            reason=node.reason or _other_name(node),
+        )
+    if said is not None and said.signal and before.loaded_at is None:
+        node = replace(node, died_constructing=node.reason)
+    if has_changed and fact is NodeFact.CRASHED:
+        node = replace(node, crashes=node.crashes + 1)
+    is_slow = fact is NodeFact.STATUS_CONSTRUCTING and before.state in AWAITED
+    if is_slow:
+        node = replace(node, reports=node.reports + 1)
+    if fact is NodeFact.UNLOADED and has_changed and not node.reason and _is_unasked(step, before):
+        node = replace(node, reason="not at the supervisor's request")
+    node = replace(node, query_at=_query_at(step, before, node, fact))
+    world.put(node)
+    if before.state in LOADING and state not in LOADING and fact is not NodeFact.CONTAINER_LOST:
+        quarantine.survived(world, node)
+    if has_changed and state is NodeState.LOAD_FAILED and _renews(step, node, said):
+        return
+    for action in actions:
+        _execute(step, step.node(node.key), action)
+    if is_slow and node.is_reload:
+        _reload_hangs(step, node)
+
+
+def _with_report(node: Node, said: NodeReported, *, has_changed: bool) -> Node:
+    values: dict[str, object] = {}
+    if said.unique_id and not node.unique_id:
+        values["unique_id"] = said.unique_id
+    if said.pid:
+        values |= {"pid": said.pid, "start_time": said.start_time}
+    if has_changed or said.said is NodeFact.STATUS_CONSTRUCTING:
+        values |= {
+            "reason": said.reason,
+            "cpu_time_ns": said.cpu_time_ns,
+            "full_node_name": said.full_node_name or node.full_node_name,
+            "is_confirmed": False,
+        }
+    return replace(node, **values)
+
+
+def _other_name(node: Node) -> str:
+    """Describe that a component ignored the name that it was given; empty if it did not."""
+    is_other = node.config.name and node.full_node_name not in {"", node.key.name}
+    return f"it calls itself {node.full_node_name}" if is_other else ""
+
+
+def _is_unasked(step: Step, node: Node) -> bool:
+    container = step.process(node.key.container)
+    runs = container.phase is not Phase.STOPPING and not container.stopped
+    return runs and node.state is not NodeState.UNLOADING
+
+
+def _query_at(step: Step, before: Node, node: Node, fact: NodeFact) -> float | None:
+    if node.state not in AWAITED:
+        return None
+    if fact is NodeFact.STATUS_CONSTRUCTING:
+        return step.now + step.world.limits.report_interval
+    has_changed = node.state is not before.state or node.attempt != before.attempt
+    if has_changed or fact is NodeFact.SILENT or fact in STATUS:
+        config = step.process(node.key.container).container
+        assert config is not None
+        return step.now + config.loading_timeout
+    return before.query_at
+
+
+def _renews(step: Step, node: Node, said: NodeReported | None) -> bool:
+    """Restart the container because of a failed load; whether it does.
+
+    What a constructor that died had opened, such as a port, stays open in the container. One that
+    dies again is not helped by that, and its neighbours are left alone.
+    """
+    container = step.process(node.key.container)
+    config = container.container
+    assert config is not None
+    shares = container.hello is not None and container.hello.mechanism == "shared_memory"
+    helps = shares and not config.attach and config.restart.max_restarts > 0
+    has_died = bool(node.died_constructing) and not node.has_renewed
+    if (said and said.signal) or not has_died or not helps or not container.takes_loads:
+        return False
+    died = f"its constructor died in this container before ({node.died_constructing})"
+    reason = f"{node.key.name} cannot be loaded, and {died}: what it had opened stays open"
+    reason = f"{reason}: {node.reason}"
+    step.log(f"{container.name} is started anew: {reason}")
+    step.world.put(node, has_renewed=True, reason=f"{node.reason}; its container is started anew")
+    step.world.put(container, generation=container.generation + 1, request_reason=reason)
+    return True
+
+
+def _reload_hangs(step: Step, node: Node) -> None:
+    container = step.process(node.key.container)
+    if container.lost_locks:
+        reason = f"{node.key.name} is not loaded again: {node.reason}"
+        process_rules.poisoned(step, container, f"a dead node may have left a lock: {reason}")
+
+
+def _execute(step: Step, node: Node, action: NodeAction) -> None:
+    match action:
+        case NodeAction.LOAD:
+            _load(step, node)
+        case NodeAction.LOAD_AGAIN:
+            step.log(f"{node.key.name}: {node.key.container} does not know the load, sent anew")
+            reason = "the container did not know the load; sent anew"
+            _load(step, replace(node, resent=True, reason=reason), is_again=True)
+        case NodeAction.QUERY:
+            step.query(node)
+        case NodeAction.CANCEL:
+            step.effects.append(Cancel(node.key.container, node.unique_id))
+        case NodeAction.UNLOAD:
+            step.effects.append(Unload(node.key.container, node.unique_id))
+        case NodeAction.RESTART:
+            _follow_crash(step, node)
+        case _:
+            assert_never(action)
+
+
+def _load(step: Step, node: Node, *, is_again: bool = False) -> None:
+    container = step.process(node.key.container)
+    assert container.container is not None
+    attempt = step.world.next_load()
+    if not is_again:
+        node = replace(node, resent=False, reason="")
+    step.world.put(
+        quarantine.mark_tried(node),
+        attempt=attempt,
+        loaded_into=container.attempt,
+        unique_id=0,
+        pid=0,
+        start_time=0,
+        loaded_at=None,
+        sent_at=step.now,
+        query_at=step.now + container.container.loading_timeout,
+        next_at=None,
+        gives_up="",
+        wait=None,
+        reloads=node.reloads + (node.is_reload and not is_again),
+    )
+    step.effects.append(Load(node.key, attempt))
+
+
+def _follow_crash(step: Step, node: Node) -> None:
+    """Decide what follows from a crash or a failed reload."""
+    container = step.process(node.key.container)
+    if not container.takes_loads or not is_wanted(step.world, node):
+        return
+    lived = 0.0 if node.loaded_at is None else step.now - node.loaded_at
+    limits = replace(node.config.restart, first_at_once=True)
+    history, verdict = follow_up(
+        node.config.on_crash, node.history, limits, now=step.now, lived=lived, jitter=step.chance
+    )
+    node = replace(node, loaded_at=None, history=history)
+    match verdict:
+        case Restart(delay):
+            when = f"in {delay:.2f} s" if delay else "at once"
+            reason = f"{node.reason}; it is loaded again {when}"
+            step.world.put(node, reason=reason, next_at=step.now + delay)
+        case GiveUp(reason):
+            step.world.put(node, next_at=step.now, gives_up=f"{node.reason}; {reason}")
+        case Ignore():
+            step.world.put(node, reason=f"{node.reason}; it stays away")
+        case StopContainer():
+            gives_up = f"{node.reason}; its container is stopped"
+            step.world.put(node, next_at=step.now, gives_up=gives_up)
+            reason = f"{node.key.name} crashed: {node.reason}"
+            process_rules.apply(step, container.name, Fact.STOP, reason)
+        case Shutdown():
+            reason = f"{node.key.name} crashed: {node.reason}"
+            step.world.put(node, reason=f"{node.reason}; everything is stopped")
+            process_rules.request_stop(step, reason)
+        case _:
+            assert_never(verdict)
+
+
+def due(step: Step, key: NodeKey) -> None:
+    """A node is loaded again, given up, or its container is queried, if it is time."""
+    node = step.node(key)
+    if node.next_at is not None and step.now >= node.next_at:
+        step.world.put(node, next_at=None, gives_up="")
+        if node.gives_up:
+            _apply(step, step.node(key), NodeFact.GIVEN_UP)
+            step.world.put(step.node(key), reason=node.gives_up)
+        elif step.process(key.container).takes_loads:
+            _apply(step, replace(step.node(key), is_reload=True), NodeFact.LOAD)
+    node = step.node(key)
+    if node.query_at is not None and step.now >= node.query_at:
+        _apply(step, node, NodeFact.SILENT)
+
+
+# The container of nodes.
+
+
+def container_stops(step: Step, container: Process) -> None:
+    """A container stops: nothing is loaded again."""
+    for node in step.world.nodes_of(container.name):
+        if node.next_at is not None and not node.gives_up:
+            step.world.put(node, next_at=None)
+    if quarantine.cancel_probes(step.world, container.name):
+        step.effects.append(CancelProbes(container.name))
+
+
+def container_lost(step: Step, container: Process, reason: str) -> None:
+    """The process of a container exited, and with it all nodes."""
+    for before in step.world.nodes_of(container.name):
+        node = replace(before, next_at=None, gives_up="", died_constructing="", is_silent=False)
+        step.world.put(node)
+        _apply(step, node, NodeFact.CONTAINER_LOST)
+        after = step.node(node.key)
+        if after.state is not before.state:
+            step.world.put(after, reason=f"its container: {reason}")
+
+
+def refuse(step: Step, node: Node, reason: str, finding: ProbeResult | None = None) -> None:
+    """Let a node fail that its container does not get; not one that it got meanwhile."""
+    if node.state not in _REFUSABLE:
+        return
+    container = step.process(node.key.container)
+    step.world.put(
+        node,
+        refusals=node.refusals + 1,
+        finding=finding,
+        wait=None,
+        loaded_into=container.attempt if container.takes_loads else node.loaded_into,
+    )
+    _apply(step, step.node(node.key), NodeFact.REFUSED)
+    step.world.put(step.node(node.key), reason=reason)
+
+
+def health(step: Step, said: HealthReported) -> None:
+    """Judge what a container counted of its own troubles."""
+    container, world = step.process(said.unit), step.world
+    world.put(
+        container,
+        lost_locks=container.lost_locks or said.unquiesced > 0,
+        is_leaking=container.is_leaking or said.leaked > 0,
+    )
+    container = step.process(said.unit)
+    if said.dead_locks:
+        more = len(said.dead_locks) - 1
+        waits = said.dead_locks[0] + (f" (and {more} more)" if more else "")
+        process_rules.poisoned(step, container, f"a node died with a lock: {waits}")
+    elif container.lost_locks and container.is_leaking:
+        limit = world.limits.reload_after_leak
+        for node in world.nodes_of(said.unit):
+            slow = node.is_reload and step.now - node.sent_at > limit + 3 * node.took
+            if slow and node.state in LOADING:
+                reason = f"{node.key.name} is not loaded again"
+                reason = f"{reason}, and cleaning up after a dead node failed"
+                process_rules.poisoned(step, container, reason)
+                break
+    for node in world.nodes_of(said.unit):
+        _silence(step, node, said.silences.get(node.attempt, 0.0))
+
+
+def _silence(step: Step, node: Node, seconds: float) -> None:
+    """Report once that an executor has been blocked for long, and that it is not any more."""
+    is_loaded = node.state is NodeState.LOADED
+    is_silent = is_loaded and seconds >= step.world.limits.silence
+    if is_silent == node.is_silent:
+        return
+    reason = ""
+    if is_silent:
+        reason = f"its executor has been blocked in a callback for {seconds:.0f} s"
+        step.log(f"{node.key.name}: {reason}")
+    reports = node.reports + is_loaded
+    step.world.put(node, is_silent=is_silent, reason=reason, reports=reports)
+
+
+# What is wanted against what is.
+
+
+def settle(step: Step, key: NodeKey) -> None:
+    """Begin what is wanted of a node and has not begun."""
+    node, world = step.node(key), step.world
+    if not is_wanted(world, node):
+        _leave(step, node)
+        return
+    container = step.process(key.container)
+    if node.generation > node.attempted:
+        if node.state in IDLE:
+            if container.takes_loads:
+                _load_requested(step, node)
+        elif node.state is not NodeState.UNLOADING:
+            _apply(step, node, NodeFact.LEAVE)
+    elif not container.takes_loads:
+        if node.wait is not None:
+            world.put(node, wait=None)
+    elif node.loaded_into != container.attempt and node.state in IDLE - {NodeState.GAVE_UP}:
+        _load_with_container(step, node)
+
+
+def _leave(step: Step, node: Node) -> None:
+    if node.wait is not None or node.next_at is not None:
+        step.world.put(node, wait=None, next_at=None, gives_up="")
+        node = step.node(node.key)
+    if node.state not in {NodeState.UNLOADING, NodeState.UNLOADED}:
+        _apply(step, node, NodeFact.LEAVE)
+        node = step.node(node.key)
+    if node.is_removed and node.state in IDLE:
+        step.world.forget(node)
+
+
+def _load_requested(step: Step, node: Node) -> None:
+    anew = replace(
+        node,
+        attempted=node.generation,
+        history=RestartHistory(total=node.history.total),
+        is_reload=False,
+        released_at=step.now,
+    )
+    _apply(step, anew, NodeFact.LOAD)
+
+
+def _load_with_container(step: Step, node: Node) -> None:
+    """Load a node into a new process of its container, if its conditions are met."""
+    ready = readiness(step.world, node, step.now)
+    if ready.failure:
+        refuse(step, node, ready.failure)
+        return
+    if not ready.may_start:
+        assert ready.wait is not None
+        wait = process_rules.reported(step, node.key.name, node.wait, ready.wait)
+        step.world.put(node, wait=wait)
+        return
+    if ready.wait is not None:
+        if ready.wait.waived:
+            step.log(f"{node.key} starts all the same: {ready.wait.waived}")
+        node = replace(node, released_at=step.now, wait=None)
+        step.world.put(node)
+    if quarantine.may_load(step.world, node, step.now):
+        _apply(step, replace(node, is_reload=False), NodeFact.LOAD)

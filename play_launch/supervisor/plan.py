@@ -1,0 +1,236 @@
+"""The plan that leads from one configuration to another."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Final, cast
+
+from msgspec.structs import replace
+
+from play_launch.config.description import describe
+from play_launch.supervisor.steps import Action, Change, Kind, Need, Plan, Step
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping
+
+    from play_launch.config.model import ReplayConfig
+
+_ACTIONS: Final = (
+    (Need.RESTART, Action.RESTART),
+    (Need.RELOAD, Action.RELOAD),
+    (Need.SET, Action.SET),
+    (Need.NOTHING, Action.ADOPT),
+)
+"""What is done when a change needs it; the first that one of them needs."""
+
+_NOBODY: Final[Mapping[str, str]] = MappingProxyType({})
+_PAIR: Final = 2
+_IDENTITY: Final = {"key", "full_name", "name", "namespace", "line"}
+
+
+def plan(running: ReplayConfig, target: ReplayConfig, absent: Mapping[str, str] = _NOBODY) -> Plan:
+    """Compare the running system with what it is to become.
+
+    Args:
+        running: What the system was started with, or what was applied to it at last.
+        target: What it is to become.
+        absent: What is declared and not there, by its name as in `Step`, with the reason. All of
+            it is brought up, whether or not its configuration differs.
+    """
+    before, after = describe(running), describe(target)
+    steps = [
+        *_containers(_by_name(before, "containers"), _by_name(after, "containers"), absent),
+        *_members(Kind.PROCESS, _by_name(before, "nodes"), _by_name(after, "nodes"), absent),
+        *_session(before, after),
+    ]
+    return Plan(tuple(_with_origins(steps, _nodes_of(before), _nodes_of(after))))
+
+
+def _containers(
+    before: Mapping[str, Described], after: Mapping[str, Described], absent: Mapping[str, str]
+) -> Iterator[Step]:
+    members = {step.name: step for step in _members(Kind.CONTAINER, before, after, absent)}
+    for name in dict.fromkeys((*after, *before)):
+        member = members.get(name)
+        if member is not None:
+            yield member
+        # A process that is started loads what is declared by then.
+        covered = member is not None and member.action is not Action.ADOPT
+        yield from (
+            replace(step, covered=True) if covered else step
+            for step in _members(
+                Kind.COMPONENT,
+                _components(before.get(name)),
+                _components(after.get(name)),
+                # What fails together with its container is no news.
+                _NOBODY if covered else absent,
+            )
+        )
+
+
+def _members(
+    kind: Kind,
+    before: Mapping[str, Described],
+    after: Mapping[str, Described],
+    absent: Mapping[str, str],
+) -> Iterator[Step]:
+    """Compare those of one kind by their names: those that stay or come, then those that go."""
+    for name, described in after.items():
+        if name not in before:
+            yield Step(kind=kind, name=name, action=Action.ADD)
+            continue
+        changes = differences(kind, before[name], described)
+        needs = {change.need for change in changes}
+        action = next((action for need, action in _ACTIONS if need in needs), None)
+        if name in absent:
+            action = _brought_up(kind, action)
+        if action is not None:
+            reason = absent.get(name, "")
+            yield Step(kind=kind, name=name, action=action, changes=changes, reason=reason)
+    for name in before:
+        if name not in after:
+            yield Step(kind=kind, name=name, action=Action.REMOVE)
+
+
+def _brought_up(kind: Kind, action: Action | None) -> Action:
+    """Choose what also has the thing there; nothing can be set where nothing runs."""
+    if action in {Action.RESTART, Action.RELOAD}:
+        return action
+    return Action.LOAD if kind is Kind.COMPONENT else Action.START
+
+
+def _session(before: Described, after: Described) -> Iterator[Step]:
+    changes = differences(Kind.SESSION, before, after)
+    for need, action in ((Need.NOTHING, Action.ADOPT), (Need.NEXT_RUN, Action.KEEP)):
+        if those := tuple(change for change in changes if change.need is need):
+            # The two are apart, for one of them is done.
+            yield Step(kind=Kind.SESSION, name="", action=action, changes=those)
+
+
+def _with_origins(
+    steps: Iterable[Step], before: Mapping[str, Described], after: Mapping[str, Described]
+) -> Iterator[Step]:
+    """Say which of those that are added is one that is removed, under another name or elsewhere."""
+    steps = tuple(steps)
+    alike: defaultdict[tuple[Kind, str], list[Step]] = defaultdict(list)
+    for step in steps:
+        described = {Action.REMOVE: before, Action.ADD: after}.get(step.action, {}).get(step.name)
+        if described is not None:
+            alike[step.kind, _likeness(described)].append(step)
+    reasons: dict[tuple[Kind, str], str] = {}
+    for pair in alike.values():
+        if {step.action for step in pair} == {Action.ADD, Action.REMOVE} and len(pair) == _PAIR:
+            new, old = sorted(pair, key=lambda step: step.action is Action.REMOVE)
+            reasons |= {new.id: f"it was {old.name}", old.id: f"it becomes {new.name}"}
+    for step in steps:
+        reason = reasons.get(step.id)
+        yield step if reason is None else replace(step, reason=reason)
+
+
+def _likeness(described: Described) -> str:
+    """What two nodes have in common that differ in their names and places only."""
+    return repr({key: value for key, value in described.items() if key not in _IDENTITY})
+
+
+def _by_name(config: Described, key: str) -> dict[str, Described]:
+    members = cast("list[Described]", config[key])
+    return {str(each["full_name"]): each for each in members}
+
+
+def _components(container: Described | None) -> dict[str, Described]:
+    if container is None:
+        return {}
+    nodes = cast("list[Described]", container["composable_nodes"])
+    return {str(each["key"]): each for each in nodes}
+
+
+def _nodes_of(config: Described) -> dict[str, Described]:
+    """Give the composable nodes and processes; those of containers have a colon in their names."""
+    containers = _by_name(config, "containers").values()
+    nodes = {key: node for each in containers for key, node in _components(each).items()}
+    return nodes | _by_name(config, "nodes")
+
+
+Described = dict[str, object]
+
+_SAFE: Final = {
+    Kind.SESSION: Need.NEXT_RUN,
+    Kind.CONTAINER: Need.RESTART,
+    Kind.COMPONENT: Need.RELOAD,
+    Kind.PROCESS: Need.RESTART,
+}
+"""What a changed value needs unless it is in the table of its kind."""
+
+_NEEDS: Final[Mapping[Kind, Mapping[str, Need]]] = {
+    # What has to hold before a start is looked at when something is started.
+    Kind.SESSION: dict.fromkeys(("stop", "start_rules", "managed"), Need.NOTHING),
+    Kind.CONTAINER: dict.fromkeys(
+        ("on_exit", "restart", "loading_timeout", "probe_timeout", "output"), Need.NOTHING
+    ),
+    Kind.COMPONENT: dict.fromkeys(("on_crash", "restart"), Need.NOTHING),
+    Kind.PROCESS: dict.fromkeys(("on_exit", "restart", "output"), Need.NOTHING),
+}
+
+_NO_DIFFERENCE: Final = {
+    # Those of members are in their own descriptions. Where a file is makes no difference, nor does
+    # the session's name, which is that of its file unless it is given.
+    Kind.SESSION: {
+        "version",
+        "name",
+        "source",
+        "included_files",
+        "parameter_files",
+        "taken",
+        "environment",
+        "containers",
+        "nodes",
+    },
+    Kind.CONTAINER: {"line", "file", "composable_nodes"},
+    Kind.COMPONENT: {"line", "file", "key", "full_name"},
+    Kind.PROCESS: {"line", "file"},
+}
+"""Keys that are not looked at."""
+
+_PARAMETERS: Final = "parameters"
+
+
+def differences(kind: Kind, before: Described, after: Described) -> tuple[Change, ...]:
+    """Compare two descriptions of the same member, node or session."""
+    found: list[Change] = []
+    for key in _keys(before, after):
+        if key in _NO_DIFFERENCE[kind]:
+            continue
+        if key == _PARAMETERS:
+            found += _parameters(kind, after, before.get(key), after.get(key))
+        else:
+            need = _NEEDS[kind].get(key, _SAFE[kind])
+            found += _values(key, before.get(key), after.get(key), need)
+    return tuple(found)
+
+
+def _values(path: str, before: object, after: object, need: Need) -> Iterator[Change]:
+    if isinstance(before, dict) and isinstance(after, dict):
+        for key in _keys(before, after):
+            yield from _values(f"{path}.{key}", before.get(key), after.get(key), need)
+    elif before != after:
+        yield Change(path, before, after, need)
+
+
+def _parameters(kind: Kind, node: Described, before: object, after: object) -> Iterator[Change]:
+    """Compare parameters.
+
+    What a node was given cannot be taken back from it, and one whose name is not declared cannot
+    be asked.
+    """
+    assert isinstance(before, dict)
+    assert isinstance(after, dict)
+    for name in _keys(before, after):
+        was, is_ = before.get(name), after.get(name)
+        if was != is_:
+            settable = is_ is not None and bool(node.get("name"))
+            yield Change(f"{_PARAMETERS}.{name}", was, is_, Need.SET if settable else _SAFE[kind])
+
+
+def _keys(before: Mapping[str, object], after: Mapping[str, object]) -> list[str]:
+    return list(dict.fromkeys((*before, *after)))

@@ -1,0 +1,221 @@
+"""Life of a container or an ordinary process: the table of phase and fact, and what causes facts.
+
+Nothing here refers to what other units do; see `play_launch.supervisor.rules`.
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum, auto
+from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
+
+from play_launch.supervisor.world import Phase
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+
+class Fact(StrEnum):
+    """What can happen to a process."""
+
+    START = auto()
+    """A start was requested that has not been attempted."""
+    TURN = auto()
+    """Its conditions are met, and nothing is left of its last process."""
+    STARTED = auto()
+    READY = auto()
+    """A container said hello; another process runs."""
+    FAULTY = auto()
+    """It has to be killed."""
+    STOP = auto()
+    EXITED_RESTART = auto()
+    """It exited or could not be started, and is restarted."""
+    EXITED_GIVE_UP = auto()
+    """The same, and it is not restarted."""
+    EXITED_DONE = auto()
+    """It exited by itself, which is no failure."""
+    IMPOSSIBLE = auto()
+    """A condition of its start cannot be met any more."""
+    STUCK = auto()
+    """Not even SIGKILL ended it within its limit."""
+    RESTART_DUE = auto()
+    FAILED = auto()
+    """The supervisor's own code for it failed."""
+
+
+class Action(StrEnum):
+    """What follows from a fact besides the phase."""
+
+    SPAWN = auto()
+    KILL = auto()
+    STOP = auto()
+    LOSE = auto()
+    """Its composable nodes are lost."""
+
+
+class Cell(NamedTuple):
+    """An entry of the table."""
+
+    phase: Phase
+    actions: tuple[Action, ...] = ()
+
+
+_Answers: TypeAlias = "Mapping[Fact, tuple[Phase, *tuple[Action, ...]]]"
+
+
+def _row(phase: Phase, answers: _Answers, ignores: Iterable[Fact]) -> dict[Fact, Cell]:
+    row = {fact: Cell(then, tuple(actions)) for fact, (then, *actions) in answers.items()}
+    for fact in ignores:
+        if fact in row:
+            raise ValueError(f"{phase}: {fact} is both answered and ignored")
+        row[fact] = Cell(phase)
+    if missing := set(Fact) - set(row):
+        raise ValueError(f"{phase}: {sorted(missing)} neither answered nor ignored")
+    return row
+
+
+_EXITS: Final = (Fact.EXITED_RESTART, Fact.EXITED_GIVE_UP, Fact.EXITED_DONE)
+_QUEUE: Final = (Phase.QUEUED,)
+_KILL: Final = (Phase.KILLING, Action.KILL)
+_STOP: Final = (Phase.STOPPING, Action.STOP)
+_LIVES: Final[_Answers] = {
+    Fact.EXITED_RESTART: (Phase.BACKOFF, Action.LOSE),
+    Fact.EXITED_GIVE_UP: (Phase.GAVE_UP, Action.LOSE),
+    Fact.EXITED_DONE: (Phase.STOPPED, Action.LOSE),
+    Fact.STOP: _STOP,
+    # What still runs of it is stopped in order.
+    Fact.FAILED: (Phase.GAVE_UP, Action.LOSE, Action.STOP),
+}
+
+TABLE: Final[Mapping[Phase, Mapping[Fact, Cell]]] = {
+    Phase.STOPPED: _row(
+        Phase.STOPPED,
+        {
+            Fact.START: _QUEUE,
+            Fact.FAILED: (Phase.GAVE_UP,),
+            Fact.STARTED: (Phase.STOPPED, Action.STOP),
+        },
+        {
+            Fact.TURN,
+            Fact.READY,
+            Fact.FAULTY,
+            Fact.STOP,
+            Fact.STUCK,
+            Fact.RESTART_DUE,
+            Fact.IMPOSSIBLE,
+            *_EXITS,
+        },
+    ),
+    Phase.QUEUED: _row(
+        Phase.QUEUED,
+        {
+            Fact.TURN: (Phase.SPAWNING, Action.SPAWN),
+            Fact.IMPOSSIBLE: (Phase.GAVE_UP,),
+            Fact.STOP: (Phase.STOPPED,),
+            Fact.FAILED: (Phase.GAVE_UP,),
+            # A process of an earlier start, which failed meanwhile, is not left running.
+            Fact.STARTED: (Phase.QUEUED, Action.STOP),
+        },
+        {Fact.START, Fact.READY, Fact.FAULTY, Fact.STUCK, Fact.RESTART_DUE, *_EXITS},
+    ),
+    Phase.SPAWNING: _row(
+        Phase.SPAWNING,
+        {
+            Fact.STARTED: (Phase.STARTING,),
+            Fact.EXITED_RESTART: (Phase.BACKOFF,),
+            Fact.EXITED_GIVE_UP: (Phase.GAVE_UP,),
+            Fact.EXITED_DONE: (Phase.STOPPED,),
+            # It is stopped as soon as it has a pid.
+            Fact.STOP: (Phase.STOPPING,),
+            Fact.FAILED: (Phase.GAVE_UP,),
+        },
+        {
+            Fact.START,
+            Fact.TURN,
+            Fact.READY,
+            Fact.FAULTY,
+            Fact.STUCK,
+            Fact.RESTART_DUE,
+            Fact.IMPOSSIBLE,
+        },
+    ),
+    Phase.STARTING: _row(
+        Phase.STARTING,
+        {**_LIVES, Fact.READY: (Phase.RUNNING,), Fact.FAULTY: _KILL},
+        {Fact.START, Fact.TURN, Fact.STARTED, Fact.STUCK, Fact.RESTART_DUE, Fact.IMPOSSIBLE},
+    ),
+    Phase.RUNNING: _row(
+        Phase.RUNNING,
+        {**_LIVES, Fact.FAULTY: _KILL},
+        # One hello for each process; a second one says nothing new.
+        {
+            Fact.START,
+            Fact.TURN,
+            Fact.STARTED,
+            Fact.READY,
+            Fact.STUCK,
+            Fact.RESTART_DUE,
+            Fact.IMPOSSIBLE,
+        },
+    ),
+    # A further fault changes nothing: its exit decides what follows.
+    Phase.KILLING: _row(
+        Phase.KILLING,
+        {**_LIVES, Fact.STUCK: (Phase.GAVE_UP, Action.LOSE)},
+        {
+            Fact.START,
+            Fact.TURN,
+            Fact.STARTED,
+            Fact.READY,
+            Fact.FAULTY,
+            Fact.RESTART_DUE,
+            Fact.IMPOSSIBLE,
+        },
+    ),
+    Phase.STOPPING: _row(
+        Phase.STOPPING,
+        {
+            Fact.STARTED: _STOP,
+            **dict.fromkeys(_EXITS, (Phase.STOPPED, Action.LOSE)),
+            Fact.STUCK: (Phase.GAVE_UP, Action.LOSE),
+            Fact.FAILED: (Phase.GAVE_UP, Action.LOSE, Action.STOP),
+        },
+        {
+            Fact.START,
+            Fact.TURN,
+            Fact.READY,
+            Fact.FAULTY,
+            Fact.STOP,
+            Fact.RESTART_DUE,
+            Fact.IMPOSSIBLE,
+        },
+    ),
+    Phase.BACKOFF: _row(
+        Phase.BACKOFF,
+        {
+            Fact.RESTART_DUE: _QUEUE,
+            Fact.START: _QUEUE,
+            Fact.STOP: (Phase.STOPPED,),
+            Fact.FAILED: (Phase.GAVE_UP,),
+            Fact.STARTED: (Phase.BACKOFF, Action.STOP),
+        },
+        {Fact.TURN, Fact.READY, Fact.FAULTY, Fact.STUCK, Fact.IMPOSSIBLE, *_EXITS},
+    ),
+    Phase.GAVE_UP: _row(
+        Phase.GAVE_UP,
+        # A process that comes although its start failed is not left running.
+        {Fact.START: _QUEUE, Fact.STARTED: (Phase.GAVE_UP, Action.STOP)},
+        # It stays visible in the summary that it gave up.
+        {
+            Fact.TURN,
+            Fact.READY,
+            Fact.FAULTY,
+            Fact.STOP,
+            Fact.STUCK,
+            Fact.RESTART_DUE,
+            Fact.FAILED,
+            Fact.IMPOSSIBLE,
+            *_EXITS,
+        },
+    ),
+}
+"""Every phase with every fact, checked at import."""

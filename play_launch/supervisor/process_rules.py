@@ -1,0 +1,422 @@
+"""Rules of containers and ordinary processes: when a fact holds, and what follows from it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final, assert_never
+
+from msgspec.structs import replace
+
+from play_launch.config.model import ContainerConfig
+from play_launch.config.policies import OnExit
+from play_launch.supervisor import node_rules, quarantine
+from play_launch.supervisor.conditions import readiness
+from play_launch.supervisor.inputs import End, Kill, Spawn, Stop
+from play_launch.supervisor.process_life import TABLE, Action, Fact
+from play_launch.supervisor.restart import (
+    CONTEXT_EXIT_CODE,
+    PERMANENT_EXIT_CODES,
+    GiveUp,
+    RestartHistory,
+    decide,
+)
+from play_launch.supervisor.world import (
+    INACTIVE,
+    Hello,
+    Node,
+    Phase,
+    Process,
+    Wait,
+    is_ours,
+    is_wanted,
+)
+
+if TYPE_CHECKING:
+    from play_launch.supervisor.inputs import (
+        CleanedUp,
+        Exited,
+        Faulty,
+        NotStarted,
+        Started,
+        Unkillable,
+    )
+    from play_launch.supervisor.step import Step
+    from play_launch.supervisor.world import Exit
+
+_STUCK: Final = "does not die, not even of SIGKILL"
+_NEVER_RAN: Final = frozenset({126, 127})
+"""Exit codes that report that the program itself was not executed."""
+_ACTIVE: Final = frozenset({Phase.SPAWNING, Phase.STARTING, Phase.RUNNING, Phase.KILLING})
+
+
+def apply(step: Step, name: str, fact: Fact, reason: str = "", due: float | None = None) -> None:
+    """Apply a fact to a process by the table; ``due`` is when the new phase ends by itself."""
+    before = step.process(name)
+    phase, actions = TABLE[before.phase][fact]
+    if phase is not before.phase:
+        step.world.put(before, phase=phase, reason=reason, due=due)
+    for action in actions:
+        process = step.process(name)
+        match action:
+            case Action.SPAWN:
+                _spawn(step, process)
+            case Action.KILL:
+                _kill(step, process, reason)
+            case Action.STOP:
+                _stop(step, process, reason)
+            case Action.LOSE:
+                if process.container is not None:
+                    node_rules.container_lost(step, process, reason)
+            case _:
+                assert_never(action)
+
+
+def _spawn(step: Step, process: Process) -> None:
+    start = step.world.next_start()
+    step.world.put(
+        process,
+        attempt=start,
+        is_present=True,
+        is_stuck=False,
+        stopped=False,
+        pid=0,
+        start_time=0,
+        is_started=False,
+        exit=None,
+        hello=None,
+        ready_at=None,
+        began_at=step.now,
+        killed_because="",
+        is_fatal=False,
+        blames_loads=True,
+        lost_locks=False,
+        is_leaking=False,
+        wait=None,
+        released_at=step.now if process.released_at is None else process.released_at,
+    )
+    step.effects.append(Spawn(process.name, start))
+
+
+def _kill(step: Step, process: Process, reason: str) -> None:
+    due = step.now + step.world.limits.kill
+    step.world.put(process, killed_because=reason, due=due)
+    step.effects.append(Kill(process.name, process.attempt))
+
+
+def _stop(step: Step, process: Process, reason: str) -> None:
+    if process.container is not None:
+        node_rules.container_stops(step, process)
+    if process.stopped or not process.is_present or process.exit is not None:
+        return
+    step.world.put(step.process(process.name), stopped=True, due=None)
+    asks = process.container is not None and process.ready_at is not None
+    step.effects.append(Stop(process.name, process.attempt, asks, reason))
+
+
+# Inputs.
+
+
+def started(step: Step, said: Started) -> None:
+    """A process runs."""
+    process = step.process(said.unit)
+    values = {"pid": said.pid, "start_time": said.start_time, "argv": said.argv}
+    step.world.put(process, is_started=True, **values)
+    due = None
+    config = process.container
+    # An attached container may come at any time, and a debugger may take any time.
+    if config is not None and not config.attach and not config.prefix:
+        due = step.now + step.world.limits.hello
+    apply(step, said.unit, Fact.STARTED, process.request_reason, due)
+    if config is None and step.process(said.unit).phase is Phase.STARTING:
+        apply(step, said.unit, Fact.READY)
+
+
+def not_started(step: Step, said: NotStarted) -> None:
+    """A process could not be started."""
+    process = step.process(said.unit)
+    step.world.put(process, is_present=False)
+    if process.phase not in {Phase.SPAWNING, Phase.STOPPING}:
+        return  # what follows was decided before
+    respawns = process.container is not None or process.config.on_exit is OnExit.RESTART
+    _exit(step, process.name, said.reason, is_permanent=said.is_permanent or not respawns)
+
+
+def greeted(step: Step, unit: str, hello: Hello) -> None:
+    """A container is ready."""
+    process = step.process(unit)
+    if process.phase is Phase.STARTING:
+        step.world.put(process, hello=hello, ready_at=step.now)
+    apply(step, unit, Fact.READY)
+
+
+def faulty(step: Step, said: Faulty) -> None:
+    """A process has to be killed."""
+    if said.is_fatal and TABLE[step.process(said.unit).phase][Fact.FAULTY].actions:
+        step.world.put(step.process(said.unit), is_fatal=True)
+    apply(step, said.unit, Fact.FAULTY, said.reason)
+
+
+def poisoned(step: Step, process: Process, reason: str) -> None:
+    """Have a container restarted because of a node that died, so not one that is being loaded."""
+    if process.phase is Phase.RUNNING:
+        step.world.put(process, blames_loads=False)
+    apply(step, process.name, Fact.FAULTY, reason)
+
+
+def exited(step: Step, said: Exited) -> None:
+    """A process exited."""
+    process = step.process(said.unit)
+    step.world.put(process, exit=said.exit, is_stuck=False, due=None)
+    if process.phase in INACTIVE or process.phase in {Phase.QUEUED, Phase.BACKOFF}:
+        return  # what follows was decided before
+    if process.container is not None:
+        _container_exited(step, step.process(said.unit), said.exit)
+    else:
+        _process_exited(step, step.process(said.unit), said.exit)
+
+
+def _container_exited(step: Step, process: Process, exit_: Exit) -> None:
+    because = f"{process.killed_because}; " if process.killed_because else ""
+    if process.ready_at is None:
+        again = PERMANENT_EXIT_CODES.get(exit_.code, "")
+        reason = f"{exit_.text}: {again}" if again else exit_.text
+        _exit(step, process.name, f"{because}{reason}", is_permanent=bool(again))
+    elif exit_.code == CONTEXT_EXIT_CODE:
+        _exit(step, process.name, "a node shut its ROS context down", is_done=True)
+    else:
+        lived = step.now - process.ready_at
+        _exit(step, process.name, f"{because}{exit_.text}", lived=lived)
+
+
+def _process_exited(step: Step, process: Process, exit_: Exit) -> None:
+    lived = step.now - process.began_at
+    if process.config.on_exit is not OnExit.RESTART:
+        _exit(step, process.name, "", is_done=True, lived=lived)
+    elif exit_.code in _NEVER_RAN:
+        reason = f"{exit_.text}: {PERMANENT_EXIT_CODES[exit_.code]}"
+        _exit(step, process.name, reason, is_permanent=True)
+    else:
+        _exit(step, process.name, exit_.text, lived=lived)
+
+
+def cleaned_up(step: Step, said: CleanedUp) -> None:
+    """Nothing of a process is left."""
+    step.world.put(step.process(said.unit), is_present=False)
+
+
+def unkillable(step: Step, said: Unkillable) -> None:
+    """A process lives on after SIGKILL."""
+    process = step.process(said.unit)
+    if process.exit is None:
+        step.world.put(process, is_stuck=True)
+        apply(step, said.unit, Fact.STUCK, _STUCK)
+
+
+def failed(step: Step, unit: str, reason: str) -> None:
+    """The supervisor's own code for a process failed: it is given up, and stopped in order."""
+    step.world.put(step.process(unit), wait=None)
+    apply(step, unit, Fact.FAILED, reason)
+
+
+def due(step: Step, name: str) -> None:
+    """The phase of a process ends by itself, if it is time."""
+    process = step.process(name)
+    if process.due is None or step.now < process.due:
+        return
+    step.world.put(process, due=None)
+    match process.phase:
+        case Phase.STARTING:
+            limit = step.world.limits.hello
+            apply(step, name, Fact.FAULTY, f"it did not say hello within {limit:g} s")
+        case Phase.KILLING:
+            step.world.put(step.process(name), is_stuck=True)
+            apply(step, name, Fact.STUCK, _STUCK)
+        case Phase.BACKOFF:
+            apply(step, name, Fact.RESTART_DUE)
+        case _:
+            pass
+
+
+def _exit(
+    step: Step,
+    name: str,
+    reason: str,
+    *,
+    is_permanent: bool = False,
+    is_done: bool = False,
+    lived: float = 0.0,
+) -> None:
+    """Decide what follows from an exit, or from a start that failed."""
+    process = step.process(name)
+    was_stopped = process.phase is Phase.STOPPING
+    ends_all = process.config.on_exit is OnExit.SHUTDOWN and not was_stopped
+    # Another start would only be in the way of the end.
+    is_permanent = is_permanent or (ends_all and not is_done and process.container is not None)
+    if process.generation > process.attempted and is_wanted(step.world, process):
+        apply(step, name, Fact.EXITED_DONE, reason)  # it is started anew
+    elif process.is_fatal or was_stopped or is_permanent:
+        apply(step, name, Fact.EXITED_GIVE_UP, reason)
+    elif is_done:
+        if reason:
+            step.log(f"{name}: stopped, and is not started again: {reason}")
+        apply(step, name, Fact.EXITED_DONE, reason)
+    else:
+        _restart(step, process, reason, lived)
+    if ends_all:
+        request_stop(step, f"{name} has ended")
+
+
+def _restart(step: Step, process: Process, reason: str, lived: float) -> None:
+    world = step.world
+    counts = not (
+        is_ours(process) and process.blames_loads and quarantine.excuses_death(world, process.name)
+    )
+    history, verdict = decide(
+        process.restarts,
+        process.config.restart,
+        now=step.now,
+        lived=lived,
+        jitter=step.chance,
+        counts=counts,
+    )
+    world.put(step.process(process.name), restarts=history)
+    if isinstance(verdict, GiveUp):
+        apply(step, process.name, Fact.EXITED_GIVE_UP, f"{reason}; {verdict.reason}")
+        return
+    attached = process.container is not None and process.container.attach
+    what = "looked for again" if attached else "starts again"
+    text = f"{reason}; {what} in {verdict.delay:.2f} s"
+    under_way = node_rules.under_way(world, process.name)
+    apply(step, process.name, Fact.EXITED_RESTART, text, step.now + verdict.delay)
+    if is_ours(process):
+        blamed = under_way if process.blames_loads else ()
+        quarantine.begin(step, process, blamed, reason)
+
+
+def request_stop(step: Step, reason: str) -> None:
+    """Request the stop of the whole system, once; it begins with the input that answers this."""
+    if not step.world.is_ending and not step.world.is_stopping:
+        step.world.is_ending = True
+        step.effects.append(End(reason))
+
+
+# What is wanted against what is.
+
+
+def settle(step: Step, name: str) -> None:
+    """Begin what is wanted of a process and has not begun."""
+    process = step.process(name)
+    world = step.world
+    if not is_wanted(world, process):
+        _settle_unwanted(step, process)
+        return
+    if process.generation > process.attempted:
+        if process.phase in {Phase.SPAWNING, Phase.STARTING, Phase.RUNNING}:
+            apply(step, name, Fact.STOP, process.request_reason)
+        elif TABLE[process.phase][Fact.START].phase is Phase.QUEUED:
+            _begin(step, process)
+    process = step.process(name)
+    if process.phase is Phase.QUEUED:
+        _queue(step, process)
+
+
+def _settle_unwanted(step: Step, process: Process) -> None:
+    world = step.world
+    reason = process.request_reason or world.stop_reason or ""
+    if process.phase in {Phase.QUEUED, Phase.BACKOFF}:
+        world.put(process, wait=None)
+        apply(step, process.name, Fact.STOP, reason)
+    elif process.phase in _ACTIVE and _may_stop(step, process):
+        apply(step, process.name, Fact.STOP, reason)
+    process = step.process(process.name)
+    if process.is_removed and process.is_at_rest and not process.is_stuck:
+        world.forget(process)
+
+
+def _may_stop(step: Step, process: Process) -> bool:
+    """Whether all that depends on it has stopped, where the whole system stops."""
+    world = step.world
+    if not world.is_stopping or world.is_hurried:
+        return True
+    return all(
+        world.processes[other].is_at_rest
+        for other in world.stop_order.get(process.name, ())
+        if other in world.processes
+    )
+
+
+def _begin(step: Step, process: Process) -> None:
+    """Queue a start that was requested."""
+    if process.next_config is not None:
+        if not process.is_at_rest or process.is_stuck:
+            return
+        process = _with_next_config(step, process)
+    step.world.put(
+        process,
+        attempted=process.generation,
+        restarts=RestartHistory(total=process.restarts.total),
+        request_reason="",
+    )
+    apply(step, process.name, Fact.START)
+
+
+def _with_next_config(step: Step, process: Process) -> Process:
+    """Begin anew with the next configuration; nodes that it does not have are forgotten."""
+    config, world = process.next_config, step.world
+    assert config is not None
+    for node in world.nodes_of(process.name):
+        world.forget(node)
+    if isinstance(config, ContainerConfig):
+        for each in config.composable_nodes:
+            world.put(Node(config=each))
+    anew = Process(config=config, generation=process.generation, attempt=process.attempt)
+    world.put(replace(anew, phase=process.phase, reason=process.reason))
+    return step.process(process.name)
+
+
+def _queue(step: Step, process: Process) -> None:
+    """Start a queued process if it may."""
+    world, before = step.world, process.wait
+    ready = readiness(world, process, step.now)
+    if ready.failure:
+        world.put(process, wait=None)
+        _impossible(step, process, ready.failure)
+        return
+    if not ready.may_start:
+        assert ready.wait is not None
+        world.put(process, wait=reported(step, process.name, before, ready.wait))
+        return
+    if ready.wait is not None:
+        if ready.wait.waived:
+            step.log(f"{process.name} starts all the same: {ready.wait.waived}")
+        world.put(process, wait=None, released_at=step.now)
+    if not process.is_present and _has_slot(step, process):
+        apply(step, process.name, Fact.TURN)
+
+
+def _impossible(step: Step, process: Process, reason: str) -> None:
+    apply(step, process.name, Fact.IMPOSSIBLE, reason)
+    if process.config.on_exit is OnExit.SHUTDOWN:
+        request_stop(step, f"{process.name} has ended")
+
+
+def reported(step: Step, name: str, before: Wait | None, wait: Wait) -> Wait:
+    """Warn of a unit that waits for long."""
+    if before is None or step.now < wait.report_due:
+        return wait
+    step.log(f"{name} has waited for {step.now - wait.since:.0f} s: it {wait.text}")
+    return replace(wait, report_due=step.now + step.world.limits.report_interval)
+
+
+def _has_slot(step: Step, process: Process) -> bool:
+    """Whether a container may start beside those that do."""
+    if not _takes_slot(process):
+        return True
+    starting = {Phase.SPAWNING, Phase.STARTING}
+    others = step.world.processes.values()
+    return sum(each.phase in starting and _takes_slot(each) for each in others) < step.world.starts
+
+
+def _takes_slot(process: Process) -> bool:
+    config = process.container
+    # Waiting for a container that something else starts takes no slot.
+    return config is not None and not config.attach

@@ -1,0 +1,169 @@
+"""Quarantine: which nodes may be loaded into a container that did not survive an earlier load.
+
+A container loads many nodes at the same time, so when it dies, each node that was being loaded may
+be the cause. What may be done with it depends on how many deaths in a row it was there for:
+
+* After the first one its library is loaded in a scratch process. If it cannot be loaded there, the
+  node is not loaded; its library is tried again when the container restarts, for it may have been
+  replaced. If it can, the node is loaded as usual.
+* After the second one the library is not the cause, but the constructor may be. Such nodes are
+  loaded one at a time, so that the next death has one possible cause only.
+* A node that was the only one being loaded at its second death, and any node at its third, is not
+  loaded again in this session.
+
+A load that the container survives clears the node. The first death counts against the restart
+limits of the container. Those that follow while such a node is being loaded do not: they are how
+the cause is found, and their number is bounded.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from msgspec.structs import replace
+
+from play_launch.supervisor import node_rules
+from play_launch.supervisor.inputs import Probe
+from play_launch.supervisor.node_life import LOADING
+from play_launch.supervisor.world import Stage
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
+
+    from play_launch.config.node_key import NodeKey
+    from play_launch.supervisor.inputs import Probed
+    from play_launch.supervisor.step import Step
+    from play_launch.supervisor.world import Node, Process, World
+
+MOST_DEATHS: Final = 3
+"""Deaths of its container after which a node is refused, whoever else was being loaded."""
+_DEATHS_ALONE: Final = 2
+"""Deaths after which a node is refused that was the only one being loaded, and from which on it is
+loaded alone."""
+ALONE_LIMIT: Final = 60.0
+"""Seconds after which a load under way no longer keeps others from being loaded alone."""
+
+
+def is_held(node: Node) -> bool:
+    """Whether a container that takes loads does not get the node yet, or not at all."""
+    return node.stage not in {Stage.TRUSTED, Stage.TRIED}
+
+
+def excuses_death(world: World, container: str) -> bool:
+    """Count a death that does not use up a restart: a node in quarantine was being loaded."""
+    tried = [node for node in world.nodes_of(container) if node.stage is Stage.TRIED]
+    is_excused = any(node.excused < MOST_DEATHS - 1 for node in tried)
+    for node in tried:
+        world.put(node, excused=node.excused + 1)
+    return is_excused
+
+
+def container_died(
+    world: World, container: str, under_way: Collection[NodeKey]
+) -> tuple[list[NodeKey], list[NodeKey]]:
+    """Put the nodes into quarantine that were being loaded.
+
+    Returns:
+        The nodes whose libraries are to be probed, and those that are refused from now on.
+    """
+    probe, refused = [], []
+    for node in world.nodes_of(container):
+        stage, deaths = node.stage, node.deaths
+        if node.key in under_way:
+            deaths += 1
+            is_refused = deaths >= MOST_DEATHS or (len(under_way) == 1 and deaths >= _DEATHS_ALONE)
+            stage = Stage.REFUSED if is_refused else Stage.PROBING
+        elif stage is Stage.CONDEMNED:
+            stage = Stage.PROBING
+        elif stage is Stage.TRIED:  # its load was over
+            stage, deaths = Stage.TRUSTED, 0
+        if node.key in under_way or stage is not node.stage:
+            if stage is Stage.PROBING:
+                probe.append(node.key)
+            elif stage is Stage.REFUSED:
+                refused.append(node.key)
+            world.put(node, stage=stage, deaths=deaths)
+    return probe, refused
+
+
+def cancel_probes(world: World, container: str) -> bool:
+    """Take that the scratch processes end without a result; whether there were any."""
+    probing = [node for node in world.nodes_of(container) if node.stage is Stage.PROBING]
+    for node in probing:
+        world.put(node, stage=Stage.CLEARED)
+    return bool(probing)
+
+
+def survived(world: World, node: Node) -> Node:
+    """Clear a node: its load ended, and the container lives."""
+    if node.stage is Stage.TRUSTED and not node.deaths:
+        return node
+    world.put(node, stage=Stage.TRUSTED, deaths=0)
+    return world.nodes[node.key]
+
+
+def may_load(world: World, node: Node, now: float) -> bool:
+    """Whether a cleared node is loaded now, beside the loads that are under way."""
+    if node.stage is not Stage.CLEARED:
+        return not is_held(node)
+    others = [
+        each
+        for each in world.nodes_of(node.key.container)
+        if each.state in LOADING and each.sent_at >= now - ALONE_LIMIT
+    ]
+    if any(_is_alone(each) for each in others):
+        return False
+    cleared = [each for each in world.nodes_of(node.key.container) if each.stage is Stage.CLEARED]
+    if not _is_alone(node):
+        return True
+    return not others and all(_is_alone(each) for each in cleared) and cleared[0].key == node.key
+
+
+def _is_alone(node: Node) -> bool:
+    return node.deaths >= _DEATHS_ALONE
+
+
+def mark_tried(node: Node) -> Node:
+    """Note that a cleared node is being loaded."""
+    if node.stage is Stage.CLEARED:
+        return replace(node, stage=Stage.TRIED)
+    return node
+
+
+# What follows.
+
+
+def begin(step: Step, container: Process, loads: Collection[NodeKey], reason: str) -> None:
+    """Put nodes into quarantine that were being loaded when their container died."""
+    probe, refused = container_died(step.world, container.name, loads)
+    if loads:
+        first = next(iter(loads)).name
+        names = f"{first} and {len(loads) - 1} more" if len(loads) > 1 else first
+        step.log(f"{container.name} ended while it was loading {names}")
+    for key in refused:
+        deaths = step.node(key).deaths
+        why = f"it took the container down {deaths} times while it was loaded: {reason}"
+        node_rules.refuse(step, step.node(key), why)
+    for key in probe:
+        node = step.node(key)
+        text = "its library is loaded in a scratch process first"
+        step.world.put(node, reason=text, reports=node.reports + 1)
+    if probe:
+        step.effects.append(Probe(container.name, tuple(probe)))
+
+
+def probed(step: Step, said: Probed) -> None:
+    """A scratch process loaded the library of a node, or could not."""
+    node = step.world.nodes.get(said.node)
+    if node is None or node.stage is not Stage.PROBING:
+        return
+    finding = said.finding
+    loads = finding is None or finding.loads
+    step.world.put(node, stage=Stage.CLEARED if loads else Stage.CONDEMNED)
+    if finding is not None and not loads:
+        reason = finding.error
+        if finding.backtrace:
+            reason += f" at {finding.blamed}"
+        name = node.key.container
+        where = f"in a scratch process, tried because {name} ended while it loaded the node"
+        node_rules.refuse(step, step.node(node.key), f"{reason} ({where})", finding)

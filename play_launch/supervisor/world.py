@@ -1,0 +1,401 @@
+"""The world: what is wanted, and what is; everything that is decided upon, and nothing else.
+
+Times are seconds of the event loop's clock. The values are immutable and replaced as a whole, so
+that `play_launch.supervisor.difference` finds what has changed by identity.
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum, auto
+from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct
+from msgspec.structs import replace
+
+from play_launch.config.model import ContainerConfig, ContainerType
+from play_launch.supervisor.events import ContainerState, NodeState
+from play_launch.supervisor.goal_life import ManagedState
+from play_launch.supervisor.restart import RestartHistory
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from play_launch.config.dependency import Condition
+    from play_launch.config.model import (
+        ComposableNodeConfig,
+        ManagedConfig,
+        ProcessConfig,
+        ReplayConfig,
+    )
+    from play_launch.config.node_key import NodeKey
+    from play_launch.config.policies import RestartLimits
+    from play_launch.supervisor.change import Change
+    from play_launch.supervisor.inputs import ProbeResult
+
+
+class Stage(StrEnum):
+    """How far the inquiry about one node is."""
+
+    TRUSTED = auto()
+    """It is loaded whenever the container is ready."""
+    PROBING = auto()
+    """Its library is being loaded, or going to be loaded, in a scratch process."""
+    CLEARED = auto()
+    """Its library can be loaded; the node waits for its turn."""
+    TRIED = auto()
+    """It is being loaded."""
+    CONDEMNED = auto()
+    """Its library cannot be loaded; it is probed again when the container starts anew."""
+    REFUSED = auto()
+    """It took the container down too often."""
+
+
+class Phase(StrEnum):
+    """Phase of a container or an ordinary process."""
+
+    STOPPED = "stopped"
+    QUEUED = "queued"
+    """To be started, as soon as its conditions are met and its last process is cleaned up."""
+    SPAWNING = "spawning"
+    """Its start is under way; it has no pid yet."""
+    STARTING = "starting"
+    """Its process runs; a container has not said hello."""
+    RUNNING = "running"
+    KILLING = "killing"
+    """It was sent SIGKILL, and its exit is awaited."""
+    STOPPING = "stopping"
+    BACKOFF = "backoff"
+    """It exited, and is started again after a delay."""
+    GAVE_UP = "gave up"
+
+
+STATE_OF_PHASE: Final = {
+    Phase.STOPPED: ContainerState.STOPPED,
+    Phase.QUEUED: ContainerState.STARTING,
+    Phase.SPAWNING: ContainerState.STARTING,
+    Phase.STARTING: ContainerState.STARTING,
+    Phase.RUNNING: ContainerState.RUNNING,
+    Phase.KILLING: ContainerState.KILLING,
+    Phase.STOPPING: ContainerState.STOPPING,
+    Phase.BACKOFF: ContainerState.BACKOFF,
+    Phase.GAVE_UP: ContainerState.GAVE_UP,
+}
+"""The phase as events have it."""
+
+INACTIVE: Final = frozenset({Phase.STOPPED, Phase.GAVE_UP})
+
+
+class Wait(Struct, frozen=True):
+    """A start or load that waits for its conditions."""
+
+    since: float
+    met_since: float | None = None
+    """When all conditions were met or waived; the start delay runs from then."""
+    text: str = ""
+    """What it waits for, as reported."""
+    report_due: float = 0.0
+    """When it is reported again that it waits."""
+    next_at: float | None = None
+    """When time alone may change the conditions."""
+    waived: str = ""
+    """Conditions that are not met and were given up, with ``on_timeout: start``."""
+
+
+class Exit(Struct, frozen=True):
+    """How a process exited; ``signal`` is 0 where none ended it."""
+
+    text: str
+    code: int = 0
+    signal: int = 0
+    is_lost: bool = False
+    """Whether its exit status is unknown."""
+
+    @property
+    def is_ok(self) -> bool:
+        """Whether it exited with status 0."""
+        return self.code == 0 and self.signal == 0 and not self.is_lost
+
+
+class Hello(Struct, frozen=True):
+    """What a container reported of itself when it was ready."""
+
+    mechanism: str = ""
+    """How its nodes are isolated: ``shared_memory``, ``process``; empty where they are not."""
+    description: str = ""
+
+
+class Process(Struct, frozen=True, kw_only=True):
+    """A container or an ordinary process of the configuration."""
+
+    config: ContainerConfig | ProcessConfig
+    phase: Phase = Phase.STOPPED
+    reason: str = ""
+    """Of the phase."""
+    generation: int = 1
+    """How many starts were requested: by the configuration, operators and changes."""
+    attempted: int = 0
+    """The generation that was started last."""
+    attempt: int = 0
+    """Number of the latest start, unique in the session; 0 before the first."""
+    is_present: bool = False
+    """Whether something of its latest process is left: the process, its children, its output."""
+    is_stuck: bool = False
+    """Whether its process does not end, not even by SIGKILL."""
+    pid: int = 0
+    start_time: int = 0
+    argv: tuple[str, ...] = ()
+    is_started: bool = False
+    """Whether its latest start has led to a process; that of an attached container has no pid."""
+    exit: Exit | None = None
+    """Of the latest process."""
+    stopped: bool = False
+    """Whether the stop of its process has begun."""
+    began_at: float = 0.0
+    ready_at: float | None = None
+    due: float | None = None
+    """When the phase ends by itself: hello overdue, SIGKILL without effect, restart due."""
+    hello: Hello | None = None
+    killed_because: str = ""
+    is_fatal: bool = False
+    """Whether it is not restarted after this death."""
+    blames_loads: bool = True
+    """Whether a death of this container may have been caused by a node that was being loaded."""
+    lost_locks: bool = False
+    """Whether a node of it died so suddenly that a lock may stay locked for ever."""
+    is_leaking: bool = False
+    """Whether cleaning up after a dead node failed in this process."""
+    restarts: RestartHistory = RestartHistory()
+    request_reason: str = ""
+    """Why it was requested to stop or to be replaced."""
+    wait: Wait | None = None
+    released_at: float | None = None
+    """When it was started for the first time; automatic restarts wait for no conditions."""
+    is_removed: bool = False
+    """Whether it is no longer in the configuration, and is forgotten when it has exited."""
+    next_config: ContainerConfig | ProcessConfig | None = None
+    """The configuration that its next process gets."""
+
+    @property
+    def name(self) -> str:
+        """Its full name."""
+        return self.config.full_name
+
+    @property
+    def is_at_rest(self) -> bool:
+        """Whether it does not run, nothing is left of it, and it does not start by itself."""
+        return self.phase in INACTIVE and (not self.is_present or self.is_stuck)
+
+    @property
+    def container(self) -> ContainerConfig | None:
+        """Its configuration, if it is a container."""
+        return self.config if isinstance(self.config, ContainerConfig) else None
+
+    @property
+    def takes_loads(self) -> bool:
+        """Whether composable nodes can be loaded into it now."""
+        return self.phase is Phase.RUNNING and self.exit is None
+
+
+class Node(Struct, frozen=True, kw_only=True):
+    """A composable node of the configuration."""
+
+    config: ComposableNodeConfig
+    state: NodeState = NodeState.PENDING
+    reason: str = ""
+    generation: int = 0
+    """How many loads were requested by operators and changes."""
+    attempted: int = 0
+    attempt: int = 0
+    """Number of the latest load, unique in the session; 0 before the first."""
+    loaded_into: int = 0
+    """The start of its container that the latest load belongs to."""
+    unique_id: int = 0
+    """The container's number for that load; 0 while unknown."""
+    resent: bool = False
+    is_reload: bool = False
+    """Whether that load followed a crash."""
+    sent_at: float = 0.0
+    query_at: float | None = None
+    """When its container is queried about it, since it owes an answer."""
+    next_at: float | None = None
+    """When it is loaded again, or given up."""
+    gives_up: str = ""
+    """Why it is given up at that time; empty: it is loaded again."""
+    pid: int = 0
+    start_time: int = 0
+    cpu_time_ns: int = 0
+    loaded_at: float | None = None
+    took: float = 0.0
+    """Seconds of the latest load that was completed."""
+    history: RestartHistory = RestartHistory()
+    crashes: int = 0
+    reloads: int = 0
+    reports: int = 0
+    """Grows when the same state is reported again."""
+    is_confirmed: bool = False
+    """Whether it is known to be loaded only by the answer to a query."""
+    refusals: int = 0
+    """How often a load was refused by the supervisor."""
+    finding: ProbeResult | None = None
+    """Of the scratch process that caused the latest refusal."""
+    full_node_name: str = ""
+    died_constructing: str = ""
+    """How its constructor died in this process of the container; empty: it did not."""
+    has_renewed: bool = False
+    """Whether its container was restarted for it, and it has not been loaded since."""
+    is_silent: bool = False
+    """Whether its executor is reported as blocked."""
+    stage: Stage = Stage.TRUSTED
+    deaths: int = 0
+    """Deaths of its container during its load, since the last load that the container survived."""
+    excused: int = 0
+    """Deaths that did not count as restarts because of it."""
+    wait: Wait | None = None
+    released_at: float | None = None
+    is_removed: bool = False
+
+    @property
+    def key(self) -> NodeKey:
+        """What it is addressed by."""
+        return self.config.key
+
+
+class Goal(Struct, frozen=True, kw_only=True):
+    """A managed (lifecycle) node, and the state that it is brought to."""
+
+    unit: str
+    config: ManagedConfig
+    state: ManagedState = ManagedState.ABSENT
+    reason: str = ""
+    instance: int = 0
+    """The start or load that it belongs to; 0 while the node does not exist."""
+
+
+class World:
+    """A system. `play_launch.supervisor.reducer.reduce` changes it, and nothing else."""
+
+    def __init__(
+        self, config: ReplayConfig, *, starts: int = 16, limits: Limits | None = None
+    ) -> None:
+        self.config = config
+        self.starts = starts
+        """How many containers start at the same time, at most."""
+        self.limits = limits or Limits()
+        self.dismissed: frozenset[str] = frozenset()
+        """The operator's overlay: what was stopped or unloaded, by name or key."""
+        self.stop_reason: str | None = None
+        """Why the whole system stops; None: it does not."""
+        self.stop_signal: int | None = None
+        self.is_hurried = False
+        self.is_ending = False
+        """Whether the stop of the whole system was requested by a rule."""
+        self.processes: dict[str, Process] = {}
+        self.nodes: dict[NodeKey, Node] = {}
+        self.goals: dict[str, Goal] = {}
+        self.keys: dict[str, list[NodeKey]] = {}
+        """Keys of the nodes of each container, as declared."""
+        self.touched: set[str | NodeKey] = set()
+        """Units that were changed since their rules were evaluated."""
+        self.lines: frozenset[tuple[str, str]] = frozenset()
+        """Lines that were written: process and pattern."""
+        self.files: frozenset[str] = frozenset()
+        self.graph: frozenset[tuple[Condition, str]] = frozenset()
+        self.starts_made = 0
+        self.loads_made = 0
+        self.change: Change | None = None
+        self.stop_order: dict[str, frozenset[str]] = {}
+        """Processes that are stopped before each process, once the system stops."""
+        self.arrived: frozenset[str] = frozenset()
+        """Units that were up once since their start, or failed for good."""
+        for container in config.containers:
+            self.put(Process(config=container))
+            for node in container.composable_nodes:
+                self.put(Node(config=node))
+        for process in config.nodes:
+            self.put(Process(config=process))
+        for unit, managed in config.managed.items():
+            self.put(Goal(unit=unit, config=managed))
+
+    @property
+    def is_stopping(self) -> bool:
+        """Whether the whole system stops."""
+        return self.stop_reason is not None
+
+    def nodes_of(self, container: str) -> Iterator[Node]:
+        """Give the nodes of a container, as declared."""
+        return (self.nodes[key] for key in tuple(self.keys.get(container, ())))
+
+    def next_start(self) -> int:
+        """Give a number for a start."""
+        self.starts_made += 1
+        return self.starts_made
+
+    def next_load(self) -> int:
+        """Give a number for a load."""
+        self.loads_made += 1
+        return self.loads_made
+
+    def put(self, unit: Process | Node | Goal, **values: object) -> None:
+        """Replace a unit by one with other values."""
+        if values and all(getattr(unit, name) == value for name, value in values.items()):
+            return
+        changed = replace(unit, **values) if values else unit
+        if isinstance(changed, Process):
+            self.processes[changed.name] = changed
+            self.touched.add(changed.name)
+        elif isinstance(changed, Node):
+            if changed.key not in self.nodes:
+                self.keys.setdefault(changed.key.container, []).append(changed.key)
+            self.nodes[changed.key] = changed
+            self.touched.add(changed.key)
+        else:
+            self.goals[changed.unit] = changed
+            self.touched.add(changed.unit)
+
+    def forget(self, unit: Process | Node) -> None:
+        """Take a unit out; a container takes its nodes along."""
+        if isinstance(unit, Process):
+            for node in self.nodes_of(unit.name):
+                self.forget(node)
+            del self.processes[unit.name]
+        else:
+            del self.nodes[unit.key]
+            self.keys[unit.key.container].remove(unit.key)
+
+
+class Limits(Struct, frozen=True, kw_only=True):
+    """Seconds."""
+
+    hello: float = 30.0
+    """From the start of a container to its hello."""
+    kill: float = 5.0
+    """From SIGKILL to the exit; a process in an uninterruptible system call lives on."""
+    report_interval: float = 15.0
+    """Between two reports of a slow constructor, or of one that waits."""
+    reload_after_leak: float = 3.0
+    """For a reload beyond its usual time, when a dead node probably left a lock locked."""
+    silence: float = 10.0
+    """For a callback, before it is reported as blocking the executor."""
+
+
+def is_wanted(world: World, unit: Process | Node) -> bool:
+    """Whether the configuration and the operator want it to run: the one place that knows.
+
+    A node is wanted independently of its container.
+    """
+    if unit.is_removed:
+        return False
+    if isinstance(unit, Process):
+        return not world.is_stopping and unit.name not in world.dismissed
+    return str(unit.key) not in world.dismissed
+
+
+def is_ours(process: Process) -> bool:
+    """Whether it is a container of our own program."""
+    config = process.container
+    return config is not None and config.container_type is not ContainerType.STOCK
+
+
+def limits_of(process: Process) -> RestartLimits:
+    """Give its restart limits."""
+    return process.config.restart

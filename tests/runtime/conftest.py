@@ -1,0 +1,40 @@
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+from blockbuster import blockbuster_ctx
+
+from play_launch.process.processor_wait import ProcessorWait
+from play_launch.runtime import watch
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+
+@pytest.fixture(autouse=True)
+def _loop_is_never_blocked() -> Iterator[None]:
+    with blockbuster_ctx("play_launch") as blockbuster:
+        # Popen waits for the exec of its vforked child, and a program is looked for in folders:
+        # neither can wait for anything but the file system.
+        blockbuster.functions["os.read"].can_block_in("subprocess.py", "_execute_child")
+        # The guard of the session answers as fast as a fork; what it gets is a file in memory.
+        blockbuster.functions["socket.socket.recv"].can_block_in("process/guard.py", "_ask")
+        blockbuster.functions["io.BufferedWriter.write"].can_block_in("process/guard.py", "_file")
+        # The kernel lists the threads of a process from memory.
+        listdir = blockbuster.functions["os.listdir"]
+        listdir.can_block_in("process/thread_wait.py", "_thread_named")
+        listdir.can_block_in("process/processor_wait.py", "processor_wait")
+        listdir.can_block_in("process/time_slice.py", "_threads")
+        for name in ("os.stat", "os.access"):
+            blockbuster.functions[name].can_block_in("process/program.py", "check_program")
+            blockbuster.functions[name].can_block_in("install/command.py", "find_executable")
+            blockbuster.functions[name].can_block_in("runtime/commands.py", "process_command")
+        yield
+
+
+@pytest.fixture(autouse=True)
+def _processors_abound(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Time jumps here: what the kernel counts meanwhile says nothing."""
+    none = ProcessorWait(0.0, wants_one=False)
+    monkeypatch.setattr(watch, "waits", lambda pid: (none, none))

@@ -1,0 +1,157 @@
+"""A stock container behind services that answer when the test says so."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from play_launch.ros.composition import ListedNode, LoadReply, UnloadReply
+from play_launch.runtime.stock.link import StockLink
+from play_launch.runtime.stock.ports import StockLimits
+from play_launch.runtime.stock.reports import ContainerIdentity
+from play_launch.wire.messages import Hello, Incoming, Load, Query, Status
+
+from . import jumping_loop
+
+if TYPE_CHECKING:
+    from collections.abc import Coroutine
+
+
+async def settle() -> None:
+    """Let everything happen that is due now."""
+    for _ in range(30):
+        await asyncio.sleep(0)
+
+
+def run(main: Coroutine[Any, Any, None]) -> None:
+    """Run to the end, and let what was cancelled last come to its end, too."""
+
+    async def settled() -> None:
+        # Of the clock that jumps: a dialogue looks at its container for ever.
+        async with asyncio.timeout(10_000):
+            await main
+        await settle()
+
+    jumping_loop.run(settled())
+
+
+class Services:
+    """Answers lists and unloads truthfully and at once; loads are answered by the test."""
+
+    def __init__(self) -> None:
+        self.nodes: dict[int, str] = {}
+        self.present: frozenset[bytes] = frozenset({b"one"})
+        self.loads: list[tuple[Any, asyncio.Future[LoadReply]]] = []
+        self.unloaded: list[int] = []
+        self.lists = 0
+        self.unanswered: list[asyncio.Future[Any]] = []
+        self.answers_lists = True
+        self.answers_unloads = True
+        self.closed = False
+        self.on_change: Callable[[], None] = lambda: None
+        self._changed = asyncio.Event()
+
+    def change(self, servers: frozenset[bytes] | None = None) -> None:
+        if servers is not None:
+            self.present = servers
+        self._changed.set()
+        self._changed = asyncio.Event()
+        self.on_change()
+
+    def on_graph_change(self, callback: Callable[[], None]) -> None:
+        self.on_change = callback
+
+    async def ready(self) -> None:
+        while not self.present:
+            await self._changed.wait()
+
+    async def graph_change(self) -> None:
+        await self._changed.wait()
+
+    async def is_ready(self) -> bool:
+        return bool(self.present)
+
+    async def servers(self) -> frozenset[bytes]:
+        return self.present
+
+    async def constructs_in_background(self) -> bool:
+        return False
+
+    def list_nodes(self) -> asyncio.Future[tuple[ListedNode, ...]]:
+        self.lists += 1
+        return self._reply(
+            self.answers_lists, tuple(ListedNode(*each) for each in self.nodes.items())
+        )
+
+    def load_node(self, request: Any) -> asyncio.Future[LoadReply]:
+        reply: asyncio.Future[LoadReply] = asyncio.get_running_loop().create_future()
+        self.loads.append((request, reply))
+        return reply
+
+    def unload_node(self, unique_id: int) -> asyncio.Future[UnloadReply]:
+        self.unloaded.append(unique_id)
+        if self.answers_unloads:
+            self.nodes.pop(unique_id, None)
+        return self._reply(self.answers_unloads, UnloadReply(success=True))
+
+    def close(self) -> None:
+        self.closed = True
+
+    def construct(self, index: int = -1) -> None:
+        """The load comes to a good end."""
+        request, reply = self.loads[index]
+        unique_id = len(self.loads) + 10
+        self.nodes[unique_id] = request
+        reply.set_result(LoadReply(True, "", request, unique_id))
+
+    def _reply(self, is_answered: bool, answer: Any) -> asyncio.Future[Any]:
+        reply: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
+        if is_answered:
+            reply.set_result(answer)
+        else:
+            self.unanswered.append(reply)
+        return reply
+
+
+def link_to(
+    services: Services,
+    *,
+    name: str = "/box",
+    places: asyncio.Semaphore | None = None,
+    limits: StockLimits | None = None,
+    encode: Callable[[Load], object] = lambda load: f"/{load.node_name}",
+) -> StockLink:
+    """A dialogue in which a request is the full name of its node."""
+    return StockLink(
+        ContainerIdentity(name=name),
+        services,
+        hello=Hello(version="", rmw_implementation="rmw_test", domain_id=7),
+        encode=encode,
+        places=places or asyncio.Semaphore(4),
+        loading_timeout=10.0,
+        limits=limits or StockLimits(),
+    )
+
+
+async def greeted(services: Services, **keys: Any) -> StockLink:
+    link = link_to(services, **keys)
+    await link.handshake(Hello(version="1"))
+    return link
+
+
+def load(attempt: int, name: str) -> Load:
+    return Load(attempt=attempt, package_name="demo", plugin_name="demo::Node", node_name=name)
+
+
+async def ask(link: StockLink) -> Status:
+    """What the actor asks after too long a silence; everything said before is dropped."""
+    link.send(Query(query_id=99))
+    return await status(link, 99)
+
+
+async def status(link: StockLink, query_id: int) -> Status:
+    while True:
+        said: Incoming = await link.receive()
+        if isinstance(said, Status) and said.query_id == query_id:
+            return said

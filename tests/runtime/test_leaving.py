@@ -1,0 +1,114 @@
+"""What was asked to end and does not in time, or ends while somebody else acts on it."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+from collections.abc import AsyncIterator
+from typing import Any, cast
+
+import pytest
+
+from play_launch.config.node_key import NodeKey
+from play_launch.control.action_record import ActionRecord, ActionRecords
+from play_launch.control.actions import Actions
+from play_launch.control.feed import Feed
+from play_launch.control.outcome import Action as Asked
+from play_launch.control.place import Peer
+from play_launch.control.protocol import ControlError
+from play_launch.supervisor.steps import Action
+
+from .fakes import FakeContainer, FakeLauncher, container, process, system
+from .jumping_loop import run
+from .running import Running, running
+
+BEFORE = system(container("box", "stays", "goes"), process("p"))
+AFTER = system(container("box", "stays"))
+
+
+class Slow(FakeContainer):
+    """Its nodes take a minute to leave."""
+
+    def on_unload(self, unique_id: int) -> None:
+        asyncio.get_running_loop().call_later(60, super().on_unload, unique_id)
+
+    def on_shutdown(self) -> None:
+        self.held.clear()
+        super().on_shutdown()
+
+
+async def taken_out_too_slowly(sys: Running) -> None:
+    await sys.until_loaded(2)
+    sys.launcher.processes["/p"][0].lingers = 60.0
+    applied = await sys.operated.applying.apply(AFTER, limit=1)
+    assert [each.reason for each in applied.outcomes] == ["it takes longer than 1 s"] * 2
+    left = sys.operated.applying.plan(AFTER).steps
+    assert {(step.name, step.action) for step in left} == {
+        ("/box:/goes", Action.REMOVE),
+        ("/p", Action.REMOVE),
+    }
+
+
+@pytest.mark.parametrize("pause", [0, 100], ids=["on its way", "gone by then"])
+def test_what_left_too_slowly_comes_back_with_the_configuration_that_has_it(pause: float) -> None:
+    async def main() -> None:
+        async with running(BEFORE, FakeLauncher({"/box": [Slow]})) as sys:
+            await taken_out_too_slowly(sys)
+            await asyncio.sleep(pause)
+            back = sys.operated.applying.plan(BEFORE).steps
+            assert {(step.name, step.action) for step in back} == {
+                ("/box:/goes", Action.LOAD),
+                ("/p", Action.START),
+            }
+            assert (await sys.operated.applying.apply(BEFORE, limit=200)).succeeded
+            assert sys.view.loaded == 2
+            assert sys.view.is_complete
+            assert not sys.operated.applying.plan(BEFORE).differs
+
+    run(main())
+
+
+def test_a_node_on_its_way_out_is_not_loaded_again_by_hand() -> None:
+    async def main() -> None:
+        async with running(BEFORE, FakeLauncher({"/box": [Slow]})) as sys:
+            await taken_out_too_slowly(sys)
+            sys.operated.load(NodeKey("/box", "/goes"))
+            await asyncio.sleep(100)
+            assert [key.name for key in sys.view.containers["/box"].nodes] == ["/stays"]
+
+    run(main())
+
+
+class Late(ActionRecords):
+    """Has all of it taken out between the choice of names and the action."""
+
+    def __init__(self, sys: Running) -> None:
+        super().__init__(sys.publisher)
+        self._sys = sys
+
+    @contextlib.asynccontextmanager
+    async def recorded(self, *asked: Any) -> AsyncIterator[ActionRecord]:
+        await self._sys.operated.applying.apply(system(process("other")))
+        async with super().recorded(*asked) as record:
+            yield record
+
+
+@pytest.mark.parametrize("action", list(Asked))
+@pytest.mark.parametrize("name", ["/p", "/box", "/stays"])
+def test_what_is_taken_out_meanwhile_is_reported_as_such(action: Asked, name: str) -> None:
+    is_node = name == "/stays"
+    for_nodes = action in {Asked.LOAD, Asked.UNLOAD, Asked.RELOAD}
+    if action is not Asked.SIGNAL and is_node is not for_nodes:
+        return
+
+    async def main() -> None:
+        async with running(BEFORE, FakeLauncher()) as sys:
+            await sys.until_loaded(2)
+            actions = Actions(sys.operated, sys.publisher, Feed(), Late(sys))
+            arguments: dict[str, Any] = {"names": [name], "signal": "USR1"}
+            peer, stream = Peer(os.getpid(), 0, 0), cast("Any", None)
+            with pytest.raises(ControlError, match="taken out of the system"):
+                await actions.act(action, arguments, peer, stream)
+
+    run(main())

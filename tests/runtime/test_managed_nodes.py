@@ -1,0 +1,237 @@
+"""Managed nodes beside their members, with scripted lifecycle services."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from types import MappingProxyType
+
+import pytest
+from msgspec.structs import replace
+
+from play_launch.config.model import ManagedConfig, ReplayConfig
+from play_launch.config.node_key import NodeKey
+from play_launch.config.policies import Autostart
+from play_launch.runtime.ports import Graph, OnGraphChange
+from play_launch.supervisor.events import ManagedNodeChanged, NodeState
+from play_launch.supervisor.goal_life import ManagedState
+
+from .fakes import FakeLauncher, container, process, system
+from .jumping_loop import run
+from .running import Running, running
+
+State = ManagedState
+WAY = [State.ASKED, State.CONFIGURING, State.ACTIVATING, State.ACTIVE]
+
+
+class FakeNode:
+    """Goes where it is told; `refuses` a transition, `raises` in one, or takes its time for each.
+
+    `takes` is in seconds.
+    """
+
+    def __init__(self, on_state: Callable[[int], None]) -> None:
+        self.on_state = on_state
+        self.refuses = 0
+        self.raises = 0
+        self.takes = 0.0
+        self.is_heard = True
+        self.is_open = True
+        self.is_offered = True
+        self.is_silent = False
+        self.at = 1
+
+    async def state(self) -> int:
+        if self.is_silent:
+            await asyncio.Event().wait()
+        return self.at
+
+    async def change(self, transition: int) -> bool:
+        await asyncio.sleep(self.takes)
+        if transition == self.raises:
+            self.at = 1
+            self.on_state(self.at)
+            return False
+        if transition == self.refuses:
+            return False
+        self.at = {1: 2, 3: 3}[transition]
+        if self.is_heard:
+            self.on_state(self.at)
+        return True
+
+
+class FakeRos:
+    def __init__(self, **traits: float) -> None:
+        self.traits = traits
+        self.nodes: list[FakeNode] = []
+
+    def watch_graph(self, on_change: OnGraphChange) -> Graph:
+        raise AssertionError
+
+    @asynccontextmanager
+    async def managed_node(
+        self, name: str, on_state: Callable[[int], None]
+    ) -> AsyncIterator[FakeNode]:
+        assert all(not each.is_open for each in self.nodes), "two conversations with one node"
+        node = FakeNode(on_state)
+        self.nodes.append(node)
+        vars(node).update(self.traits)
+        try:
+            yield node
+        finally:
+            node.is_open = False
+
+
+def managed(goal: Autostart = Autostart.ACTIVATE, timeout: float = 60.0) -> ReplayConfig:
+    found = {"/c:/n": ManagedConfig("/n", goal, timeout)}
+    return replace(system(container("c", "n")), managed=MappingProxyType(found))
+
+
+def states(sys: Running) -> list[ManagedState]:
+    return [event.state for event in sys.events if isinstance(event, ManagedNodeChanged)]
+
+
+def test_it_is_brought_up_again_with_each_life() -> None:
+    async def main() -> Running:
+        ros = FakeRos()
+        async with running(managed(), FakeLauncher(), ros=ros) as sys:
+            await sys.until(lambda: states(sys) == WAY)
+            sys.operated.reload(NodeKey("/c", "/n"))
+            await sys.until(lambda: states(sys) == [*WAY, State.ABSENT, *WAY])
+            sys.operated.restart("/c", "try it")
+            await sys.until(lambda: states(sys).count(State.ACTIVE) == 3)
+        assert [each.is_open for each in ros.nodes] == [False] * 3
+        return sys
+
+    sys = run(main())
+    assert sys.outcome is not None
+    assert sys.outcome.exit_code == 0
+
+
+def test_configure_goes_so_far_and_no_further() -> None:
+    async def main() -> None:
+        async with running(managed(Autostart.CONFIGURE), FakeLauncher(), ros=FakeRos()) as sys:
+            await sys.until(lambda: State.INACTIVE in states(sys))
+            await asyncio.sleep(100)
+            assert states(sys) == [State.ASKED, State.CONFIGURING, State.INACTIVE]
+
+    run(main())
+
+
+@pytest.mark.parametrize(
+    ("traits", "reason"),
+    [
+        ({"refuses": 3}, "its transition activate failed"),
+        ({"refuses": 1}, "its transition configure failed"),
+        ({"takes": 9.0}, "its transition configure took longer than 5 s"),
+        ({"raises": 3}, "its transition activate led to the state unconfigured"),
+        ({"is_silent": True}, "its lifecycle services did not answer within 5 s"),
+        (
+            {"is_silent": True, "is_offered": False},
+            "nobody offered the service /n/get_state within 5 s",
+        ),
+    ],
+)
+def test_a_failure_is_published_and_the_exit_code_says_it(
+    traits: dict[str, float], reason: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def main() -> Running:
+        async with running(managed(timeout=5.0), FakeLauncher(), ros=FakeRos(**traits)) as sys:
+            await sys.until(lambda: State.FAILED in states(sys))
+            await asyncio.sleep(100)
+            assert states(sys).count(State.FAILED) == 1
+        return sys
+
+    sys = run(main())
+    failed = next(each for each in sys.events if getattr(each, "state", "") is State.FAILED)
+    assert isinstance(failed, ManagedNodeChanged)
+    assert (failed.unit, failed.node, failed.reason) == ("/c:/n", "/n", reason)
+    assert f"/n does not activate: {reason}" in caplog.text
+    assert sys.outcome is not None
+    assert sys.outcome.exit_code == 1
+
+
+def test_a_node_that_leaves_in_a_transition_is_not_waited_for() -> None:
+    async def main() -> None:
+        async with running(managed(), FakeLauncher(), ros=FakeRos(takes=1000.0)) as sys:
+            await sys.until(lambda: State.CONFIGURING in states(sys))
+            assert not sys.view.is_complete
+            sys.operated.unload(NodeKey("/c", "/n"))
+            await sys.until(lambda: NodeState.UNLOADED in sys.node_states("/n"))
+            assert states(sys)[-1] is State.ABSENT
+
+    run(main())
+
+
+def test_a_process_and_who_helps_by_hand() -> None:
+    async def main() -> Running:
+        ros = FakeRos(refuses=3)
+        config = system(process("p"))
+        config = replace(
+            config, managed=MappingProxyType({"/p": ManagedConfig("/p", Autostart.ACTIVATE)})
+        )
+        async with running(config, FakeLauncher(), ros=ros) as sys:
+            await sys.until(lambda: State.FAILED in states(sys))
+            ros.nodes[0].on_state(3)
+            await sys.until(lambda: State.ACTIVE in states(sys))
+        return sys
+
+    sys = run(main())
+    assert sys.outcome is not None
+    assert sys.outcome.exit_code == 0
+
+
+def test_one_that_is_managed_no_longer_may_fail_late(caplog: pytest.LogCaptureFixture) -> None:
+    class FailsWhenCancelled(FakeNode):
+        async def state(self) -> int:
+            try:
+                await asyncio.Event().wait()
+            finally:
+                raise LookupError("the node is gone")
+
+    class Ros(FakeRos):
+        @asynccontextmanager
+        async def managed_node(
+            self, name: str, on_state: Callable[[int], None]
+        ) -> AsyncIterator[FakeNode]:
+            self.nodes.append(FailsWhenCancelled(on_state))
+            yield self.nodes[-1]
+
+    async def main() -> Running:
+        ros = Ros()
+        async with running(managed(), FakeLauncher(), ros=ros) as sys:
+            await sys.until(lambda: states(sys) == [State.ASKED])
+            await asyncio.sleep(1)
+            await sys.operated.applying.apply(system(container("c", "n", "m")))
+            await sys.until_loaded(2)
+            await asyncio.sleep(1)
+        return sys
+
+    sys = run(main())
+    assert sys.outcome is not None
+    assert sys.outcome.exit_code == 0
+    assert "the node is gone" in caplog.text
+
+
+def test_a_state_is_seen_although_its_event_gets_lost() -> None:
+    async def main() -> None:
+        ros = FakeRos()
+        async with running(managed(Autostart.CONFIGURE), FakeLauncher(), ros=ros) as sys:
+            await sys.until(lambda: State.INACTIVE in states(sys))
+            # Somebody else activates it before our subscription is known to the node.
+            ros.nodes[0].at = 3
+            await sys.until(lambda: states(sys)[-1] is State.ACTIVE)
+
+    run(main())
+
+
+def test_a_failure_is_not_forgotten_by_looking_again() -> None:
+    async def main() -> None:
+        ros = FakeRos(refuses=3, is_heard=False)
+        async with running(managed(), FakeLauncher(), ros=ros) as sys:
+            await sys.until(lambda: State.FAILED in states(sys))
+            await asyncio.sleep(100)
+            assert states(sys)[-1] is State.FAILED
+
+    run(main())

@@ -1,0 +1,83 @@
+"""What is needed for all stock containers of a system, and what is not."""
+
+from __future__ import annotations
+
+import threading
+from types import MappingProxyType
+
+import pytest
+from msgspec.structs import replace
+
+from play_launch.config.model import (
+    ContainerType,
+    ParameterConfig,
+    ParameterType,
+    ParameterValue,
+)
+from play_launch.install.ros import NotInstalledError
+from play_launch.runtime.stock.starter import StockContainers, load_node_request
+from play_launch.wire.codec import EncodeError
+from play_launch.wire.messages import Load
+
+from .fakes import container, system
+
+
+def test_without_stock_containers_nothing_takes_part_in_ros() -> None:
+    before = threading.active_count()
+    stock = StockContainers.of(system(container("a", "x")))
+    assert not stock.is_open
+    assert threading.active_count() == before
+    stock.close()
+
+
+def test_each_domain_has_a_participant(ros_domain: int, other_domain: int) -> None:
+    here = replace(container("a"), container_type=ContainerType.STOCK)
+    elsewhere = replace(
+        here, full_name="/b", environment=MappingProxyType({"ROS_DOMAIN_ID": str(other_domain)})
+    )
+    stock = StockContainers.of(system(here, elsewhere, replace(here, full_name="/c")))
+    try:
+        assert {each.domain_id for each in stock._threads.values()} == {ros_domain, other_domain}
+    finally:
+        stock.close()
+    assert not stock.is_open
+
+
+def test_what_keeps_ros_from_working_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(_: object) -> None:
+        raise RuntimeError("no such network")
+
+    monkeypatch.setattr("play_launch.ros.thread.RosThread.start", refuse)
+    config = system(replace(container("a"), container_type=ContainerType.STOCK))
+    with pytest.raises(NotInstalledError, match=r"no such network.*doctor"):
+        StockContainers.of(config)
+
+
+def test_a_request_holds_everything_with_its_type() -> None:
+    rate = ParameterConfig("rate", ParameterValue(ParameterType.DOUBLE, 1.0))
+    intra = ParameterConfig("use_intra_process_comms", ParameterValue(ParameterType.BOOL, True))
+    request = load_node_request(
+        Load(
+            attempt=1,
+            package_name="demo",
+            plugin_name="demo::Node",
+            node_name="n",
+            node_namespace="/a",
+            log_level=30,
+            remap_rules=("x:=/y",),
+            parameters=(rate,),
+            extra_arguments=(intra,),
+        )
+    )
+    assert (request.package_name, request.plugin_name) == ("demo", "demo::Node")
+    assert (request.node_name, request.node_namespace, request.log_level) == ("n", "/a", 30)
+    assert list(request.remap_rules) == ["x:=/y"]
+    assert (request.parameters[0].value.type, request.parameters[0].value.double_value) == (3, 1.0)
+    assert request.extra_arguments[0].value.bool_value is True
+
+
+def test_a_value_that_does_not_fit_is_refused() -> None:
+    with pytest.raises(EncodeError):
+        load_node_request(
+            Load(attempt=1, package_name="demo", plugin_name="demo::Node", log_level=1000)
+        )

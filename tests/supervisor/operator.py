@@ -1,0 +1,93 @@
+"""A system that does what the steps of a plan say, and nothing else.
+
+It knows values by their paths only, so a step that leaves out a change leaves the old value.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from copy import deepcopy
+from typing import Any
+
+from play_launch.config.description import describe
+from play_launch.config.model import ReplayConfig
+from play_launch.supervisor.steps import Action, Change, Kind, Plan, Step
+
+
+class Operated:
+    """What runs, by kind and name; each start and each load is a further life."""
+
+    def __init__(self, config: ReplayConfig, absent: set[str]) -> None:
+        self.things = things(config)
+        self.absent = set(absent)
+        self.lives = Counter(dict.fromkeys(self.things, 1))
+        self.touched: set[tuple[Kind, str]] = set()
+
+    def carry_out(self, plan: Plan, target: ReplayConfig) -> None:
+        wanted = things(target)
+        for phase in plan.phases():
+            for step in phase:
+                self._do(step, wanted)
+
+    def _do(self, step: Step, wanted: dict[tuple[Kind, str], Any]) -> None:
+        self.touched.add(step.id)
+        match step.action:
+            case Action.REMOVE:
+                for each in self._with_nodes(step):
+                    del self.things[each]
+            case Action.ADOPT | Action.SET:
+                assert step.name not in self.absent, "nothing runs that could take it"
+                for change in step.changes:
+                    self._change(step, change)
+            case Action.ADD:
+                assert not self._with_nodes(step), "it is there already"
+                self._begin(step, wanted)
+            case Action.RELOAD | Action.RESTART | Action.LOAD | Action.START:
+                for each in self._with_nodes(step):
+                    del self.things[each]
+                self._begin(step, wanted)
+            case Action.KEEP:
+                raise AssertionError("nothing is to be done")
+
+    def _begin(self, step: Step, wanted: dict[tuple[Kind, str], Any]) -> None:
+        for (kind, name), described in wanted.items():
+            if (kind, name) == step.id or _is_inside(kind, name, step):
+                self.things[kind, name] = deepcopy(described)
+                self.lives[kind, name] += 1
+                self.absent.discard(name)
+                self.touched.add((kind, name))
+
+    def _with_nodes(self, step: Step) -> list[tuple[Kind, str]]:
+        return [each for each in self.things if each == step.id or _is_inside(*each, step)]
+
+    def _change(self, step: Step, change: Change) -> None:
+        first, _, rest = change.path.partition(".")
+        place = self.things[step.id]
+        if rest:
+            if change.after is None:
+                del place[first][rest]
+            else:
+                place[first][rest] = change.after
+        else:
+            place[first] = change.after
+
+
+def _is_inside(kind: Kind, name: str, step: Step) -> bool:
+    is_node = kind is Kind.COMPONENT and step.kind is Kind.CONTAINER
+    return is_node and name.startswith(f"{step.name}:")
+
+
+def things(config: ReplayConfig) -> dict[tuple[Kind, str], Any]:
+    """Everything that a configuration declares; lines are no part of it."""
+    found: dict[tuple[Kind, str], Any] = {}
+    described: Any = describe(config)
+    for container in described["containers"]:
+        for node in container.pop("composable_nodes"):
+            found[Kind.COMPONENT, node["key"]] = node
+        found[Kind.CONTAINER, container["full_name"]] = container
+    for process in described["nodes"]:
+        found[Kind.PROCESS, process["full_name"]] = process
+    for thing in found.values():
+        del thing["line"], thing["file"]
+    found[Kind.SESSION, ""] = {"stop": described["stop"]}
+    return found

@@ -1,0 +1,87 @@
+from __future__ import annotations
+
+from hypothesis import given
+from hypothesis import strategies as st
+from msgspec.structs import replace
+
+from play_launch.config.policies import RestartLimits
+from play_launch.supervisor.restart import GiveUp, Restart, RestartHistory, decide
+
+BOUNDS = st.builds(
+    RestartLimits,
+    max_restarts=st.integers(0, 6),
+    within=st.floats(0.1, 100),
+    initial=st.floats(0.001, 2),
+    maximum=st.floats(0.001, 60),
+)
+JITTER = st.floats(0, 1, exclude_max=True)
+
+
+@given(BOUNDS, st.lists(st.tuples(st.floats(0, 0.6), JITTER), max_size=60))
+def test_no_window_holds_more_restarts_than_allowed(
+    bounds: RestartLimits, lives: list[tuple[float, float]]
+) -> None:
+    history, now, restarts = RestartHistory(), 0.0, []
+    for part, jitter in lives:
+        lived = part * bounds.within
+        now += lived
+        history, verdict = decide(history, bounds, now=now, lived=lived, jitter=jitter)
+        if isinstance(verdict, GiveUp):
+            break
+        assert 0 <= verdict.delay <= bounds.maximum
+        now += verdict.delay
+        restarts.append(now)
+        recent = [due for due in restarts if now - due < bounds.within]
+        assert len(recent) <= bounds.max_restarts
+    assert history.total == len(restarts)
+
+
+@given(BOUNDS, st.lists(st.tuples(st.floats(0, 100), st.booleans()), max_size=40))
+def test_what_does_not_count_always_restarts_and_uses_nothing_up(
+    bounds: RestartLimits, deaths: list[tuple[float, bool]]
+) -> None:
+    """A history with uncounted deaths decides about the counted ones as one without them."""
+    everything, counted = RestartHistory(), RestartHistory()
+    now = 0.0
+    for lived, counts in deaths:
+        now += lived
+        everything, verdict = decide(
+            everything, bounds, now=now, lived=0.0, jitter=0.0, counts=counts
+        )
+        if counts:
+            # The same pauses, so that only the counting is compared.
+            like = replace(counted, streak=everything.streak - isinstance(verdict, Restart))
+            counted, expected = decide(like, bounds, now=now, lived=0.0, jitter=0.0)
+            assert verdict == expected
+        else:
+            assert isinstance(verdict, Restart) == (bounds.max_restarts > 0)
+
+
+def test_pauses_grow_to_the_maximum_and_start_anew_after_a_healthy_life() -> None:
+    bounds = RestartLimits(max_restarts=100, within=60.0, initial=0.1, maximum=1.0)
+    history, delays = RestartHistory(), []
+    for _ in range(6):
+        history, verdict = decide(history, bounds, now=0.0, lived=0.0, jitter=0.0)
+        assert isinstance(verdict, Restart)
+        delays.append(round(verdict.delay, 3))
+    assert delays == [0.05, 0.1, 0.2, 0.4, 0.5, 0.5]
+    _, verdict = decide(history, bounds, now=100.0, lived=60.0, jitter=0.0)
+    assert verdict == Restart(0.05)
+
+
+def test_the_first_restart_can_be_at_once() -> None:
+    bounds = RestartLimits(
+        max_restarts=100, within=60.0, initial=0.1, maximum=0.3, first_at_once=True
+    )
+    history, delays = RestartHistory(), []
+    for lived in (0.0, 0.0, 0.0, 0.0, 0.0, 60.0, 0.0):
+        history, verdict = decide(history, bounds, now=0.0, lived=lived, jitter=0.0)
+        assert isinstance(verdict, Restart)
+        delays.append(round(verdict.delay, 3))
+    assert delays == [0.0, 0.05, 0.1, 0.15, 0.15, 0.0, 0.05]
+
+
+def test_giving_up_says_why() -> None:
+    never = RestartLimits(max_restarts=0, within=60.0, initial=0.1, maximum=1.0)
+    _, verdict = decide(RestartHistory(), never, now=0.0, lived=5.0, jitter=0.0)
+    assert verdict == GiveUp("restarting is switched off")
