@@ -70,6 +70,8 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 _reported = logging.getLogger(REPORTED_LOGGER)
 
+_RETRY_INTERVAL: Final = 1.0
+"""Seconds after which what is due, and was not settled, is evaluated again."""
 LATE: Final = 5.0
 """Seconds after which what is due counts as forgotten."""
 
@@ -104,6 +106,8 @@ class System:
         self._is_busy = False
         self._is_closed = False
         self._timer: asyncio.TimerHandle | None = None
+        self._is_overdue = False
+        """Whether what is due was evaluated and stays due."""
         self._changed = asyncio.Event()
         self._actors: dict[str, ProcessActor] = {}
         self._ros = ros
@@ -136,7 +140,8 @@ class System:
 
     def _is_due(self) -> bool:
         due = deadline(self.world)
-        return due is not None and due <= self._loop.time() and not self._is_closed
+        is_open = not self._is_overdue and not self._is_closed
+        return due is not None and due <= self._loop.time() and is_open
 
     def _process(self, said: Input) -> None:
         before, now = Snapshot.of(self.world), self._loop.time()
@@ -145,6 +150,7 @@ class System:
             effects = reduce(self.world, said, now, self._jitter())
         except Exception:  # noqa: BLE001 - the rules of single units are confined
             _log.exception("%s could not be processed", said)
+        self._is_overdue = isinstance(said, Time) and Snapshot.of(self.world) == before
         stamp_ns = self.publisher.stamp_ns()
         for event in events_between(before, self.world, now=now, stamp_ns=stamp_ns):
             try:
@@ -186,6 +192,8 @@ class System:
             self._timer.cancel()
             self._timer = None
         if due is not None and not self._is_closed:
+            if self._is_overdue:
+                due = max(due, self._loop.time() + _RETRY_INTERVAL)
             self._timer = self._loop.call_at(due, self._on_time)
 
     def _due(self) -> float | None:
@@ -194,9 +202,12 @@ class System:
 
     def _on_time(self) -> None:
         self._timer = None
+        self._is_overdue = False
         for actor in tuple(self._actors.values()):
             actor.on_time()
-        self.post(Time())
+        if self._is_due():
+            self.post(Time())
+        self._set_timer()
 
     def _carry_out(self, effect: Effect) -> None:
         match effect:
@@ -231,10 +242,9 @@ class System:
                 self.applying.step_ended(effect)
             case ChangeEnded():
                 self.applying.change_ended()
-            case Log(is_error=True):
-                _reported.error("%s", effect.text)
             case Log():
-                _log.warning("%s", effect.text)
+                logger = _reported if effect.is_shown_otherwise else _log
+                logger.log(logging.ERROR if effect.is_error else logging.WARNING, "%s", effect.text)
             case Raised():
                 self.fail(effect.unit, effect.error)
             case End():

@@ -8,7 +8,7 @@ from play_launch.supervisor.conditions import find_unit
 from play_launch.supervisor.events import NodeState
 from play_launch.supervisor.goal_life import ManagedAction, ManagedInput, ManagedState
 from play_launch.supervisor.goal_life import step as next_state
-from play_launch.supervisor.inputs import Drive, Release, Transit
+from play_launch.supervisor.inputs import Drive, Log, Release, Transit
 from play_launch.supervisor.world import Node, Phase, Process
 
 if TYPE_CHECKING:
@@ -71,6 +71,6 @@ def _apply(step: Step, name: str, said: ManagedInput, reason: str = "") -> None:
                 step.effects.append(Transit(name, goal.instance, action))
             case ManagedAction.REPORT_FAILED:
                 text = f"{goal.config.name} does not {goal.config.autostart}: {reason}"
-                step.log(text, is_error=True)
+                step.effects.append(Log(text, is_error=True, is_shown_otherwise=True))
             case _:
                 assert_never(action)

@@ -400,6 +400,8 @@ class Log(Struct, frozen=True):
 
     text: str
     is_error: bool = False
+    is_shown_otherwise: bool = False
+    """Whether an event shows the same to users."""
 
 
 class Raised(Struct, frozen=True):

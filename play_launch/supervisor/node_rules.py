@@ -180,7 +180,7 @@ def _renews(step: Step, node: Node, said: NodeReported | None) -> bool:
     died = f"its constructor died in this container before ({node.died_constructing})"
     reason = f"{node.key.name} cannot be loaded, and {died}: what it had opened stays open"
     reason = f"{reason}: {node.reason}"
-    step.log(f"{container.name} is started anew: {reason}")
+    step.log(f"{container.name} is started anew: {reason}", is_shown_otherwise=True)
     step.world.put(node, has_renewed=True, reason=f"{node.reason}; its container is started anew")
     step.world.put(container, generation=container.generation + 1, request_reason=reason)
     return True
@@ -374,6 +374,9 @@ def settle(step: Step, key: NodeKey) -> None:
         _leave(step, node)
         return
     container = step.process(key.container)
+    if node.wait is not None and not container.takes_loads:
+        world.put(node, wait=None)
+        node = step.node(key)
     if node.generation > node.attempted:
         if node.state in IDLE:
             if container.takes_loads:
@@ -381,8 +384,7 @@ def settle(step: Step, key: NodeKey) -> None:
         elif node.state is not NodeState.UNLOADING:
             _apply(step, node, NodeFact.LEAVE)
     elif not container.takes_loads:
-        if node.wait is not None:
-            world.put(node, wait=None)
+        pass
     elif node.loaded_into != container.attempt and node.state in IDLE - {NodeState.GAVE_UP}:
         _load_with_container(step, node)
 

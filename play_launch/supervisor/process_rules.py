@@ -257,7 +257,8 @@ def _exit(
         apply(step, name, Fact.EXITED_GIVE_UP, reason)
     elif is_done:
         if reason:
-            step.log(f"{name}: stopped, and is not started again: {reason}")
+            text = f"{name}: stopped, and is not started again: {reason}"
+            step.log(text, is_shown_otherwise=True)
         apply(step, name, Fact.EXITED_DONE, reason)
     else:
         _restart(step, process, reason, lived)
@@ -403,7 +404,8 @@ def reported(step: Step, name: str, before: Wait | None, wait: Wait) -> Wait:
     """Warn of a unit that waits for long."""
     if before is None or step.now < wait.report_due:
         return wait
-    step.log(f"{name} has waited for {step.now - wait.since:.0f} s: it {wait.text}")
+    text = f"{name} has waited for {step.now - wait.since:.0f} s: it {wait.text}"
+    step.log(text, is_shown_otherwise=True)
     return replace(wait, report_due=step.now + step.world.limits.report_interval)
 
 

@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from play_launch.supervisor.inputs import Effect, Input
     from play_launch.supervisor.world import World
 
-_ROUNDS: Final = 1000
+_ROUNDS: Final = 100
 """Rounds in which one change of the world may lead to another; more are an error of the rules."""
 
 

@@ -33,9 +33,9 @@ class Step:
         """Give a node as it is now."""
         return self.world.nodes[key]
 
-    def log(self, text: str, *, is_error: bool = False) -> None:
-        """Have a warning logged, or an error."""
-        self.effects.append(Log(text, is_error=is_error))
+    def log(self, text: str, *, is_shown_otherwise: bool = False) -> None:
+        """Have a warning logged."""
+        self.effects.append(Log(text, is_shown_otherwise=is_shown_otherwise))
 
     def confine(self, unit: str, rule: Callable[[], None]) -> None:
         """Evaluate a rule of one unit; an exception in it is the failure of that unit alone."""
