@@ -7,8 +7,8 @@ import time
 from typing import TYPE_CHECKING, Any, Final
 
 from play_launch.cgroups.usage import group_of, usage_of
+from play_launch.process.exit import UNKNOWN_STATUS
 from play_launch.supervisor.events import (
-    UNKNOWN_STATUS,
     MemoryKind,
     NodeState,
     ProcessEventKind,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
-from play_launch.supervisor.events import UNKNOWN_STATUS
+from play_launch.process.exit import UNKNOWN_STATUS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

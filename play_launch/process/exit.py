@@ -5,8 +5,10 @@ from __future__ import annotations
 import os
 import signal as signals
 from dataclasses import dataclass
+from typing import Final
 
-from play_launch.supervisor.events import UNKNOWN_STATUS
+UNKNOWN_STATUS: Final = -1
+"""Exit status that is unknown: its parent was killed, or another process reaped the child."""
 
 
 @dataclass(frozen=True, slots=True, repr=False)

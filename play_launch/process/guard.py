@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING, BinaryIO, Final, Protocol, Self
 
 from play_launch.process import open_files
 from play_launch.process.exit import Exit
-from play_launch.process.identity import ancestors_of
 from play_launch.process.time_slice import ask_for_short_turns, run_ahead
 
 if TYPE_CHECKING:
@@ -97,6 +96,8 @@ class SessionGuard:
         self._is_lost = False
         self._helpers = 0
         self._started: set[int] = set()
+        from play_launch.process.identity import ancestors_of  # noqa: PLC0415 - it runs by now
+
         self._ancestors = ancestors_of(os.getpid())
         atexit.register(self._say_farewell)
 

@@ -425,7 +425,3 @@ class EventSink(Protocol):
 
     def publish(self, event: RunEvent) -> None:
         """Take one event."""
-
-
-UNKNOWN_STATUS: Final = -1
-"""Stands for one that nobody knows: who could have read it was killed, or somebody else did."""

@@ -111,7 +111,7 @@ async def run_system(
 
 
 if __name__ == "__main__":
-    stand_in = types.ModuleType("play_launch.runtime.system")
+    stand_in = types.ModuleType("play_launch.runtime.run")
     stand_in.run_system = run_system  # type: ignore[attr-defined]
     sys.modules[stand_in.__name__] = stand_in
     main()

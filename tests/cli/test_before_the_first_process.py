@@ -94,7 +94,8 @@ def test_zygotes_are_started_before_what_takes_its_time(config: Path, tmp_path: 
         "asyncio",
         "mcap",
         "msgspec",
-        "play_launch.config",
+        "play_launch.config.model",
+        "play_launch.config.source",
         "pydantic_core",
         "yaml",
     } | LATER

@@ -15,7 +15,8 @@ from play_launch.cli.find_mistakes import counted
 from play_launch.cli.show.sizes import size
 from play_launch.cli.show.status import container_at_end, process_at_end
 from play_launch.config.node_key import NodeKey
-from play_launch.supervisor.events import UNKNOWN_STATUS, NodeState, ProcessEventKind, SubjectKind
+from play_launch.process.exit import UNKNOWN_STATUS
+from play_launch.supervisor.events import NodeState, ProcessEventKind, SubjectKind
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
