@@ -216,7 +216,7 @@ class Actions:
         """
         member, verdict = full_name(target), _TAKEN_OUT
         if self._is_member(member):
-            state = await self._system.end_of(member)
+            state = await self._system.until_at_rest(member)
             reason = "" if target in had_given_up else self._reason(member)
             verdict = of_stop(state, reason=reason)
         verdicts[target] = verdict

@@ -264,7 +264,7 @@ class System:
 
     def _ros_access(self) -> RosAccess:
         if self._ros is None:
-            # Only for those who need it.
+            # Imported only where it is needed: rclpy takes long.
             from play_launch.ros.access import RosAccess  # noqa: PLC0415
 
             self._ros = RosAccess(self.config.environment)
@@ -310,17 +310,17 @@ class System:
         return self._applying is not None and not self._applying.idle.is_set()
 
     @property
-    def coming(self) -> tuple[str, ...]:
+    def pending(self) -> tuple[str, ...]:
         """Units that have neither been up nor failed for good, as it was when its end began."""
         if self._pending_at_end is not None:
             return self._pending_at_end
         return pending_units(self.world)
 
-    def ailment(self) -> str:
+    def health_problem(self) -> str:
         """Describe the first health problem; empty if there is none."""
         for actor in self._actors.values():
             if actor.is_deserted and not self.world.processes[actor.name].is_stuck:
-                return f"{actor.name}: nobody waits for the end of its process {actor.pid}"
+                return f"{actor.name}: the exit of its process {actor.pid} is not awaited"
         due = self._due()
         late = 0.0 if due is None or self._is_closed else self._loop.time() - due
         return f"what was due {late:.0f} s ago is not done" if late > LATE else ""
@@ -329,7 +329,7 @@ class System:
         """State of a container or executable; KeyError for an unknown name."""
         return STATE_OF_PHASE[self.world.processes[member].phase]
 
-    async def end_of(self, member: str) -> ContainerState | None:
+    async def until_at_rest(self, member: str) -> ContainerState | None:
         """Wait until one is at rest and return its state; None when it is wanted again before."""
         process = self.world.processes[member]
         while not process.is_at_rest:
@@ -400,7 +400,7 @@ class System:
                 if not self._stop.requested.is_set():
                     reason = f"its duration of {self.config.duration:g} s is over"
                     self._stop.request(reason=reason)
-                self._pending_at_end = self.coming
+                self._pending_at_end = self.pending
                 _log.info("stopping: %s", self._stop.reason)
                 tasks.start_soon(self._hurry)
                 self.post(StopRequested(self._stop.reason, self._stop.signum))

@@ -57,30 +57,35 @@ def following(phase: Phase, *, is_up: bool, changes: bool, ends: bool) -> Phase:
 
 
 def status(
-    phase: Phase, view: SystemView, coming: Sequence[str], *, reason: str = "", ailment: str = ""
+    phase: Phase,
+    view: SystemView,
+    pending: Sequence[str],
+    *,
+    reason: str = "",
+    health_problem: str = "",
 ) -> str:
-    """Say in a line how it goes.
+    """Describe the state of the system in one line, for `systemctl status`.
 
     Args:
         phase: The phase.
         view: The system.
-        coming: What is neither up nor failed for good yet.
-        reason: Why it ends.
-        ailment: What is wrong with the supervisor itself.
+        pending: Units that have neither been up nor failed for good.
+        reason: Why the system stops.
+        health_problem: Health problem of the supervisor itself; empty if there is none.
     """
-    words = [_beginning(phase, coming, reason), _size(view)]
+    words = [_beginning(phase, pending, reason), _size(view)]
     if failed := _failed(view):
         words.append(f"failed: {_named(failed)}")
-    if ailment:
-        words.insert(0, f"the supervisor is not well: {ailment}")
+    if health_problem:
+        words.insert(0, f"health problem: {health_problem}")
     text = "; ".join(word for word in words if word)
     return "".join(each if each.isprintable() else " " for each in text)[:_LONGEST]
 
 
-def _beginning(phase: Phase, coming: Sequence[str], reason: str) -> str:
+def _beginning(phase: Phase, pending: Sequence[str], reason: str) -> str:
     match phase:
         case Phase.STARTING:
-            return f"starting, still to come: {_named(coming)}" if coming else "starting"
+            return f"starting, pending: {_named(pending)}" if pending else "starting"
         case Phase.READY:
             return ""
         case Phase.RELOADING:

@@ -63,7 +63,7 @@ class ServiceReport:
         self._operable = operable
         self._phase = Phase.STARTING
         self._status = ""
-        self._ailment = ""
+        self._health_problem = ""
         self._changed = asyncio.Event()
         publisher.add_sink(self)
         limit = manager.watchdog
@@ -105,12 +105,12 @@ class ServiceReport:
     def _say(self) -> None:
         """Send what is new, and that we are well; what is not taken is sent again."""
         system = self._system
-        coming = () if system is None else system.coming
+        pending = () if system is None else system.pending
         ends = self._stop.requested.is_set()
         while True:
             phase = following(
                 self._phase,
-                is_up=system is not None and not coming and (self._operable.done() or ends),
+                is_up=system is not None and not pending and (self._operable.done() or ends),
                 changes=system is not None and system.is_changing,
                 ends=ends,
             )
@@ -121,11 +121,11 @@ class ServiceReport:
         said = status(
             self._phase,
             self._publisher.view,
-            coming,
+            pending,
             reason=self._stop.reason,
-            ailment=self._ailment,
+            health_problem=self._health_problem,
         )
-        pulse = [] if self._ailment else self._pulse()
+        pulse = [] if self._health_problem else self._pulse()
         if said != self._status:
             pulse.append(f"STATUS={said}")
         if pulse and self._manager.notify(*pulse):
@@ -141,10 +141,10 @@ class ServiceReport:
 
     def _examine(self) -> None:
         system = self._system
-        ailment = "" if system is None else system.ailment()
-        if ailment and ailment != self._ailment:
-            _log.error("the watchdog of the service manager is not fed: %s", ailment)
-        self._ailment = ailment
+        health_problem = "" if system is None else system.health_problem()
+        if health_problem and health_problem != self._health_problem:
+            _log.error("the watchdog of the service manager is not fed: %s", health_problem)
+        self._health_problem = health_problem
 
 
 def _announcement(phase: Phase) -> list[str]:

@@ -67,20 +67,22 @@ SYSTEM = view(
 
 
 def test_the_status_says_how_it_goes() -> None:
-    coming = ["/a:/a/n1", "/c", "/d", "/e", "/f"]
-    assert status(Phase.STARTING, SYSTEM, coming) == (
-        "starting, still to come: /a:/a/n1, /c, /d and 2 more; 1 of 4 nodes loaded, "
+    pending = ["/a:/a/n1", "/c", "/d", "/e", "/f"]
+    assert status(Phase.STARTING, SYSTEM, pending) == (
+        "starting, pending: /a:/a/n1, /c, /d and 2 more; 1 of 4 nodes loaded, "
         "1 of 2 containers and 1 of 2 processes running; failed: /b, /a/n2, /q"
     )
     assert status(Phase.READY, SystemView(), []) == ""
     assert status(Phase.STOPPING, SystemView(), [], reason="signal 15") == "stopping: signal 15"
-    assert status(Phase.READY, view(container("/a")), [], ailment="/a: x") == (
-        "the supervisor is not well: /a: x; 1 of 1 containers running"
+    assert status(Phase.READY, view(container("/a")), [], health_problem="/a: x") == (
+        "health problem: /a: x; 1 of 1 containers running"
     )
 
 
 @given(st.sampled_from(Phase), st.lists(st.text()), st.text(), st.text())
-def test_a_status_is_one_line(phase: Phase, coming: list[str], reason: str, ailment: str) -> None:
-    text = status(phase, SYSTEM, coming, reason=reason, ailment=ailment)
+def test_a_status_is_one_line(
+    phase: Phase, pending: list[str], reason: str, health_problem: str
+) -> None:
+    text = status(phase, SYSTEM, pending, reason=reason, health_problem=health_problem)
     assert text.isprintable()
     assert len(text) <= 400

@@ -87,7 +87,7 @@ def test_ready_is_said_when_everything_is_up_or_failed_for_good(tmp_path: Path) 
             said = listening.hear_all()
             assert not phases(said)
             assert [each for each in said if each.startswith("STATUS=")][-1].startswith(
-                "STATUS=starting, still to come: /slow:/n; 1 of 2 nodes loaded"
+                "STATUS=starting, pending: /slow:/n; 1 of 2 nodes loaded"
             )
             # It hangs nowhere, so the manager is to have patience.
             assert said.count("EXTEND_TIMEOUT_USEC=30000000") >= 9
@@ -170,11 +170,11 @@ def test_what_was_up_once_has_arrived(tmp_path: Path) -> None:
             await asyncio.sleep(1)
             launcher.containers["/a"][0].process.end(Exit(signal=9))
             await one.until_state("/a", ContainerState.BACKOFF)
-            assert one.operated.coming == ("/slow:/n",)
+            assert one.operated.pending == ("/slow:/n",)
             # What a person does not want is not waited for either.
             slow(launcher).let_go()
             await one.until_loaded(1)
-            assert not one.operated.coming
+            assert not one.operated.pending
 
     with closing(Listening.in_folder(tmp_path)) as listening:
         run(main())
@@ -193,7 +193,7 @@ def test_a_member_that_nobody_looks_after_is_not_hidden(tmp_path: Path) -> None:
             await asyncio.sleep(100)
             assert listening.hear_all() == []
             assert any(
-                each.startswith("STATUS=the supervisor is not well: /p: nobody waits for")
+                each.startswith("STATUS=health problem: /p: the exit of its process")
                 for each in listening.said
             )
             companion.runs = True
@@ -212,10 +212,10 @@ def test_a_timer_that_is_lost_is_not_hidden(tmp_path: Path) -> None:
         async with reported(system(container("a")), launcher, listening) as one:
             await one.until_state("/a", ContainerState.RUNNING)
             timer: Any = one.operated._timer
-            assert one.operated.ailment() == ""
+            assert one.operated.health_problem() == ""
             timer.cancel()
             await asyncio.sleep(60)
-            assert one.operated.ailment().startswith("what was due ")
+            assert one.operated.health_problem().startswith("what was due ")
 
     with closing(Listening.in_folder(tmp_path)) as listening:
         run(main())
