@@ -1,4 +1,4 @@
-"""docs/architecture.md names files that exist, functions that are in them, and right numbers."""
+"""docs/architecture.md names files and functions that exist, every room, and right numbers."""
 
 from __future__ import annotations
 
@@ -9,14 +9,16 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "architecture.md"
-ROOTS = (ROOT, ROOT / "play_launch", ROOT / "container_native" / "src")
+PYTHON, NATIVE = ROOT / "play_launch", ROOT / "container_native" / "src"
+ROOTS = (ROOT, PYTHON, NATIVE)
 
 _PATH = re.compile(r"`([\w./]+/[\w.]*)`(?:: ((?:`\w+`(?:, )?)+))?")
+_WALK = re.compile(r"\*\*(.+): (\d+) steps in (\d+) files\.\*\*")
 
 
 def places() -> list[tuple[str, tuple[str, ...]]]:
     """Return each file or folder that the page names, and the functions it names with it."""
-    text = PAGE.read_text(encoding="utf-8")
+    text = " ".join(PAGE.read_text(encoding="utf-8").split())
     found = _PATH.findall(text)
     return sorted({(path, tuple(re.findall(r"\w+", names))) for path, names in found})
 
@@ -38,33 +40,42 @@ def test_what_it_names_is_there(path: str, names: tuple[str, ...]) -> None:
         assert re.search(rf"\b{name}\b", text), f"{path} has no {name}: mend {PAGE.name}"
 
 
-def walks() -> dict[str, list[str]]:
-    """Return the rows of each table of steps, by the heading and the line above it."""
-    tables: dict[str, list[str]] = {}
-    heading = part = ""
+def test_every_room_is_in_the_table() -> None:
+    rows = [
+        line.split("|")[1] for line in PAGE.read_text(encoding="utf-8").splitlines() if "|" in line
+    ]
+    named = {
+        name
+        for row in rows
+        for name in re.findall(r"`((?:play_launch|container_native)/[\w/]+)`", row)
+    }
+    rooms = {path.parent for path in PYTHON.glob("*/__init__.py")}
+    rooms |= {path for path in NATIVE.iterdir() if path.is_dir()}
+    assert {str(room.relative_to(ROOT)) for room in rooms} == named
+
+
+def walks() -> dict[str, tuple[int, int, list[str]]]:
+    """Return the steps and files that each walk claims, and the rows of its table."""
+    found: dict[str, tuple[int, int, list[str]]] = {}
+    rows: list[str] = []
     for line in PAGE.read_text(encoding="utf-8").splitlines():
-        if line.startswith("## "):
-            heading, part = line[3:], ""
-        elif line.startswith("**"):
-            part = line.split("**")[1].rstrip(".")
+        if claim := _WALK.match(line):
+            rows = []
+            found[claim[1]] = (int(claim[2]), int(claim[3]), rows)
+        elif line.startswith(("#", "**")):
+            rows = []
         elif re.match(r"\| \d+ \|", line):
-            tables.setdefault(f"{heading}: {part}", []).append(line)
-    return tables
+            rows.append(line)
+    return found
 
 
-def test_steps_are_numbered_in_order() -> None:
-    for name, rows in walks().items():
-        numbers = [int(row.split("|")[1]) for row in rows]
-        assert numbers == list(range(1, len(rows) + 1)), name
+def test_the_page_has_walks_of_a_load_a_crash_and_an_apply() -> None:
+    assert len(walks()) == 7
 
 
-def test_the_numbers_of_steps_and_files_are_right() -> None:
-    told = re.findall(
-        r"(A load|A crash), C\+\+: (\d+) steps in (\d+)\s+files", PAGE.read_text(encoding="utf-8")
-    )
-    tables = walks()
-    assert len(told) == 2
-    for heading, steps, files in told:
-        rows = tables[f"{heading}: C++"]
-        names = {path for row in rows for path, _ in _PATH.findall(row)}
-        assert (len(rows), len(names)) == (int(steps), int(files)), heading
+@pytest.mark.parametrize("name", walks())
+def test_steps_are_numbered_and_counted(name: str) -> None:
+    steps, files, rows = walks()[name]
+    assert [int(row.split("|")[1]) for row in rows] == list(range(1, len(rows) + 1))
+    named = {path for row in rows for path, _ in _PATH.findall(row)}
+    assert (steps, files) == (len(rows), len(named))
