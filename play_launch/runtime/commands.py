@@ -1,7 +1,7 @@
-"""The command line and the environment of each process, for whoever starts it or shows it.
+"""Command line and environment of each process, to start it or to show it.
 
-Nothing is started here. Programs are looked up in the file system; all else is decided by what is
-given.
+Nothing is started here. Programs are looked up in the file system; all else follows from the
+arguments.
 """
 
 from __future__ import annotations

@@ -172,7 +172,7 @@ class ContainerActor(ProcessActor):
         if isinstance(message, HelloMessage):
             _log.warning("%s said hello again", self.name)
             return
-        if isinstance(message, Status) and self._watch.hear(message):
+        if isinstance(message, Status) and self._watch.accept(message):
             silences = {each.attempt: each.silence_ns / 1e9 for each in message.nodes}
             self._system.post(
                 HealthReported(

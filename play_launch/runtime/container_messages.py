@@ -145,14 +145,14 @@ def _wait(listed: NodeStatus, config: ContainerConfig) -> str:
 
 
 def description(hello: Hello) -> str:
-    """Say in one line what kind of container it is, and what that rests on."""
+    """Describe the container in one line: mode, middleware, domain, notes."""
     mode = f"{hello.mode} by {hello.mechanism}" if hello.mechanism else hello.mode
-    facts = f"{mode}, {hello.rmw_implementation}, domain {hello.domain_id}"
-    return "; ".join([facts, *hello.notes])
+    summary = f"{mode}, {hello.rmw_implementation}, domain {hello.domain_id}"
+    return "; ".join([summary, *hello.notes])
 
 
 def isolation_shortfall(config: ContainerConfig, hello: Hello) -> str:
-    """Say how its nodes are isolated otherwise than they would be at best; empty if they are not.
+    """Describe a weaker isolation than the best that was requested; empty if there is none.
 
     The text is the same for all containers with the same reasons.
     """
@@ -160,7 +160,7 @@ def isolation_shortfall(config: ContainerConfig, hello: Hello) -> str:
     at_best = Isolation.SHARED_MEMORY if wanted is Isolation.AUTO else wanted
     if not hello.mechanism or hello.mechanism == at_best:
         return ""
-    reasons = "; ".join(hello.notes) or "it does not say why"
+    reasons = "; ".join(hello.notes) or "no reason was reported"
     return f"nodes are isolated by {hello.mechanism}, not by {at_best}: {reasons}"
 
 

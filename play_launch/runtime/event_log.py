@@ -67,9 +67,9 @@ def _node(event: NodeStateChanged, before: SystemView) -> None:
     runs = container is not None and container.state is ContainerState.RUNNING
     match event.state:
         case NodeState.LOAD_FAILED if why == _UNKNOWN:
-            _reported.error("%s: %s does not know it any more", name, event.container)
+            _reported.error("%s: %s no longer knows it", name, event.container)
         case NodeState.LOST if runs and why == _UNKNOWN:
-            _reported.error("%s: %s does not know it any more", name, event.container)
+            _reported.error("%s: %s no longer knows it", name, event.container)
         case NodeState.LOAD_FAILED:
             _reported.error("%s could not be loaded: %s", name, why)
         case NodeState.CRASHED:

@@ -41,7 +41,7 @@ _UNDER_WAY: Final = {
     ManagedState.ACTIVATING: ManagedAction.ACTIVATE,
 }
 _CHECKS: Final = (1.0, 2.0, 4.0, 8.0)
-"""Seconds between checks of a node that is left to itself. A state that it entered before DDS had
+"""Seconds between checks of an idle node. A state that it entered before DDS had
 connected its topic with us is never reported; that takes up to 3.3 s after its services exist,
 more on a busy machine."""
 
@@ -73,7 +73,7 @@ class Conversations:
         self._sources.run_in(tasks)
 
     def begin(self, unit: str, instance: int) -> None:
-        """Begin to talk to a node."""
+        """Begin a conversation with a node."""
         self.end(unit)
         talk = self._open[unit] = _Conversation(instance)
         talk.source = self._sources.begin(partial(self._converse, unit, talk))
@@ -107,10 +107,10 @@ class Conversations:
             self._report(unit, talk, ManagedInput.REFUSED, str(error))
 
     async def _talk(self, unit: str, goal: Goal, talk: _Conversation) -> None:
-        """Ask for its state, and then for one transition after the other."""
+        """Request its state, and then one transition after the other."""
         known: ManagedInput | None = None
 
-        def hear(state: int) -> None:
+        def accept(state: int) -> None:
             nonlocal known
             said = _INPUT_OF_STATE.get(state)
             if said is not None:
@@ -121,25 +121,25 @@ class Conversations:
                 reason = f"{how} the state {said.removeprefix('is_')}"
                 self._report(unit, talk, said, reason)
 
-        def see(state: int) -> None:
+        def check(state: int) -> None:
             # A transition that failed leads back to where it began, which is no news.
             if _INPUT_OF_STATE.get(state) is not known:
-                hear(state)
+                accept(state)
 
         name, limit = goal.config.name, goal.config.timeout
-        async with self._ros().managed_node(name, hear) as client:
+        async with self._ros().managed_node(name, accept) as client:
             with anyio.move_on_after(limit) as asking:
-                hear(await client.state())
+                accept(await client.state())
             if asking.cancelled_caught:
                 reason = (
                     "its lifecycle services did not answer"
                     if client.is_offered
-                    else f"nobody offered the service {name}/get_state"
+                    else f"the service {name}/get_state was not available"
                 )
                 reason = f"{reason} within {limit:g} s"
                 self._report(unit, talk, ManagedInput.OVERDUE, reason)
             while True:
-                action = await _next_action(talk, client, see, limit)
+                action = await _next_action(talk, client, check, limit)
                 said, reason = await _change(client, action, limit)
                 if said is _TRANSITIONS[action][1]:
                     known = said
@@ -149,7 +149,7 @@ class Conversations:
 async def _next_action(
     talk: _Conversation, client: ManagedNode, on_state: Callable[[int], None], limit: float
 ) -> ManagedAction:
-    """Give what is to be done next; check a node that is left to itself a few times."""
+    """Give the next action; check the state of an idle node a few times."""
     for pause in _CHECKS:
         with anyio.move_on_after(pause):
             return await talk.to_do.get()

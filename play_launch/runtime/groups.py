@@ -33,7 +33,7 @@ _log = logging.getLogger(__name__)
 
 
 class Groups:
-    """Asks `SessionGroups` for them, and logs what is not as it should be."""
+    """Makes and removes the control groups of the session, and logs what was refused."""
 
     def __init__(self, publish: Callable[[GroupSample], None]) -> None:
         """Be the groups of the session of this process; there are none yet.
@@ -50,14 +50,14 @@ class Groups:
         self._entrusted: tuple[SessionGuard, int] | None = None
 
     def entrust(self, guard: SessionGuard) -> None:
-        """Have a guard remove them, should we die; does so once for each, and for each group."""
+        """Have the guard remove them if the supervisor dies; once for each guard and group."""
         folder = self._groups.folder
         if folder is None:
             return
         entrusted = guard, Group(folder).number  # it may have been removed, and made anew
         if entrusted != self._entrusted:
             self._entrusted = entrusted
-            with suppress(OSError):  # removed by somebody else: nothing is left to be done
+            with suppress(OSError):  # removed by another process
                 guard.entrust(folder)
 
     def begin(self, config: ReplayConfig) -> None:

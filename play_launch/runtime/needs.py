@@ -1,4 +1,4 @@
-"""What a system needs of the machine, as its configuration says."""
+"""What a configuration requires of the machine."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def shares_memory(container: ContainerConfig) -> bool:
 
 
 def has_stock_containers(config: ReplayConfig) -> bool:
-    """Whether we have to speak ROS ourselves."""
+    """Whether the supervisor needs ROS itself."""
     return any(each.container_type is ContainerType.STOCK for each in config.containers)
 
 

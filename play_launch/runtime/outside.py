@@ -1,4 +1,4 @@
-"""Sources of what starts depend on outside of the supervisor: lines, files, the ROS graph."""
+"""External conditions: lines of output, files and the ROS graph that starts depend on."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ _FILE_POLL: Final = 0.1
 
 
 class Outside:
-    """Posts facts as long as something waits for them; a sink of events for the lines.
+    """Posts conditions that are met, as long as a unit waits for them; a sink for the lines.
 
-    A line that was written stays written; files and the graph are as they are now.
+    A line counts from when it was written; files and the graph count as they are now.
     """
 
     def __init__(self, post: Callable[[Input], None], ros: Callable[[], RosAccess]) -> None:
@@ -46,7 +46,7 @@ class Outside:
         self._more_files = asyncio.Event()
 
     def expect(self, rules: Iterable[StartRule]) -> None:
-        """Look for the lines that these rules name, from now on."""
+        """Search output for the patterns of these rules, from now on."""
         self._patterns.clear()
         for rule in rules:
             for each in rule.dependencies:
@@ -56,7 +56,7 @@ class Outside:
                     patterns[each.subject] = re.compile(each.subject)
 
     def watch(self, pending: tuple[Dependency, ...]) -> None:
-        """Watch what these need, and nothing else."""
+        """Watch the conditions of these dependencies only."""
         if pending == self._dependencies:
             return
         self._dependencies = pending
@@ -86,12 +86,12 @@ class Outside:
                 await anyio.sleep(_FILE_POLL)
 
     async def close(self) -> None:
-        """Watch nothing any more."""
+        """Cancel all watches."""
         if self._graph is not None:
             await self._graph.close()
 
     def publish(self, event: RunEvent, _before: SystemView, _after: SystemView) -> None:
-        """Look for the patterns in what is written."""
+        """Search a line of output for the patterns."""
         if not isinstance(event, OutputLine) or event.process not in self._patterns:
             return
         patterns = self._patterns[event.process]

@@ -37,7 +37,7 @@ class ParameterFiles:
         self.write(configs)
 
     def write(self, configs: Iterable[Config]) -> None:
-        """Write the files that are not there yet; those of before stay for whoever restarts."""
+        """Write the files that do not exist; old ones stay for restarts of running processes."""
         for config in configs:
             if any(_key(config)[1:]) and _key(config) not in self._paths:
                 self._paths[_key(config)] = self._write(config)

@@ -1,8 +1,8 @@
-"""What `replay` starts before it reads its configuration: the guard of the session and zygotes.
+"""Prestart: `replay` starts the session's guard and zygotes before it reads its configuration.
 
 Python imports for longer than a container's program takes to be linked, on another processor.
 Until the configuration is known to be good, nothing of ROS runs. If it is not, the guard ends the
-zygotes when we end. Imports nothing that is not needed for this: everybody waits for it.
+zygotes when the supervisor exits. Imports only what is needed, as all of the start waits for it.
 """
 
 from __future__ import annotations
@@ -37,18 +37,18 @@ _MOST_TEXT: Final = 4_000_000
 
 
 @dataclass(slots=True)
-class HeadStart:
-    """What runs already."""
+class Prestart:
+    """Processes that run already."""
 
     guard: SessionGuard | None = None
     zygotes: list[Zygote] = field(default_factory=list)
 
 
-_head_start = HeadStart()
+_prestart = Prestart()
 
 
 def begin(config: Path) -> None:
-    """Start what containers of that file are going to need; failures are for others to report."""
+    """Start what containers of that file need; failures are reported by the start itself."""
     if os.environ.get(SWITCH) == "0":
         return
     try:
@@ -60,25 +60,25 @@ def begin(config: Path) -> None:
             return
         plain = child_environment(os.environ, ros_installation())
         program = component_container()
-        _head_start.guard = SessionGuard.start(spawn_guard(), afterwards=sweep_command())
+        _prestart.guard = SessionGuard.start(spawn_guard(), afterwards=sweep_command())
         # Such a program refuses to be forked, see container_native/src/main/zygote.cpp.
         for is_isolated in () if has_rclcpp(program) else kinds:
             environment = _with_allocator(plain) if is_isolated else plain
-            _head_start.zygotes.append(Zygote.start(_head_start.guard, program, environment))
+            _prestart.zygotes.append(Zygote.start(_prestart.guard, program, environment))
     except (OSError, ValueError, NotInstalledError, MixedInstallationError):
         return
 
 
-def take() -> HeadStart:
-    """Hand over what was started; the next one gets nothing."""
-    taken = HeadStart(_head_start.guard, list(_head_start.zygotes))
-    _head_start.guard = None
-    _head_start.zygotes.clear()
+def take() -> Prestart:
+    """Pass on what was started, once."""
+    taken = Prestart(_prestart.guard, list(_prestart.zygotes))
+    _prestart.guard = None
+    _prestart.zygotes.clear()
     return taken
 
 
 def has_rclcpp(program: Path) -> bool:
-    """Say whether a container's program is linked with rclcpp."""
+    """Whether a container's program is linked with rclcpp."""
     return b"\0librclcpp.so\0" in program.read_bytes()
 
 

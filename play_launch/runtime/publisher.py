@@ -1,4 +1,4 @@
-"""The one way to the outside: each event is folded into the view once, and handed out with it."""
+"""Publishes events: each is folded into the view once, and passed to the sinks with it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import time
 from typing import TYPE_CHECKING
 
 from play_launch.process.resources import held_resources, shortfalls
-from play_launch.supervisor.events import ContainerStateChanged, OutputLine, Withdrawn
+from play_launch.supervisor.events import OutputLine
 from play_launch.supervisor.view import SystemView
 
 if TYPE_CHECKING:
@@ -16,14 +16,14 @@ if TYPE_CHECKING:
 
     from play_launch.config.resources import Resources
     from play_launch.process.lines import Line
-    from play_launch.supervisor.events import ContainerState, RunEvent, Stream, SubjectKind
+    from play_launch.supervisor.events import RunEvent, Stream
     from play_launch.supervisor.view import StateSink
 
 _log = logging.getLogger(__name__)
 
 
 class Publisher:
-    """Hands every event to the sinks, with the view before and after it."""
+    """Passes every event to the sinks, with the view before and after it."""
 
     def __init__(self, *sinks: StateSink, stamp_ns: Callable[[], int] = time.time_ns) -> None:
         """Take the sinks; ``stamp_ns`` gives the wall-clock time in nanoseconds."""
@@ -35,11 +35,11 @@ class Publisher:
         self._warnings: set[str] = set()
 
     def add_sink(self, sink: StateSink) -> None:
-        """Hand the events from now on to another sink as well."""
+        """Pass events to another sink, from now on."""
         self._sinks.append(sink)
 
     def is_news(self, warning: str) -> bool:
-        """Whether a warning that may concern many members alike is given for the first time."""
+        """Whether a warning that may concern many units alike is logged for the first time."""
         if warning in self._warnings:
             return False
         self._warnings.add(warning)
@@ -51,7 +51,7 @@ class Publisher:
         return self._view_before_stop or self.view
 
     def remember_view_before(self, stop: StopRequests) -> None:
-        """Keep the view that holds when a stop is requested: the first event after that is late."""
+        """Keep the view as it is when a stop is requested, before the first event of the stop."""
         self._stop = stop
 
     def publish(self, event: RunEvent) -> None:
@@ -63,27 +63,9 @@ class Publisher:
         for sink in tuple(self._sinks):
             try:
                 sink.publish(event, before, after)
-            except Exception:  # noqa: BLE001 - must not stop the member whose event it is
+            except Exception:  # noqa: BLE001 - a sink must not stop the unit
                 self._sinks.remove(sink)
                 _log.exception("%s failed and gets no more events", type(sink).__name__)
-
-    def publish_container(
-        self, name: str, state: ContainerState, reason: str, mechanism: str
-    ) -> None:
-        """Publish the state of a container; ``mechanism`` is empty unless it runs."""
-        self.publish(
-            ContainerStateChanged(
-                stamp_ns=self.stamp_ns(),
-                container=name,
-                state=state,
-                reason=reason,
-                mechanism=mechanism,
-            )
-        )
-
-    def withdraw(self, kind: SubjectKind, key: str) -> None:
-        """Publish that something was taken out of the running system."""
-        self.publish(Withdrawn(stamp_ns=self.stamp_ns(), kind=kind, key=key))
 
     def publish_output(self, name: str, pid: int, stream: Stream, lines: Sequence[Line]) -> None:
         """Take what a process wrote."""
@@ -102,12 +84,12 @@ class Publisher:
 
 
 class StopRequests:
-    """The first request stops the system in order; the second signal hurries that.
+    """The first request stops the system in order; a second signal skips to the next stop signal.
 
-    Several crashes of one moment may each ask for the end, and so may a crash and a signal: that
-    is nobody's impatience.
+    Several crashes of one moment may each request the stop, and so may a crash and a signal: these
+    are no second signal.
 
-    Belongs to the thread of the event loop: hand signals over with ``loop.call_soon_threadsafe``.
+    Belongs to the thread of the event loop: pass signals on with ``loop.call_soon_threadsafe``.
     """
 
     def __init__(self) -> None:
@@ -119,7 +101,7 @@ class StopRequests:
         self._signals = 0
 
     def request(self, signum: int | None = None, reason: str = "") -> None:
-        """Ask for the end, or with a second signal for more haste."""
+        """Request the stop; a second signal skips to the next stop signal."""
         self._signals += signum is not None
         if self.requested.is_set():
             if self._signals > 1:
@@ -135,7 +117,7 @@ def report_shortfalls(name: str, wanted: Resources, pid: int, publisher: Publish
     if not wanted or not pid:
         return
     held = held_resources(pid, wanted.limit_names)
-    if held is None:  # it has ended, which is reported anyway
+    if held is None:  # it has exited, which is reported anyway
         return
     for shortfall in shortfalls(wanted, held):
         text = f"{name}: {shortfall}"

@@ -1,7 +1,7 @@
-"""Asking a container about its nodes, and reading the answer.
+"""Queries to a container about its nodes, and their answers.
 
-A question remembers which attempts it was about. So an answer that comes late, when a newer
-attempt is under way, is still read as one about the old attempt.
+A query keeps the attempts that it was about. So a late answer, when a newer attempt is under way,
+is read as one about the old attempt.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class Asked(NamedTuple):
-    """A node that a question is about."""
+    """A node that a query is about."""
 
     key: NodeKey
     attempt: int
@@ -41,14 +41,14 @@ class Listed(Protocol):
 
     @property
     def state(self) -> int:
-        """A :class:`NodeStatusState`, if the container makes sense."""
+        """A :class:`NodeStatusState`, unless the container sent an unknown number."""
 
 
 _ListedT = TypeVar("_ListedT", bound=Listed)
 
 
 class Answer(NamedTuple, Generic[_ListedT]):
-    """What the container said about one of the nodes asked for."""
+    """What the container reported about one of the queried nodes."""
 
     asked: Asked
     said: NodeFact
@@ -102,24 +102,24 @@ def _said(state: int) -> NodeFact | None:
 _log = logging.getLogger(__name__)
 
 _OPEN_QUESTIONS: Final = 16
-"""Questions whose answers are still expected; older ones are dropped."""
+"""Queries whose answers are expected; older ones are dropped."""
 
 
 class Questions:
-    """The open questions to one container."""
+    """Queries to one container that have no answer yet."""
 
     def __init__(self, container: str) -> None:
-        """Take its full name."""
+        """``container`` is its full name."""
         self._container = container
         self._query_id = 0
         self._open: dict[int, tuple[Asked, ...]] = {}
 
     def clear(self) -> None:
-        """The container is gone; nothing is answered any more."""
+        """Forget all queries: the container exited."""
         self._open.clear()
 
     def put(self, asked: tuple[Asked, ...]) -> Query:
-        """Make one question about all of these nodes."""
+        """Make one query about all of these nodes."""
         if self._open:
             _log.warning(
                 "%s has not answered %d question(s) about its nodes yet",
@@ -133,7 +133,7 @@ class Questions:
         return Query(query_id=self._query_id, unique_ids=ids_to_ask(asked))
 
     def read(self, status: Status) -> Sequence[Answer[NodeStatus]]:
-        """Read an answer; nothing when it was read before."""
+        """Read an answer; empty if it was read before."""
         asked = self._open.pop(status.query_id, None)
         if asked is None:
             _log.debug("%s answered question %d again", self._container, status.query_id)

@@ -1,4 +1,4 @@
-"""The tasks of a member: they do nothing but hand over what happens."""
+"""Tasks of an actor: they wait, and post inputs."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Source:
 
     def __init__(self) -> None:
         self.runs = True
-        """Whether it is to hand over anything yet."""
+        """Whether the task has not ended."""
         self.is_cancelled = False
         self._scope: anyio.CancelScope | None = None
 
@@ -41,14 +41,14 @@ class Sources:
     """Belongs to the thread of the event loop."""
 
     def __init__(self, on_error: Callable[[Exception], None]) -> None:
-        """Take what gets whatever one of them raises, and must not raise itself."""
+        """``on_error`` gets each exception of a task, and must not raise."""
         self._on_error = on_error
         self._tasks: TaskGroup | None = None
         self._context = Context()
 
     @property
     def tasks(self) -> TaskGroup:
-        """Where they run."""
+        """Task group in which they run."""
         assert self._tasks is not None
         return self._tasks
 
@@ -56,14 +56,14 @@ class Sources:
         """Run them in ``tasks`` from now on."""
         self._tasks = tasks
         self._context = copy_context()
-        # Where sniffio is installed, anyio asks it for the event loop; outside of a task, as in a
-        # callback of the loop, sniffio knows it by this variable only.
+        # Where sniffio is installed, anyio gets the event loop from it; outside of a task, as in a
+        # callback of the loop, sniffio reads this variable only.
         with suppress(ModuleNotFoundError):
             sniffio = import_module("sniffio")
             self._context.run(sniffio.current_async_library_cvar.set, "asyncio")
 
     def begin(self, work: Callable[[], Awaitable[None]]) -> Source:
-        """Begin one; what it raises is the member's failure."""
+        """Begin a task; an exception in it goes to ``on_error``."""
         assert self._tasks is not None
         source = Source()
         self._context.copy().run(self._tasks.start_soon, self._run, source, work)
@@ -72,7 +72,7 @@ class Sources:
     async def _run(self, source: Source, work: Callable[[], Awaitable[None]]) -> None:
         try:
             await source.run(work)
-        except Exception as error:  # noqa: BLE001 - others are not to pay for it
+        except Exception as error:  # noqa: BLE001 - the other units go on
             self._on_error(error)
         finally:
             source.runs = False

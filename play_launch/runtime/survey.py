@@ -1,4 +1,4 @@
-"""All processes that a system begins with: what each is executed as, or why it cannot be."""
+"""All processes of a system: the command line of each, or why it has none."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Start(Struct, frozen=True):
 
 
 def survey(config: ReplayConfig, machine: Machine) -> Iterator[Start]:
-    """Go through the containers and processes as declared, but for those we attach to."""
+    """Give the containers and processes as declared, without attached ones."""
     for container in config.containers:
         if not container.attach:
             yield _container(container, machine, config.stop.ask)
@@ -49,7 +49,7 @@ def survey(config: ReplayConfig, machine: Machine) -> Iterator[Start]:
 
 
 def allocator_for(config: ReplayConfig) -> Allocator:
-    """Find what the isolated containers of a system preload; looks only if it has any."""
+    """Find what the isolated containers of a system preload; searches only if there are any."""
     needed = any(shares_memory(container) for container in config.containers)
     return find_allocator() if needed else Allocator(None)
 

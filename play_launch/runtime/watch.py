@@ -1,4 +1,4 @@
-"""Notices that a container process is frozen, and what it counts of its own troubles."""
+"""Watchdog of a container process, and the failures that it counts itself."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 
 _FIRST_QUERY: Final = 1 << 63
-"""Our questions are counted from here on, those about nodes from 1."""
+"""Numbers of the watchdog's queries begin here, those of queries about nodes at 1."""
 _ANSWERING: Final = frozenset({"control-read", "control-write"})
 """Threads of a container that have to run for an answer, see control/channel.cpp."""
 
 
 def waits(pid: int) -> tuple[ProcessorWait, ProcessorWait]:
-    """Say how long we, and what answers in that process, have waited for a processor so far."""
+    """Return how long this thread, and the threads that answer, have waited for a processor."""
     return own_wait(), processor_wait(pid, _ANSWERING)
 
 
@@ -46,44 +46,25 @@ class ContainerWatch:
         self._watch: Watch | None = None
         self._noted: tuple[ProcessorWait, ProcessorWait] | None = None
         self._is_traced = False
-        self._leaked = Episode()
-        self._unquiesced = Episode()
-        self._dead_locks: tuple[str, ...] = ()
-
-    @property
-    def may_hold_dead_locks(self) -> bool:
-        """Whether a node died so suddenly that a lock may stay locked for ever."""
-        return self._unquiesced.count > 0
-
-    @property
-    def probably_holds_dead_locks(self) -> bool:
-        """Whether, besides, cleaning up after a node failed: what waits for such a lock does."""
-        return self.may_hold_dead_locks and self._leaked.count > 0
-
-    @property
-    def waits_for_the_dead(self) -> str:
-        """What is known to wait for ever for a lock that a dead node holds; empty: nothing."""
-        more = len(self._dead_locks) - 1
-        return (self._dead_locks[0] + (f" (and {more} more)" if more else "")) if more >= 0 else ""
+        self._leaked = Burst()
+        self._unquiesced = Burst()
 
     def begin(self, send: Callable[[Outgoing], None], pid: int) -> None:
-        """Watch a process that has just said hello."""
+        """Watch a process that has just sent its hello."""
         self._send = send
         self._pid = pid
         self._noted = None
         self._is_traced = False
         self._watch = begin(self._clock(), self._limits)
-        self._leaked, self._unquiesced = Episode(), Episode()
-        self._dead_locks = ()
+        self._leaked, self._unquiesced = Burst(), Burst()
 
     def end(self) -> None:
-        """The process ends, or is being stopped: silence means nothing any more."""
+        """Stop watching: the process exited, or is being stopped."""
         self._watch = None
 
-    def hear(self, status: Status) -> bool:
-        """Take an answer; False when it is none to us."""
+    def accept(self, status: Status) -> bool:
+        """Accept an answer; False if it answers another query than the watchdog's."""
         self._read_counts(status)
-        self._dead_locks = status.dead_locks
         if status.query_id < _FIRST_QUERY:
             return False
         if self._watch is not None and status.query_id == self._query_id:
@@ -98,11 +79,11 @@ class ContainerWatch:
         return None if self._watch is None else self._watch.due
 
     def on_time(self) -> str:
-        """Do what is due; why the process counts as frozen, empty as long as it does not."""
+        """Do what is due; return why the process counts as frozen, empty if it does not."""
         if self._watch is None:
             return ""
         now = self._clock()
-        # Reading what the kernel counted takes a look at all threads: only for who is suspected.
+        # Reads the counters of all threads, so only when an answer is overdue.
         starved = stopped = False
         if self._noted is not None and now >= self._watch.due:
             starved, stopped = self._look_at_threads(self._noted)
@@ -121,13 +102,13 @@ class ContainerWatch:
                 self._noted = waits(self._pid)
             case Verdict.FROZEN:
                 self._watch = None
-                return f"it is frozen: no answer for {self._limits.patience:g} s"
+                return f"it is frozen: no answer for {self._limits.timeout:g} s"
             case Verdict.WAIT:
                 pass
         return ""
 
     def _look_at_threads(self, noted: tuple[ProcessorWait, ProcessorWait]) -> tuple[bool, bool]:
-        """Say whether either side wanted a processor, and whether a debugger stopped the other."""
+        """Return whether either side lacked a processor, and whether a debugger stopped it."""
         both = waits(self._pid)
         waited = [now.seconds - then.seconds for now, then in zip(both, noted, strict=True)]
         stopped = both[1].is_traced or noted[1].is_traced
@@ -144,7 +125,7 @@ class ContainerWatch:
         try:
             self._send(Query(query_id=self._query_id, unique_ids=NO_NODE))
         except ControlError as error:
-            # Whoever reads the channel learns it as well and deals with the container.
+            # The reader of the channel gets the same error and reports the container.
             _log.debug("%s: a question was not sent: %s", self._container, error)
 
     def _read_counts(self, status: Status) -> None:
@@ -166,33 +147,33 @@ class ContainerWatch:
 
 
 class WatchLimits(Struct, frozen=True, kw_only=True):
-    """Seconds."""
+    """Time limits, in seconds."""
 
     interval: float = 1.0
-    """From an answer to the next question."""
-    patience: float = 3.0
-    """From a question to the verdict."""
+    """From an answer to the next query."""
+    timeout: float = 3.0
+    """From a query to the verdict."""
     last_look: float = 0.5
-    """The end of the patience, in which both sides are watched for want of a processor."""
+    """Last part of the timeout, in which the wait of both sides for a processor is measured."""
     want: float = 0.1
-    """Of that time, spent waiting for a processor: silence means nothing then."""
+    """Wait for a processor in that part from which on the timeout is extended."""
     longest: float = 30.0
-    """Who still does not answer after so many seconds of that is given up all the same."""
+    """Extension after which a process that does not answer counts as frozen."""
     lateness: float = 0.5
-    """A look that comes later than this says more about us than about the other side."""
+    """Delay of a check from which on the supervisor itself was not running."""
 
 
 WATCH_LIMITS: Final = WatchLimits()
 
 
 class Verdict(StrEnum):
-    """What a look at the clock says."""
+    """Result of a check."""
 
     WAIT = auto()
     ASK = auto()
-    """Put a question now."""
+    """Send a query now."""
     SUSPECT = auto()
-    """Note how long both sides have waited for a processor so far; the next look wants to know."""
+    """Note how long both sides have waited for a processor, for the next check."""
     FROZEN = auto()
 
 
@@ -200,20 +181,20 @@ class Watch(Struct, frozen=True, kw_only=True):
     """One process under watch."""
 
     due: float
-    """When to look again."""
+    """When the next check is due."""
     asked_at: float | None = None
-    """When the open question was put; None without one."""
+    """When the open query was sent; None without one."""
     suspected_at: float | None = None
-    """Since when it is watched whether the two sides get a processor."""
+    """Since when the waits for a processor are measured."""
 
 
 def begin(now: float, limits: WatchLimits = WATCH_LIMITS) -> Watch:
-    """Begin to watch a process that has just shown that it lives."""
+    """Begin to watch a process that has just answered."""
     return Watch(due=now + limits.interval)
 
 
 def answered(watch: Watch, now: float, limits: WatchLimits = WATCH_LIMITS) -> Watch:
-    """Take an answer; one to no open question changes nothing."""
+    """Accept an answer; one to no open query changes nothing."""
     return watch if watch.asked_at is None else begin(now, limits)
 
 
@@ -225,17 +206,22 @@ def look(
     starved: bool = False,
     stopped: bool = False,
 ) -> tuple[Watch, Verdict]:
-    """Look at the clock.
+    """Check whether the answer is overdue.
 
-    When we ourselves did not run for a while (stopped, or starved of CPU time), an answer may be
-    waiting for us; so the other side gets its time once more. A machine on which a hundred programs
-    start keeps both sides waiting for a processor turn by turn, for many seconds: ``starved`` says
-    that this was so since the look before, which was SUSPECT. ``stopped`` says that a debugger
-    stopped the process since then: it gets the time after that, however long it takes.
+    If the supervisor did not run for a while (stopped, or without a processor), the answer may be
+    unread, so the timeout begins again. While many programs start on a machine, both sides wait for
+    a processor for many seconds.
+
+    Args:
+        watch: State since the last check.
+        now: Seconds of the loop's clock.
+        limits: Time limits.
+        starved: Whether that was so since the last check, which was SUSPECT.
+        stopped: Whether a debugger stopped the process since then: the timeout begins again.
     """
     if now < watch.due:
         return watch, Verdict.WAIT
-    first_wait = limits.patience - limits.last_look
+    first_wait = limits.timeout - limits.last_look
     if watch.asked_at is None:
         return Watch(due=now + first_wait, asked_at=now), Verdict.ASK
     if stopped or now - watch.due > limits.lateness:
@@ -248,20 +234,20 @@ def look(
 
 
 QUIET = 10.0
-"""Seconds without growth after which a burst counts as over."""
+"""Seconds without growth after which a burst has ended."""
 
 
-class Episode(Struct):
-    """One number that only grows. Times are seconds of any monotonic clock and are passed in."""
+class Burst(Struct):
+    """Bursts of a counter that only grows. Times are seconds of a monotonic clock."""
 
     quiet: float = QUIET
     count: int = 0
     _reported: int = 0
     _grew_at: float | None = None
-    """Of the burst that goes on; None without one."""
+    """When the counter grew last in the current burst; None without one."""
 
     def see(self, count: int, now: float) -> bool:
-        """Take the number as it is now; return whether it is to be reported."""
+        """Accept the current value; return whether it is to be reported."""
         if count > self.count:
             self.count = count
             began = self._grew_at is None

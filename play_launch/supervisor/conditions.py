@@ -36,7 +36,7 @@ class ConditionState(StrEnum):
     MET = auto()
     PENDING = auto()
     IMPOSSIBLE = auto()
-    """It cannot be met any more by itself."""
+    """It cannot be met unless an operator intervenes."""
 
 
 class Evaluation(NamedTuple):
@@ -283,7 +283,7 @@ def pending_units(world: World) -> tuple[str, ...]:
 
 
 def nothing_is_left(world: World) -> bool:
-    """Whether nothing runs, nor is going to by itself or by an operator."""
+    """Whether nothing runs, no start is pending, and no operator may request one."""
     if world.change is not None or any(name in world.dismissed for name in world.processes):
         return False
     return all(

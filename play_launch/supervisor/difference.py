@@ -74,8 +74,8 @@ def events_between(
                 if key.container == name and key not in world.nodes:
                     yield Withdrawn(stamp_ns=stamp_ns, kind=SubjectKind.NODE, key=str(key))
         if has_changed:
-            yield from _sequel(old, process, stamp_ns)
-    for node in requested:  # what led to them comes first
+            yield from _after_nodes(old, process, stamp_ns)
+    for node in requested:  # their causes are published first
         yield from _node(before.nodes.get(node.key), node, now, stamp_ns)
     for name, old in before.processes.items():
         if name not in world.processes:
@@ -119,8 +119,8 @@ def _process(old: Process | None, new: Process, stamp_ns: int) -> Iterator[RunEv
         )
 
 
-def _sequel(old: Process | None, new: Process, stamp_ns: int) -> Iterator[RunEvent]:
-    """Give the events that say what follows, after those of the nodes of a container."""
+def _after_nodes(old: Process | None, new: Process, stamp_ns: int) -> Iterator[RunEvent]:
+    """Give the events that are published after those of the nodes of a container."""
     if new.container is None and (text := _new_wait(old, new)):
         yield _event(new, ProcessEventKind.WAITING, stamp_ns, message=text)
     if old is None:
@@ -149,7 +149,7 @@ def _sequel(old: Process | None, new: Process, stamp_ns: int) -> Iterator[RunEve
 
 
 def _new_wait(old: Process | Node | None, new: Process | Node) -> str:
-    """Give what a unit waits for, if that is news."""
+    """Describe what a unit waits for; empty unless that has changed."""
     if new.wait is None or not new.wait.text:
         return ""
     before = old.wait.text if old is not None and old.wait is not None else ""

@@ -63,7 +63,7 @@ class NodeState(StrEnum):
     CRASHED = "crashed"
     """The node alone died; its container lives."""
     GAVE_UP = "gave up"
-    """It crashed and is not loaded again by itself."""
+    """It crashed and is not reloaded."""
     LOST = "lost"
     """Its container died or forgot it."""
 
@@ -143,10 +143,10 @@ class ComponentEvent:
     modules: tuple[str, ...] = ()
     """Libraries and programs of the backtrace: ``name build-id path``, ``-`` for no build id."""
     confirmed_by: str = ""
-    """How it is known when the container has not said it by itself, else empty.
+    """Source of the event where the container did not send it; empty where it did.
 
-    ``"status"`` and ``"list_nodes"``: it was asked, by the control channel or the service of that
-    name. ``"probe"``: a scratch process loaded the library. ``"supervisor"``: it was decided by us.
+    ``"status"`` and ``"list_nodes"``: the answer to a query on the control channel, or of the
+    service of that name. ``"probe"``: a scratch process. ``"supervisor"``: our own decision.
     """
     received: bytes = field(default=b"", compare=False, repr=False)
     """The message in CDR as its container sent it, for the recording; else empty."""
@@ -255,10 +255,9 @@ class Withdrawn(Struct, frozen=True, kw_only=True):
 
 
 class GraphChanged(Struct, frozen=True, kw_only=True):
-    """Nodes came into the ROS graph, or left it, as the graph daemon sees it.
+    """Nodes appeared in the ROS graph of the domain, or left it, as the graph daemon sees it.
 
-    They may be anybody's: the graph is that of the whole ROS domain. A name stands there as often
-    as there are nodes that bear it.
+    Not all of them belong to this system. A name occurs once for each node that bears it.
     """
 
     stamp_ns: int
@@ -284,7 +283,7 @@ class ManagedNodeChanged(Struct, frozen=True, kw_only=True):
 
 
 class ActionEvent(Struct, frozen=True, kw_only=True):
-    """Somebody had something done to the running system, or it is known what came of that."""
+    """An operator's request to the running system, or its result."""
 
     stamp_ns: int
     number: int
@@ -295,7 +294,7 @@ class ActionEvent(Struct, frozen=True, kw_only=True):
     targets: tuple[str, ...]
     """Full names of containers and processes, keys of composable nodes."""
     uid: int
-    """Of whoever asked, as the kernel says."""
+    """Of the requesting process, as reported by the kernel."""
     pid: int
     command: str
     """The command line of that process, as it says itself; empty where it says none."""
@@ -353,7 +352,7 @@ class GroupSample(Struct, frozen=True, kw_only=True):
     processes: int
     """And threads, now."""
     oom_kills: int
-    """Processes that were killed for want of memory."""
+    """Processes that the kernel killed because memory was exhausted (OOM)."""
     pids_max_hits: int
     """Processes and threads that could not be started because of ``pids_max``."""
 

@@ -3,15 +3,15 @@
 ====== ======================================================================
 0      everything that was declared was there when the run ended
 1      a node failed: it did not load, or crashed and is not loaded again,
-       or did not get where ``autostart`` should bring it; or something that
-       still ran crashed while it was stopped
-3      nobody failed, but something was missing: a node that is not loaded
-       (yet, or not any more), a container or a process between two starts
+       or did not reach the state that ``autostart`` requests; or a process
+       crashed while it was being stopped
+3      nothing failed, but something was missing: a node that is not loaded,
+       a container or a process between two starts
 128+n  the run was ended by signal n
 ====== ======================================================================
 
-What a person stopped or unloaded while it ran counts neither as failed nor as missing, until it is
-started or loaded again.
+What an operator stopped or unloaded counts neither as failed nor as missing, until it is started or
+loaded again.
 
 A signal comes first, as shells expect it. (2 is for the command line and the configuration; a run
 never gets that far.)
@@ -42,7 +42,7 @@ class ExitCode(IntEnum):
 
 
 ENDING_SIGNALS: Final = frozenset({signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL})
-"""Those of a stop, and of whoever helps along: a death of one of them is no crash."""
+"""Signals of a stop, by the supervisor or an operator: an exit by one of them is no crash."""
 
 
 def exit_code(view: SystemView, final: SystemView, signum: int | None) -> int:
@@ -51,7 +51,7 @@ def exit_code(view: SystemView, final: SystemView, signum: int | None) -> int:
     Args:
         view: The system at the moment in which the run began to end, so before it was stopped.
         final: The system after that.
-        signum: The signal that ended the run; None when it ended by itself or by its duration.
+        signum: The signal that ended the run; None for another end.
     """
     if signum is not None:
         return ExitCode.SIGNAL_BASE + signum

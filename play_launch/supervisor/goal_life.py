@@ -1,8 +1,8 @@
-"""What becomes of a managed (lifecycle) node: state x input, beside the table of its own life.
+"""Life of a managed (lifecycle) node: the table of state and input.
 
-The states of the node itself are those of ROS's design of managed nodes; this is what the
-supervisor knows about them, and what it does to bring the node where ``autostart`` says. It starts
-anew whenever the node does.
+The states of the node itself are those of ROS's design of managed nodes. This is what the
+supervisor knows of them, and what it does to reach the state that ``autostart`` requests. It begins
+again with each start or load of the node.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 
 
 class ManagedState(StrEnum):
-    """What is known about it."""
+    """State of a managed node, as far as it was reported."""
 
     ABSENT = "absent"
-    """The node is not there."""
+    """The node does not exist."""
     ASKED = "asked"
-    """It is there, and has not said yet in which state it is."""
+    """It exists, and has not reported its state."""
     UNCONFIGURED = "unconfigured"
     CONFIGURING = "configuring"
     INACTIVE = "inactive"
@@ -30,11 +30,11 @@ class ManagedState(StrEnum):
     ACTIVE = "active"
     FINALIZED = "finalized"
     FAILED = "failed"
-    """It did not get where it should; it stays where it is."""
+    """A transition failed; the node stays in its state."""
 
 
 class ManagedInput(StrEnum):
-    """What can happen."""
+    """What can happen to a managed node."""
 
     UP = auto()
     """The node is loaded, or its process runs."""
@@ -50,12 +50,12 @@ class ManagedInput(StrEnum):
 
 
 class ManagedAction(StrEnum):
-    """What has to be done."""
+    """What follows from an input besides the state."""
 
     ASK = auto()
-    """Ask for its state."""
+    """Query its state."""
     LEAVE = auto()
-    """Talk to it no more."""
+    """End the conversation with it."""
     CONFIGURE = auto()
     ACTIVATE = auto()
     REPORT_FAILED = auto()
@@ -64,7 +64,7 @@ class ManagedAction(StrEnum):
 UNDER_WAY: Final = frozenset(
     {ManagedState.ASKED, ManagedState.CONFIGURING, ManagedState.ACTIVATING}
 )
-"""States that do not last."""
+"""States that end with an answer or its timeout."""
 
 
 class ManagedTransition(NamedTuple):
@@ -98,7 +98,7 @@ def _row(
 
 
 _SETTLED: Final[_Answers] = {Said.UP: _ASK, Said.GONE: _GONE, **_IS}
-"""Of one that is where it should be, or that nobody brings anywhere: others may move it."""
+"""Without a transition under way; other clients may change the state."""
 
 TABLE: Final[Mapping[ManagedState, Mapping[ManagedInput, ManagedTransition]]] = {
     State.ABSENT: _row(
@@ -126,7 +126,7 @@ TABLE: Final[Mapping[ManagedState, Mapping[ManagedInput, ManagedTransition]]] = 
             Said.REFUSED: _FAILED,
             Said.OVERDUE: _FAILED,
         },
-        # It says so before it begins; the answer follows.
+        # The state before the transition, reported late.
         {Said.IS_UNCONFIGURED},
     ),
     State.ACTIVATING: _row(
@@ -144,7 +144,7 @@ TABLE: Final[Mapping[ManagedState, Mapping[ManagedInput, ManagedTransition]]] = 
         state: _row(state, _SETTLED, {Said.REFUSED, Said.OVERDUE})
         for state in (State.UNCONFIGURED, State.INACTIVE, State.ACTIVE, State.FINALIZED)
     },
-    # Somebody may help it along by hand.
+    # An operator may request the transition by hand.
     State.FAILED: _row(
         State.FAILED,
         {

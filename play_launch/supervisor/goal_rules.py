@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def settle(step: Step, name: str) -> None:
-    """Begin anew with a managed node that exists, and end with one that does not."""
+    """Begin a conversation with each new instance of a managed node, and end the old one."""
     world = step.world
     goal = world.goals[name]
     config = world.config.managed.get(name)

@@ -51,7 +51,7 @@ class NotStarted(Struct, frozen=True, tag=True):
 
 
 class Greeted(Struct, frozen=True, tag=True):
-    """A container said hello."""
+    """A container sent its hello message: it is ready."""
 
     unit: str
     start: int
@@ -133,13 +133,13 @@ _RUNTIME: Final = re.compile(r"\b(?:libc|libstdc\+\+|libgcc_s|libpthread|ld-linu
 
 
 class ProbeResult(Struct, frozen=True, kw_only=True):
-    """How it ended."""
+    """Result of loading a library in a scratch process."""
 
     loads: bool
     library: str = ""
     """Its path; empty where nothing is known."""
     error: str = ""
-    """Why it cannot be loaded."""
+    """Reason why it cannot be loaded; empty if it can."""
     exit_code: int = 0
     signal: int = 0
     modules: tuple[str, ...] = ()
@@ -159,7 +159,7 @@ class ProbeResult(Struct, frozen=True, kw_only=True):
 
 
 def blamed_frame(backtrace: Sequence[str]) -> str:
-    """Choose the frame to show where there is room for one: abort() says less than its caller."""
+    """Choose the frame to show where there is room for one: the caller of abort(), not abort()."""
     return next((frame for frame in backtrace if not _RUNTIME.search(frame)), backtrace[0])
 
 
@@ -206,7 +206,7 @@ class StopRequested(Struct, frozen=True, tag=True):
 
 
 class Hurried(Struct, frozen=True, tag=True):
-    """Nothing is waited for any longer than necessary."""
+    """A second stop request: each stop skips to its next signal."""
 
 
 class StartRequested(Struct, frozen=True, tag=True):

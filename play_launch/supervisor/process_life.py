@@ -1,6 +1,6 @@
 """Life of a container or an ordinary process: the table of phase and fact, and what causes facts.
 
-Nothing here refers to what other units do; see `play_launch.supervisor.rules`.
+Nothing here refers to what other units do; see `play_launch.supervisor.process_rules`.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ class Fact(StrEnum):
     EXITED_GIVE_UP = auto()
     """The same, and it is not restarted."""
     EXITED_DONE = auto()
-    """It exited by itself, which is no failure."""
+    """It exited, which is no failure."""
     IMPOSSIBLE = auto()
-    """A condition of its start cannot be met any more."""
+    """A condition of its start cannot be met."""
     STUCK = auto()
     """Not even SIGKILL ended it within its limit."""
     RESTART_DUE = auto()
@@ -146,7 +146,7 @@ TABLE: Final[Mapping[Phase, Mapping[Fact, Cell]]] = {
     Phase.RUNNING: _row(
         Phase.RUNNING,
         {**_LIVES, Fact.FAULTY: _KILL},
-        # One hello for each process; a second one says nothing new.
+        # One hello for each process; a second one changes nothing.
         {
             Fact.START,
             Fact.TURN,

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from play_launch.supervisor.world import Node, Process, World
 
 MOST_DEATHS: Final = 3
-"""Deaths of its container after which a node is refused, whoever else was being loaded."""
+"""Deaths of its container after which a node is refused, whatever else was being loaded."""
 _DEATHS_ALONE: Final = 2
 """Deaths after which a node is refused that was the only one being loaded, and from which on it is
 loaded alone."""
@@ -87,7 +87,7 @@ def container_died(
 
 
 def cancel_probes(world: World, container: str) -> bool:
-    """Take that the scratch processes end without a result; whether there were any."""
+    """Clear the nodes that are being probed, without a result; whether there were any."""
     probing = [node for node in world.nodes_of(container) if node.stage is Stage.PROBING]
     for node in probing:
         world.put(node, stage=Stage.CLEARED)

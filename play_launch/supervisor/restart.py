@@ -1,8 +1,8 @@
-"""Whether, and after which pause, something that died is started again.
+"""Restart decisions: whether, and after which delay, what exited is started again.
 
-At most so many restarts within a sliding window, as OTP's supervisors and systemd do it; the pause
-grows exponentially and has a random part, so that things that died together do not all come back
-at the same instant. A life that lasted longer than the window starts the pauses anew.
+The number of restarts within a sliding window is limited, as by OTP's supervisors and systemd. The
+delay grows exponentially and has a random part, so that processes that died together do not
+restart at the same instant. A run that is longer than the window resets the delay.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ CONTEXT_EXIT_CODE: Final = 79
 
 
 class RestartHistory(Struct, frozen=True, kw_only=True):
-    """What has to be remembered between two deaths."""
+    """Restarts so far, as far as they count for the next decision."""
 
     recent: tuple[float, ...] = ()
     """When the restarts of the last window were due, in seconds, oldest first."""
     streak: int = 0
-    """Restarts since the last healthy life."""
+    """Restarts since the last run that was longer than the window."""
     total: int = 0
 
 

@@ -65,8 +65,8 @@ PHASES: Final = (
     (Action.RELOAD, Action.RESTART),
     (Action.LOAD, Action.START, Action.ADD),
 )
-"""What is done one after the other, so that a name is free before somebody else takes it; what
-stands together is done at the same time."""
+"""Phases of a plan, in order, so that a name is free before it is taken again; the actions of one
+phase are done at the same time."""
 
 SIGNS: Final = {
     Action.REMOVE: "-",
@@ -74,7 +74,7 @@ SIGNS: Final = {
     Action.START: "+",
     Action.ADD: "+",
 }
-"""For people; all others change something that stays: ``~``."""
+"""Marks in the output; all other actions change something that stays: ``~``."""
 
 
 class Change(Struct, frozen=True):
@@ -103,11 +103,11 @@ class Step(Struct, frozen=True, kw_only=True):
     reason: str = ""
     """Why, where the changes do not say it."""
     covered: bool = False
-    """Whether it comes with the start or the end of its container, so is not done by itself."""
+    """Whether it comes with the start or the end of its container, so has no action of its own."""
 
     @property
     def sign(self) -> str:
-        """How it is marked for people."""
+        """Its mark in the output."""
         return SIGNS.get(self.action, "~")
 
     @property
@@ -141,7 +141,7 @@ class Plan(Struct, frozen=True):
 
 
 class Result(StrEnum):
-    """What became of one step."""
+    """Result of one step."""
 
     DONE = "done"
     FAILED = "failed"
@@ -151,7 +151,7 @@ class Result(StrEnum):
 
 
 class StepOutcome(Struct, frozen=True, kw_only=True):
-    """What became of one step, and after how many seconds."""
+    """Result of one step, and its duration in seconds."""
 
     step: Step
     result: Result
@@ -170,7 +170,7 @@ class StepOutcome(Struct, frozen=True, kw_only=True):
 
 
 class Applied(Struct, frozen=True, kw_only=True):
-    """What became of a plan; `rollback` is what was done to be back where it began."""
+    """Result of a plan; `rollback` has the steps back to the configuration before."""
 
     plan: Plan
     outcomes: tuple[StepOutcome, ...] = ()

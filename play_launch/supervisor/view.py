@@ -38,7 +38,7 @@ _Value = TypeVar("_Value")
 
 FAILED_STATES = frozenset({NodeState.LOAD_FAILED, NodeState.CRASHED, NodeState.GAVE_UP})
 DISMISSING = frozenset({"stop", "unload"})
-"""Actions after which nobody expects those that they are about."""
+"""Actions whose targets are not expected to run afterwards."""
 RECALLING = frozenset({"start", "restart", "load", "reload", "apply"})
 WAITING_STATES = frozenset(
     {NodeState.PENDING, NodeState.REQUESTED, NodeState.LOADING, NodeState.LOST}
@@ -137,12 +137,12 @@ class ContainerView(Struct, frozen=True, kw_only=True):
 
     @property
     def waiting(self) -> tuple[NodeView, ...]:
-        """The nodes that are not there yet, or not any more but may come back."""
+        """The nodes that are not loaded, and may be."""
         return tuple(node for node in self.nodes.values() if node.state in WAITING_STATES)
 
     @property
     def unloaded(self) -> tuple[NodeView, ...]:
-        """The nodes that were unloaded, or are being unloaded: nobody is going to load them."""
+        """The nodes that were unloaded, or are being unloaded, and are not loaded again."""
         unloaded = {NodeState.UNLOADING, NodeState.UNLOADED}
         return tuple(node for node in self.nodes.values() if node.state in unloaded)
 
@@ -157,7 +157,7 @@ class ContainerView(Struct, frozen=True, kw_only=True):
         return sum(node.crashes for node in self.nodes.values())
 
     def crashed_since(self, before: ContainerView) -> tuple[NodeView, ...]:
-        """Its nodes that crashed after it was as ``before``, whatever became of them."""
+        """Its nodes that crashed after it was as ``before``, reloaded or not."""
         return tuple(
             node
             for key, node in self.nodes.items()
@@ -178,12 +178,12 @@ class SystemView(Struct, frozen=True, kw_only=True):
     managed: Mapping[str, ManagedNodeChanged] = field(default_factory=lambda: MappingProxyType({}))
     """The latest state of each managed node that is brought somewhere, by unit."""
     dismissed: frozenset[str] = frozenset()
-    """What a person stopped or unloaded, and nobody wanted again since: containers and processes by
-    name, composable nodes by key."""
+    """What an operator stopped or unloaded and has not requested since: containers and processes
+    by name, composable nodes by key."""
 
     @property
     def expected(self) -> SystemView:
-        """The same without what a person dismissed; a container goes with its nodes."""
+        """The same without what an operator dismissed; a container includes its nodes."""
         if not self.dismissed:
             return self
         containers = {
@@ -244,7 +244,7 @@ class SystemView(Struct, frozen=True, kw_only=True):
 
     @property
     def crashed(self) -> tuple[NodeView, ...]:
-        """All nodes that crashed at least once, whatever became of them."""
+        """All nodes that crashed at least once, reloaded or not."""
         nodes = (node for each in self.containers.values() for node in each.nodes.values())
         return tuple(node for node in nodes if node.crashes)
 
@@ -299,7 +299,7 @@ class SystemView(Struct, frozen=True, kw_only=True):
                 return self
 
     def _asked(self, event: ActionEvent) -> SystemView:
-        """Note what a person wants: who was dismissed is so until asked for again."""
+        """Note the request of an operator: a dismissed unit is so until it is requested again."""
         dismissed = self.dismissed
         if event.action in DISMISSING:
             dismissed |= {*event.targets}
@@ -398,10 +398,10 @@ def is_up(view: SystemView) -> bool:
 
 
 def absent(view: SystemView) -> dict[str, str]:
-    """Name what is declared, is not there, and does not come by itself; with the reason.
+    """Name the declared units that do not exist and are not going to be started, with the reason.
 
-    An ordinary process that ended well has done its work. The nodes of a container that does not
-    run are not named, for they come with it.
+    A process that exited with status 0 is not named, nor are the nodes of a container that does
+    not run, as they are loaded when it is started.
     """
     found: dict[str, str] = {}
     for container in view.containers.values():

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 
 class Stage(StrEnum):
-    """How far the inquiry about one node is."""
+    """Stage of a node's quarantine."""
 
     TRUSTED = auto()
     """It is loaded whenever the container is ready."""
@@ -153,7 +153,7 @@ class Process(Struct, frozen=True, kw_only=True):
     began_at: float = 0.0
     ready_at: float | None = None
     due: float | None = None
-    """When the phase ends by itself: hello overdue, SIGKILL without effect, restart due."""
+    """When time ends the phase: hello overdue, SIGKILL without effect, restart due."""
     hello: Hello | None = None
     killed_because: str = ""
     is_fatal: bool = False
@@ -161,7 +161,7 @@ class Process(Struct, frozen=True, kw_only=True):
     blames_loads: bool = True
     """Whether a death of this container may have been caused by a node that was being loaded."""
     lost_locks: bool = False
-    """Whether a node of it died so suddenly that a lock may stay locked for ever."""
+    """Whether a node was killed while it may have held a lock, which then stays locked."""
     is_leaking: bool = False
     """Whether cleaning up after a dead node failed in this process."""
     restarts: RestartHistory = RestartHistory()
@@ -182,7 +182,7 @@ class Process(Struct, frozen=True, kw_only=True):
 
     @property
     def is_at_rest(self) -> bool:
-        """Whether it does not run, nothing is left of it, and it does not start by itself."""
+        """Whether it does not run, nothing is left of it, and no start is pending."""
         return self.phase in INACTIVE and (not self.is_present or self.is_stuck)
 
     @property
@@ -353,7 +353,7 @@ class World:
             self.touched.add(changed.unit)
 
     def forget(self, unit: Process | Node) -> None:
-        """Take a unit out; a container takes its nodes along."""
+        """Remove a unit; a container is removed with its nodes."""
         if isinstance(unit, Process):
             for node in self.nodes_of(unit.name):
                 self.forget(node)
@@ -364,7 +364,7 @@ class World:
 
 
 class Limits(Struct, frozen=True, kw_only=True):
-    """Seconds."""
+    """Time limits, in seconds."""
 
     hello: float = 30.0
     """From the start of a container to its hello."""

@@ -148,7 +148,7 @@ def test_the_choices_of_isolation_are_listed() -> None:
 
 
 def test_the_watchdog_s_limit_is_true() -> None:
-    assert f"does not answer for {WatchLimits().patience:g} s" in section("Crashes")
+    assert f"does not answer for {WatchLimits().timeout:g} s" in section("Crashes")
 
 
 def test_keys_of_restart() -> None:

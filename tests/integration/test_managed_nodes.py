@@ -166,7 +166,7 @@ def test_one_without_services_is_reported(tmp_path: Path) -> None:
     config = write(tmp_path, containers=[container(talker)])
     with replaying(config, tmp_path / "logs") as replay:
         failed = read_until(replay, event="managed", state="failed")
-    assert failed["reason"] == "nobody offered the service /talker/get_state within 0.3 s"
+    assert failed["reason"] == "the service /talker/get_state was not available within 0.3 s"
 
 
 LOSES_FIRST_ANSWERS = """

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from play_launch.runtime.watch import Episode
+from play_launch.runtime.watch import Burst
 
 
 def told(counts: list[int], *, quiet: float = 3.0) -> list[tuple[int, int]]:
     """When, at one look a second, something is told, and which number then."""
-    episode = Episode(quiet=quiet)
+    episode = Burst(quiet=quiet)
     return [(now, episode.count) for now, count in enumerate(counts) if episode.see(count, now)]
 
 

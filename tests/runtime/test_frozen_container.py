@@ -50,7 +50,7 @@ def test_it_is_found_killed_and_started_again_with_its_nodes(
             began = asyncio.get_running_loop().time()
             await sys.until_state("/c", ContainerState.BACKOFF)
             took = asyncio.get_running_loop().time() - began
-            assert abs(took - (4 * LIMITS.interval + LIMITS.patience)) < 0.1
+            assert abs(took - (4 * LIMITS.interval + LIMITS.timeout)) < 0.1
             await sys.until_loaded(2)
         return sys
 
@@ -100,7 +100,7 @@ def test_who_answers_is_left_alone_for_ever() -> None:
     class Slow(FakeContainer):
         def on_watch(self, query: Query) -> None:
             loop = asyncio.get_running_loop()
-            loop.call_later(LIMITS.patience - 0.1, super().on_watch, query)
+            loop.call_later(LIMITS.timeout - 0.1, super().on_watch, query)
 
     async def main() -> None:
         async with running(system(container("c", "a")), launcher(Slow)) as sys:

@@ -129,7 +129,7 @@ def test_configure_goes_so_far_and_no_further() -> None:
         ({"is_silent": True}, "its lifecycle services did not answer within 5 s"),
         (
             {"is_silent": True, "is_offered": False},
-            "nobody offered the service /n/get_state within 5 s",
+            "the service /n/get_state was not available within 5 s",
         ),
     ],
 )

@@ -5,10 +5,10 @@ from hypothesis import strategies as st
 
 from play_launch.runtime.watch import Verdict, Watch, WatchLimits, answered, begin, look
 
-LIMITS = WatchLimits(interval=1.0, patience=3.0, lateness=0.5)
+LIMITS = WatchLimits(interval=1.0, timeout=3.0, lateness=0.5)
 
 
-def test_a_question_every_interval_and_a_verdict_after_the_patience() -> None:
+def test_a_question_every_interval_and_a_verdict_after_the_timeout() -> None:
     watch = begin(10.0, LIMITS)
     assert look(watch, 10.9, LIMITS) == (watch, Verdict.WAIT)
     watch, verdict = look(watch, 11.0, LIMITS)
@@ -47,7 +47,7 @@ def test_who_gets_no_processor_is_given_time_but_not_for_ever() -> None:
         watch, verdict = look(watch, watch.due, LIMITS, starved=True)
         verdicts.append(verdict)
     assert verdicts == [Verdict.SUSPECT] * (len(verdicts) - 1) + [Verdict.FROZEN]
-    assert watch.due - 1.0 == LIMITS.patience - LIMITS.last_look + LIMITS.longest
+    assert watch.due - 1.0 == LIMITS.timeout - LIMITS.last_look + LIMITS.longest
     # As soon as there are processors again, silence means something.
     watch, _ = look(begin(0.0, LIMITS), 1.0, LIMITS)
     for starved in (True, True, True):
@@ -63,12 +63,12 @@ def test_who_is_stopped_by_a_debugger_gets_the_time_after_that() -> None:
         assert verdict is Verdict.SUSPECT
         watch, verdict = look(watch, watch.due, LIMITS, stopped=True)
         assert verdict is Verdict.WAIT
-    goes_on = watch.due - (LIMITS.patience - LIMITS.last_look)
-    assert goes_on > 1000 * LIMITS.patience
+    goes_on = watch.due - (LIMITS.timeout - LIMITS.last_look)
+    assert goes_on > 1000 * LIMITS.timeout
     watch, verdict = look(watch, watch.due, LIMITS)
     assert verdict is Verdict.SUSPECT
     assert look(watch, watch.due, LIMITS)[1] is Verdict.FROZEN
-    assert watch.due == goes_on + LIMITS.patience
+    assert watch.due == goes_on + LIMITS.timeout
 
 
 @given(st.lists(st.tuples(st.floats(0, 0.4), st.floats(0, 2.9)), max_size=50))
@@ -106,5 +106,5 @@ def test_who_stops_answering_is_found_within_the_limits(
         watch, verdict = look(watch, now, LIMITS)
         verdicts.append(verdict)
     assert verdicts == [Verdict.ASK, Verdict.SUSPECT, Verdict.FROZEN]
-    bound = LIMITS.interval + LIMITS.patience + 3 * LIMITS.lateness
+    bound = LIMITS.interval + LIMITS.timeout + 3 * LIMITS.lateness
     assert now - last_answer <= bound
