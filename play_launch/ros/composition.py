@@ -47,33 +47,23 @@ class CompositionClient:
     be late by minutes and is still worth knowing.
     """
 
-    def __init__(self, ros: RosThread, container: str, *, owns_thread: bool = False) -> None:
-        """Talk to the container with this full name; nothing is sent yet.
-
-        ``owns_thread`` is whether the thread ends with it.
-        """
-        self._owns_thread = owns_thread
+    def __init__(self, ros: RosThread, container: str) -> None:
+        """Talk to the container with this full name; nothing is sent yet."""
         self._ros = ros
         self._name = container
         self._loop = asyncio.get_running_loop()
         self._clients: dict[str, Any] = {}
         self._open: set[asyncio.Future[Any]] = set()
         self._closed = False
-        self._forget: Callable[[], None] = lambda: None
         ros.post(self._create)
-
-    def on_graph_change(self, callback: Callable[[], None]) -> None:
-        """Have this called after changes of the graph."""
-        self._forget = self._ros.listen(callback)
 
     async def ready(self) -> None:
         """Wait until the services are there."""
         await self._ros.until(self._is_ready)
 
-    async def graph_change(self) -> None:
-        """Wait for the next change of the graph."""
-        seen = self._ros.graph_changes
-        await self._ros.until(lambda _: self._ros.graph_changes != seen)
+    async def gone(self) -> None:
+        """Wait until they are not there any more."""
+        await self._ros.until(lambda node: not self._is_ready(node))
 
     async def is_ready(self) -> bool:
         """Whether somebody offers the services now."""
@@ -113,12 +103,9 @@ class CompositionClient:
         if self._closed:
             return
         self._closed = True
-        self._forget()
         for future in tuple(self._open):
             future.cancel()
         self._ros.post(self._destroy)
-        if self._owns_thread:
-            self._ros.finish()
 
     def _request(
         self, name: str, request: Callable[[Any], Any], read: Callable[[Any], Any]

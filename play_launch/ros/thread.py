@@ -82,11 +82,6 @@ class RosThread:
         if self._failure is not None:
             raise self._failure
 
-    @property
-    def is_alive(self) -> bool:
-        """Whether it has begun and not ended."""
-        return self._thread.is_alive()
-
     def finish(self) -> None:
         """End the thread and everything in it, without waiting for that."""
         self._closing = True

@@ -312,7 +312,7 @@ class NativeLauncher:
         for guard in self._guards:
             await asyncio.to_thread(guard.close)
         await asyncio.to_thread(self.groups.end)
-        if self._stock is not None and self._stock.is_open:
+        if self._stock is not None:
             await asyncio.to_thread(self._stock.close)
             # As long as we took part ourselves, we held what dead containers had left.
             await self.clean_up()

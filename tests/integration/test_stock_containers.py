@@ -169,7 +169,7 @@ def load(name: str) -> int:
     return int(answer.unique_id)
 
 
-def test_attaching_adopts_what_is_there_loads_the_rest_and_unloads_only_that(
+def test_attaching_refuses_names_that_are_there_loads_the_rest_and_unloads_only_that(
     tmp_path: Path, double: Double
 ) -> None:
     nodes = [any_node("there"), any_node("missing")]
@@ -178,10 +178,9 @@ def test_attaching_adopts_what_is_there_loads_the_rest_and_unloads_only_that(
         there = load("there")
         stranger = load("stranger")
         with replaying(config, tmp_path, "--duration", LIMIT) as replay:
-            adopted = replay.read_until(state("/there", "loaded"), "the one that was there")
+            refused = replay.read_until(state("/there", "load failed"), "the one that was there")
             replay.read_until(state("/missing", "loaded"), "the one that was missing")
-            assert adopted["unique_id"] == there
-            assert "there already" in adopted["reason"]
+            assert f"has a node of that name already (unique_id {there})" in refused["reason"]
             assert set(listed("/theirs")) == {"/there", "/stranger", "/missing"}
             replay.process.terminate()
             replay.read_all()

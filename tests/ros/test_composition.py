@@ -91,8 +91,7 @@ def test_nodes_are_loaded_listed_and_unloaded(ros: RosThread, tmp_path: Path) ->
             gone = await client.unload_node(reply.unique_id)
             assert not gone.success
             assert gone.error_message
-        while await client.is_ready():
-            await client.graph_change()
+        await client.gone()
         client.close()
 
     run(main())
@@ -126,12 +125,13 @@ async def a_container_is_found(ros: RosThread, folder: Path) -> None:
         changes += 1
 
     client = CompositionClient(ros, "/container")
-    client.on_graph_change(count)
+    forget = ros.listen(count)
     ready = asyncio.create_task(client.ready())
     assert not await client.is_ready()
     async with container(folder / "log"):
         await ready
         assert changes > 0
+    forget()
     client.close()
 
 
@@ -245,7 +245,7 @@ def test_what_is_asked_of_a_thread_that_does_not_start_is_refused(
 
     async def main() -> None:
         ros = RosThread("bridge")
-        client = CompositionClient(ros, "/somebody", owns_thread=True)
+        client = CompositionClient(ros, "/somebody")
         asked_before = asyncio.ensure_future(client.ready())
         list_before = client.list_nodes()
         await asyncio.sleep(0)

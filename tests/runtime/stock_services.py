@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from play_launch.ros.composition import ListedNode, LoadReply, UnloadReply
+from play_launch.ros.composition import CompositionClient, ListedNode, LoadReply, UnloadReply
+from play_launch.runtime.stock.conversation import StockLimits
 from play_launch.runtime.stock.link import StockLink
-from play_launch.runtime.stock.ports import StockLimits
-from play_launch.runtime.stock.reports import ContainerIdentity
 from play_launch.wire.messages import Hello, Incoming, Load, Query, Status
 
 from . import jumping_loop
@@ -36,11 +34,12 @@ def run(main: Coroutine[Any, Any, None]) -> None:
     jumping_loop.run(settled())
 
 
-class Services:
+class Services(CompositionClient):
     """Answers lists and unloads truthfully and at once; loads are answered by the test."""
 
     def __init__(self) -> None:
         self.nodes: dict[int, str] = {}
+        self.is_serial = True
         self.present: frozenset[bytes] = frozenset({b"one"})
         self.loads: list[tuple[Any, asyncio.Future[LoadReply]]] = []
         self.unloaded: list[int] = []
@@ -49,7 +48,6 @@ class Services:
         self.answers_lists = True
         self.answers_unloads = True
         self.closed = False
-        self.on_change: Callable[[], None] = lambda: None
         self._changed = asyncio.Event()
 
     def change(self, servers: frozenset[bytes] | None = None) -> None:
@@ -57,26 +55,20 @@ class Services:
             self.present = servers
         self._changed.set()
         self._changed = asyncio.Event()
-        self.on_change()
-
-    def on_graph_change(self, callback: Callable[[], None]) -> None:
-        self.on_change = callback
 
     async def ready(self) -> None:
         while not self.present:
             await self._changed.wait()
 
-    async def graph_change(self) -> None:
-        await self._changed.wait()
-
-    async def is_ready(self) -> bool:
-        return bool(self.present)
+    async def gone(self) -> None:
+        while self.present:
+            await self._changed.wait()
 
     async def servers(self) -> frozenset[bytes]:
         return self.present
 
     async def constructs_in_background(self) -> bool:
-        return False
+        return not self.is_serial
 
     def list_nodes(self) -> asyncio.Future[tuple[ListedNode, ...]]:
         self.lists += 1
@@ -102,8 +94,9 @@ class Services:
         """The load comes to a good end."""
         request, reply = self.loads[index]
         unique_id = len(self.loads) + 10
-        self.nodes[unique_id] = request
-        reply.set_result(LoadReply(True, "", request, unique_id))
+        name = f"/{request.node_name}"
+        self.nodes[unique_id] = name
+        reply.set_result(LoadReply(True, "", name, unique_id))
 
     def _reply(self, is_answered: bool, answer: Any) -> asyncio.Future[Any]:
         reply: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
@@ -120,17 +113,20 @@ def link_to(
     name: str = "/box",
     places: asyncio.Semaphore | None = None,
     limits: StockLimits | None = None,
-    encode: Callable[[Load], object] = lambda load: f"/{load.node_name}",
 ) -> StockLink:
-    """A dialogue in which a request is the full name of its node."""
+    hello = Hello(
+        version="",
+        full_node_name=name,
+        mode="stock",
+        rmw_implementation="rmw_test",
+        domain_id=7,
+    )
     return StockLink(
-        ContainerIdentity(name=name),
+        hello,
         services,
-        hello=Hello(version="", rmw_implementation="rmw_test", domain_id=7),
-        encode=encode,
         places=places or asyncio.Semaphore(4),
         loading_timeout=10.0,
-        limits=limits or StockLimits(),
+        limits=limits,
     )
 
 

@@ -15,7 +15,8 @@ from play_launch.config.model import (
     ParameterValue,
 )
 from play_launch.install.ros import NotInstalledError
-from play_launch.runtime.stock.starter import StockContainers, load_node_request
+from play_launch.runtime.stock.loads import load_node_request
+from play_launch.runtime.stock.starter import StockContainers
 from play_launch.wire.codec import EncodeError
 from play_launch.wire.messages import Load
 
@@ -25,7 +26,6 @@ from .fakes import container, system
 def test_without_stock_containers_nothing_takes_part_in_ros() -> None:
     before = threading.active_count()
     stock = StockContainers.of(system(container("a", "x")))
-    assert not stock.is_open
     assert threading.active_count() == before
     stock.close()
 
@@ -40,7 +40,7 @@ def test_each_domain_has_a_participant(ros_domain: int, other_domain: int) -> No
         assert {each.domain_id for each in stock._threads.values()} == {ros_domain, other_domain}
     finally:
         stock.close()
-    assert not stock.is_open
+    assert not stock._threads
 
 
 def test_what_keeps_ros_from_working_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
