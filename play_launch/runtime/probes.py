@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-import asyncio
-import json
 import logging
 import os
 import signal as signals
 from collections import deque
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
-from msgspec import Struct, field
+import anyio
+from msgspec import DecodeError, Struct, field
+from msgspec.json import Decoder
 
 from play_launch.runtime.ports import StartError
 from play_launch.supervisor.events import Stream
 from play_launch.supervisor.inputs import ProbeResult
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from play_launch.config.model import ComposableNodeConfig, ContainerConfig
     from play_launch.process.lines import Line
@@ -27,27 +27,17 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-
-class ProbeLimits(Struct, frozen=True, kw_only=True):
-    """Seconds."""
-
-    report_interval: float = 10.0
-    """Between two reports of a library that is still being loaded."""
-    gone: float = 10.0
-    """From the end of a scratch process to the end of its children and its output."""
-
-
-PROBE_LIMITS: Final = ProbeLimits()
-
-
-def default_places() -> int:
-    """How many libraries are probed at the same time: loading one is CPU time and reading."""
-    return max(2, os.cpu_count() or 1)
-
-
+_REPORT_INTERVAL: Final = 10.0
+"""Seconds between two reports of a library that is still being loaded."""
+_GONE_LIMIT: Final = 10.0
+"""Seconds from the end of a scratch process to the end of its children and its output."""
 _LAST_LINES: Final = 100
-"""Lines of a scratch process's stdout that are kept: its result is the last one, but for what the
-library's own threads and exit handlers write."""
+"""Lines of its stdout that are kept: the result is the last one, but for what the library's own
+threads and exit handlers write."""
+_UNUSABLE: Final = frozenset({64, 125, 126, 127})
+"""Exit codes of a program that did not understand its arguments, or was never executed."""
+_QUOTES: Final = 4
+"""Quotation marks up to the end of the last whole entry of a list that was cut."""
 
 
 class _Output(Struct):
@@ -67,18 +57,12 @@ class LibraryProbes:
     """Runs scratch processes, a bounded number at a time; one for all containers of a run."""
 
     def __init__(
-        self,
-        launcher: Launcher,
-        publisher: Publisher,
-        *,
-        places: int | None = None,
-        limits: ProbeLimits = PROBE_LIMITS,
+        self, launcher: Launcher, publisher: Publisher, *, places: int | None = None
     ) -> None:
-        """Take what starts processes; ``places`` is `default_places` where it is None."""
+        """Take what starts processes; loading is CPU time and reading, so one a CPU by default."""
         self._launcher = launcher
         self._publisher = publisher
-        self._places = asyncio.Semaphore(places or default_places())
-        self._limits = limits
+        self._places = anyio.Semaphore(places or max(2, os.cpu_count() or 1))
 
     async def library_of(self, container: ContainerConfig, node: ComposableNodeConfig) -> str:
         """Name the library of a node, or else the component; what is equal is probed once."""
@@ -92,6 +76,7 @@ class LibraryProbes:
 
         When this is cancelled, the scratch process is killed first.
         """
+        name, limit = node.declared_full_name, container.probe_timeout
         async with self._places:
             output = _Output(
                 lambda stream, lines: self._publisher.publish_output(
@@ -101,58 +86,49 @@ class LibraryProbes:
             try:
                 process = self._launcher.start_probe(container, node, output)
             except StartError as error:
-                _log.warning("%s: its library is not probed: %s", node.declared_full_name, error)
+                _log.warning("%s: its library is not probed: %s", name, error)
                 return None
             try:
-                in_time = await self._wait(
-                    process, node.declared_full_name, container.probe_timeout
-                )
+                with anyio.move_on_after(limit) as scope:
+                    await _wait(process, name, limit)
             finally:
                 process.kill()
-                await self._gone(process)
-        if not in_time:
-            return overdue(container.probe_timeout)
+                await _gone(process)
+        if scope.cancelled_caught:
+            late = f"its library was still being loaded after {limit:g} s"
+            return ProbeResult(loads=False, error=late)
         exit_ = await process.wait()
         return read_probe(output.result, exit_code=exit_.code, signal=exit_.signal)
 
-    async def _wait(self, process: ManagedProcess, name: str, limit: float) -> bool:
-        """Wait for the end; False when it does not come within ``limit`` seconds."""
-        loop = asyncio.get_running_loop()
-        began = loop.time()
-        left = limit
-        while left > 0:
-            try:
-                async with asyncio.timeout(min(left, self._limits.report_interval)):
-                    await process.wait()
-            except TimeoutError:
-                took = loop.time() - began
-                left = limit - took
-                _log.warning(
-                    "%s: its library has been loading in a scratch process (pid %d) for %.0f s, "
-                    "of at most %.0f s",
-                    name,
-                    process.pid,
-                    took,
-                    limit,
-                )
-            else:
-                return True
-        return False
 
-    async def _gone(self, process: ManagedProcess) -> None:
-        try:
-            async with asyncio.timeout(self._limits.gone):
-                await process.gone()
-        except TimeoutError:
-            _log.error("the scratch process %d does not end", process.pid)
+async def _wait(process: ManagedProcess, name: str, limit: float) -> None:
+    began = anyio.current_time()
+    while True:
+        with anyio.move_on_after(_REPORT_INTERVAL):
+            await process.wait()
+            return
+        text = "%s: its library has been loading in a scratch process (pid %d) for %.0f s of %.0f s"
+        _log.warning(text, name, process.pid, anyio.current_time() - began, limit)
 
 
-UNUSABLE: Final = frozenset({64, 125, 126, 127})
-"""Exit codes of a program that did not understand its arguments, or was never executed."""
+async def _gone(process: ManagedProcess) -> None:
+    with anyio.move_on_after(_GONE_LIMIT, shield=True) as scope:
+        await process.gone()
+    if scope.cancelled_caught:
+        _log.error("the scratch process %d does not end", process.pid)
 
 
-_QUOTES: Final = 4
-"""Quotation marks up to the end of the last whole entry of a list that was cut."""
+class _Report(Struct):
+    """What a scratch process writes at its end."""
+
+    library: str
+    error: str = ""
+    signal: int = 0
+    modules: tuple[str, ...] = ()
+    backtrace: tuple[str, ...] = ()
+
+
+_decode: Final = Decoder(_Report).decode
 
 
 def read_probe(lines: Iterable[str], *, exit_code: int = 0, signal: int = 0) -> ProbeResult | None:
@@ -163,71 +139,35 @@ def read_probe(lines: Iterable[str], *, exit_code: int = 0, signal: int = 0) -> 
         exit_code: Its exit status; 0 when a signal ended it.
         signal: The signal that ended it; 0 when none did.
     """
-    result = _last_object(lines)
-    if result is None and exit_code in UNUSABLE:
+    found = [report for line in lines if (report := _read(line))]
+    if not found and exit_code in _UNUSABLE:
         return None
-    number = signal or _number(result, "signal")
-    # Without a word it did not come to its end, whatever its status is: exit() in an initialiser.
-    loads = result is not None and exit_code == 0 and number == 0
+    report = found[-1] if found else _Report(library="")
+    number = signal or report.signal
     ending = f"ended with {_name(number)}" if number else f"exited with status {exit_code}"
+    # Without a report it did not come to its end, whatever its status: exit() in an initialiser.
+    loads = bool(found) and exit_code == 0 and number == 0
     return ProbeResult(
         loads=loads,
-        library=_text(result, "library"),
-        error="" if loads else _text(result, "error") or f"the process that loaded it {ending}",
+        library=report.library,
+        error="" if loads else report.error or f"the process that loaded it {ending}",
         exit_code=exit_code,
         signal=number,
-        modules=_texts(result, "modules"),
-        backtrace=_texts(result, "backtrace"),
+        modules=report.modules,
+        backtrace=report.backtrace,
     )
 
 
-def overdue(seconds: float) -> ProbeResult:
-    """Return what is found when it was killed because it took too long."""
-    return ProbeResult(loads=False, error=f"its library was still being loaded after {seconds:g} s")
-
-
-def _last_object(lines: Iterable[str]) -> Mapping[str, Any] | None:
-    found = None
-    for line in lines:
-        if line.startswith("{"):
-            for text in _readings(line):
-                value = _object(text)
-                if "library" in value:
-                    found = value
-                    break
-    return found
-
-
-def _readings(line: str) -> Iterator[str]:
-    """Give the line, and what it was if it has been cut in its backtrace, being too long."""
-    yield line
-    end = len(line)
-    for _ in range(_QUOTES):
-        end = line.rfind('"', 0, end)
-        yield line[: end + 1] + "]}"
-
-
-def _object(text: str) -> Mapping[str, Any]:
-    try:
-        value = json.loads(text)
-    except ValueError:
-        return {}
-    return value if isinstance(value, dict) else {}
-
-
-def _number(result: Mapping[str, Any] | None, name: str) -> int:
-    value = result.get(name) if result else None
-    return value if isinstance(value, int) and value > 0 else 0
-
-
-def _text(result: Mapping[str, Any] | None, name: str) -> str:
-    value = result.get(name) if result else None
-    return value if isinstance(value, str) else ""
-
-
-def _texts(result: Mapping[str, Any] | None, name: str) -> tuple[str, ...]:
-    value = result.get(name) if result else None
-    return tuple(map(str, value)) if isinstance(value, list) else ()
+def _read(line: str) -> _Report | None:
+    """Decode a line; one that was cut for its length loses the last entry of its backtrace."""
+    text, end = line, len(line)
+    for _ in range(1 + _QUOTES if line.startswith("{") else 0):
+        try:
+            return _decode(text)
+        except DecodeError:
+            end = line.rfind('"', 0, end)
+            text = line[: end + 1] + "]}"
+    return None
 
 
 def _name(number: int) -> str:

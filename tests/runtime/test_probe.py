@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from play_launch.runtime.probes import overdue, read_probe
+from play_launch.runtime.probes import read_probe
 
 LOADS = '{"library": "/x/libgood.so", "error": "", "signal": 0, "backtrace": []}'
 DIED = json.dumps(
@@ -73,9 +73,3 @@ def test_values_of_another_kind_are_passed_over() -> None:
 @pytest.mark.parametrize("code", [64, 125, 126, 127])
 def test_a_program_that_was_never_run_finds_nothing(code: int) -> None:
     assert read_probe([], exit_code=code) is None
-
-
-def test_one_that_takes_too_long() -> None:
-    found = overdue(60.0)
-    assert not found.loads
-    assert "after 60 s" in found.error
