@@ -24,7 +24,7 @@ from play_launch.runtime.queries import Asked, Questions
 from play_launch.runtime.watch import ContainerWatch
 from play_launch.supervisor.events import ComponentEvent, NodeState
 from play_launch.supervisor.inputs import Faulty, Greeted, HealthReported, NodeReported, Probed
-from play_launch.supervisor.node_life import NodeFact
+from play_launch.supervisor.node_life import TABLE, NodeFact
 from play_launch.supervisor.world import Hello, Phase, is_wanted
 from play_launch.wire.channel import ChannelClosedError, ControlError, VersionMismatchError
 from play_launch.wire.codec import EncodeError
@@ -40,12 +40,14 @@ if TYPE_CHECKING:
     from play_launch.runtime.probes import LibraryProbes
     from play_launch.runtime.sources import Source
     from play_launch.runtime.system import System
+    from play_launch.supervisor.world import Node
     from play_launch.wire.messages import Incoming, Outgoing
 
 _log = logging.getLogger(__name__)
 
 _LAST_WORDS: Final = 0.5
 """Seconds from the exit of a container to the end of what it sent on the control channel."""
+_ENDED: Final = frozenset({NodeState.UNLOADED, NodeState.CRASHED, NodeState.LOAD_FAILED})
 _EXIT_AFTER_CLOSE: Final = 2.0
 """Seconds from the end of the control channel to the exit of the container."""
 
@@ -194,10 +196,8 @@ class ContainerActor(ProcessActor):
 
     def _with_group(self, said: NodeReported) -> NodeReported:
         """Leave the control group of a node that exited; why the kernel killed it, if it did."""
-        if said.said not in {NodeFact.CRASHED, NodeFact.UNLOADED, NodeFact.LOAD_FAILED}:
-            return said
         for node in self._system.world.nodes_of(self.name):
-            if node.attempt == said.attempt:
+            if node.attempt == said.attempt and _is_its_end(node, said.said):
                 why = self._system.launcher.groups.leave(node.key, said.attempt)
                 return _with_reason(said, why) if why else said
         return said
@@ -224,6 +224,7 @@ class ContainerActor(ProcessActor):
         except (StartError, EncodeError) as error:
             reason = str(error)
         if reason:
+            self._system.launcher.groups.leave(key, attempt)
             self._system.post(
                 NodeReported(
                     unit=self.name,
@@ -293,6 +294,14 @@ class ContainerActor(ProcessActor):
                 known = self._system.world.nodes.get(node.key)
                 if known is not None and known.config is node:  # else it was declared anew
                     self._system.post(Probed(node.key, finding))
+
+
+def _is_its_end(node: Node, fact: NodeFact) -> bool:
+    """Whether a node that is told this does not exist any more in its container."""
+    if fact is NodeFact.STATUS_UNKNOWN and node.resent:
+        fact = NodeFact.STATUS_UNKNOWN_AGAIN
+    state = TABLE[node.state][fact].state
+    return state is not node.state and state in _ENDED
 
 
 def _with_reason(said: NodeReported, reason: str) -> NodeReported:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from play_launch.supervisor.events import (
     REPORTED_LOGGER,
+    ComponentEvent,
     ContainerState,
     NodeState,
     NodeStateChanged,
@@ -38,6 +39,9 @@ class EventLog:
                 self._process(event)
             case NodeStateChanged():
                 _node(event, before)
+            case ComponentEvent(confirmed_by="status"):
+                text = "%s is loaded: no event reported it, but %s did when queried"
+                _log.warning(text, event.full_node_name, event.container)
             case _:
                 pass
 

@@ -64,7 +64,7 @@ if TYPE_CHECKING:
     from play_launch.runtime.applying import Applying
     from play_launch.runtime.ports import Launcher, ParameterService, RosAccess
     from play_launch.runtime.publisher import Publisher, StopRequests
-    from play_launch.supervisor.events import ContainerState
+    from play_launch.supervisor.events import ContainerState, RunEvent
     from play_launch.supervisor.inputs import Effect, Input
 
 _log = logging.getLogger(__name__)
@@ -145,14 +145,15 @@ class System:
 
     def _process(self, said: Input) -> None:
         before, now = Snapshot.of(self.world), self._loop.time()
-        effects: list[Effect] = []
-        try:
-            effects = reduce(self.world, said, now, self._jitter())
-        except Exception:  # noqa: BLE001 - the rules of single units are confined
-            _log.exception("%s could not be processed", said)
+        effects = reduce(self.world, said, now, self._jitter())
         self._is_overdue = isinstance(said, Time) and Snapshot.of(self.world) == before
-        stamp_ns = self.publisher.stamp_ns()
-        for event in events_between(before, self.world, now=now, stamp_ns=stamp_ns):
+        events: list[RunEvent] = []
+        try:
+            stamp_ns = self.publisher.stamp_ns()
+            events += events_between(before, self.world, now=now, stamp_ns=stamp_ns)
+        except Exception:  # noqa: BLE001 - what was decided is carried out all the same
+            _log.exception("what changed with %s could not be published", type(said).__name__)
+        for event in events:
             try:
                 self.publisher.publish(event)
             except Exception:  # noqa: BLE001 - what was decided is carried out all the same
@@ -166,20 +167,26 @@ class System:
     def fail(self, unit: str, error: Exception) -> None:
         """Give a unit up because of an exception of our own; the others go on."""
         reason = failure_reason(error)
-        _reported.error("%s: %s", unit, reason, exc_info=error)
-        if unit in self.world.processes:
+        text = f"{unit or 'supervisor'}: {reason}"
+        process = self.world.processes.get(unit)
+        # A rule may raise whenever it is evaluated: its unit is given up once.
+        is_given_up = process is None or process.phase is Phase.GAVE_UP
+        if self.publisher.is_news(text) or not is_given_up:
+            _reported.error("%s", text, exc_info=error)
+        if not is_given_up:
             self.post(Failed(unit, reason))
 
     def _settled(self) -> None:
         world = self.world
-        if any(
+        is_awaited = any(
             unit.wait is not None
             for units in (world.processes, world.nodes)
             for unit in units.values()
-        ):
-            self._outside.watch(pending_dependencies(world))
-        else:
-            self._outside.watch(())
+        )
+        try:
+            self._outside.watch(pending_dependencies(world) if is_awaited else ())
+        except Exception:  # noqa: BLE001 - what waits has time limits, and can be started
+            _log.exception("what starts depend on cannot be watched")
         for name in [name for name in self._actors if name not in world.processes]:
             del self._actors[name]
         self._changed.set()
@@ -204,7 +211,10 @@ class System:
         self._timer = None
         self._is_overdue = False
         for actor in tuple(self._actors.values()):
-            actor.on_time()
+            try:
+                actor.on_time()
+            except Exception as error:  # noqa: BLE001 - it is the failure of its unit alone
+                self.fail(actor.name, error)
         if self._is_due():
             self.post(Time())
         self._set_timer()
@@ -248,12 +258,13 @@ class System:
             case Raised():
                 self.fail(effect.unit, effect.error)
             case End():
+                self._pending_at_end = self.pending
                 self._stop.request(reason=effect.reason)
                 self.post(StopRequested(effect.reason))
 
     def _actor(self, name: str) -> ProcessActor:
-        if name not in self._actors:
-            kind = ProcessActor if self.world.processes[name].container is None else ContainerActor
+        kind = ProcessActor if self.world.processes[name].container is None else ContainerActor
+        if type(self._actors.get(name)) is not kind:  # its name may have been one of the other kind
             self._actors[name] = kind(name, self)
         return self._actors[name]
 

@@ -14,7 +14,7 @@ from msgspec.structs import replace
 from play_launch.config.model import ContainerConfig
 from play_launch.config.node_key import NodeKey
 from play_launch.supervisor.events import NodeState
-from play_launch.supervisor.inputs import ChangeEnded, SetParameters, StepEnded
+from play_launch.supervisor.inputs import ChangeEnded, Raised, SetParameters, StepEnded
 from play_launch.supervisor.steps import Action, Kind, Need
 from play_launch.supervisor.world import INACTIVE, STATE_OF_PHASE, Goal, Node, Phase, Process, Stage
 
@@ -82,6 +82,19 @@ def parameters_set(step: Step, said: ParametersSet) -> None:
     note = f"{'restarted' if is_process else 'reloaded'}: {said.refusal}"
     step.world.change = replace(change, open=(*others, replace(found, asks=False, note=note)))
     _replace(step.world, change.target, said.step)
+
+
+def settle_confined(step: Step) -> None:
+    """The same as `settle`; an exception in it ends the change, and nothing else."""
+    try:
+        settle(step)
+    except Exception as error:  # noqa: BLE001 - the units go on
+        step.effects.append(Raised("", error))
+        change = step.world.change
+        step.world.change = None
+        for each in change.open if change is not None else ():
+            _end(step, each, "internal error", is_done=False)
+        step.effects.append(ChangeEnded())
 
 
 def settle(step: Step) -> None:
@@ -178,7 +191,8 @@ def _adopt(world: World, target: ReplayConfig, plan_step: PlanStep) -> None:
 def _replace(world: World, target: ReplayConfig, plan_step: PlanStep) -> None:
     """Have one run that is configured as in the target, anew if it runs."""
     config: Any = declared(target, plan_step)
-    world.dismissed -= {plan_step.name}
+    nodes = config.composable_nodes if plan_step.kind is Kind.CONTAINER else ()
+    world.dismissed -= {plan_step.name, *(str(node.key) for node in nodes)}
     if plan_step.kind is Kind.COMPONENT:
         _replace_node(world, NodeKey.parsed(plan_step.name), config)
         return
@@ -238,7 +252,7 @@ def _settled(world: World, plan_step: PlanStep) -> str | None:
     """Give why what a step is about is not up; empty: it is, or is gone; None: not yet known."""
     if plan_step.kind is Kind.SESSION:
         return ""
-    if plan_step.name in world.dismissed:
+    if plan_step.name in world.dismissed and plan_step.action is not Action.REMOVE:
         return ""  # an operator stopped it meanwhile
     if plan_step.kind is Kind.COMPONENT:
         return _node_settled(world, plan_step)

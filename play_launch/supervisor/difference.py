@@ -58,6 +58,9 @@ def events_between(
     requested = []
     for name, process in world.processes.items():
         old = before.processes.get(name)
+        if old is not None and (old.container is None) is not (process.container is None):
+            yield _withdrawn(old, stamp_ns)
+            old = None
         has_changed = old is not process
         if has_changed:
             yield from _process(old, process, stamp_ns)
@@ -79,8 +82,7 @@ def events_between(
         yield from _node(before.nodes.get(node.key), node, now, stamp_ns)
     for name, old in before.processes.items():
         if name not in world.processes:
-            kind = SubjectKind.PROCESS if old.container is None else SubjectKind.CONTAINER
-            yield Withdrawn(stamp_ns=stamp_ns, kind=kind, key=name)
+            yield _withdrawn(old, stamp_ns)
     for unit, goal in world.goals.items():
         was = before.goals.get(unit)
         if goal is not was:
@@ -88,6 +90,11 @@ def events_between(
     for unit, was in before.goals.items():
         if unit not in world.goals:
             yield from _goal(was, replace(was, state=ManagedState.ABSENT, reason=""), stamp_ns)
+
+
+def _withdrawn(process: Process, stamp_ns: int) -> Withdrawn:
+    kind = SubjectKind.PROCESS if process.container is None else SubjectKind.CONTAINER
+    return Withdrawn(stamp_ns=stamp_ns, kind=kind, key=process.name)
 
 
 def _process(old: Process | None, new: Process, stamp_ns: int) -> Iterator[RunEvent]:
@@ -123,11 +130,10 @@ def _after_nodes(old: Process | None, new: Process, stamp_ns: int) -> Iterator[R
     """Give the events that are published after those of the nodes of a container."""
     if new.container is None and (text := _new_wait(old, new)):
         yield _event(new, ProcessEventKind.WAITING, stamp_ns, message=text)
-    if old is None:
-        return
-    if new.stopped and not (old.stopped and old.attempt == new.attempt):
+    before = Phase.STOPPED if old is None else old.phase
+    if new.stopped and not (old and old.stopped and old.attempt == new.attempt):
         yield _event(new, ProcessEventKind.STOPPING, stamp_ns, message=new.reason)
-    if new.phase is old.phase:
+    if new.phase is before:
         return
     match new.phase:
         case Phase.RUNNING if new.hello is not None:
@@ -140,7 +146,7 @@ def _after_nodes(old: Process | None, new: Process, stamp_ns: int) -> Iterator[R
             yield _event(new, ProcessEventKind.RESTARTING, stamp_ns, message=new.reason)
         case Phase.GAVE_UP:
             yield _event(new, ProcessEventKind.GAVE_UP, stamp_ns, message=new.reason)
-        case Phase.STOPPED if old.phase is Phase.BACKOFF or old.wait is not None:
+        case Phase.STOPPED if before in {Phase.BACKOFF, Phase.QUEUED}:
             # Without an exit to report, it would be shown as waiting for its start.
             if new.container is None:
                 yield _event(new, ProcessEventKind.STOPPED, stamp_ns, message=new.reason)
@@ -182,7 +188,7 @@ def _event(
 
 
 def _node(old: Node | None, new: Node, now: float, stamp_ns: int) -> Iterator[RunEvent]:
-    if old is not None and new.refusals != old.refusals:
+    if new.refusals != (0 if old is None else old.refusals):
         yield _refusal(new, stamp_ns)
     text = _new_wait(old, new)
     has_changed = old is None or (old.state, old.attempt, old.reports) != (

@@ -24,7 +24,7 @@ def settle(step: Step, name: str) -> None:
     config = world.config.managed.get(name)
     instance = _instance(world, name) if config is not None else 0
     is_new = config is not None and config != goal.config
-    if goal.instance == instance and not is_new:
+    if config is not None and goal.instance == instance and not is_new:
         return
     if config is not None:
         world.put(goal, config=config)

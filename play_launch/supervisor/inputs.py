@@ -313,6 +313,11 @@ class Load(Struct, frozen=True):
     node: NodeKey
     attempt: int
 
+    @property
+    def container(self) -> str:
+        """The container that it is requested of."""
+        return self.node.container
+
 
 class Cancel(Struct, frozen=True):
     """Request that a load is given up."""

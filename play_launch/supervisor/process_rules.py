@@ -348,6 +348,10 @@ def _may_stop(step: Step, process: Process) -> bool:
 def _begin(step: Step, process: Process) -> None:
     """Queue a start that was requested."""
     if process.next_config is not None:
+        if process.phase in {Phase.QUEUED, Phase.BACKOFF}:  # not once more as it was
+            step.world.put(process, wait=None)
+            apply(step, process.name, Fact.STOP, process.request_reason)
+            process = step.process(process.name)
         if not process.is_at_rest or process.is_stuck:
             return
         process = _with_next_config(step, process)
@@ -364,12 +368,15 @@ def _with_next_config(step: Step, process: Process) -> Process:
     """Begin anew with the next configuration; nodes that it does not have are forgotten."""
     config, world = process.next_config, step.world
     assert config is not None
+    # What was started once waits for no conditions.
+    released = {node.key: node.released_at for node in world.nodes_of(process.name)}
     for node in world.nodes_of(process.name):
         world.forget(node)
     if isinstance(config, ContainerConfig):
         for each in config.composable_nodes:
-            world.put(Node(config=each))
+            world.put(Node(config=each, released_at=released.get(each.key)))
     anew = Process(config=config, generation=process.generation, attempt=process.attempt)
+    anew = replace(anew, released_at=process.released_at)
     world.put(replace(anew, phase=process.phase, reason=process.reason))
     return step.process(process.name)
 
@@ -390,6 +397,9 @@ def _queue(step: Step, process: Process) -> None:
         if ready.wait.waived:
             step.log(f"{process.name} starts all the same: {ready.wait.waived}")
         world.put(process, wait=None, released_at=step.now)
+    elif before is not None:  # its conditions are gone
+        world.put(process, wait=None)
+    process = step.process(process.name)
     if not process.is_present and _has_slot(step, process):
         apply(step, process.name, Fact.TURN)
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 from play_launch.supervisor import change, goal_rules, node_rules, process_rules, quarantine
 from play_launch.supervisor.conditions import (
+    find_unit,
     has_arrived,
     nothing_is_left,
     stopped_before,
@@ -36,6 +37,7 @@ from play_launch.supervisor.inputs import (
     NotStarted,
     ParametersSet,
     Probed,
+    Raised,
     Started,
     StartRequested,
     StopRequested,
@@ -66,9 +68,12 @@ def reduce(world: World, said: Input, now: float, chance: float = 0.5) -> list[E
         chance: A random number in [0, 1), for the jitter of delays.
     """
     step = Step(world, now, chance)
-    _take(step, said)
-    # Most inputs are reports about nodes, which concern few units.
-    _settle(step, is_about_all=not isinstance(said, NodeReported | HealthReported))
+    try:
+        _take(step, said)
+        # Most inputs are reports about nodes, which concern few units.
+        _settle(step, is_about_all=not isinstance(said, NodeReported | HealthReported))
+    except Exception as error:  # noqa: BLE001 - the effects until then are carried out
+        step.effects.append(Raised("", error))
     return step.finish()
 
 
@@ -225,7 +230,7 @@ def _settle(step: Step, *, is_about_all: bool) -> None:
                 step.confine(key.container, partial(node_rules.settle, step, key))
         for name in list(world.goals):
             step.confine(name.partition(":")[0], partial(goal_rules.settle, step, name))
-        change.settle(step)
+        change.settle_confined(step)
         if not world.is_stopping and nothing_is_left(world):
             process_rules.request_stop(step, "nothing is left to run")
         _note_arrivals(world, touched)
@@ -250,6 +255,6 @@ def _note_arrivals(world: World, touched: set[str | NodeKey]) -> None:
     if world.is_stopping:
         return
     for key in touched:
-        unit = world.processes.get(key) if isinstance(key, str) else world.nodes.get(key)
+        unit = find_unit(world, key) if isinstance(key, str) else world.nodes.get(key)
         if unit is not None and unit_key(unit) not in world.arrived and has_arrived(world, unit):
             world.arrived |= {unit_key(unit)}
