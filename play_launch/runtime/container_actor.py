@@ -20,7 +20,7 @@ from play_launch.runtime.container_messages import (
 from play_launch.runtime.ports import StartError
 from play_launch.runtime.process_actor import ProcessActor
 from play_launch.runtime.publisher import report_shortfalls
-from play_launch.runtime.queries import Asked, Questions
+from play_launch.runtime.queries import Asked, Queries
 from play_launch.runtime.watch import ContainerWatch
 from play_launch.supervisor.events import ComponentEvent, NodeState
 from play_launch.supervisor.inputs import Faulty, Greeted, HealthReported, NodeReported, Probed
@@ -62,7 +62,7 @@ class ContainerActor(ProcessActor):
         self._has_ended = anyio.Event()
         self._is_draining = False
         """Whether its process exited, and what it sent before is still read."""
-        self._questions = Questions(name)
+        self._queries = Queries(name)
         self._watch = ContainerWatch(name, clock=system.time, limits=system.watch_limits)
         self._probes: list[Source] = []
 
@@ -78,7 +78,7 @@ class ContainerActor(ProcessActor):
     def _begin(self) -> ManagedProcess:
         self._has_ended = anyio.Event()
         self._is_draining = False
-        self._questions.clear()
+        self._queries.clear()
         process, self._link = self._system.launcher.start_container(self.config, self._on_output)
         return process
 
@@ -190,7 +190,7 @@ class ContainerActor(ProcessActor):
         if isinstance(message, ComponentEvent):
             self._system.publisher.publish(message)
         nodes = {node.attempt: node for node in self._system.world.nodes_of(self.name)}
-        for said in inputs_of(message, self.config, start, self._questions, nodes):
+        for said in inputs_of(message, self.config, start, self._queries, nodes):
             self._system.post(self._with_group(said))
             self._check_node(said)
 
@@ -245,7 +245,7 @@ class ContainerActor(ProcessActor):
 
     def query(self, about: Sequence[tuple[NodeKey, int, int]]) -> None:
         """Query it about nodes."""
-        self._send(self._questions.put(tuple(Asked(*each) for each in about)))
+        self._send(self._queries.put(tuple(Asked(*each) for each in about)))
 
     def _send(self, message: Outgoing) -> None:
         if self._link is None:

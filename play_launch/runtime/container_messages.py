@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
     from play_launch.config.model import ComposableNodeConfig, ContainerConfig
-    from play_launch.runtime.queries import Answer, Questions
+    from play_launch.runtime.queries import Asked, Queries
     from play_launch.supervisor.world import Node
     from play_launch.wire.messages import Hello, NodeStatus
 
@@ -41,7 +41,7 @@ def inputs_of(
     message: Accepted | Rejected | ComponentEvent | Status,
     config: ContainerConfig,
     start: int,
-    questions: Questions,
+    queries: Queries,
     nodes: Mapping[int, Node],
 ) -> Iterator[NodeReported]:
     """Read a message; ``nodes`` are those of the container by their latest attempt."""
@@ -75,8 +75,8 @@ def inputs_of(
                 text = "%s: %s of old attempt %d is ignored"
                 _log.info(text, name, message.kind.name.lower(), message.attempt)
         case Status():
-            for answer in questions.read(message):
-                yield _of_answer(answer, config, start)
+            for asked, fact, listed in queries.read(message):
+                yield _of_answer(asked, fact, listed, config, start)
         case _:
             assert_never(message)
 
@@ -103,13 +103,14 @@ def _of_event(event: ComponentEvent, container: str, start: int) -> NodeReported
     )
 
 
-def _of_answer(answer: Answer[NodeStatus], config: ContainerConfig, start: int) -> NodeReported:
+def _of_answer(
+    asked: Asked, fact: NodeFact, listed: NodeStatus | None, config: ContainerConfig, start: int
+) -> NodeReported:
     """Read what the container reported of one of the nodes that a query was about."""
-    listed, asked = answer.listed, answer.asked
     said = NodeReported(
         unit=config.full_name,
         start=start,
-        said=answer.said,
+        said=fact,
         attempt=asked.attempt,
         unique_id=asked.unique_id,
         reason="the container does not know it",

@@ -7,16 +7,27 @@ is read as one about the old attempt.
 from __future__ import annotations
 
 import logging
-from typing import TYPE_CHECKING, Final, Generic, NamedTuple, Protocol, TypeVar
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from play_launch.supervisor.node_life import NodeFact
 from play_launch.wire.messages import NodeStatusState, Query
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterator
 
     from play_launch.config.node_key import NodeKey
     from play_launch.wire.messages import NodeStatus, Status
+
+_log = logging.getLogger(__name__)
+
+_MOST_OPEN: Final = 16
+"""Queries whose answers are expected; older ones are dropped."""
+_SAID: Final = {
+    NodeStatusState.CONSTRUCTING: NodeFact.STATUS_CONSTRUCTING,
+    NodeStatusState.LOADED: NodeFact.STATUS_LOADED,
+    NodeStatusState.UNLOADING: NodeFact.STATUS_UNLOADING,
+    NodeStatusState.QUEUED: NodeFact.STATUS_QUEUED,
+}
 
 
 class Asked(NamedTuple):
@@ -28,84 +39,7 @@ class Asked(NamedTuple):
     """0 while the container has not reported it."""
 
 
-class Listed(Protocol):
-    """A node in the answer, as ``play_launch_msgs/NodeStatus`` has it."""
-
-    @property
-    def unique_id(self) -> int:
-        """The container's number for it."""
-
-    @property
-    def attempt(self) -> int:
-        """The load that it came from."""
-
-    @property
-    def state(self) -> int:
-        """A :class:`NodeStatusState`, unless the container sent an unknown number."""
-
-
-_ListedT = TypeVar("_ListedT", bound=Listed)
-
-
-class Answer(NamedTuple, Generic[_ListedT]):
-    """What the container reported about one of the queried nodes."""
-
-    asked: Asked
-    said: NodeFact
-    listed: _ListedT | None
-    """None when the container does not know the node."""
-
-
-_SAID = {
-    NodeStatusState.CONSTRUCTING: NodeFact.STATUS_CONSTRUCTING,
-    NodeStatusState.LOADED: NodeFact.STATUS_LOADED,
-    NodeStatusState.UNLOADING: NodeFact.STATUS_UNLOADING,
-    NodeStatusState.QUEUED: NodeFact.STATUS_QUEUED,
-}
-
-
-def ids_to_ask(asked: Iterable[Asked]) -> tuple[int, ...]:
-    """Give the unique_ids for the query; empty, which means all, where one is not known."""
-    ids = tuple(each.unique_id for each in asked)
-    return ids if all(ids) else ()
-
-
-def read_answer(asked: Sequence[Asked], listed: Iterable[_ListedT]) -> list[Answer[_ListedT]]:
-    """Say for each node asked about what the answer means.
-
-    A node whose unique_id is listed under another attempt, or in a state without a meaning, is
-    left out: that answers nothing.
-    """
-    by_attempt: dict[int, _ListedT] = {}
-    by_id: dict[int, _ListedT] = {}
-    for entry in listed:
-        by_attempt.setdefault(entry.attempt, entry)
-        by_id.setdefault(entry.unique_id, entry)
-    answers: list[Answer[_ListedT]] = []
-    for each in asked:
-        found = by_attempt.get(each.attempt)
-        if found is None:
-            if each.unique_id == 0 or each.unique_id not in by_id:
-                answers.append(Answer(each, NodeFact.STATUS_UNKNOWN, None))
-        elif (said := _said(found.state)) is not None:
-            answers.append(Answer(each, said, found))
-    return answers
-
-
-def _said(state: int) -> NodeFact | None:
-    try:
-        return _SAID[NodeStatusState(state)]
-    except ValueError:
-        return None
-
-
-_log = logging.getLogger(__name__)
-
-_OPEN_QUESTIONS: Final = 16
-"""Queries whose answers are expected; older ones are dropped."""
-
-
-class Questions:
+class Queries:
     """Queries to one container that have no answer yet."""
 
     def __init__(self, container: str) -> None:
@@ -121,27 +55,28 @@ class Questions:
     def put(self, asked: tuple[Asked, ...]) -> Query:
         """Make one query about all of these nodes."""
         if self._open:
-            _log.warning(
-                "%s has not answered %d question(s) about its nodes yet",
-                self._container,
-                len(self._open),
-            )
-        while len(self._open) >= _OPEN_QUESTIONS:
+            text = "%s has not answered %d question(s) about its nodes yet"
+            _log.warning(text, self._container, len(self._open))
+        while len(self._open) >= _MOST_OPEN:
             del self._open[next(iter(self._open))]
         self._query_id += 1
         self._open[self._query_id] = asked
-        return Query(query_id=self._query_id, unique_ids=ids_to_ask(asked))
+        ids = tuple(each.unique_id for each in asked)
+        # Without ids it is about all nodes.
+        return Query(query_id=self._query_id, unique_ids=ids if all(ids) else ())
 
-    def read(self, status: Status) -> Sequence[Answer[NodeStatus]]:
-        """Read an answer; empty if it was read before."""
-        asked = self._open.pop(status.query_id, None)
-        if asked is None:
-            _log.debug("%s answered question %d again", self._container, status.query_id)
-            return ()
+    def read(self, status: Status) -> Iterator[tuple[Asked, NodeFact, NodeStatus | None]]:
+        """Read an answer for each node that was asked about; the status is None for an unknown one.
+
+        A node whose unique_id is listed under another attempt is left out: that answers nothing.
+        """
         if status.dropped_frames:
-            _log.warning(
-                "%s has lost %d frames so far: its outgoing queue was full",
-                self._container,
-                status.dropped_frames,
-            )
-        return tuple(read_answer(asked, status.nodes))
+            text = "%s has lost %d frames so far: its outgoing queue was full"
+            _log.warning(text, self._container, status.dropped_frames)
+        by_attempt = {node.attempt: node for node in status.nodes}
+        ids = {node.unique_id for node in status.nodes if node.unique_id}
+        for asked in self._open.pop(status.query_id, ()):
+            if node := by_attempt.get(asked.attempt):
+                yield asked, _SAID[node.state], node
+            elif asked.unique_id not in ids:
+                yield asked, NodeFact.STATUS_UNKNOWN, None
