@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import os
-import signal as signals
 from collections import deque
 from functools import partial
 from typing import TYPE_CHECKING, Final
@@ -12,7 +11,9 @@ from typing import TYPE_CHECKING, Final
 import anyio
 from msgspec import DecodeError, Struct, field
 from msgspec.json import Decoder
+from msgspec.structs import replace
 
+from play_launch.process.exit import Exit
 from play_launch.runtime.ports import StartError
 from play_launch.supervisor.events import Stream
 from play_launch.supervisor.inputs import ProbeResult
@@ -118,17 +119,7 @@ async def _gone(process: ManagedProcess) -> None:
         _log.error("the scratch process %d does not end", process.pid)
 
 
-class _Report(Struct):
-    """What a scratch process writes at its end."""
-
-    library: str
-    error: str = ""
-    signal: int = 0
-    modules: tuple[str, ...] = ()
-    backtrace: tuple[str, ...] = ()
-
-
-_decode: Final = Decoder(_Report).decode
+_decode: Final = Decoder(ProbeResult).decode
 
 
 def read_probe(lines: Iterable[str], *, exit_code: int = 0, signal: int = 0) -> ProbeResult | None:
@@ -139,39 +130,27 @@ def read_probe(lines: Iterable[str], *, exit_code: int = 0, signal: int = 0) -> 
         exit_code: Its exit status; 0 when a signal ended it.
         signal: The signal that ended it; 0 when none did.
     """
-    found = [report for line in lines if (report := _read(line))]
+    found = [result for line in lines if (result := _read(line))]
     if not found and exit_code in _UNUSABLE:
         return None
-    report = found[-1] if found else _Report(library="")
-    number = signal or report.signal
-    ending = f"ended with {_name(number)}" if number else f"exited with status {exit_code}"
-    # Without a report it did not come to its end, whatever its status: exit() in an initialiser.
+    result = found[-1] if found else ProbeResult()
+    number = signal or result.signal
+    # Without a result it did not come to its end, whatever its status: exit() in an initialiser.
     loads = bool(found) and exit_code == 0 and number == 0
-    return ProbeResult(
-        loads=loads,
-        library=report.library,
-        error="" if loads else report.error or f"the process that loaded it {ending}",
-        exit_code=exit_code,
-        signal=number,
-        modules=report.modules,
-        backtrace=report.backtrace,
-    )
+    error = result.error or f"the process that loaded it {Exit(exit_code, number)}"
+    error = "" if loads else error
+    return replace(result, loads=loads, error=error, exit_code=exit_code, signal=number)
 
 
-def _read(line: str) -> _Report | None:
+def _read(line: str) -> ProbeResult | None:
     """Decode a line; one that was cut for its length loses the last entry of its backtrace."""
     text, end = line, len(line)
     for _ in range(1 + _QUOTES if line.startswith("{") else 0):
         try:
-            return _decode(text)
+            result = _decode(text)
         except DecodeError:
             end = line.rfind('"', 0, end)
             text = line[: end + 1] + "]}"
+        else:
+            return result if result.library else None
     return None
-
-
-def _name(number: int) -> str:
-    try:
-        return f"signal {number} ({signals.Signals(number).name})"
-    except ValueError:
-        return f"signal {number}"

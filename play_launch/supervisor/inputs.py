@@ -135,7 +135,7 @@ _RUNTIME: Final = re.compile(r"\b(?:libc|libstdc\+\+|libgcc_s|libpthread|ld-linu
 class ProbeResult(Struct, frozen=True, kw_only=True):
     """Result of loading a library in a scratch process."""
 
-    loads: bool
+    loads: bool = False
     library: str = ""
     """Its path; empty where nothing is known."""
     error: str = ""

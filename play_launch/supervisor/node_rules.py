@@ -9,7 +9,7 @@ from msgspec.structs import replace
 from play_launch.supervisor import process_rules, quarantine
 from play_launch.supervisor.conditions import readiness
 from play_launch.supervisor.events import NodeState
-from play_launch.supervisor.inputs import Cancel, CancelProbes, Load, Unload
+from play_launch.supervisor.inputs import Cancel, Load, Unload
 from play_launch.supervisor.node_life import (
     AWAITED,
     IDLE,
@@ -30,7 +30,7 @@ from play_launch.supervisor.restart import (
     StopContainer,
     follow_up,
 )
-from play_launch.supervisor.world import Phase, is_wanted
+from play_launch.supervisor.world import Phase, Stage, is_wanted
 
 if TYPE_CHECKING:
     from play_launch.config.node_key import NodeKey
@@ -220,7 +220,8 @@ def _load(step: Step, node: Node, *, is_again: bool = False) -> None:
     if not is_again:
         node = replace(node, resent=False, reason="")
     step.world.put(
-        quarantine.mark_tried(node),
+        node,
+        stage=Stage.TRIED if node.stage is Stage.CLEARED else node.stage,
         attempt=attempt,
         loaded_into=container.attempt,
         unique_id=0,
@@ -293,8 +294,7 @@ def container_stops(step: Step, container: Process) -> None:
     for node in step.world.nodes_of(container.name):
         if node.next_at is not None and not node.gives_up:
             step.world.put(node, next_at=None)
-    if quarantine.cancel_probes(step.world, container.name):
-        step.effects.append(CancelProbes(container.name))
+    quarantine.cancel_probes(step, container.name)
 
 
 def container_lost(step: Step, container: Process, reason: str) -> None:

@@ -20,10 +20,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from msgspec.structs import replace
-
 from play_launch.supervisor import node_rules
-from play_launch.supervisor.inputs import Probe
+from play_launch.supervisor.inputs import CancelProbes, Probe
 from play_launch.supervisor.node_life import LOADING
 from play_launch.supervisor.world import Stage
 
@@ -44,11 +42,6 @@ ALONE_LIMIT: Final = 60.0
 """Seconds after which a load under way no longer keeps others from being loaded alone."""
 
 
-def is_held(node: Node) -> bool:
-    """Whether a container that takes loads does not get the node yet, or not at all."""
-    return node.stage not in {Stage.TRUSTED, Stage.TRIED}
-
-
 def excuses_death(world: World, container: str) -> bool:
     """Count a death that does not use up a restart: a node in quarantine was being loaded."""
     tried = [node for node in world.nodes_of(container) if node.stage is Stage.TRIED]
@@ -58,54 +51,70 @@ def excuses_death(world: World, container: str) -> bool:
     return is_excused
 
 
-def container_died(
-    world: World, container: str, under_way: Collection[NodeKey]
-) -> tuple[list[NodeKey], list[NodeKey]]:
-    """Put the nodes into quarantine that were being loaded.
-
-    Returns:
-        The nodes whose libraries are to be probed, and those that are refused from now on.
-    """
+def begin(step: Step, container: Process, loads: Collection[NodeKey], reason: str) -> None:
+    """Put nodes into quarantine that were being loaded when their container died."""
     probe, refused = [], []
-    for node in world.nodes_of(container):
-        stage, deaths = node.stage, node.deaths
-        if node.key in under_way:
-            deaths += 1
-            is_refused = deaths >= MOST_DEATHS or (len(under_way) == 1 and deaths >= _DEATHS_ALONE)
-            stage = Stage.REFUSED if is_refused else Stage.PROBING
-        elif stage is Stage.CONDEMNED:
-            stage = Stage.PROBING
-        elif stage is Stage.TRIED:  # its load was over
-            stage, deaths = Stage.TRUSTED, 0
-        if node.key in under_way or stage is not node.stage:
-            if stage is Stage.PROBING:
-                probe.append(node.key)
-            elif stage is Stage.REFUSED:
-                refused.append(node.key)
-            world.put(node, stage=stage, deaths=deaths)
-    return probe, refused
+    for node in step.world.nodes_of(container.name):
+        deaths = node.deaths + (node.key in loads)
+        if node.key not in loads and node.stage is not Stage.CONDEMNED:
+            if node.stage is Stage.TRIED:  # its load was over
+                step.world.put(node, stage=Stage.TRUSTED, deaths=0)
+        elif node.key in loads and (
+            deaths >= MOST_DEATHS or (len(loads) == 1 and deaths >= _DEATHS_ALONE)
+        ):
+            refused.append(node.key)
+            step.world.put(node, stage=Stage.REFUSED, deaths=deaths)
+        else:
+            probe.append(node.key)
+            text = "its library is loaded in a scratch process first"
+            reports = node.reports + 1
+            step.world.put(node, stage=Stage.PROBING, deaths=deaths, reason=text, reports=reports)
+    if loads:
+        first = next(iter(loads)).name
+        names = f"{first} and {len(loads) - 1} more" if len(loads) > 1 else first
+        step.log(f"{container.name} ended while it was loading {names}")
+    for key in refused:
+        node = step.node(key)
+        why = f"it took the container down {node.deaths} times while it was loaded: {reason}"
+        node_rules.refuse(step, node, why)
+    if probe:
+        step.effects.append(Probe(container.name, tuple(probe)))
 
 
-def cancel_probes(world: World, container: str) -> bool:
-    """Clear the nodes that are being probed, without a result; whether there were any."""
-    probing = [node for node in world.nodes_of(container) if node.stage is Stage.PROBING]
+def cancel_probes(step: Step, container: str) -> None:
+    """End the scratch processes without a result."""
+    probing = [node for node in step.world.nodes_of(container) if node.stage is Stage.PROBING]
     for node in probing:
-        world.put(node, stage=Stage.CLEARED)
-    return bool(probing)
+        step.world.put(node, stage=Stage.CLEARED)
+    if probing:
+        step.effects.append(CancelProbes(container))
 
 
-def survived(world: World, node: Node) -> Node:
+def probed(step: Step, said: Probed) -> None:
+    """A scratch process loaded the library of a node, or could not."""
+    node, finding = step.world.nodes.get(said.node), said.finding
+    if node is None or node.stage is not Stage.PROBING:
+        return
+    if finding is None or finding.loads:
+        step.world.put(node, stage=Stage.CLEARED)
+        return
+    step.world.put(node, stage=Stage.CONDEMNED)
+    at = f" at {finding.blamed}" if finding.backtrace else ""
+    name = node.key.container
+    where = f"in a scratch process, tried because {name} ended while it loaded the node"
+    node_rules.refuse(step, step.node(node.key), f"{finding.error}{at} ({where})", finding)
+
+
+def survived(world: World, node: Node) -> None:
     """Clear a node: its load ended, and the container lives."""
-    if node.stage is Stage.TRUSTED and not node.deaths:
-        return node
-    world.put(node, stage=Stage.TRUSTED, deaths=0)
-    return world.nodes[node.key]
+    if node.stage is not Stage.TRUSTED or node.deaths:
+        world.put(node, stage=Stage.TRUSTED, deaths=0)
 
 
 def may_load(world: World, node: Node, now: float) -> bool:
     """Whether a cleared node is loaded now, beside the loads that are under way."""
     if node.stage is not Stage.CLEARED:
-        return not is_held(node)
+        return node.stage in {Stage.TRUSTED, Stage.TRIED}
     others = [
         each
         for each in world.nodes_of(node.key.container)
@@ -121,49 +130,3 @@ def may_load(world: World, node: Node, now: float) -> bool:
 
 def _is_alone(node: Node) -> bool:
     return node.deaths >= _DEATHS_ALONE
-
-
-def mark_tried(node: Node) -> Node:
-    """Note that a cleared node is being loaded."""
-    if node.stage is Stage.CLEARED:
-        return replace(node, stage=Stage.TRIED)
-    return node
-
-
-# What follows.
-
-
-def begin(step: Step, container: Process, loads: Collection[NodeKey], reason: str) -> None:
-    """Put nodes into quarantine that were being loaded when their container died."""
-    probe, refused = container_died(step.world, container.name, loads)
-    if loads:
-        first = next(iter(loads)).name
-        names = f"{first} and {len(loads) - 1} more" if len(loads) > 1 else first
-        step.log(f"{container.name} ended while it was loading {names}")
-    for key in refused:
-        deaths = step.node(key).deaths
-        why = f"it took the container down {deaths} times while it was loaded: {reason}"
-        node_rules.refuse(step, step.node(key), why)
-    for key in probe:
-        node = step.node(key)
-        text = "its library is loaded in a scratch process first"
-        step.world.put(node, reason=text, reports=node.reports + 1)
-    if probe:
-        step.effects.append(Probe(container.name, tuple(probe)))
-
-
-def probed(step: Step, said: Probed) -> None:
-    """A scratch process loaded the library of a node, or could not."""
-    node = step.world.nodes.get(said.node)
-    if node is None or node.stage is not Stage.PROBING:
-        return
-    finding = said.finding
-    loads = finding is None or finding.loads
-    step.world.put(node, stage=Stage.CLEARED if loads else Stage.CONDEMNED)
-    if finding is not None and not loads:
-        reason = finding.error
-        if finding.backtrace:
-            reason += f" at {finding.blamed}"
-        name = node.key.container
-        where = f"in a scratch process, tried because {name} ended while it loaded the node"
-        node_rules.refuse(step, step.node(node.key), f"{reason} ({where})", finding)
