@@ -228,10 +228,9 @@ def _impossible(what: str, why: str = "") -> Evaluation:
 
 def pending_dependencies(world: World) -> tuple[Dependency, ...]:
     """Give the conditions that units wait for now and that are not met, each once."""
-    waiting: list[Process | Node] = [
-        *(each for each in world.processes.values() if each.wait is not None),
-        *(each for each in world.nodes.values() if each.wait is not None),
-    ]
+    keys = sorted(world.waiting, key=world.places.__getitem__)
+    units = [world.processes[key] if isinstance(key, str) else world.nodes[key] for key in keys]
+    waiting = [unit for unit in units if unit.wait is not None]
     found = [
         dependency
         for unit in waiting

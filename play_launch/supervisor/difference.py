@@ -54,42 +54,60 @@ NOTHING: Final = Snapshot({}, {}, {})
 def events_between(
     before: Snapshot, world: World, *, now: float, stamp_ns: int
 ) -> Iterator[RunEvent]:
-    """Give the events that lead from one world to the next, in the order of their publication."""
+    """Give the events that lead from one world to the next, in the order of their publication.
+
+    The changes of the world since the last call are those between the two.
+    """
+    changed, world.changed = world.changed, set()
+    ordered = sorted(changed, key=lambda key: world.places.get(key, -1))
+    names = [key for key in ordered if isinstance(key, str)]
+    for name in names:
+        yield from _process_events(before.processes.get(name), world, name, stamp_ns)
     requested = []
-    for name, process in world.processes.items():
-        old = before.processes.get(name)
-        if old is not None and (old.container is None) is not (process.container is None):
-            yield _withdrawn(old, stamp_ns)
-            old = None
-        has_changed = old is not process
-        if has_changed:
-            yield from _process(old, process, stamp_ns)
-        if process.container is not None:
-            for node in world.nodes_of(name):
-                if before.nodes.get(node.key) is node:
-                    continue
-                if node.state is NodeState.REQUESTED:
-                    requested.append(node)
-                else:
-                    yield from _node(before.nodes.get(node.key), node, now, stamp_ns)
+    for key in [key for key in ordered if not isinstance(key, str)]:
+        old, node = before.nodes.get(key), world.nodes.get(key)
+        if node is not None and node.state is NodeState.REQUESTED:
+            requested.append(node)
+        elif node is not None and node is not old:
+            yield from _node(old, node, now, stamp_ns)
+        elif node is None and old is not None and key.container in world.processes:
             # A container that is removed takes its nodes along.
-            for key in before.nodes:
-                if key.container == name and key not in world.nodes:
-                    yield Withdrawn(stamp_ns=stamp_ns, kind=SubjectKind.NODE, key=str(key))
-        if has_changed:
-            yield from _after_nodes(old, process, stamp_ns)
+            yield Withdrawn(stamp_ns=stamp_ns, kind=SubjectKind.NODE, key=str(key))
+    for name in names:
+        old_process, process = before.processes.get(name), world.processes.get(name)
+        if process is not None and process is not old_process:
+            yield from _after_nodes(_same_kind(old_process, process), process, stamp_ns)
     for node in requested:  # their causes are published first
         yield from _node(before.nodes.get(node.key), node, now, stamp_ns)
-    for name, old in before.processes.items():
-        if name not in world.processes:
+    for name in names:
+        yield from _goal_events(before.goals.get(name), world.goals.get(name), stamp_ns)
+
+
+def _process_events(
+    old: Process | None, world: World, name: str, stamp_ns: int
+) -> Iterator[RunEvent]:
+    process = world.processes.get(name)
+    if process is None:
+        if old is not None:
             yield _withdrawn(old, stamp_ns)
-    for unit, goal in world.goals.items():
-        was = before.goals.get(unit)
-        if goal is not was:
-            yield from _goal(was, goal, stamp_ns)
-    for unit, was in before.goals.items():
-        if unit not in world.goals:
-            yield from _goal(was, replace(was, state=ManagedState.ABSENT, reason=""), stamp_ns)
+        return
+    if old is not None and _same_kind(old, process) is None:
+        yield _withdrawn(old, stamp_ns)
+    if process is not old:
+        yield from _process(_same_kind(old, process), process, stamp_ns)
+
+
+def _same_kind(old: Process | None, new: Process) -> Process | None:
+    """Give what had the name before, unless it was a container and is a process, or vice versa."""
+    is_same = old is not None and (old.container is None) is (new.container is None)
+    return old if is_same else None
+
+
+def _goal_events(old: Goal | None, new: Goal | None, stamp_ns: int) -> Iterator[RunEvent]:
+    if new is None and old is not None:
+        new = replace(old, state=ManagedState.ABSENT, reason="")
+    if new is not None and new is not old:
+        yield from _goal(old, new, stamp_ns)
 
 
 def _withdrawn(process: Process, stamp_ns: int) -> Withdrawn:

@@ -47,13 +47,27 @@ from play_launch.supervisor.inputs import (
 )
 from play_launch.supervisor.node_life import IDLE
 from play_launch.supervisor.step import Step
-from play_launch.supervisor.world import INACTIVE, Phase, Stage
+from play_launch.supervisor.world import INACTIVE, Phase
 
 if TYPE_CHECKING:
     from play_launch.config.node_key import NodeKey
     from play_launch.supervisor.inputs import Effect, Input
-    from play_launch.supervisor.world import World
+    from play_launch.supervisor.world import UnitKey, World
 
+_ABOUT_ALL: Final = (
+    Begun,
+    Time,
+    StopRequested,
+    Hurried,
+    StartRequested,
+    EndRequested,
+    LoadRequested,
+    UnloadRequested,
+    ChangeRequested,
+    ParametersSet,
+    Failed,
+)
+"""Inputs that may concern any unit; others concern units that they change, and those that wait."""
 _ROUNDS: Final = 100
 """Rounds in which one change of the world may lead to another; more are an error of the rules."""
 
@@ -70,8 +84,7 @@ def reduce(world: World, said: Input, now: float, chance: float = 0.5) -> list[E
     step = Step(world, now, chance)
     try:
         _take(step, said)
-        # Most inputs are reports about nodes, which concern few units.
-        _settle(step, is_about_all=not isinstance(said, NodeReported | HealthReported))
+        _settle(step, is_about_all=isinstance(said, _ABOUT_ALL))
     except Exception as error:  # noqa: BLE001 - the effects until then are carried out
         step.effects.append(Raised("", error))
     return step.finish()
@@ -79,15 +92,7 @@ def reduce(world: World, said: Input, now: float, chance: float = 0.5) -> list[E
 
 def deadline(world: World) -> float | None:
     """When the input `Time` is due next; None: time alone changes nothing."""
-    times = [change.next_deadline(world)]
-    for process in world.processes.values():
-        times.append(process.due)
-        if process.wait is not None:
-            times += (process.wait.next_at, process.wait.report_due)
-    for node in world.nodes.values():
-        times += (node.query_at, node.next_at)
-        if node.wait is not None:
-            times += (node.wait.next_at, node.wait.report_due)
+    times = (change.next_deadline(world), world.next_due())
     return min((at for at in times if at is not None), default=None)
 
 
@@ -222,11 +227,12 @@ def _settle(step: Step, *, is_about_all: bool) -> None:
     for _ in range(_ROUNDS):
         touched, world.touched = world.touched, set()
         before = (world.change, world.stop_reason)
-        for name in list(world.processes):
-            if is_about_all or _is_concerned(world, name, touched):
-                step.confine(name, partial(process_rules.settle, step, name))
-        for key in list(world.nodes):
-            if key in world.nodes and (is_about_all or _is_node_concerned(world, key, touched)):
+        is_about_all = is_about_all or world.is_stopping or world.change is not None
+        names, keys = _concerned(world, touched, is_about_all=is_about_all)
+        for name in names:
+            step.confine(name, partial(process_rules.settle, step, name))
+        for key in keys:
+            if key in world.nodes:
                 step.confine(key.container, partial(node_rules.settle, step, key))
         for name in list(world.goals):
             step.confine(name.partition(":")[0], partial(goal_rules.settle, step, name))
@@ -239,19 +245,22 @@ def _settle(step: Step, *, is_about_all: bool) -> None:
     raise AssertionError("the rules do not come to an end")
 
 
-def _is_concerned(world: World, name: str, touched: set[str | NodeKey]) -> bool:
-    """Whether the rules of a process may have another result than before."""
-    return name in touched or world.processes[name].phase is Phase.QUEUED
+def _concerned(
+    world: World, touched: set[UnitKey], *, is_about_all: bool
+) -> tuple[list[str], list[NodeKey]]:
+    """Give the units whose rules may have another result than before, as declared."""
+    if is_about_all:
+        return list(world.processes), list(world.nodes)
+    found = touched | world.waiting
+    for key in touched:
+        if isinstance(key, str):
+            found |= set(world.keys.get(key, ()))
+    ordered = sorted((key for key in found if key in world.places), key=world.places.__getitem__)
+    names = [key for key in ordered if isinstance(key, str) and key in world.processes]
+    return names, [key for key in ordered if not isinstance(key, str)]
 
 
-def _is_node_concerned(world: World, key: NodeKey, touched: set[str | NodeKey]) -> bool:
-    if key in touched or key.container in touched:
-        return True
-    node = world.nodes[key]
-    return node.wait is not None or node.stage is Stage.CLEARED
-
-
-def _note_arrivals(world: World, touched: set[str | NodeKey]) -> None:
+def _note_arrivals(world: World, touched: set[UnitKey]) -> None:
     if world.is_stopping:
         return
     for key in touched:

@@ -7,7 +7,8 @@ that `play_launch.supervisor.difference` finds what has changed by identity.
 from __future__ import annotations
 
 from enum import StrEnum, auto
-from typing import TYPE_CHECKING, Final
+from heapq import heappop, heappush
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 from msgspec import Struct
 from msgspec.structs import replace
@@ -181,6 +182,11 @@ class Process(Struct, frozen=True, kw_only=True):
         return self.config.full_name
 
     @property
+    def times(self) -> tuple[float, ...]:
+        """When something is due for it."""
+        return _times(self.wait, self.due)
+
+    @property
     def is_at_rest(self) -> bool:
         """Whether it does not run, nothing is left of it, and no start is pending."""
         return self.phase in INACTIVE and (not self.is_present or self.is_stuck)
@@ -255,9 +261,19 @@ class Node(Struct, frozen=True, kw_only=True):
     is_removed: bool = False
 
     @property
+    def times(self) -> tuple[float, ...]:
+        """When something is due for it."""
+        return _times(self.wait, self.query_at, self.next_at)
+
+    @property
     def key(self) -> NodeKey:
         """What it is addressed by."""
         return self.config.key
+
+
+def _times(wait: Wait | None, *times: float | None) -> tuple[float, ...]:
+    found = times if wait is None else (*times, wait.next_at, wait.report_due)
+    return tuple(at for at in found if at is not None)
 
 
 class Goal(Struct, frozen=True, kw_only=True):
@@ -269,6 +285,9 @@ class Goal(Struct, frozen=True, kw_only=True):
     reason: str = ""
     instance: int = 0
     """The start or load that it belongs to; 0 while the node does not exist."""
+
+
+UnitKey: TypeAlias = "str | NodeKey"
 
 
 class World:
@@ -294,8 +313,16 @@ class World:
         self.goals: dict[str, Goal] = {}
         self.keys: dict[str, list[NodeKey]] = {}
         """Keys of the nodes of each container, as declared."""
-        self.touched: set[str | NodeKey] = set()
+        self.places: dict[UnitKey, int] = {}
+        """Order of all units, as declared."""
+        self.touched: set[UnitKey] = set()
         """Units that were changed since their rules were evaluated."""
+        self.changed: set[UnitKey] = set()
+        """Units that were changed since the events of that were derived."""
+        self.waiting: set[UnitKey] = set()
+        """Units whose rules depend on other units."""
+        self.due: list[tuple[float, int, UnitKey]] = []
+        """Heap of times at which something may be due; those that are outdated stay in it."""
         self.lines: frozenset[tuple[str, str]] = frozenset()
         """Lines that were written: process and pattern."""
         self.files: frozenset[str] = frozenset()
@@ -341,16 +368,43 @@ class World:
             return
         changed = replace(unit, **values) if values else unit
         if isinstance(changed, Process):
+            self._note(changed.name, self.processes.get(changed.name), changed)
             self.processes[changed.name] = changed
-            self.touched.add(changed.name)
         elif isinstance(changed, Node):
             if changed.key not in self.nodes:
                 self.keys.setdefault(changed.key.container, []).append(changed.key)
+            self._note(changed.key, self.nodes.get(changed.key), changed)
             self.nodes[changed.key] = changed
-            self.touched.add(changed.key)
         else:
+            self.touch(changed.unit)
             self.goals[changed.unit] = changed
-            self.touched.add(changed.unit)
+
+    def touch(self, key: UnitKey) -> None:
+        """Have the rules of a unit evaluated."""
+        self.touched.add(key)
+        self.changed.add(key)
+
+    def _note(self, key: UnitKey, old: Process | Node | None, new: Process | Node) -> None:
+        self.touch(key)
+        place = self.places.setdefault(key, len(self.places))
+        is_waiting = new.wait is not None or (
+            new.phase is Phase.QUEUED if isinstance(new, Process) else new.stage is Stage.CLEARED
+        )
+        (self.waiting.add if is_waiting else self.waiting.discard)(key)
+        known = () if old is None else old.times
+        for at in new.times:
+            if at not in known:
+                heappush(self.due, (at, place, key))
+
+    def next_due(self) -> float | None:
+        """When something is due next for a unit; None: time alone changes nothing."""
+        while self.due:
+            at, _, key = self.due[0]
+            unit = self.processes.get(key) if isinstance(key, str) else self.nodes.get(key)
+            if unit is not None and at in unit.times:
+                return at
+            heappop(self.due)
+        return None
 
     def forget(self, unit: Process | Node) -> None:
         """Remove a unit; a container is removed with its nodes."""
@@ -358,9 +412,13 @@ class World:
             for node in self.nodes_of(unit.name):
                 self.forget(node)
             del self.processes[unit.name]
+            self.changed.add(unit.name)
+            self.waiting.discard(unit.name)
         else:
             del self.nodes[unit.key]
             self.keys[unit.key.container].remove(unit.key)
+            self.changed.add(unit.key)
+            self.waiting.discard(unit.key)
 
 
 class Limits(Struct, frozen=True, kw_only=True):
