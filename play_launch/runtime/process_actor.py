@@ -157,7 +157,10 @@ class ProcessActor:
             self._system.fail(self.name, error)
         except BaseException:
             with anyio.CancelScope(shield=True):
-                await process.stop(ask=None, hurry=self._system.stop_requests.hurry)
+                if self._system.world.processes[self.name].is_stuck:
+                    process.kill()
+                else:
+                    await process.stop(ask=None, hurry=self._system.stop_requests.hurry)
             raise
         finally:
             self._let_go()

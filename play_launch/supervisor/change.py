@@ -124,6 +124,8 @@ def _judge(step: Step) -> None:
             still_open.append(each)
         else:
             has_failed = has_failed or bool(failure)
+            if each.asks:  # its next load or start reads them
+                _adopt(world, change.target, each.step)
             _end(step, each, failure, is_done=not failure)
     if len(still_open) != len(change.open):
         world.change = replace(change, open=tuple(still_open), has_failed=has_failed)

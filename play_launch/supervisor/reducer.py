@@ -134,7 +134,7 @@ def _take(step: Step, said: Input) -> None:
         case GoalReported():
             goal_rules.reported(step, said)
         case StopRequested():
-            if world.is_stopping and said.signum is not None:
+            if world.stop_signal is not None and said.signum is not None:
                 world.is_hurried = True
             if not world.is_stopping:
                 world.stop_reason, world.stop_signal = said.reason, said.signum

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
 from types import MappingProxyType
 from typing import TYPE_CHECKING, NoReturn
 
@@ -10,15 +11,25 @@ import pytest
 from msgspec.structs import replace
 
 from play_launch.config.dependency import Condition
-from play_launch.config.model import ManagedConfig
+from play_launch.config.model import (
+    ComposableNodeConfig,
+    ManagedConfig,
+    ParameterConfig,
+    ParameterType,
+    ParameterValue,
+)
 from play_launch.config.node_key import NodeKey
 from play_launch.config.policies import Autostart, OnExit
 from play_launch.process.exit import Exit
 from play_launch.runtime.ports import StartError
 from play_launch.supervisor import change, node_rules, process_rules
 from play_launch.supervisor.events import ContainerState, NodeState, ProcessEventKind
+from play_launch.supervisor.inputs import StopRequested
+from play_launch.supervisor.reducer import reduce
+from play_launch.supervisor.world import World
 from play_launch.wire.messages import Load, Rejected
 
+from .fake_parameters import FakeParameters
 from .fakes import (
     FakeContainer,
     FakeLauncher,
@@ -26,6 +37,7 @@ from .fakes import (
     Held,
     NoGroups,
     container,
+    node,
     process,
     system,
 )
@@ -358,5 +370,66 @@ def test_one_that_is_added_and_can_never_start_is_known_to_have_failed() -> None
             await sys.operated.applying.apply(target, limit=5)
             assert "/late" in sys.gave_up()
             assert sys.view.processes["/late"].failed
+
+    run(main())
+
+
+def test_one_that_does_not_die_is_not_stopped_again_at_the_end() -> None:
+    class Immortal(FakeProcess):
+        def kill(self) -> None:
+            self.stopped_with.append("kill")
+
+        async def stop(self, *, ask: Callable[[], bool] | None, hurry: asyncio.Event) -> bool:
+            self.stopped_with.append("stop")
+            await asyncio.sleep(10)
+            return False
+
+    async def main() -> None:
+        async with running(system(process("p"), process("q")), FakeLauncher()) as sys:
+            await sys.until(lambda: STARTED in sys.process_events("/p"))
+            immortal = sys.launcher.processes["/p"][0]
+            immortal.__class__ = Immortal
+            sys.stop.request(reason="the test is over")
+            await sys.until_stopped()
+            assert immortal.stopped_with == ["stop", "kill"]
+            immortal.end(Exit(signal=9))
+
+    run(main())
+
+
+def test_one_signal_beside_a_crash_does_not_hurry() -> None:
+    world = World(system(process("p", on_exit=OnExit.SHUTDOWN)))
+    reduce(world, StopRequested("/p has ended"), 1.0)
+    reduce(world, StopRequested("signal 2", 2), 1.0)
+    assert not world.is_hurried
+    world = World(system(process("p")))
+    reduce(world, StopRequested("signal 2", 2), 1.0)
+    reduce(world, StopRequested("signal 2", 2), 1.0)
+    assert world.is_hurried
+
+
+def test_parameters_that_could_not_be_set_in_time_are_those_of_the_next_load() -> None:
+    class Hangs(FakeParameters):
+        async def set(self, *args: object) -> str:
+            await asyncio.sleep(1000)
+            return ""
+
+    def rate(value: int) -> ComposableNodeConfig:
+        given = ParameterConfig("rate", ParameterValue(ParameterType.INTEGER, value))
+        return replace(node("a"), parameters=(given,))
+
+    async def main() -> None:
+        launcher = FakeLauncher()
+        before = system(container("c", rate(1)))
+        async with running(before, launcher, parameters=Hangs()) as sys:
+            await sys.until_loaded(1)
+            target = system(container("c", rate(2)))
+            await sys.operated.applying.apply(target, limit=1)
+            assert not sys.operated.applying.plan(target).differs
+            launcher.containers["/c"][0].crash_node("a")
+            await sys.until(lambda: len(sys.node_events("/a", NodeState.LOADED)) == 2)
+            (box,) = launcher.containers["/c"]
+            loads = [each for each in box.link.sent if isinstance(each, Load)]
+            assert [each.parameters[0].value.value for each in loads] == [1, 2]
 
     run(main())
