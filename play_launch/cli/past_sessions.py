@@ -169,6 +169,33 @@ def compare(
     raise typer.Exit(compare_sessions(first, second, output, as_json=as_json))
 
 
+def rerun(
+    file: Recording,
+    until: Annotated[
+        str | None,
+        typer.Option(
+            metavar="TIME",
+            help="Only up to this time after the start (12.5s, 2min).",
+            show_default=False,
+        ),
+    ] = None,
+    diff: Annotated[
+        bool, typer.Option("--diff", help="Show all differences, not only the first one.")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Decide once more what was decided in a session, and say what this version decides otherwise.
+
+    Nothing is started: what processes and nodes did is taken from the recording. Exits with 0 when
+    all changes of state follow as they were recorded, with 1 when not, with 2 when the file is not
+    a recording, and with 3 when inputs are missing, as in a recording of an older version.
+    """
+    from play_launch.cli.rerun import Choice, show_rerun  # noqa: PLC0415 - as above
+
+    chosen = Choice(until, shows_all=diff, as_json=as_json)
+    raise typer.Exit(show_rerun(file, chosen))
+
+
 def recover(
     file: Annotated[
         Path,

@@ -28,6 +28,7 @@ from play_launch.control.door import Door
 from play_launch.control.feed import Feed
 from play_launch.process import open_files
 from play_launch.process.time_slice import ask_for_short_turns, run_ahead
+from play_launch.recording.decisions import DecisionLog
 from play_launch.recording.log_handler import log_published
 from play_launch.recording.resolved_form import (
     event_without,
@@ -90,6 +91,7 @@ class RunSink:
         """Keeps the latest for whoever operates the session."""
         self.used = GroupTotals()
         self._secrets: frozenset[str] = frozenset()
+        self.decisions = DecisionLog(recorder.publish)
         self.adopt(config)
 
     def adopt(self, config: ReplayConfig) -> None:
@@ -103,10 +105,12 @@ class RunSink:
     def hide_secrets(self, config: ReplayConfig) -> None:
         """Keep what it took from outside out of all events and messages from now on."""
         self._secrets |= taken_secrets(config)
+        self.decisions.secrets = self._secrets
         self._recorder.topic_requests.secrets = in_messages(self._secrets)
 
     def publish(self, event: RunEvent, before: SystemView, after: SystemView) -> None:
         """Take one event, in the loop's thread."""
+        self.decisions.note(event)
         if self._secrets:
             event = event_without(event, self._secrets)
         writer = event.process if isinstance(event, OutputLine) else ""
@@ -216,7 +220,9 @@ async def _until_the_end(
             ),
             _beside("the record of the ROS graph", _observe_graph(config, publisher)),
         ):
-            return await run_system(config, publisher, stop, on_begin=system.set_result)
+            return await run_system(
+                config, publisher, stop, on_begin=system.set_result, decisions=sink.decisions
+            )
 
 
 @contextlib.asynccontextmanager

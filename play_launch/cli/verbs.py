@@ -24,6 +24,7 @@ VERBS: Final = (
     "explain",
     "crashes",
     "compare",
+    "rerun",
     "recover",
     "export",
     "layout",

@@ -6,13 +6,13 @@ The files are those of the kernel's documentation, Control Group v2: each takes 
 from __future__ import annotations
 
 import math
+from pathlib import Path  # noqa: TC003 - as in `play_launch.config.model`
 from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
-    from pathlib import Path
 
 NO_LIMIT: Final = math.inf
 _MAX: Final = "max"

@@ -1,3 +1,4 @@
+# ruff: noqa: TC001, TC003 - msgspec resolves the annotations to read recorded inputs
 """The configuration after validation: immutable, defaults filled in, names resolved.
 
 Nothing in here reads YAML. Durations are seconds, full names are absolute ROS names.
@@ -5,23 +6,19 @@ Nothing in here reads YAML. Durations are seconds, full names are absolute ROS n
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from enum import IntEnum, StrEnum
+from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 from msgspec import Struct, field
 
+from play_launch.config.dependency import StartRule
 from play_launch.config.group_limits import GroupPolicy
-from play_launch.config.policies import OnCrash, OnExit, RestartLimits
+from play_launch.config.node_key import NodeKey
+from play_launch.config.policies import Autostart, OnCrash, OnExit, RestartLimits
 from play_launch.config.resources import Resources
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
-
-    from play_launch.config.dependency import StartRule
-    from play_launch.config.node_key import NodeKey
-    from play_launch.config.policies import Autostart
 
 
 class ContainerType(StrEnum):
@@ -102,17 +99,20 @@ class ParameterType(IntEnum):
         return f"{self.name.lower()}_value"
 
 
-ParameterPayload: TypeAlias = (
-    bool
-    | int
-    | float
-    | str
-    | bytes
-    | tuple[bool, ...]
-    | tuple[int, ...]
-    | tuple[float, ...]
-    | tuple[str, ...]
-)
+if TYPE_CHECKING:
+    ParameterPayload: TypeAlias = (
+        bool
+        | int
+        | float
+        | str
+        | bytes
+        | tuple[bool, ...]
+        | tuple[int, ...]
+        | tuple[float, ...]
+        | tuple[str, ...]
+    )
+else:  # msgspec reads no union of several kinds of tuples
+    ParameterPayload = object
 
 
 class ParameterValue(Struct, frozen=True):

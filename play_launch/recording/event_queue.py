@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from play_launch.supervisor.events import OutputLine, Sample
 
 if TYPE_CHECKING:
+    from play_launch.recording.decisions import Decision
     from play_launch.recording.recorder import RecorderLimits
     from play_launch.supervisor.events import RunEvent
 
@@ -44,7 +45,7 @@ class Drops(NamedTuple):
 class Batch(NamedTuple):
     """What waited."""
 
-    events: list[tuple[int, RunEvent]]
+    events: list[tuple[int, RunEvent | Decision]]
     """With the time when each came, in nanoseconds since the epoch."""
     drops: Drops
     is_last: bool
@@ -56,7 +57,7 @@ class EventQueue:
     def __init__(self, limits: RecorderLimits) -> None:
         self._limits = limits
         self._lock = threading.Lock()
-        self._waiting: list[tuple[int, RunEvent]] = []
+        self._waiting: list[tuple[int, RunEvent | Decision]] = []
         self._text = 0
         self._lines: Counter[str] = Counter()
         self._others = 0
@@ -69,7 +70,7 @@ class EventQueue:
     def __len__(self) -> int:
         return len(self._waiting)
 
-    def put(self, event: RunEvent) -> bool:
+    def put(self, event: RunEvent | Decision) -> bool:
         """Take an event; return whether it is the first one that waits."""
         with self._lock:
             received = time.time_ns()  # here, so that they are in the order of their times
@@ -98,7 +99,7 @@ class EventQueue:
         with self._lock:
             self._is_closed = True
 
-    def _has_room(self, event: RunEvent) -> bool:
+    def _has_room(self, event: RunEvent | Decision) -> bool:
         if self._is_closed:
             return False
         waiting = len(self._waiting)
@@ -114,7 +115,7 @@ class EventQueue:
         self._lines, self._others = Counter(), 0
         return drops
 
-    def _drop(self, event: RunEvent, received: int) -> None:
+    def _drop(self, event: RunEvent | Decision, received: int) -> None:
         if not self._lines and not self._others:
             self._since = received
         self._until = received

@@ -13,7 +13,8 @@ from msgspec import Struct
 
 from play_launch.recording import topics
 from play_launch.recording.console_format import ERROR, WARN
-from play_launch.recording.convert import convert, convert_output, is_failure
+from play_launch.recording.convert import Recorded, convert, convert_output, is_failure
+from play_launch.recording.decisions import STATES, Decision, written
 from play_launch.recording.errors import RecordingError, SchemaNotFoundError, WriteFailedError
 from play_launch.recording.event_queue import EventQueue
 from play_launch.recording.topic_requests import TopicRequests
@@ -23,13 +24,16 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from play_launch.recording.bag import BagWriter
-    from play_launch.recording.convert import Recorded
     from play_launch.recording.event_queue import Drops
     from play_launch.recording.topics import Topic
 
 _LOGGER: Final = "play_launch.recording"
 _FLOOD: Final = 1000
 """Events in one batch that make it a flood: 20,000 a second."""
+_HELD: Final = 200
+"""Inputs that wait for an event that they lead to, at most,"""
+_LONGEST_HELD_NS: Final = 5_000_000_000
+"""and for how long. One by one they would take three times the space."""
 _log = logging.getLogger(__name__)
 
 
@@ -103,6 +107,9 @@ class Recorder:
         """Where topics of ROS come in, as finished chunks."""
         self._lost = 0
         """Events that were taken from the queue and are not recorded."""
+        self._held: list[Decision] = []
+        """Inputs that no event has followed yet."""
+        self._held_since = 0
         self._unwritten = 0
         """Events of the batch under way that the writer has not got yet."""
         self._handed = 0
@@ -137,10 +144,10 @@ class Recorder:
         channel = self.topic_requests.channel_of(topic)
         return self._writer.latest(channel, key) if channel else None
 
-    def publish(self, event: RunEvent) -> None:
-        """Take one event; its time of arrival becomes the ``log_time``."""
+    def publish(self, event: RunEvent | Decision) -> None:
+        """Take one event, or input; its time of arrival becomes the ``log_time``."""
         is_first = self._queue.put(event)
-        if not isinstance(event, OutputLine) and is_failure(event):
+        if not isinstance(event, OutputLine | Decision) and is_failure(event):
             self._hurry.set()
             self._wake.set()
         elif is_first:
@@ -206,7 +213,7 @@ class Recorder:
             batch, drops, closing = self._queue.take()
             if not self._unflushed:
                 flush_at = time.monotonic() + self._limits.flush
-            failed = self._write_batch(batch)
+            failed = self._write_batch(batch, closing=closing)
             if drops:
                 self._write(time.time_ns(), _drop_report(drops))
             if self._unflushed and (hurried or failed or closing or time.monotonic() >= flush_at):
@@ -219,19 +226,20 @@ class Recorder:
             if closing:
                 return
 
-    def _write_batch(self, batch: list[tuple[int, RunEvent]]) -> bool:
+    def _write_batch(self, batch: list[tuple[int, RunEvent | Decision]], *, closing: bool) -> bool:
         """Write events; return whether a line among them was an error."""
         failed = False
         # In a flood the event loop is busy as well and would in turn keep the lock for 5 ms each
         # time: then only an equal share keeps up.
         polite = len(batch) < _FLOOD
         self._unwritten = len(batch)
+        self._hold_decisions(batch, closing=closing)
         for number, (received, event) in enumerate(batch):
             if isinstance(event, OutputLine):
                 recorded, level = convert_output(event)
-                self._hand(received, event, recorded)
+                self._hand(received, event.stamp_ns, recorded)
                 failed = failed or level >= ERROR
-            else:
+            elif not isinstance(event, Decision):
                 self._write(received, event)
             self._unwritten -= 1
             if polite and not number & 63:
@@ -240,6 +248,31 @@ class Recorder:
                 time.sleep(0)
         return failed
 
+    def _hold_decisions(
+        self, batch: list[tuple[int, RunEvent | Decision]], *, closing: bool
+    ) -> None:
+        """Take the inputs of a batch, and write all of them before an event that they lead to."""
+        is_due = closing
+        for received, each in batch:
+            if isinstance(each, Decision):
+                self._held_since = self._held_since if self._held else received
+                self._held.append(each)
+            is_due = is_due or isinstance(each, STATES)
+            is_due = is_due or abs(received - self._held_since) > _LONGEST_HELD_NS
+        if self._held and (is_due or len(self._held) > _HELD):
+            self._write_decisions(batch[0][0] if batch else time.time_ns())
+
+    def _write_decisions(self, received: int) -> None:
+        decisions, self._held = self._held, []
+        try:
+            data = written(decisions)
+        except Exception as error:  # noqa: BLE001 - one odd input must not end the recording
+            self._lost += len(decisions)
+            kinds = [type(each.said).__name__ for each in decisions]
+            self._write(received, _unconvertible(received, kinds, error))
+            return
+        self._hand(received, received, Recorded(topics.INPUTS, data))
+
     def _write(self, received: int, event: RunEvent) -> None:
         try:
             converted = convert(event)
@@ -247,9 +280,9 @@ class Recorder:
             self._lost += 1
             converted = convert(_unconvertible(received, event, error))
         for recorded in converted:
-            self._hand(received, event, recorded)
+            self._hand(received, event.stamp_ns, recorded)
 
-    def _hand(self, received: int, event: RunEvent, recorded: Recorded) -> None:
+    def _hand(self, received: int, stamp_ns: int, recorded: Recorded) -> None:
         topic, data, key = recorded
         channel = self._channel(topic)
         if channel is None:
@@ -261,7 +294,7 @@ class Recorder:
                 channel,
                 data,
                 log_time=received,
-                publish_time=max(event.stamp_ns, 0),
+                publish_time=max(stamp_ns, 0),
                 key=key,
             )
         except WriteFailedError as error:
@@ -319,7 +352,9 @@ class Recorder:
         waiting = self._queue.take().events
         self._writer.abandon()
         handed = self._handed + self.topic_requests.messages
-        self._lost += len(waiting) + self._unwritten + handed - self._writer.messages
+        self._lost += (
+            len(waiting) + len(self._held) + self._unwritten + handed - self._writer.messages
+        )
         _log.error("the recording stopped: %s", error)
 
 
@@ -343,7 +378,7 @@ def _time_of_day(stamp_ns: int) -> str:
     return f"{datetime.fromtimestamp(stamp_ns / 1e9).astimezone():%H:%M:%S}"
 
 
-def _unconvertible(received: int, event: RunEvent, error: Exception) -> LogRecord:
+def _unconvertible(received: int, event: object, error: Exception) -> LogRecord:
     return LogRecord(
         stamp_ns=received,
         level=ERROR,

@@ -89,6 +89,9 @@ PARAMETER_EVENTS: Final = Topic("/parameter_events", "rcl_interfaces/msg/Paramet
 """Of ROS itself."""
 SYSTEM: Final = Topic("/play_launch/system", "play_launch_msgs/msg/SystemStats")
 
+INPUTS: Final = Topic("/play_launch/inputs", "rcl_interfaces/msg/ParameterValue")
+"""See `play_launch.recording.decisions`."""
+
 ALL_TOPICS: Final = (COMPONENT_EVENTS, STATES, GRAPH, ACTIONS, OUTPUT, LOG, LOG_ALL)
 """Those that every recording has; others come with their first message."""
 

@@ -11,11 +11,13 @@ from msgspec import Struct
 from play_launch.runtime.launcher import NativeLauncher
 from play_launch.runtime.system import System
 from play_launch.supervisor.exit_code import exit_code
+from play_launch.supervisor.inputs import Origin, Over
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from play_launch.config.model import ReplayConfig
+    from play_launch.recording.decisions import DecisionLog
     from play_launch.runtime.ports import Launcher, ParameterService, RosAccess
     from play_launch.runtime.publisher import Publisher, StopRequests
     from play_launch.supervisor.view import SystemView
@@ -46,6 +48,7 @@ async def run_system(
     starts: int | None = None,
     ros: RosAccess | None = None,
     on_begin: Callable[[System], None] = lambda _system: None,
+    decisions: DecisionLog | None = None,
 ) -> Outcome:
     """Run a system from its start to the end of its last process.
 
@@ -62,6 +65,7 @@ async def run_system(
         starts: How many containers start at the same time; None for `default_starts`.
         ros: Access to the graph and to managed nodes; None for the real one.
         on_begin: Gets the system, to operate it while it runs.
+        decisions: Gets what is decided upon.
     """
     if launcher is None:
         launcher = await asyncio.to_thread(NativeLauncher.of, config, publisher.publish)
@@ -77,9 +81,19 @@ async def run_system(
             limits=limits,
             starts=starts or default_starts(),
             ros=ros,
+            decisions=decisions,
         )
         on_begin(system)
-        await system.run()
+        time = asyncio.get_running_loop().time
+        if decisions is not None:
+            world = system.world
+            origin = Origin(config, world.starts, world.limits, publisher.stamp_ns())
+            decisions.add(time(), origin)
+        try:
+            await system.run()
+        finally:
+            if decisions is not None:
+                decisions.add(time(), Over())
         view = publisher.view_before_stop
         return Outcome(
             exit_code=exit_code(view, publisher.view, stop.signum),

@@ -5,12 +5,12 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
-import random
 from collections import deque
 from typing import TYPE_CHECKING, Final
 
 import anyio
 
+from play_launch.recording.decisions import chance
 from play_launch.runtime.container_actor import ContainerActor
 from play_launch.runtime.event_log import EventLog
 from play_launch.runtime.goals import Conversations
@@ -61,6 +61,7 @@ if TYPE_CHECKING:
 
     from play_launch.config.model import ReplayConfig
     from play_launch.config.node_key import NodeKey
+    from play_launch.recording.decisions import DecisionLog
     from play_launch.runtime.applying import Applying
     from play_launch.runtime.ports import Launcher, ParameterService, RosAccess
     from play_launch.runtime.publisher import Publisher, StopRequests
@@ -90,7 +91,8 @@ class System:
         limits: Limits | None = None,
         starts: int = 16,
         ros: RosAccess | None = None,
-        jitter: Callable[[], float] = random.random,
+        jitter: Callable[[], float] = chance,
+        decisions: DecisionLog | None = None,
     ) -> None:
         """Begin nothing yet; ``starts`` bounds how many containers start at the same time."""
         self.world = World(config, starts=starts, limits=limits)
@@ -100,6 +102,7 @@ class System:
         self.launcher = launcher
         self._stop = stop
         self._jitter = jitter
+        self._decisions = decisions
         self._parameters = parameters
         self._loop = asyncio.get_running_loop()
         self._inputs: deque[Input] = deque()
@@ -144,8 +147,10 @@ class System:
         return due is not None and due <= self._loop.time() and is_open
 
     def _process(self, said: Input) -> None:
-        before, now = Snapshot.of(self.world), self._loop.time()
-        effects = reduce(self.world, said, now, self._jitter())
+        before, now, jitter = Snapshot.of(self.world), self._loop.time(), self._jitter()
+        if self._decisions is not None:
+            self._decisions.add(now, said, jitter)
+        effects = reduce(self.world, said, now, jitter)
         self._is_overdue = isinstance(said, Time) and Snapshot.of(self.world) == before
         events: list[RunEvent] = []
         try:

@@ -1,8 +1,7 @@
 # ruff: noqa: TC001, TC003 - msgspec resolves the annotations to read recorded inputs
 """Inputs of the supervisor, and the effects that it asks for.
 
-An input about a process carries the number of the start (``start``) that it belongs to, one about
-a load its attempt: what belongs to an earlier one changes nothing.
+What belongs to an earlier start (``start``) or load (``attempt``) changes nothing.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from play_launch.config.node_key import NodeKey
 from play_launch.supervisor.goal_life import ManagedInput
 from play_launch.supervisor.node_life import NodeFact
 from play_launch.supervisor.steps import Step
-from play_launch.supervisor.world import Exit, Hello
+from play_launch.supervisor.world import Exit, Hello, Limits
 
 
 class Begun(Struct, frozen=True, tag=True):
@@ -97,7 +96,7 @@ class Failed(Struct, frozen=True, tag=True):
     reason: str
 
 
-class NodeReported(Struct, frozen=True, tag=True, kw_only=True):
+class NodeReported(Struct, frozen=True, tag=True, kw_only=True, omit_defaults=True):
     """A container reported something about one node."""
 
     unit: str
@@ -113,7 +112,7 @@ class NodeReported(Struct, frozen=True, tag=True, kw_only=True):
     full_node_name: str = ""
 
 
-class HealthReported(Struct, frozen=True, tag=True):
+class HealthReported(Struct, frozen=True, tag=True, omit_defaults=True):
     """A container reported its health in the answer to a query."""
 
     unit: str
@@ -281,6 +280,19 @@ Input: TypeAlias = (
     | ChangeRequested
     | ParametersSet
 )
+
+
+class Origin(Struct, frozen=True, tag=True):
+    """What a world was made of; it stands before the inputs in a recording."""
+
+    config: ReplayConfig
+    starts: int
+    limits: Limits
+    stamp_ns: int
+
+
+class Over(Struct, frozen=True, tag=True):
+    """No more inputs follow in a recording."""
 
 
 class Spawn(Struct, frozen=True):

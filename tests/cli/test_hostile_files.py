@@ -31,6 +31,7 @@ READERS = (
     ("export",),
     ("export", "--format", "csv"),
     ("layout", "foxglove"),
+    ("rerun",),
     ("recover",),
     ("compare", "SECOND"),
 )

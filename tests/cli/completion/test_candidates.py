@@ -51,7 +51,7 @@ def offered(line: str) -> list[str]:
 @pytest.mark.parametrize(
     ("line", "expected"),
     [
-        ("re", ["replay", "restart", "reload", "report", "recover"]),
+        ("re", ["replay", "restart", "reload", "report", "rerun", "recover"]),
         ("--v", ["--version"]),
         ("nonsense ", []),
         ("wait --for ", ["loaded", "ready", "active"]),

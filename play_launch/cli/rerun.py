@@ -1,0 +1,312 @@
+"""What ``play-launch rerun`` does: decides once more, and compares with what was recorded."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import struct
+from difflib import SequenceMatcher
+from itertools import pairwise, zip_longest
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import msgspec
+
+from play_launch.cdr.layout import CdrError
+from play_launch.cdr.messages import STATE_EVENT
+from play_launch.cli.failure import fail
+from play_launch.cli.find_mistakes import counted
+from play_launch.cli.show.terminal import printable, say
+from play_launch.cli.sum_up import DAMAGED, report_damage
+from play_launch.cli.target import complain
+from play_launch.config.values import parse_duration
+from play_launch.history.bag_reader import NotARecordingError
+from play_launch.history.session import PastSession
+from play_launch.recording import topics
+from play_launch.recording.bag import REPEATED
+from play_launch.recording.convert import convert
+from play_launch.recording.decisions import UnreadableInputError, read
+from play_launch.recording.facts import REDACTED
+from play_launch.supervisor.difference import NOTHING, Snapshot, events_between
+from play_launch.supervisor.events import SubjectKind
+from play_launch.supervisor.exit_code import ExitCode
+from play_launch.supervisor.inputs import Origin, Over, Raised
+from play_launch.supervisor.reducer import reduce
+from play_launch.supervisor.world import World
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from play_launch.recording.decisions import Decision
+    from play_launch.supervisor.events import RunEvent
+    from play_launch.supervisor.inputs import Input
+
+    Fields = dict[str, Any]
+    """Those of a `StateEvent`."""
+
+_OLD: Final = "it holds no inputs: an older version recorded it, or its beginning is missing"
+_NO_END: Final = "its end is missing"
+_WHAT: Final = ("kind", "key", "state")
+
+
+class Choice(NamedTuple):
+    """What is compared and shown."""
+
+    until: str | None
+    shows_all: bool
+    as_json: bool
+
+
+class Recorded(NamedTuple):
+    """What a recording holds: inputs without a gap, and what followed."""
+
+    decisions: list[Decision]
+    states: list[Fields]
+    flaw: str
+    """Why there is no more; else empty."""
+    began_ns: int
+    """From the start of the session to that of the world."""
+
+
+class Difference(NamedTuple):
+    """An event that does not follow as it was recorded; None: it does not at all."""
+
+    seconds: float
+    decision: Decision
+    recorded: Fields | None
+    new: Fields | None
+
+
+def show_rerun(file: Path, chosen: Choice) -> int:
+    """Print what differs; return the exit code."""
+    until = None
+    if chosen.until is not None:
+        try:
+            until = parse_duration(chosen.until)
+        except ValueError as error:
+            fail(f"--until {chosen.until}: {error}")
+    session = PastSession(file)
+    try:
+        recorded = _recorded(session)
+    except NotARecordingError as error:
+        fail(str(error))
+    report_damage(session.reader)
+    rerun = Rerun(recorded, until)
+    differences: list[Difference] = []
+    for found in rerun.differences():
+        differences.append(found)
+        if not chosen.shows_all:
+            break
+    flaw = "" if rerun.is_cut else recorded.flaw
+    if chosen.as_json:
+        say(msgspec.json.encode(_object(file, rerun, differences, flaw)).decode())
+    else:
+        for line in _lines(rerun, differences, flaw):
+            say(printable(line, colour=False))
+    if differences:
+        return ExitCode.NODE_FAILED
+    return DAMAGED if flaw else ExitCode.OK
+
+
+def _recorded(session: PastSession) -> Recorded:
+    decisions: list[Decision] = []
+    states: list[Fields] = []
+    for message in session.reader.messages({topics.INPUTS.name, topics.STATES.name}):
+        try:
+            if message.topic.name == topics.INPUTS.name:
+                decisions += read(message.data)
+            elif message.sequence != REPEATED:
+                states.append(STATE_EVENT.read(message.data))
+        except (CdrError, UnreadableInputError) as error:
+            session.note_damage(message, error)
+    flaw = ""
+    origin = decisions[0].said if decisions else None
+    if not isinstance(origin, Origin):
+        return Recorded([], states, _OLD, 0)
+    for before, after in pairwise(decisions):
+        first, last = before.number + 1, after.number - 1
+        if first > last:
+            continue
+        flaw = f"inputs {first} to {last} are missing"
+        decisions = [each for each in decisions if each.number < first]
+        break
+    if not flaw and not isinstance(decisions[-1].said, Over):
+        flaw = _NO_END
+    if not flaw and decisions[-1].events > len(states):
+        missing = decisions[-1].events - len(states)
+        return Recorded([], states, f"{counted(missing, 'change')} of state are missing", 0)
+    began_ns = origin.stamp_ns - session.started_ns
+    return Recorded(decisions, states, flaw, began_ns)
+
+
+class Rerun:
+    """One pass through the inputs of a recording."""
+
+    def __init__(self, recorded: Recorded, until: float | None) -> None:
+        self._recorded = recorded
+        self._until = until
+        self.inputs = 0
+        self.events = 0
+        """That followed, in the new world."""
+        self.seconds = 0.0
+        """After the start of the session: how far it has come."""
+        self.is_cut = False
+        """Whether it ended before what was recorded did."""
+
+    def differences(self) -> Iterator[Difference]:
+        """Decide once more."""
+        decisions, states, _, began_ns = self._recorded
+        origin = decisions[0].said if decisions else None
+        if not isinstance(origin, Origin):
+            return
+        world = World(origin.config, starts=origin.starts, limits=origin.limits)
+        for decision, following in zip_longest(decisions, decisions[1:]):
+            seconds = began_ns / 1e9 + decision.now - decisions[0].now
+            if self._until is not None and seconds > self._until:
+                self.is_cut = True
+                return
+            if following is None:
+                return  # what followed it may be incomplete
+            self.inputs += 1
+            self.seconds = seconds
+            new = _events(world, decision)
+            self.events += len(new)
+            old = states[decision.events : following.events]
+            for was, now in _unequal(old, new):
+                yield Difference(seconds, decision, was, now)
+
+
+def _events(world: World, decision: Decision) -> list[Fields]:
+    """Give what follows in a world, as a recording would hold it."""
+    said = decision.said
+    before = NOTHING if isinstance(said, Origin) else Snapshot.of(world)
+    effects = (
+        []
+        if isinstance(said, Origin | Over)
+        else reduce(world, said, decision.now, decision.chance)
+    )
+    for effect in effects:
+        if isinstance(effect, Raised):
+            _warn(decision, effect.error)
+    events: list[RunEvent] = []
+    try:
+        events += events_between(before, world, now=decision.now, stamp_ns=0)
+    except Exception as error:  # noqa: BLE001 - as in the session, which goes on
+        _warn(decision, error)
+    found: list[Fields] = []
+    for event in events:
+        with contextlib.suppress(struct.error):  # it would not be recorded either
+            found += [
+                STATE_EVENT.read(message.data)
+                for message in convert(event)
+                if message.topic is topics.STATES
+            ]
+    return found
+
+
+def _warn(decision: Decision, error: Exception) -> None:
+    complain(f"warning: input {decision.number}: {type(error).__name__}: {error}")
+
+
+def _unequal(old: list[Fields], new: list[Fields]) -> Iterator[tuple[Fields | None, Fields | None]]:
+    """Pair what followed one input, then and now, and give the pairs that differ."""
+    found = SequenceMatcher(None, [*map(_key, old)], [*map(_key, new)], autojunk=False)
+    for _, begin, end, new_begin, new_end in found.get_opcodes():
+        for was, now in zip_longest(old[begin:end], new[new_begin:new_end]):
+            if was is None or now is None or _fields(was, now):
+                yield was, now
+
+
+def _key(fields: Fields) -> tuple[Any, ...]:
+    return tuple(fields[name] for name in _WHAT)
+
+
+def _fields(old: Fields, new: Fields) -> list[str]:
+    """Name the fields that differ."""
+    return [name for name in old if name != "stamp" and not _is_like(old[name], new[name])]
+
+
+def _is_like(old: Any, new: Any) -> bool:
+    """Whether a value is as recorded, where the inputs may lack a secret."""
+    if old == new:
+        return True
+    if isinstance(new, tuple):
+        return len(old) == len(new) and all(map(_is_like, old, new))
+    if not isinstance(new, str) or REDACTED not in new:
+        return False
+    pattern = ".*".join(map(re.escape, new.split(REDACTED)))
+    return re.fullmatch(pattern, old, re.DOTALL) is not None
+
+
+def _object(
+    file: Path, rerun: Rerun, differences: list[Difference], flaw: str
+) -> dict[str, object]:
+    return {
+        "path": str(file).encode("utf-8", "backslashreplace").decode(),
+        "inputs": rerun.inputs,
+        "states": rerun.events,
+        "until_s": rerun.seconds,
+        "same": not differences and not flaw,
+        "incomplete": flaw or None,
+        "differences": [
+            {
+                "seconds": each.seconds,
+                "unit": _unit(each),
+                "kind": _kind(each),
+                "input": {
+                    "number": each.decision.number,
+                    "type": type(each.decision.said).__name__,
+                    "unit": _about(each.decision.said),
+                },
+                "recorded": each.recorded,
+                "new": each.new,
+                "fields": _fields(each.recorded, each.new) if each.recorded and each.new else [],
+            }
+            for each in differences
+        ],
+    }
+
+
+def _lines(rerun: Rerun, differences: list[Difference], flaw: str) -> Iterator[str]:
+    for each in differences:
+        about = _about(each.decision.said)
+        cause = f"{type(each.decision.said).__name__}{f' of {about}' if about else ''}"
+        yield (
+            f"{each.seconds:.3f} s: {_kind(each)} {_unit(each)} differs"
+            f" after input {each.decision.number}, {cause}"
+        )
+        if each.recorded and each.new:
+            for name in _fields(each.recorded, each.new):
+                yield f"  {name}: recorded {each.recorded[name]!r}, now {each.new[name]!r}"
+        else:
+            yield f"  recorded: {_summary(each.recorded)}"
+            yield f"  now: {_summary(each.new)}"
+    if flaw:
+        yield f"the recording is incomplete: {flaw}"
+    if rerun.inputs:
+        verdict = "differently" if differences else "as recorded"
+        yield (
+            f"{counted(rerun.inputs, 'input')} up to {rerun.seconds:.3f} s led to"
+            f" {counted(rerun.events, 'change')} of state, {verdict}"
+        )
+
+
+def _unit(difference: Difference) -> str:
+    fields = difference.recorded or difference.new or {}
+    return str(fields["key"])
+
+
+def _kind(difference: Difference) -> str:
+    fields = difference.recorded or difference.new or {}
+    return SubjectKind(fields["kind"]).name.lower()
+
+
+def _about(said: Origin | Input | Over) -> str:
+    return str(getattr(said, "unit", getattr(said, "node", "")))
+
+
+def _summary(fields: Fields | None) -> str:
+    if fields is None:
+        return "nothing"
+    reason = fields["reason"]
+    return f"{fields['state']} ({reason})" if reason else str(fields["state"])
