@@ -275,7 +275,8 @@ class ContainerActor(ProcessActor):
         for key in keys:
             if key in world.nodes:
                 node = world.nodes[key].config
-                groups[await probes.library_of(self.config, node)].append(node)
+                library = await self._system.launcher.library_of(self.config, node)
+                groups[library or f"{node.package} {node.plugin}"].append(node)
         async with anyio.create_task_group() as tasks:
             for group in groups.values():
                 tasks.start_soon(self._probe_library, probes, group)

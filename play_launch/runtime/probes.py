@@ -65,11 +65,6 @@ class LibraryProbes:
         self._publisher = publisher
         self._places = anyio.Semaphore(places or max(2, os.cpu_count() or 1))
 
-    async def library_of(self, container: ContainerConfig, node: ComposableNodeConfig) -> str:
-        """Name the library of a node, or else the component; what is equal is probed once."""
-        found = await self._launcher.library_of(container, node)
-        return found or f"{node.package} {node.plugin}"
-
     async def probe(
         self, container: ContainerConfig, node: ComposableNodeConfig
     ) -> ProbeResult | None:

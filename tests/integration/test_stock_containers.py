@@ -205,6 +205,24 @@ def test_a_container_of_somebody_else_is_waited_for_and_for_again(
     assert len(double.journal("construct")) == 2
 
 
+def test_a_container_that_was_killed_and_started_anew_at_once_gets_its_nodes_again(
+    tmp_path: Path, double: Double
+) -> None:
+    """The services of the dead one are in the graph until its lease is over."""
+    config = write(tmp_path, THEIRS | {"composable_nodes": [any_node("one")]})
+    with replaying(config, tmp_path, "--duration", LIMIT) as replay:
+        with running_double(double) as container:
+            replay.read_until(state("/one", "loaded"), "the node")
+            container.kill()
+            container.wait()
+        with running_double(double):
+            replay.read_until(state("/one", "lost"), "the loss")
+            replay.read_until(state("/one", "loaded"), "the node again")
+            messages = [e["message"] for e in replay.seen if e["event"] == "process"]
+            assert any("started anew" in message for message in messages)
+    assert len(double.journal("construct")) == 2
+
+
 def test_coming_and_going_is_bounded(tmp_path: Path, double: Double) -> None:
     container = THEIRS | {"composable_nodes": [any_node("one")], "restart": {"max_restarts": 1}}
     config = write(tmp_path, container)
