@@ -81,9 +81,8 @@ def _node(event: NodeStateChanged, before: SystemView) -> None:
             _log.info("%s crashed: %s", name, why)
         case NodeState.GAVE_UP:
             _reported.error("%s is not loaded again: %s", name, why)
-        case NodeState.UNLOADED if known is not None and known.state is not NodeState.UNLOADING:
-            if why:
-                _reported.warning("%s is unloaded: %s", name, why)
+        case NodeState.UNLOADED if why and known and known.state is not NodeState.UNLOADING:
+            _reported.warning("%s is unloaded: %s", name, why)
         case NodeState.LOADED | NodeState.UNLOADED | NodeState.LOST:
             _log.debug("%s is %s", name, event.state)
         case _:

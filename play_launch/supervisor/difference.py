@@ -72,6 +72,9 @@ def events_between(
             yield from _node(old, node, now, stamp_ns)
         elif node is None and old is not None and key.container in world.processes:
             # A container that is removed takes its nodes along.
+            if old.state is NodeState.UNLOADING:  # it is forgotten as soon as it is unloaded
+                unloaded = replace(old, state=NodeState.UNLOADED, reason="")
+                yield from _node(old, unloaded, now, stamp_ns)
             yield Withdrawn(stamp_ns=stamp_ns, kind=SubjectKind.NODE, key=str(key))
     for name in names:
         old_process, process = before.processes.get(name), world.processes.get(name)
