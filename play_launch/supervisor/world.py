@@ -29,7 +29,6 @@ if TYPE_CHECKING:
         ReplayConfig,
     )
     from play_launch.config.node_key import NodeKey
-    from play_launch.config.policies import RestartLimits
     from play_launch.supervisor.change import Change
     from play_launch.supervisor.inputs import ProbeResult
 
@@ -327,8 +326,7 @@ class World:
         """Lines that were written: process and pattern."""
         self.files: frozenset[str] = frozenset()
         self.graph: frozenset[tuple[Condition, str]] = frozenset()
-        self.starts_made = 0
-        self.loads_made = 0
+        self.starts_made = self.loads_made = 0
         self.change: Change | None = None
         self.stop_order: dict[str, frozenset[str]] = {}
         """Processes that are stopped before each process, once the system stops."""
@@ -391,9 +389,8 @@ class World:
             new.phase is Phase.QUEUED if isinstance(new, Process) else new.stage is Stage.CLEARED
         )
         (self.waiting.add if is_waiting else self.waiting.discard)(key)
-        known = () if old is None else old.times
         for at in new.times:
-            if at not in known:
+            if old is None or at not in old.times:
                 heappush(self.due, (at, place, key))
 
     def next_due(self) -> float | None:
@@ -412,13 +409,12 @@ class World:
             for node in self.nodes_of(unit.name):
                 self.forget(node)
             del self.processes[unit.name]
-            self.changed.add(unit.name)
-            self.waiting.discard(unit.name)
         else:
             del self.nodes[unit.key]
             self.keys[unit.key.container].remove(unit.key)
-            self.changed.add(unit.key)
-            self.waiting.discard(unit.key)
+        key = unit.name if isinstance(unit, Process) else unit.key
+        self.changed.add(key)
+        self.waiting.discard(key)
 
 
 class Limits(Struct, frozen=True, kw_only=True):
@@ -452,8 +448,3 @@ def is_ours(process: Process) -> bool:
     """Whether it is a container of our own program."""
     config = process.container
     return config is not None and config.container_type is not ContainerType.STOCK
-
-
-def limits_of(process: Process) -> RestartLimits:
-    """Give its restart limits."""
-    return process.config.restart
