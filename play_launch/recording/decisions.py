@@ -1,7 +1,7 @@
 """What the supervisor decided upon: its inputs in the recording, for a reducer to decide again.
 
 A message holds the inputs of a moment in MessagePack. It is a `ParameterValue` with a byte array:
-rosbag2 opens no file with a channel that is not CDR.
+rosbag2 refused files that mix CDR with other encodings until 2026.
 """
 
 from __future__ import annotations
