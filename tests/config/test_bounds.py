@@ -34,7 +34,8 @@ def aliases(depth: int, width: int) -> str:
     [
         (aliases(1, 10), "aliases grow this file to more than 200000 values"),
         (aliases(60, 1), "nested deeper than 100 levels"),
-        ("a: " + "[" * 1_000_000, "demo.yaml:1:103: (yaml): nested deeper than 100 levels"),
+        ("a: " + "[" * 500, "demo.yaml:1:103: (yaml): nested deeper than 100 levels"),
+        ("a: " + "[" * 1_000_000, "nested deeper than 100 levels"),
         ("{" * 1_000_000, "nested deeper than 100 levels"),
         ("- " * 300_000, "nested deeper than 100 levels"),
         ("\n".join(" " * level + "a:" for level in range(1000)), "nested deeper than 100 levels"),

@@ -131,7 +131,14 @@ def test_a_slow_constructor_blocks_nobody(spawn: StartContainer, mode: str) -> N
     loading = container.event(LOADING, attempt=slow)
     talker = container.loaded("Talker")
     unload(container, talker.unique_id)
-    node = container.status(loading.unique_id).nodes[0]
+    status = container.status_when(
+        lambda s: any(
+            each.unique_id == loading.unique_id and each.pid != container.process.pid
+            for each in s.nodes
+        ),
+        "a process of its own",
+    )
+    (node,) = status.nodes
     assert node.state == NodeStatus.CONSTRUCTING
     assert only_these_remain(container, node.pid)
     assert container.shut_down() == 0

@@ -344,6 +344,8 @@ def _explain(error: yaml.YAMLError, text: str, file: str) -> tuple[Place, str]:
         return Place(file, mark.line + 1, tab + 1), "a tab cannot indent YAML; use spaces"
     problem = getattr(error, "problem", None) or getattr(error, "context", None) or "not YAML"
     message = str(problem)
+    if "maximum nesting depth" in message:  # PyYAML 6.0.4 and later read ahead, and refuse it first
+        return Place(file, mark.line + 1, mark.column + 1), f"nested deeper than {DEEPEST} levels"
     context = getattr(error, "context", None)
     begin = getattr(error, "context_mark", None)
     if context and context != problem:
