@@ -74,7 +74,7 @@ async def _run_once(log_folder: Path, keep: KeepConfig, guard: Path) -> None:
     if keep.size is not None:
         command.append(f"--keep-size={keep.size}")
     try:
-        child = spawn(command, env=os.environ, guard=guard, on_output=_report)
+        child = await spawn(command, env=os.environ, guard=guard, on_output=_report)
     except (SpawnError, OSError) as error:
         _log.warning("sessions of before are not looked after: %s", error)
         return

@@ -192,28 +192,21 @@ class Child:
             if self._holders == 0:
                 self._unheld.set()
 
-    def _on_exit(self, asked: int = 0) -> None:
+    def _on_exit(self) -> None:
         self._loop.remove_reader(self._pidfd)
-        try:
-            # The zombie stays and with it the number of its group, see signal_group.
-            ended = self._parent.ended(self.pid)
-        except ChildProcessError:
-            self._exit, self._lost_at = (
-                Exit.lost(),
-                time.clock_gettime(time.CLOCK_BOOTTIME),
-            )
-        else:
-            if ended is None:
-                # A tracer is told first, and when it tells the kernel to go on, the parent.
-                if asked == _TIMES_UNTIL_WARNING:
-                    told = (self.argv[0], self.pid, tracer_of(self.pid) or "another process")
-                    _log.warning("%s (pid %d) has died, but %s traces it and keeps its end", *told)
-                delay = min(_LONGEST_PAUSE, _SHORTEST_PAUSE * 2**asked)
-                self._loop.call_later(delay, self._on_exit, asked + 1)
-                return
-            self._exit = self._explained(ended)
-        self._exited.set()
         self._finishing = self._loop.create_task(self._finish())
+
+    async def _ended(self) -> Exit:
+        asked = 0
+        # The zombie stays and with it the number of its group, see signal_group.
+        while (ended := await self._parent.ended(self.pid)) is None:
+            # A tracer is told first, and when it tells the kernel to go on, the parent.
+            if asked == _TIMES_UNTIL_WARNING:
+                told = (self.argv[0], self.pid, tracer_of(self.pid) or "another process")
+                _log.warning("%s (pid %d) has died, but %s traces it and keeps its end", *told)
+            await asyncio.sleep(min(_LONGEST_PAUSE, _SHORTEST_PAUSE * 2**asked))
+            asked += 1
+        return self._explained(ended)
 
     def _explained(self, ended: Exit) -> Exit:
         if ended.ok or self._was_killed:
@@ -230,12 +223,18 @@ class Child:
         return why_killed(self._group) if killed else why_failed(self._group)
 
     async def _finish(self) -> None:
-        assert self._exit is not None
+        exit_ = Exit.lost()
         try:
+            try:
+                exit_ = await self._ended()
+            except ChildProcessError:
+                self._lost_at = time.clock_gettime(time.CLOCK_BOOTTIME)
+            self._exit = exit_
+            self._exited.set()
             await self._unheld.wait()
             await self._kill_rest()
         finally:
-            self._reap()
+            await self._reap()
             if self._group is not None:
                 self._group.retire()
             try:
@@ -247,12 +246,12 @@ class Child:
                     "%s (pid %d) %s, but another process keeps its output open; no longer reading",
                     self.argv[0],
                     self.pid,
-                    self._exit,
+                    exit_,
                 )
             finally:
                 for reader in self._readers:
                     reader.close()
-                self._gone.set_result(self._exit)
+                self._gone.set_result(exit_)
 
     async def _kill_rest(self) -> None:
         self.kill_all()
@@ -280,18 +279,18 @@ class Child:
                 continue
         _log.error("processes of the session of %s (pid %d) do not die", self.argv[0], self.pid)
 
-    def _reap(self) -> None:
+    async def _reap(self) -> None:
         pidfd, self._pidfd = self._pidfd, -1
-        with suppress(ChildProcessError):  # another did, see Exit.lost
-            self._parent.reap(self.pid)
         os.close(pidfd)
+        with suppress(ChildProcessError):  # another did, see Exit.lost
+            await self._parent.reap(self.pid)
 
     def __repr__(self) -> str:
         state = "running" if self._exit is None else str(self._exit)
         return f"<Child {self.argv[0]}: pid {self.pid}, start time {self.start_time}, {state}>"
 
 
-def spawn(
+async def spawn(
     argv: Sequence[str],
     *,
     env: Mapping[str, str],
@@ -306,7 +305,7 @@ def spawn(
     group: Group | None = None,
     mark: str = "",
 ) -> Child:
-    """Start a program in a session of its own; about a millisecond, on the loop's thread.
+    """Start a program in a session of its own; cancelled, it executes nothing.
 
     Args:
         argv: The command line; the program is looked up in the PATH of `env`.
@@ -350,7 +349,7 @@ def spawn(
             if pipes:
                 standard[1:] = pipes[Stream.STDOUT][1], pipes[Stream.STDERR][1]
             if isinstance(guard, SessionGuard):
-                pid = guard.spawn(
+                pid = await guard.spawn(  # noqa: ASYNC240 - no path here
                     argv,
                     env,
                     {**dict(enumerate(standard)), **descriptors},
@@ -375,7 +374,7 @@ def spawn(
         except OSError as error:
             os.kill(pid, signal.SIGKILL)
             if not isinstance(guard, SessionGuard):
-                os.waitpid(pid, 0)
+                os.waitpid(pid, 0)  # noqa: ASYNC222 - it has been killed
             raise SpawnError.of(argv, error) from None
         for _, write_end in pipes.values():
             os.close(write_end)

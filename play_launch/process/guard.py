@@ -1,8 +1,7 @@
 """The process that outlives the supervisor and ends what it started: ``spawn_guard --session``.
 
-The protocol is described in ``container_native/src/spawn_guard/session.hpp``. Every request is
-answered within a few milliseconds, like a fork of our own, so it may be made on the loop's thread:
-the guard does not wait until a program is executed, whose disk may take long.
+The protocol is described in ``container_native/src/spawn_guard/session.hpp``. Answers come in the
+order of the requests; the event loop goes on meanwhile.
 """
 
 from __future__ import annotations
@@ -15,14 +14,17 @@ import signal
 import socket
 import struct
 import subprocess
+from collections import deque
 from contextlib import ExitStack, suppress
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, BinaryIO, Final, Protocol, Self
 
 from play_launch.process import open_files
 from play_launch.process.exit import Exit
-from play_launch.process.time_slice import ask_for_short_turns, run_ahead
+from play_launch.process.time_slice import ask_for_short_turns
 
 if TYPE_CHECKING:
+    import asyncio
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
@@ -35,7 +37,10 @@ _REAP: Final = 3
 _HELPER: Final = 4
 _FAREWELL: Final = 5
 _GROUP: Final = 6
+_FORGET: Final = 7
 _ANSWER: Final = struct.Struct("=3i")
+_AT_ONCE: Final = 16
+"""Requests that are sent before the first is answered: the kernel bounds what is in a socket."""
 _ANSWER_LIMIT: Final = 10.0
 """Seconds after which a guard that does not answer counts as lost."""
 _STOPPED_AFTER: Final = 0.1
@@ -47,14 +52,14 @@ _END_LIMIT: Final = 5.0
 class Parent(Protocol):
     """Who can wait for a process."""
 
-    def ended(self, pid: int) -> Exit | None:
+    async def ended(self, pid: int) -> Exit | None:
         """Say how it ended and leave it a zombie; None while it runs.
 
         Raises:
             ChildProcessError: When nobody can say any more.
         """
 
-    def reap(self, pid: int) -> None:
+    async def reap(self, pid: int) -> None:
         """Let its pid go; raises ChildProcessError as well."""
 
     def has_inherited(self, process: ProcessStat) -> bool:
@@ -64,20 +69,28 @@ class Parent(Protocol):
 class Ourselves:
     """The parent of what this process has forked."""
 
-    def ended(self, pid: int) -> Exit | None:
+    async def ended(self, pid: int) -> Exit | None:
         """See `Parent`."""
         # WNOWAIT: the zombie stays, and with it its pid and the number of its group.
-        result = os.waitid(os.P_PID, pid, os.WEXITED | os.WNOHANG | os.WNOWAIT)
+        options = os.WEXITED | os.WNOHANG | os.WNOWAIT
+        result = os.waitid(os.P_PID, pid, options)  # noqa: ASYNC222 - WNOHANG
         return None if result is None else Exit.of(result.si_code, result.si_status)
 
-    def reap(self, pid: int) -> None:
+    async def reap(self, pid: int) -> None:
         """See `Parent`."""
-        os.waitid(os.P_PID, pid, os.WEXITED | os.WNOHANG)
+        os.waitid(os.P_PID, pid, os.WEXITED | os.WNOHANG)  # noqa: ASYNC222 - WNOHANG
 
     def has_inherited(self, process: ProcessStat) -> bool:
         """See `Parent`; we are no subreaper."""
         del process
         return False
+
+
+@dataclass(eq=False, slots=True)
+class _Question:
+    request: bytes
+    descriptors: Sequence[int]
+    answer: asyncio.Future[tuple[int, int, int]]
 
 
 class SessionGuard:
@@ -96,6 +109,12 @@ class SessionGuard:
         self._is_lost = False
         self._helpers = 0
         self._started: set[int] = set()
+        self._questions: deque[_Question] = deque()
+        self._sent = 0
+        """How many of the questions have been sent: the first ones."""
+        self._loop: asyncio.AbstractEventLoop | None = None
+        """The one that reads answers, while there are questions."""
+        self._limit: asyncio.TimerHandle | None = None
         from play_launch.process.identity import ancestors_of  # noqa: PLC0415 - it runs by now
 
         self._ancestors = ancestors_of(os.getpid())
@@ -119,7 +138,7 @@ class SessionGuard:
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with ExitStack() as on_failure, theirs:
             on_failure.callback(ours.close)
-            ours.settimeout(answer_limit)
+            ours.setblocking(False)
             number = theirs.fileno()
             process = subprocess.Popen(
                 [program, "--session", str(number), *(["--", *afterwards] if afterwards else [])],
@@ -133,9 +152,8 @@ class SessionGuard:
             on_failure.pop_all()
         # Before it is asked for anything: all that it starts inherits its limit.
         open_files.give_back(process.pid)
-        # We wait for its answers, and what it starts shares the processors as anything else does.
-        if not run_ahead(process.pid):
-            ask_for_short_turns(process.pid, children_too=False)
+        # For itself: what it starts shares the processors as anything else does.
+        ask_for_short_turns(process.pid, children_too=False)
         return cls(ours, process, answer_limit)
 
     @property
@@ -151,7 +169,7 @@ class SessionGuard:
         """
         return not self._is_lost and self._process.poll() is None
 
-    def spawn(
+    async def spawn(
         self,
         argv: Sequence[str],
         env: Mapping[str, str],
@@ -162,7 +180,7 @@ class SessionGuard:
         cwd: Path | None = None,
         settings: Sequence[str] = (),
     ) -> int:
-        """Start a command in a session of its own; returns its pid.
+        """Start a command in a session of its own; returns its pid. Cancelled, it executes nothing.
 
         Args:
             argv: The command line.
@@ -179,7 +197,6 @@ class SessionGuard:
             OSError: When it cannot be started.
             ValueError: When a NUL is in what it should get.
         """
-        helper = () if zygote is None else (zygote.fileno(),)
         head = (_SPAWN, leaves_by_itself, 0 if zygote is None else zygote.number, len(descriptors))
         request = struct.pack(f"={4 + len(descriptors)}i", *head, *descriptors)
         with _file(_command(argv, env, cwd, settings)) as command, ExitStack() as opened:
@@ -187,8 +204,12 @@ class SessionGuard:
             for end in (word, go_ahead):
                 opened.callback(os.close, end)
             os.set_blocking(go_ahead, False)
+            helper = []
+            if zygote is not None:  # which may be closed before it is sent
+                helper.append(os.dup(zygote.fileno()))
+                opened.callback(os.close, *helper)
             files = (command.fileno(), word, *helper, *descriptors.values())
-            pid, obstacle, _ = self._ask(request, files)
+            pid, obstacle, _ = await self._ask(request, files)
             # What is started without it ends: another start may have taken its place.
             os.write(go_ahead, b"\0")
         if zygote is not None and obstacle:
@@ -201,7 +222,11 @@ class SessionGuard:
     def spawn_helper(
         self, argv: Sequence[str], env: Mapping[str, str], descriptors: Mapping[int, int]
     ) -> int:
-        """Start a command of which nothing is heard; does not wait for that. Returns its number."""
+        """Start a command of which nothing is heard, without waiting; returns its number.
+
+        Raises:
+            OSError: When it cannot be asked for.
+        """
         request = struct.pack(f"={2 + len(descriptors)}i", _HELPER, len(descriptors), *descriptors)
         with _file(_command(argv, env)) as command:
             self._send(request, (command.fileno(), *descriptors.values()))
@@ -223,14 +248,16 @@ class SessionGuard:
         finally:
             os.close(folder)
 
-    def ended(self, pid: int) -> Exit | None:
+    async def ended(self, pid: int) -> Exit | None:
         """See `Parent`."""
-        return self._wait(_STATUS, pid)
+        return await self._wait(_STATUS, pid)
 
-    def reap(self, pid: int) -> None:
+    async def reap(self, pid: int) -> None:
         """See `Parent`."""
-        self._started.discard(pid)
-        self._wait(_REAP, pid)
+        try:
+            await self._wait(_REAP, pid)
+        finally:
+            self._started.discard(pid)
 
     def has_inherited(self, process: ProcessStat) -> bool:
         """See `Parent`; helpers count as inherited as well.
@@ -241,12 +268,26 @@ class SessionGuard:
             return process.pid not in self._started
         return process.parent in self._ancestors and self._process.poll() is not None
 
+    async def end(self) -> None:
+        """Have everything ended that is left, and wait for that."""
+        import asyncio  # noqa: PLC0415 - a guard is started before it is imported
+
+        self._let_go()
+        await asyncio.to_thread(self._wait_for_end)
+
     def close(self) -> None:
-        """Have everything ended that is left, and wait for that; blocks."""
+        """Do the same where no event loop runs; blocks."""
+        self._let_go()
+        self._wait_for_end()
+
+    def _let_go(self) -> None:
         self._say_farewell()
         atexit.unregister(self._say_farewell)
+        self._lose()
         self._socket.close()
         self._continue()
+
+    def _wait_for_end(self) -> None:
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(_END_LIMIT)
 
@@ -255,51 +296,120 @@ class SessionGuard:
         with suppress(OSError):
             self._send(struct.pack("=i", _FAREWELL), ())
 
-    def _wait(self, request: int, pid: int) -> Exit | None:
+    async def _wait(self, request: int, pid: int) -> Exit | None:
         try:
-            result, code, status = self._ask(struct.pack("=2i", request, pid))
+            result, code, status = await self._ask(struct.pack("=2i", request, pid))
         except OSError as error:
             raise ChildProcessError(*error.args) from None
         if result < 0:
             raise ChildProcessError(-result, os.strerror(-result))
         return Exit.of(code, status) if result else None
 
-    def _ask(self, request: bytes, descriptors: Sequence[int] = ()) -> tuple[int, int, int]:
-        self._send(request, descriptors)
-        answer = b""
-        if not self._is_lost:
-            with suppress(TimeoutError, ConnectionError):
-                answer = self._receive()
-            # Whatever comes later would be taken for the answer to another request.
-            self._is_lost = len(answer) != _ANSWER.size
-        if self._is_lost:
-            raise ConnectionResetError(errno.ECONNRESET, "the guard of the session does not answer")
-        result, code, status = _ANSWER.unpack(answer)
-        return result, code, status
+    async def _ask(self, request: bytes, descriptors: Sequence[int] = ()) -> tuple[int, int, int]:
+        """Send a request in its turn and wait for the answer; raises OSError."""
+        import asyncio  # noqa: PLC0415 - a guard is started before it is imported
 
-    def _receive(self) -> bytes:
-        limit = self._answer_limit
-        if limit > _STOPPED_AFTER:
-            self._socket.settimeout(_STOPPED_AFTER)
+        if self._is_lost:
+            raise _loss()
+        loop = asyncio.get_running_loop()
+        if self._loop is not loop:
+            self._loop = loop
+            loop.add_reader(self._socket, self._read)
+        question = _Question(request, descriptors, loop.create_future())
+        self._questions.append(question)
+        self._send_more()
+        if self._limit is None:
+            self._await_next()
+        try:
+            return await asyncio.shield(question.answer)
+        except asyncio.CancelledError:
+            self._give_up(question)
+            raise
+
+    def _give_up(self, question: _Question) -> None:
+        if question in self._questions and self._questions.index(question) >= self._sent:
+            self._questions.remove(question)
+        elif struct.unpack_from("=i", question.request) == (_SPAWN,):
+            question.answer.add_done_callback(self._forget)
+
+    def _forget(self, answer: asyncio.Future[tuple[int, int, int]]) -> None:
+        """Leave it to the guard to wait for what ends without a go-ahead."""
+        if answer.exception() is None and answer.result()[0] > 0:
+            with suppress(OSError):
+                self._send(struct.pack("=2i", _FORGET, answer.result()[0]), ())
+
+    def _send_more(self) -> None:
+        while self._sent < min(_AT_ONCE, len(self._questions)):
+            question = self._questions[self._sent]
             try:
-                return self._socket.recv(_ANSWER.size)
-            except TimeoutError:
-                self._continue()
-            finally:
-                self._socket.settimeout(limit)
-        return self._socket.recv(_ANSWER.size)
+                self._send(question.request, question.descriptors)
+            except OSError as error:
+                if not self._is_lost:
+                    self._questions.remove(question)
+                    question.answer.set_exception(error)
+            else:
+                self._sent += 1
+
+    def _read(self) -> None:
+        answer = b""
+        with suppress(ConnectionError):
+            answer = self._socket.recv(_ANSWER.size)
+        if len(answer) != _ANSWER.size:
+            self._lose()
+            return
+        self._sent -= 1
+        self._questions.popleft().answer.set_result(_ANSWER.unpack(answer))
+        self._send_more()
+        self._await_next()
+
+    def _await_next(self) -> None:
+        """Begin the time in which the next answer has to come, if there are questions."""
+        if self._limit is not None:
+            self._limit.cancel()
+            self._limit = None
+        if self._loop is None:
+            return
+        if not self._questions:
+            self._loop.remove_reader(self._socket)
+            self._loop = None
+        elif self._answer_limit > _STOPPED_AFTER:
+            self._limit = self._loop.call_later(_STOPPED_AFTER, self._overdue, self._loop)
+        else:
+            self._limit = self._loop.call_later(self._answer_limit, self._lose)
+
+    def _overdue(self, loop: asyncio.AbstractEventLoop) -> None:
+        self._continue()
+        self._limit = loop.call_later(self._answer_limit - _STOPPED_AFTER, self._lose)
+
+    def _lose(self) -> None:
+        """Ask it no more: what comes late would be taken for the answer to another question."""
+        self._is_lost = True
+        questions, self._questions, self._sent = self._questions, deque(), 0
+        if self._loop is not None and self._loop.is_closed():
+            self._loop, self._limit = None, None
+            return
+        for each in questions:
+            each.answer.set_exception(_loss())
+        self._await_next()
 
     def _continue(self) -> None:
         # It is the parent of our containers, whose nodes can send it signals.
         self._process.send_signal(signal.SIGCONT)
 
     def _send(self, request: bytes, descriptors: Sequence[int]) -> None:
+        """Send without waiting; raises OSError."""
+        if self._is_lost:
+            raise _loss()
         rights = (socket.SOL_SOCKET, socket.SCM_RIGHTS, array.array("i", descriptors))
-        if not self._is_lost:
-            try:
-                self._socket.sendmsg([request], [rights] if descriptors else [])
-            except (TimeoutError, ConnectionError):
-                self._is_lost = True
+        try:
+            self._socket.sendmsg([request], [rights] if descriptors else [])
+        except (BlockingIOError, ConnectionError):
+            self._lose()
+            raise _loss() from None
+
+
+def _loss() -> OSError:
+    return ConnectionResetError(errno.ECONNRESET, "the guard of the session does not answer")
 
 
 def _command(

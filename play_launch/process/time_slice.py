@@ -76,8 +76,8 @@ def ask_for_more_turns() -> bool:
     return True
 
 
-def run_ahead(pid: int = 0) -> bool:
-    """Have the threads of a process run before all that have no real-time priority.
+def run_ahead() -> bool:
+    """Have the threads of this process run before all that have no real-time priority.
 
     Turns alone do not help where each of a hundred starting programs has its own session: each of
     their autogroups has as much right to the processors as ours. What runs ahead must leave the
@@ -86,14 +86,11 @@ def run_ahead(pid: int = 0) -> bool:
     Its threads and processes of later have the usual policy (SCHED_RESET_ON_FORK, sched(7)). As
     whoever holds Python's global lock keeps the others waiting, call it again for new threads.
 
-    Args:
-        pid: A process; 0 is this one.
-
     Returns:
         Whether it was permitted. A policy or nice value that somebody gave is left as it is.
     """
     try:
-        for thread in _threads(pid):
+        for thread in _threads():
             policy = os.sched_getscheduler(thread) & ~os.SCHED_RESET_ON_FORK
             if policy == os.SCHED_OTHER and os.getpriority(os.PRIO_PROCESS, thread) == 0:
                 os.sched_setscheduler(thread, _AHEAD, os.sched_param(_LOWEST_PRIORITY))
@@ -101,13 +98,13 @@ def run_ahead(pid: int = 0) -> bool:
         pass  # a thread that has ended
     except OSError:
         return False  # sandboxes answer what they like, such as EINVAL
-    return bool(os.sched_getscheduler(pid) & ~os.SCHED_RESET_ON_FORK == os.SCHED_RR)
+    return bool(os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_RR)
 
 
-def run_along(pid: int = 0) -> None:
+def run_along() -> None:
     """Undo `run_ahead`, and ask for short turns instead."""
     with contextlib.suppress(ProcessLookupError):
-        for thread in _threads(pid):
+        for thread in _threads():
             if os.sched_getscheduler(thread) & ~os.SCHED_RESET_ON_FORK == os.SCHED_RR:
                 # Who is not privileged may not take the flag back.
                 usual = os.SCHED_OTHER | os.SCHED_RESET_ON_FORK
@@ -115,6 +112,6 @@ def run_along(pid: int = 0) -> None:
                 ask_for_short_turns(thread, children_too=False)
 
 
-def _threads(pid: int) -> list[int]:
+def _threads() -> list[int]:
     # A list of threads comes from memory: nothing here blocks.
-    return [int(each) for each in os.listdir(f"/proc/{pid or 'self'}/task")]  # noqa: PTH208
+    return [int(each) for each in os.listdir("/proc/self/task")]  # noqa: PTH208

@@ -84,6 +84,8 @@ class Zygote:
 
     def lose(self, reason: str) -> None:
         """Have it end, because of an error."""
+        if self._socket.fileno() < 0:
+            return
         _log.info(
             "containers are executed one by one, as a linked one cannot be forked: %s", reason
         )

@@ -75,11 +75,12 @@ class ContainerActor(ProcessActor):
 
     # Its process.
 
-    def _begin(self) -> ManagedProcess:
+    async def _begin(self) -> ManagedProcess:
         self._has_ended = anyio.Event()
         self._is_draining = False
         self._queries.clear()
-        process, self._link = self._system.launcher.start_container(self.config, self._on_output)
+        launcher = self._system.launcher
+        process, self._link = await launcher.start_container(self.config, self._on_output)
         return process
 
     def _has_started(self, start: int) -> None:

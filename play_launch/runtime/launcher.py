@@ -216,7 +216,7 @@ class NativeLauncher:
         """Say who we are."""
         return self._hello
 
-    def start_container(
+    async def start_container(
         self, config: ContainerConfig, on_output: OutputCallback
     ) -> tuple[ManagedProcess, ControlLink]:
         """Start a container, or attach to it, with a way to talk to it; raises StartError."""
@@ -231,7 +231,7 @@ class NativeLauncher:
         group, entry = self.groups.of_container(config)
         if config.container_type is ContainerType.STOCK:
             assert self._stock is not None
-            process = self._spawn(command, on_output, group, entry, name=config.full_name)
+            process = await self._spawn(command, on_output, group, entry, name=config.full_name)
             try:
                 return process, self._stock.talk_to(config, process)
             except Exception:
@@ -244,7 +244,7 @@ class NativeLauncher:
         with ExitStack() as opened:
             opened.callback(pair.close)
             command = command.with_variables({CONTROL_FD_VARIABLE: str(INHERITED)})
-            process = self._spawn(
+            process = await self._spawn(
                 command, on_output, group, entry, name=config.full_name, control_fd=pair.child_fd
             )
             pair.close_child_end()
@@ -273,19 +273,21 @@ class NativeLauncher:
         found = await asyncio.to_thread(component_library, node.package, node.plugin, prefixes)
         return str(found or "")
 
-    def start_probe(
+    async def start_probe(
         self, container: ContainerConfig, node: ComposableNodeConfig, on_output: OutputCallback
     ) -> NativeProcess:
         """Start a scratch process like the container itself; raises StartError."""
-        return self._spawn(probe_command(container, node, self._machine), on_output)
+        return await self._spawn(probe_command(container, node, self._machine), on_output)
 
-    def start_process(self, config: ProcessConfig, on_output: OutputCallback) -> NativeProcess:
+    async def start_process(
+        self, config: ProcessConfig, on_output: OutputCallback
+    ) -> NativeProcess:
         """Start an ordinary executable; raises StartError."""
         try:
             command = process_command(config, self._machine, self._parameters.of(config))
         except (ExecutableNotFoundError, ValueError) as error:
             raise StartError(str(error), permanent=True) from error
-        return self._spawn(
+        return await self._spawn(
             command, on_output, *self.groups.of_process(config), name=config.full_name
         )
 
@@ -310,14 +312,14 @@ class NativeLauncher:
         await asyncio.to_thread(self._parameters.remove)
         self._end_zygotes()
         for guard in self._guards:
-            await asyncio.to_thread(guard.close)
+            await guard.end()
         await asyncio.to_thread(self.groups.end)
         if self._stock is not None:
             await asyncio.to_thread(self._stock.close)
             # As long as we took part ourselves, we held what dead containers had left.
             await self.clean_up()
 
-    def _spawn(
+    async def _spawn(
         self,
         command: Command,
         on_output: OutputCallback,
@@ -340,7 +342,7 @@ class NativeLauncher:
                 guard = SessionGuard.start(self._guard_program, afterwards=sweep_command())
                 self._guards.append(guard)
             self.groups.entrust(self._guards[-1])
-            child = spawn(
+            child = await spawn(
                 command.argv,
                 env=command.environment,
                 cwd=command.cwd,

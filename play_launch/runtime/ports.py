@@ -175,7 +175,7 @@ class NodeGroups(Protocol):
 
 
 class Launcher(Protocol):
-    """Starts processes; a start takes about a millisecond and does not wait for anything."""
+    """Starts processes; a start that is cancelled leaves none."""
 
     @property
     def groups(self) -> NodeGroups:
@@ -184,7 +184,7 @@ class Launcher(Protocol):
     def hello(self) -> Hello:
         """Say who we are."""
 
-    def start_container(
+    async def start_container(
         self, config: ContainerConfig, on_output: OutputCallback
     ) -> tuple[ManagedProcess, ControlLink]:
         """Start a container.
@@ -196,7 +196,7 @@ class Launcher(Protocol):
     async def library_of(self, container: ContainerConfig, node: ComposableNodeConfig) -> str:
         """Find the library of a component; empty where that is not known."""
 
-    def start_probe(
+    async def start_probe(
         self, container: ContainerConfig, node: ComposableNodeConfig, on_output: OutputCallback
     ) -> ManagedProcess:
         """Start a scratch process that loads the library of a node as the container would.
@@ -205,7 +205,9 @@ class Launcher(Protocol):
             StartError: When that is not possible.
         """
 
-    def start_process(self, config: ProcessConfig, on_output: OutputCallback) -> ManagedProcess:
+    async def start_process(
+        self, config: ProcessConfig, on_output: OutputCallback
+    ) -> ManagedProcess:
         """Start an ordinary executable.
 
         Raises:

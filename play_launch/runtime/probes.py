@@ -80,7 +80,7 @@ class LibraryProbes:
                 )
             )
             try:
-                process = self._launcher.start_probe(container, node, output)
+                process = await self._launcher.start_probe(container, node, output)
             except StartError as error:
                 _log.warning("%s: its library is not probed: %s", name, error)
                 return None

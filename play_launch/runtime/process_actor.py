@@ -7,6 +7,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import anyio
+from msgspec.structs import replace
 
 from play_launch.config.model import ProcessConfig
 from play_launch.runtime.ports import StartError
@@ -41,6 +42,7 @@ class ProcessActor:
         self._sources.run_in(system.sources.tasks)
         self._process: ManagedProcess | None = None
         self._start = 0
+        self._spawning = anyio.CancelScope()
         self._companion = Source()
         self._stopped: anyio.Event | None = None
         self._was_killed = False
@@ -65,26 +67,16 @@ class ProcessActor:
     def spawn(self, start: int) -> None:
         """Start its process."""
         self._start = start
-        try:
-            process = self._begin()
-        except StartError as error:
-            self._system.post(
-                NotStarted(self.name, start, str(error), is_permanent=error.permanent)
-            )
-            return
-        except Exception as error:  # noqa: BLE001 - it is the failure of this unit alone
-            self._system.fail(self.name, error)
-            self._system.post(NotStarted(self.name, start, str(error), is_permanent=True))
-            return
-        self._process = process
-        self._stopped = None
-        self._companion = self._sources.begin(partial(self._accompany, process, start))
-        self._system.post(Started(self.name, start, process.pid, process.start_time, process.argv))
-        self._has_started(start)
+        self._spawning = anyio.CancelScope()
+        self._sources.begin(partial(self._spawn, start, self._spawning))
 
     def kill(self, start: int) -> None:
-        """Kill its process."""
-        if start == self._start and self._process is not None:
+        """Kill its process, or give its start up, which is answered all the same."""
+        if start != self._start:
+            return
+        if self._process is None:
+            self._spawning.cancel()
+        else:
             self._stops()
             self._process.kill()
 
@@ -99,11 +91,11 @@ class ProcessActor:
 
     # What a kind of process has to say.
 
-    def _begin(self) -> ManagedProcess:
-        """Start its process; raises StartError."""
+    async def _begin(self) -> ManagedProcess:
+        """Start its process; raises StartError. Cancelled, it leaves none."""
         config = self.config
         assert isinstance(config, ProcessConfig)
-        return self._system.launcher.start_process(config, self._on_output)
+        return await self._system.launcher.start_process(config, self._on_output)
 
     def _has_started(self, start: int) -> None:
         del start
@@ -144,6 +136,26 @@ class ProcessActor:
         self._system.publisher.publish_output(self.name, self.pid, stream, lines)
 
     # The life of a process.
+
+    async def _spawn(self, start: int, scope: anyio.CancelScope) -> None:
+        answer: Started | NotStarted
+        answer = NotStarted(self.name, start, "its start was cancelled", is_permanent=False)
+        with scope:
+            try:
+                process = await self._begin()
+            except StartError as error:
+                answer = replace(answer, reason=str(error), is_permanent=error.permanent)
+            except Exception as error:  # noqa: BLE001 - it is the failure of this unit alone
+                self._system.fail(self.name, error)
+                answer = replace(answer, reason=str(error), is_permanent=True)
+            else:
+                self._process = process
+                self._stopped = None
+                self._companion = self._sources.begin(partial(self._accompany, process, start))
+                answer = Started(self.name, start, process.pid, process.start_time, process.argv)
+        self._system.post(answer)
+        if isinstance(answer, Started):
+            self._has_started(start)
 
     async def _accompany(self, process: ManagedProcess, start: int) -> None:
         """Wait until nothing of a process is left; cancelled, it is stopped in order."""

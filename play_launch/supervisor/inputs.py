@@ -303,7 +303,7 @@ class Spawn(Struct, frozen=True):
 
 
 class Kill(Struct, frozen=True):
-    """Send SIGKILL to the process of a unit."""
+    """Send SIGKILL to the process of a unit, or give its start up that is not answered yet."""
 
     unit: str
     start: int

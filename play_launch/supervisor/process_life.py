@@ -46,6 +46,7 @@ class Action(StrEnum):
     """What follows from a fact besides the phase."""
 
     SPAWN = auto()
+    CANCEL_SPAWN = auto()
     KILL = auto()
     STOP = auto()
     LOSE = auto()
@@ -124,9 +125,9 @@ TABLE: Final[Mapping[Phase, Mapping[Fact, Cell]]] = {
             Fact.EXITED_RESTART: (Phase.BACKOFF,),
             Fact.EXITED_GIVE_UP: (Phase.GAVE_UP,),
             Fact.EXITED_DONE: (Phase.STOPPED,),
-            # It is stopped as soon as it has a pid.
-            Fact.STOP: (Phase.STOPPING,),
-            Fact.FAILED: (Phase.GAVE_UP,),
+            # One that has just got a pid is stopped then.
+            Fact.STOP: (Phase.STOPPING, Action.CANCEL_SPAWN),
+            Fact.FAILED: (Phase.GAVE_UP, Action.CANCEL_SPAWN),
         },
         {
             Fact.START,

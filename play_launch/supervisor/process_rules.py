@@ -59,6 +59,8 @@ def apply(step: Step, name: str, fact: Fact, reason: str = "", due: float | None
         match action:
             case Action.SPAWN:
                 _spawn(step, process)
+            case Action.CANCEL_SPAWN:
+                step.effects.append(Kill(name, process.attempt))
             case Action.KILL:
                 _kill(step, process, reason)
             case Action.STOP:
@@ -105,7 +107,8 @@ def _kill(step: Step, process: Process, reason: str) -> None:
 def _stop(step: Step, process: Process, reason: str) -> None:
     if process.container is not None:
         node_rules.container_stops(step, process)
-    if process.stopped or not process.is_present or process.exit is not None:
+    has_process = process.is_present and process.is_started
+    if process.stopped or not has_process or process.exit is not None:
         return
     step.world.put(step.process(process.name), stopped=True, due=None)
     asks = process.container is not None and process.ready_at is not None

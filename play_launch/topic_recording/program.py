@@ -57,12 +57,12 @@ class Program:
         self._environment = child_environment(os.environ, ros_installation(), environment)
         self._guard = SessionGuard.start(spawn_guard())
 
-    def start(self, on_packet: Callable[[Packet], None]) -> tuple[Child, RecorderLink]:
+    async def start(self, on_packet: Callable[[Packet], None]) -> tuple[Child, RecorderLink]:
         """Start it; raises SpawnError, OSError."""
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with theirs:
             try:
-                child = spawn(
+                child = await spawn(
                     recorder_argv(self._program, self._record, INHERITED),
                     env=self._environment,
                     guard=self._guard,
@@ -75,9 +75,9 @@ class Program:
                 raise
         return child, RecorderLink(ours, on_packet)
 
-    def close(self) -> None:
-        """End what is left; blocks."""
-        self._guard.close()
+    async def close(self) -> None:
+        """End what is left."""
+        await self._guard.end()
 
 
 def _on_output(_stream: Stream, lines: Sequence[Line]) -> None:

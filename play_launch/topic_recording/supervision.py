@@ -91,7 +91,7 @@ class TopicRecording:
             await self._keep_running()
         finally:
             await self._end()
-            await asyncio.to_thread(self._program.close)
+            await self._program.close()
             await self._sweep()
 
     async def take(self, reason: str) -> Snapshot:
@@ -158,7 +158,7 @@ class TopicRecording:
         """Run it once; the reason why it has ended."""
         assert self._program is not None
         try:
-            self._child, self._link = self._program.start(self._on_packet)
+            self._child, self._link = await self._program.start(self._on_packet)
         except (SpawnError, OSError) as error:
             return str(error)
         ended = await self._child.gone()

@@ -72,10 +72,10 @@ def held_by_others() -> set[str]:
     return held
 
 
-def node(name: str) -> tuple[Child, Output]:
+async def node(name: str) -> tuple[Child, Output]:
     output = Output()
     # It must outlive no test, and no guard is needed for that: each test ends its own.
-    child = spawn(
+    child = await spawn(
         [sys.executable, "-c", NODE, name], env=dict(os.environ), guard=None, on_output=output
     )
     return child, output
@@ -95,8 +95,8 @@ def loose_names() -> tuple[str, str]:
 
 
 async def test_the_dead_are_swept_and_the_living_go_on_talking() -> None:
-    alive, alive_hears = node("alive")
-    dead, dead_hears = node("dead")
+    alive, alive_hears = await node("alive")
+    dead, dead_hears = await node("dead")
     await alive_hears.wait_line("heard dead")
     await dead_hears.wait_line("heard alive")
     of_alive, of_dead = held_by(alive.pid), held_by(dead.pid)
@@ -112,7 +112,7 @@ async def test_the_dead_are_swept_and_the_living_go_on_talking() -> None:
     assert of_alive <= files()
     assert not report.failed
     # A new participant gets the port numbers of the dead one, which the living one still knows.
-    new, new_hears = node("new")
+    new, new_hears = await node("new")
     await new_hears.wait_line("heard alive")
     await alive_hears.wait_line("heard new")
     assert held_by(new.pid) & of_dead, "the case this is about: the same ports"
@@ -133,7 +133,7 @@ async def test_nobody_who_comes_or_goes_is_disturbed() -> None:
 
     sweeping = asyncio.create_task(asyncio.to_thread(sweep_without_pause))
     names = [f"node{number}" for number in range(4)]
-    nodes = [node(name) for name in names]
+    nodes = [await node(name) for name in names]
     try:
         for _, output in nodes:
             for name in names:
@@ -163,7 +163,7 @@ async def test_a_port_without_a_lock_lives_while_somebody_maps_it(
         f"import mmap; f = open({str(path)!r}, 'r+b'); m = mmap.mmap(f.fileno(), 0); f.close();"
         "print('ready', flush=True); import time; time.sleep(600)"
     )
-    child = spawn(python(code), env={}, guard=None, on_output=output)
+    child = await spawn(python(code), env={}, guard=None, on_output=output)
     await output.wait_line("ready")
     assert port not in (await sweep_shared_memory()).removed
     assert path.exists()
@@ -226,7 +226,7 @@ async def test_a_port_that_is_being_opened_is_left_alone(loose_names: tuple[str,
     _, port = loose_names
     owned = {port, f"{port}_el", f"sem.{port}_mutex"}
     output = Output()
-    opener = spawn(
+    opener = await spawn(
         [*python(HOLD_SEMAPHORE), f"/{port}_mutex"], env={}, guard=None, on_output=output
     )
     await output.wait_line("ready")
@@ -247,7 +247,7 @@ async def test_a_semaphore_that_is_left_alone_works_afterwards(
     _, port = loose_names
     output = Output()
     code = HOLD_SEMAPHORE.replace("assert libc.sem_trywait(semaphore) == 0", "")
-    user = spawn([*python(code), f"/{port}_mutex"], env={}, guard=None, on_output=output)
+    user = await spawn([*python(code), f"/{port}_mutex"], env={}, guard=None, on_output=output)
     await output.wait_line("ready")
     # Free, but mapped: somebody is about to take it.
     await sweep_shared_memory()
@@ -271,7 +271,7 @@ async def test_a_process_that_cannot_be_looked_into_holds_nothing_up(
     """Its page tables are locked while it waits for a disk, as that of a dead NFS server."""
     _, port = loose_names
     output = Output()
-    stuck = spawn(python(READY_THEN_SLEEP), env={}, guard=None, on_output=output)
+    stuck = await spawn(python(READY_THEN_SLEEP), env={}, guard=None, on_output=output)
     await output.wait_line("ready")
     goes_on, readers = threading.Event(), []
     read = Path.read_bytes

@@ -34,10 +34,10 @@ from tests.support.tracing import stopped_by_a_tracer
 pytestmark = pytest.mark.anyio
 
 
-def start(
+async def start(
     argv: list[str], guard: SessionGuard | Path | None, output: Output | None = None
 ) -> Child:
-    return spawn(argv, env=environment(), guard=guard, on_output=output)
+    return await spawn(argv, env=environment(), guard=guard, on_output=output)
 
 
 async def finished(child: Child) -> Exit:
@@ -60,7 +60,7 @@ def either(
 
 
 async def test_an_exit_status_is_told(either: SessionGuard | Path | None) -> None:
-    child = start(shell("exit 7"), either)
+    child = await start(shell("exit 7"), either)
     assert child.is_running
     assert await child.wait() == Exit(code=7)
     assert await finished(child) == Exit(code=7)
@@ -70,13 +70,13 @@ async def test_an_exit_status_is_told(either: SessionGuard | Path | None) -> Non
 
 @pytest.mark.parametrize("number", [signal.SIGSEGV, signal.SIGKILL, signal.SIGTERM])
 async def test_a_signal_is_told(either: SessionGuard | Path | None, number: signal.Signals) -> None:
-    child = start(python(f"import os; os.kill(os.getpid(), {number.value})"), either)
+    child = await start(python(f"import os; os.kill(os.getpid(), {number.value})"), either)
     end = await finished(child)
     assert (end.code, end.signal) == (0, number)
 
 
 async def test_a_child_has_its_own_session_and_identity(either: SessionGuard | Path | None) -> None:
-    child = start(shell("exec sleep 600"), either)
+    child = await start(shell("exec sleep 600"), either)
     stat = read_stat(child.pid)
     assert stat.session == stat.group == child.pid
     assert stat.start_time == child.start_time
@@ -103,7 +103,7 @@ async def test_a_child_gets_its_environment_and_directory_and_nothing_else(
         "print('fds', *sorted(int(n) for n in os.listdir('/proc/self/fd')));"
         "print('stdin', os.readlink('/proc/self/fd/0'))"
     )
-    child = spawn(
+    child = await spawn(
         python(code),
         env={"COLOUR": "red", "LC_CTYPE": "C.UTF-8"},
         guard=either,
@@ -131,7 +131,7 @@ async def test_all_output_arrives_before_a_child_is_gone(guard: Path) -> None:
         "for n in range(2000): print('err', n, file=sys.stderr)\n"
         "sys.stdout.write('no line end'); sys.stdout.flush(); import os; os.abort()"
     )
-    end = await finished(start(python(code), guard, output))
+    end = await finished(await start(python(code), guard, output))
     assert end.signal == signal.SIGABRT
     assert output.texts() == [f"out {n}" for n in range(20000)] + ["no line end"]
     assert output.texts(Stream.STDERR) == [f"err {n}" for n in range(2000)]
@@ -146,7 +146,7 @@ async def test_ignored_and_blocked_signals_are_not_inherited(guard: Path) -> Non
             "for line in open('/proc/self/status'):\n"
             "  if line.startswith(('SigBlk', 'SigIgn')): print(line.strip())"
         )
-        await finished(start(python(code), guard, output))
+        await finished(await start(python(code), guard, output))
     finally:
         signal.signal(signal.SIGUSR1, before)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGUSR2])
@@ -157,7 +157,7 @@ async def test_ignored_and_blocked_signals_are_not_inherited(guard: Path) -> Non
 
 async def test_who_did_not_send_a_sigkill_is_said(guard: Path) -> None:
     output = Output()
-    child = start(python(READY_THEN_SLEEP), guard, output)
+    child = await start(python(READY_THEN_SLEEP), guard, output)
     await output.wait_line("ready")
     os.kill(child.pid, signal.SIGKILL)
     told = str(await finished(child))
@@ -169,13 +169,13 @@ async def test_who_did_not_send_a_sigkill_is_said(guard: Path) -> None:
 async def test_an_ignored_sigchld_does_not_swallow_the_status(guard: Path) -> None:
     before = signal.signal(signal.SIGCHLD, signal.SIG_IGN)
     try:
-        assert await finished(start(shell("exit 3"), guard)) == Exit(code=3)
+        assert await finished(await start(shell("exit 3"), guard)) == Exit(code=3)
     finally:
         signal.signal(signal.SIGCHLD, before)
 
 
 async def test_a_status_that_somebody_else_took_is_said_to_be_lost() -> None:
-    child = start(shell("exit 3"), None)
+    child = await start(shell("exit 3"), None)
     os.waitpid(child.pid, 0)  # before the loop gets to look
     assert await finished(child) == Exit.lost()
 
@@ -189,7 +189,7 @@ async def test_a_death_that_a_tracer_keeps_to_itself_is_not_asked_for_all_the_ti
     parent = SessionGuard if isinstance(either, SessionGuard) else Ourselves
     asked = Mock(side_effect=parent.ended)
     monkeypatch.setattr(parent, "ended", lambda self, pid: asked(self, pid))  # noqa: PLW0108 - binds
-    child = start(python(READY_THEN_SLEEP), either, output := Output())
+    child = await start(python(READY_THEN_SLEEP), either, output := Output())
     await output.wait_line("ready")
     with stopped_by_a_tracer(child.pid) as tracer:
         assert child.send_signal(signal.SIGKILL)
@@ -211,7 +211,7 @@ async def test_a_death_that_a_tracer_keeps_to_itself_is_not_asked_for_all_the_ti
 async def test_no_thread_per_child_and_nothing_left_of_many(guard: Path) -> None:
     outputs = [Output() for _ in range(40)]
     threads = threading.active_count()
-    children = [start(python(READY_THEN_SLEEP), guard, output) for output in outputs]
+    children = [await start(python(READY_THEN_SLEEP), guard, output) for output in outputs]
     for output in outputs:
         await output.wait_line("ready")
     assert threading.active_count() == threads
@@ -228,7 +228,7 @@ async def test_grandchildren_die_with_their_parent(either: SessionGuard | Path |
     script = (
         "sleep 600 & sleep 601 & set -m; sleep 602 & echo pids $(jobs -p); echo done; kill -9 $$"
     )
-    child = start(["/bin/bash", "-c", script], either, output)
+    child = await start(["/bin/bash", "-c", script], either, output)
     assert (await finished(child)).signal == signal.SIGKILL
     pids = [int(pid) for pid in (await output.wait_line("pids")).split()]
     assert len(pids) == 3
@@ -245,7 +245,7 @@ async def test_an_escaped_grandchild_does_not_hold_up_the_end(
         "import subprocess;"
         "p = subprocess.Popen(['sleep', '600'], start_new_session=True); print('pid', p.pid)"
     )
-    child = start(python(code), guard, output)
+    child = await start(python(code), guard, output)
     await child.wait()
     ended = asyncio.get_running_loop().time()
     assert (await finished(child)).ok
@@ -272,7 +272,7 @@ async def test_what_cannot_start_is_said(
     either: SessionGuard | Path | None, argv: list[str], errno: int, text: str
 ) -> None:
     with pytest.raises(SpawnError) as caught:
-        start(argv, either, Output())
+        await start(argv, either, Output())
     assert text in str(caught.value)
     assert caught.value.errno == errno
     assert caught.value.argv == tuple(argv)
@@ -284,7 +284,9 @@ async def test_a_directory_that_went_away_is_said(
     monkeypatch.setattr("play_launch.process.child.check_program", lambda *_: None)
     output = Output()
     missing = tmp_path / "missing"
-    child = spawn(shell("true"), env=environment(), guard=session, cwd=missing, on_output=output)
+    child = await spawn(
+        shell("true"), env=environment(), guard=session, cwd=missing, on_output=output
+    )
     assert await finished(child) == Exit(code=126)
     assert output.texts(Stream.STDERR) == [
         f"spawn_guard: cannot enter {missing}: No such file or directory"
@@ -297,7 +299,9 @@ async def test_terminals_are_emulated(either: SessionGuard | Path | None) -> Non
         "import os, sys; print(os.isatty(0), os.isatty(1), os.isatty(2), os.getsid(0));"
         "print('err', file=sys.stderr); os.open('/dev/tty', os.O_RDWR)"
     )
-    child = spawn(python(code), env=environment(), guard=either, on_output=output, emulate_tty=True)
+    child = await spawn(
+        python(code), env=environment(), guard=either, on_output=output, emulate_tty=True
+    )
     # It has no controlling terminal: no ^C and no hang-up from there.
     assert await finished(child) == Exit(code=1)
     assert output.texts() == [f"False True True {child.pid}"]
@@ -309,7 +313,7 @@ async def test_terminals_are_emulated(either: SessionGuard | Path | None) -> Non
 async def test_all_that_is_written_to_a_terminal_arrives_as_it_is(session: SessionGuard) -> None:
     output = Output()
     code = "import sys; [print(f'{n}\\t\\x1b[31m' + 'x' * 90) for n in range(5000)]"
-    child = spawn(
+    child = await spawn(
         python(code), env=environment(), guard=session, on_output=output, emulate_tty=True
     )
     assert (await finished(child)).ok
@@ -322,9 +326,9 @@ async def test_a_missing_directory_and_a_missing_guard_are_said(
     missing = tmp_path / "missing"
     for each in (guard, session):
         with pytest.raises(SpawnError, match=f"working directory is no directory: {missing}"):
-            spawn(shell("true"), env=environment(), guard=each, cwd=missing)
+            await spawn(shell("true"), env=environment(), guard=each, cwd=missing)
     with pytest.raises(SpawnError, match=f"No such file or directory: {missing}"):
-        spawn(shell("true"), env=environment(), guard=missing)
+        await spawn(shell("true"), env=environment(), guard=missing)
 
 
 async def test_a_script_without_interpreter_ends_with_127(guard: Path, tmp_path: Path) -> None:
@@ -332,10 +336,10 @@ async def test_a_script_without_interpreter_ends_with_127(guard: Path, tmp_path:
     script.write_text("#!/no/such/interpreter\n")
     script.chmod(0o755)
     output = Output()
-    assert await finished(start([str(script)], guard, output)) == Exit(code=127)
+    assert await finished(await start([str(script)], guard, output)) == Exit(code=127)
     assert "No such file" in output.texts(Stream.STDERR)[0]
     with pytest.raises(SpawnError, match="No such file"):
-        start([str(script)], None)
+        await start([str(script)], None)
 
 
 async def test_too_many_open_files_leave_nothing_behind(guard: Path) -> None:
@@ -351,10 +355,10 @@ async def test_too_many_open_files_leave_nothing_behind(guard: Path) -> None:
         child = None
         while child is None:
             with suppress(SpawnError):
-                child = start(shell("exit 4"), guard, Output())
+                child = await start(shell("exit 4"), guard, Output())
             if child is None:
                 with pytest.raises(SpawnError, match="Too many open files") as caught:
-                    start(shell("exit 4"), guard, Output())
+                    await start(shell("exit 4"), guard, Output())
                 assert caught.value.errno == 24
                 failures += 1
                 os.close(filling.pop())
@@ -375,7 +379,7 @@ async def test_a_child_dies_with_a_killed_parent(guard: Path) -> None:
         "from pathlib import Path\n"
         "from play_launch.process.child import spawn\n"
         "async def main():\n"
-        f"    child = spawn(['/bin/sleep', '600'], env={{}}, guard=Path({str(guard)!r}))\n"
+        f"    child = await spawn(['/bin/sleep', '600'], env={{}}, guard=Path({str(guard)!r}))\n"
         "    print('child', child.pid, flush=True)\n"
         "    await child.wait()\n"
         "asyncio.run(main())\n"
@@ -383,7 +387,7 @@ async def test_a_child_dies_with_a_killed_parent(guard: Path) -> None:
     output = Output()
     root = Path(__file__).resolve().parents[2]
     # No guard for the parent, and its session is held: what dies here dies by PR_SET_PDEATHSIG.
-    parent = spawn(
+    parent = await spawn(
         [sys.executable, "-c", code],
         env={**os.environ, "PYTHONPATH": str(root)},
         guard=None,
@@ -406,6 +410,6 @@ async def test_a_child_dies_with_a_killed_parent(guard: Path) -> None:
 
 async def test_the_guard_refuses_when_the_parent_is_gone(guard: Path) -> None:
     output = Output()
-    child = start([str(guard), "1", "--", "/bin/echo", "started"], None, output)
+    child = await start([str(guard), "1", "--", "/bin/echo", "started"], None, output)
     assert await finished(child) == Exit(code=125)
     assert output.texts() == []

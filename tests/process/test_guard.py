@@ -77,7 +77,7 @@ def escaping(how: str) -> list[str]:
 
 async def escaped(guard: SessionGuard, how: str) -> list[psutil.Process]:
     output = Output()
-    spawn(escaping(how), env=environment(), guard=guard, on_output=output)
+    await spawn(escaping(how), env=environment(), guard=guard, on_output=output)
     async with asyncio.timeout(60):
         await output.wait_line("ready")
     return [psutil.Process(int(text)) for text in output.texts() if text.isdecimal()]
@@ -184,7 +184,7 @@ else:
 async def test_who_is_kept_out_of_a_required_group_does_not_run(session: SessionGuard) -> None:
     for word, status in (("cgroup", 0), ("required_cgroup", 125)):
         output = Output()
-        child = spawn(
+        child = await spawn(
             ["echo", "here"],
             env=environment(),
             guard=session,
@@ -203,14 +203,16 @@ async def test_who_leaves_by_itself_has_time_for_that(guard: Path, tmp_path: Pat
     session = SessionGuard.start(guard)
     mark = tmp_path / "left"
     read_end, write_end = os.pipe()
-    leaver = spawn(
+    leaver = await spawn(
         python(f"import os, time; os.read({read_end}, 1); time.sleep(0.1); open('{mark}', 'w')"),
         env=environment(),
         guard=session,
         descriptors={read_end: read_end},
         leaves_by_itself=True,
     )
-    stubborn = spawn(shell("sleep 600"), env=environment(), guard=session, leaves_by_itself=True)
+    stubborn = await spawn(
+        shell("sleep 600"), env=environment(), guard=session, leaves_by_itself=True
+    )
     os.close(read_end)
     os.close(write_end)
     await asyncio.to_thread(session.close)
@@ -224,7 +226,7 @@ async def test_who_leaves_by_itself_has_time_for_that(guard: Path, tmp_path: Pat
 @pytest.mark.anyio
 async def test_orphans_do_not_stay_as_zombies(session: SessionGuard) -> None:
     output = Output()
-    child = spawn(
+    child = await spawn(
         shell("(sleep 0.05 & echo $!); echo ready; exec sleep 600"),
         env=environment(),
         guard=session,
@@ -253,7 +255,7 @@ async def test_a_death_costs_the_guard_no_look_at_every_process(session: Session
     others = [subprocess.Popen(["sleep", "600"]) for _ in range(100)]
     try:
         before = await asyncio.to_thread(reads)
-        child = spawn(shell("exit 3"), env=environment(), guard=session)
+        child = await spawn(shell("exit 3"), env=environment(), guard=session)
         async with asyncio.timeout(60):
             assert await child.gone() == Exit(code=3)
         assert await asyncio.to_thread(reads) - before < len(others)
@@ -267,7 +269,7 @@ async def test_a_death_costs_the_guard_no_look_at_every_process(session: Session
 async def test_a_guard_that_was_killed_takes_its_children_along_and_says_so(guard: Path) -> None:
     session = SessionGuard.start(guard)
     output = Output()
-    child = spawn(
+    child = await spawn(
         shell("sleep 600 & echo $!; wait"), env=environment(), guard=session, on_output=output
     )
     member = psutil.Process(int(await output.wait_line("")))
@@ -277,7 +279,7 @@ async def test_a_guard_that_was_killed_takes_its_children_along_and_says_so(guar
     assert not alive([member])
     assert not session.is_alive
     with pytest.raises(SpawnError):
-        spawn(shell("sleep 600"), env=environment(), guard=session)
+        await spawn(shell("sleep 600"), env=environment(), guard=session)
     session.close()
 
 
@@ -296,7 +298,7 @@ def recycle(number, script):
 
 async def main(is_noticed):
     guard = SessionGuard.start(Path(sys.argv[1]))
-    child = spawn(shell("exec sleep 600"), env=environment(), guard=guard)
+    child = await spawn(shell("exec sleep 600"), env=environment(), guard=guard)
     os.kill(guard.pid, 9)
     os.waitid(os.P_PID, guard.pid, os.WEXITED | os.WNOWAIT)
     os.waitpid(child.pid, 0)  # we are the init of this namespace, and inherit it
@@ -341,10 +343,10 @@ async def test_a_slow_execution_holds_up_neither_its_supervisor_nor_others(
     program = Path(shutil.copy(shutil.which("sleep") or "", tmp_path))
     with slow_to_execute(program) as waits:
         slow, killed = [
-            spawn([str(program), "600"], env=environment(), guard=session) for _ in range(2)
+            await spawn([str(program), "600"], env=environment(), guard=session) for _ in range(2)
         ]
         await asyncio.to_thread(until, waits, "the execution")
-        other = spawn(shell("exit 3"), env=environment(), guard=session)
+        other = await spawn(shell("exit 3"), env=environment(), guard=session)
         async with asyncio.timeout(60):
             assert await other.gone() == Exit(code=3)
             assert killed.signal_group(signal.SIGKILL)
@@ -363,11 +365,11 @@ async def test_what_a_guard_starts_too_late_is_not_executed_and_its_children_liv
     guard: Path, tmp_path: Path
 ) -> None:
     session = SessionGuard.start(guard, answer_limit=0.1)
-    child = spawn(shell("sleep 600"), env=environment(), guard=session)
+    child = await spawn(shell("sleep 600"), env=environment(), guard=session)
     ran = tmp_path / "ran"
     os.kill(session.pid, signal.SIGSTOP)
     with pytest.raises(SpawnError, match="does not answer") as late:
-        spawn(shell(f"touch {ran}; sleep 600"), env=environment(), guard=session)
+        await spawn(shell(f"touch {ran}; sleep 600"), env=environment(), guard=session)
     assert late.value.errno == errno.ECONNRESET
     assert not session.is_alive
     os.kill(session.pid, signal.SIGCONT)
@@ -377,10 +379,10 @@ async def test_what_a_guard_starts_too_late_is_not_executed_and_its_children_liv
     await asyncio.to_thread(until, lambda: not alive([late_one]), "its end")
     assert not ran.exists()
     with pytest.raises(ChildProcessError):
-        session.ended(child.pid)
+        await session.ended(child.pid)
     assert child.is_running, "the late answer is not taken for that of another request"
     with pytest.raises(SpawnError):
-        spawn(shell("sleep 600"), env=environment(), guard=session)
+        await spawn(shell("sleep 600"), env=environment(), guard=session)
     child.send_signal(signal.SIGKILL)
     async with asyncio.timeout(60):
         assert (await child.gone()).is_lost
@@ -396,7 +398,7 @@ def children_of(session: SessionGuard) -> list[psutil.Process]:
 async def test_a_guard_that_was_stopped_is_continued(session: SessionGuard) -> None:
     """A node may do that, whose parent it is, or whoever stops everything of a user."""
     os.kill(session.pid, signal.SIGSTOP)
-    child = spawn(shell("exit 3"), env=environment(), guard=session)
+    child = await spawn(shell("exit 3"), env=environment(), guard=session)
     async with asyncio.timeout(60):
         assert await child.gone() == Exit(code=3)
     assert session.is_alive
@@ -423,7 +425,9 @@ async def test_nothing_is_inherited_before_linux_5_11(
 ) -> None:
     session = SessionGuard.start(refusing(guard, tmp_path, CLOSE_RANGE, flags, error))
     output = Output()
-    child = spawn(shell("ls /proc/self/fd"), env=environment(), guard=session, on_output=output)
+    child = await spawn(
+        shell("ls /proc/self/fd"), env=environment(), guard=session, on_output=output
+    )
     async with asyncio.timeout(60):
         assert await child.gone() == Exit()
     assert output.texts() == ["0", "1", "2", "3"]  # 3 is the folder
@@ -433,10 +437,10 @@ async def test_nothing_is_inherited_before_linux_5_11(
 @pytest.mark.anyio
 async def test_what_does_not_fit_is_refused(session: SessionGuard) -> None:
     with pytest.raises(SpawnError, match="null byte"):
-        spawn(["sh", "-c", "exit\0 3"], env=environment(), guard=session)
+        await spawn(["sh", "-c", "exit\0 3"], env=environment(), guard=session)
     large = {**environment(), "LARGE": "x" * 100_000, "EMPTY": "", "LINES": "a\nb=c"}
     output = Output()
-    child = spawn(
+    child = await spawn(
         shell('echo "${#LARGE}-$EMPTY-$LINES"'), env=large, guard=session, on_output=output
     )
     assert await child.gone() == Exit()

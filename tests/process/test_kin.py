@@ -65,7 +65,7 @@ async def started(
 ) -> tuple[Child, psutil.Process]:
     """Start a child that leaves a process behind, and give both."""
     output = Output()
-    child = spawn(
+    child = await spawn(
         python(f"import os, signal, time\n{textwrap.dedent(body)}\n{then}"),
         env=environment(),
         guard=session,
@@ -155,8 +155,8 @@ async def main():
     # Each has a group of its own, so that killpg(2) reaches neither.
     started = f"{sys.argv[2]} --reuid 0 sleep 600 & root=$!; sleep 600 & echo $root $!"
     output = Output()
-    child = spawn(["bash", "-c", f"set -m; {started}; read line < /dev/zero"], env=environment(),
-                  guard=guard, on_output=output)
+    script = f"set -m; {started}; read line < /dev/zero"
+    child = await spawn(["bash", "-c", script], env=environment(), guard=guard, on_output=output)
     print(await output.wait_line(""), flush=True)
     sys.stdin.readline()
     child.send_signal(9)
@@ -249,7 +249,7 @@ async def test_whose_a_process_is_stands_there_while_another_program_is_executed
     """For a moment, it has no environment."""
     again = 'exec sh -c "$again"'
     output = Output()
-    child = spawn(
+    child = await spawn(
         shell(f"echo ready; {again}"),
         env={**environment(), "again": again},
         guard=session,

@@ -68,7 +68,7 @@ def test_hurry_only_shortens(limit: float, elapsed: float, hurried: float) -> No
 
 async def ready(argv: list[str], guard: Path) -> tuple[Child, Output]:
     output = Output()
-    child = spawn(argv, env=environment(), guard=guard, on_output=output)
+    child = await spawn(argv, env=environment(), guard=guard, on_output=output)
     await output.wait_line("ready")
     return child, output
 
@@ -137,7 +137,7 @@ async def test_hurry_goes_through_the_levels(guard: Path) -> None:
 
 
 async def test_an_ended_process_needs_nothing(guard: Path) -> None:
-    child = spawn(["/bin/true"], env=environment(), guard=guard)
+    child = await spawn(["/bin/true"], env=environment(), guard=guard)
     await child.wait()
     outcome = await stop(child, PATIENT)
     assert (outcome.level, outcome.exit) == (StopLevel.NONE, Exit())

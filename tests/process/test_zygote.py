@@ -124,7 +124,7 @@ async def running(
     with ours:
         ours.setblocking(False)
         with theirs:
-            child = spawn(
+            child = await spawn(
                 [str(PROGRAM), *arguments, "--ros-args", "-r", "__node:=container"],
                 env={
                     **(environment or PLAIN),
@@ -252,7 +252,7 @@ async def test_output_and_exit_status_are_its_own(session: SessionGuard, zygote:
         results = []
         for each in (zygote, None):
             output = Output()
-            child = spawn(
+            child = await spawn(
                 [str(PROGRAM), argument],
                 env=PLAIN,
                 guard=session,
@@ -275,7 +275,7 @@ async def test_forks_begin_although_the_guard_is_asked_without_a_pause(
     async def ask() -> None:
         while not is_over:
             with suppress(ChildProcessError):
-                session.ended(os.getpid())
+                await session.ended(os.getpid())
             await asyncio.sleep(0)
 
     asking = asyncio.create_task(ask())

@@ -18,8 +18,7 @@ def _loop_is_never_blocked() -> Iterator[None]:
         # Popen waits for the exec of its vforked child, and a program is looked for in folders:
         # neither can wait for anything but the file system.
         blockbuster.functions["os.read"].can_block_in("subprocess.py", "_execute_child")
-        # The guard of the session answers as fast as a fork; what it gets is a file in memory.
-        blockbuster.functions["socket.socket.recv"].can_block_in("process/guard.py", "_ask")
+        # What the guard of the session gets is a file in memory.
         blockbuster.functions["io.BufferedWriter.write"].can_block_in("process/guard.py", "_file")
         # The kernel lists the threads of a process from memory.
         listdir = blockbuster.functions["os.listdir"]

@@ -338,7 +338,7 @@ class FakeLauncher:
     def hello(self) -> Hello:
         return Hello(version="1")
 
-    def start_container(
+    async def start_container(
         self, config: ContainerConfig, on_output: OutputCallback
     ) -> tuple[FakeProcess, FakeLink]:
         name = config.full_name
@@ -352,7 +352,7 @@ class FakeLauncher:
         started.append(container)
         return container.process, container.link
 
-    def start_process(self, config: ProcessConfig, on_output: OutputCallback) -> FakeProcess:
+    async def start_process(self, config: ProcessConfig, on_output: OutputCallback) -> FakeProcess:
         if config.full_name in self.failures:
             raise self.failures[config.full_name]
         process = FakeProcess(config.command or ())
@@ -363,7 +363,7 @@ class FakeLauncher:
     async def library_of(self, container: ContainerConfig, node: ComposableNodeConfig) -> str:
         return self.libraries.get(node.name, node.name)
 
-    def start_probe(
+    async def start_probe(
         self, container: ContainerConfig, node: ComposableNodeConfig, on_output: OutputCallback
     ) -> FakeProcess:
         if "probe" in self.failures:

@@ -105,8 +105,9 @@ async def running_natively(
     config: ReplayConfig, launcher: NativeLauncher | None = None, limits: Limits | None = None
 ) -> AsyncIterator[Running]:
     watching = Running()
+    publisher, stop, begins = Publisher(watching), watching.stop, watching.begins
     watching.task = asyncio.create_task(
-        run_system(config, Publisher(watching), watching.stop, launcher=launcher, limits=limits)
+        run_system(config, publisher, stop, launcher=launcher, limits=limits, on_begin=begins)
     )
     try:
         async with asyncio.timeout(60):
@@ -158,10 +159,10 @@ def test_a_fault_of_our_own_stops_one_container_in_order_and_no_other() -> None:
     broken: list[BrokenLink] = []
 
     class Launcher(NativeLauncher):
-        def start_container(
+        async def start_container(
             self, config: ContainerConfig, on_output: OutputCallback
         ) -> tuple[ManagedProcess, ControlLink]:
-            process, link = super().start_container(config, on_output)
+            process, link = await super().start_container(config, on_output)
             if config.name != "bad":
                 return process, link
             broken.append(BrokenLink(link))

@@ -242,8 +242,10 @@ def test_a_fault_of_our_own_stops_its_process_in_order_and_no_other() -> None:
             return await super().wait()
 
     class Launcher(FakeLauncher):
-        def start_process(self, config: ProcessConfig, on_output: OutputCallback) -> FakeProcess:
-            started = super().start_process(config, on_output)
+        async def start_process(
+            self, config: ProcessConfig, on_output: OutputCallback
+        ) -> FakeProcess:
+            started = await super().start_process(config, on_output)
             if config.name == "bad":
                 started.__class__ = Unheard
             return started
@@ -259,6 +261,37 @@ def test_a_fault_of_our_own_stops_its_process_in_order_and_no_other() -> None:
     assert sys.launcher.processes["/bad"][0].stopped_with == ["bug", "SIGINT"]
     assert sys.outcome is not None
     assert sys.outcome.exit_code == 1
+
+
+def test_a_start_that_is_not_answered_holds_up_no_restart_and_no_end() -> None:
+    class Unanswered(FakeLauncher):
+        """The first start of each is not answered."""
+
+        async def start_process(
+            self, config: ProcessConfig, on_output: OutputCallback
+        ) -> FakeProcess:
+            if config.full_name not in awaited:
+                awaited.append(config.full_name)
+                begun.set()
+                await asyncio.Event().wait()
+            return await super().start_process(config, on_output)
+
+    awaited: list[str] = []
+    begun = asyncio.Event()
+
+    async def main() -> Running:
+        async with running(system(process("again"), process("never")), Unanswered()) as sys:
+            await begun.wait()
+            sys.operated.restart("/again", "a restart")
+            await sys.until(lambda: ProcessEventKind.STARTED in sys.process_events("/again"))
+        return sys
+
+    sys = run(main())
+    assert sorted(awaited) == ["/again", "/never"]
+    assert len(sys.launcher.processes["/again"]) == 1
+    assert "/never" not in sys.launcher.processes
+    assert sys.outcome is not None
+    assert sys.outcome.exit_code == 0
 
 
 def test_it_is_told_to_shut_down_before_it_is_sent_signals() -> None:

@@ -8,6 +8,7 @@ import random
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from play_launch.config.dependency import Condition
 from play_launch.supervisor import inputs as said
 from play_launch.supervisor.conditions import has_ended
 from play_launch.supervisor.difference import NOTHING, Snapshot, events_between
@@ -196,17 +197,17 @@ class Machine:
         self.later(self.soon(0.1), lambda: self.started(proc))
 
     def started(self, proc: Proc) -> None:
+        if not proc.is_alive:
+            return
         known = self.world.processes.get(proc.unit)
         proc.is_ready = known is not None and known.container is None
         self.post(said.Started(proc.unit, proc.start, proc.pid, 1))
-        if not proc.is_alive:
-            return
         if self.is_unlucky(0.6):
             code, signal = self.chance.choice(((0, 0), (1, 0), (127, 0), (0, 11)))
             self.later(self.soon(20.0), lambda: self.end(proc, code, signal))
-        if self.world.processes.get(proc.unit) is None:
+        if proc.unit not in self.world.processes:
             return
-        if self.world.processes[proc.unit].container is None:
+        if proc.is_ready:
             if not self.is_unlucky():
                 line = said.LineSeen(proc.unit, "ready")
                 self.later(self.soon(), lambda: self.post(line))
@@ -217,8 +218,7 @@ class Machine:
         if not proc.is_alive:
             return
         if self.is_unlucky(0.05):
-            fault = said.Faulty(proc.unit, proc.start, "version 7", is_fatal=True)
-            self.post(fault)
+            self.post(said.Faulty(proc.unit, proc.start, "version 7", is_fatal=True))
             return
         proc.is_ready = True
         self.post(said.Greeted(proc.unit, proc.start, Hello("shared_memory", "isolated")))
@@ -245,6 +245,11 @@ class Machine:
             self.post(said.CleanedUp(proc.unit, proc.start))
 
     def kill(self, proc: Proc | None) -> None:
+        if proc is not None and not self.world.processes[proc.unit].is_started:
+            if self.chance.random() < 0.7:  # else its pid is on its way
+                proc.is_alive, proc.is_clean = False, True
+                self.post(said.NotStarted(proc.unit, proc.start, "cancelled", is_permanent=False))
+            return
         if proc is not None and proc.is_alive and not proc.ignores_kill:
             self.later(self.soon(0.1), lambda: self.end(proc, signal=9))
 
@@ -400,8 +405,6 @@ class Machine:
         self.post(said.FilesSeen(frozenset(self.files)))
 
     def _touch_topic(self) -> None:
-        from play_launch.config.dependency import Condition
-
         self.topics ^= {self.chance.choice(systems.TOPICS)}
         self.post(said.GraphSeen(frozenset((Condition.TOPIC, each) for each in self.topics)))
 

@@ -49,7 +49,8 @@ enum Request : std::int32_t {
   kReap = 3,
   kHelper = 4,
   kFarewell = 5,
-  kGroup = 6
+  kGroup = 6,
+  kForget = 7
 };
 
 using Answer = std::array<std::int32_t, 3>;
@@ -127,6 +128,13 @@ class Session {
         }
         if (message.numbers.size() == 1 && message.numbers[0] == kFarewell) {
           said_farewell_ = true;
+          message = {};
+          continue;
+        }
+        if (message.numbers.size() == 2 && message.numbers[0] == kForget) {
+          started_.erase(message.numbers[1]);
+          leaving_.erase(message.numbers[1]);
+          reap_orphans();  // it may have ended already
           message = {};
           continue;
         }

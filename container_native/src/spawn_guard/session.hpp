@@ -10,7 +10,8 @@ namespace play_launch::guard {
 /// and kills it. Containers get `kOrphanGrace` first, as they leave by themselves when their
 /// channel ends.
 ///
-/// The socket is a SOCK_SEQPACKET; each request has one answer, both native-endian 32-bit integers:
+/// The socket is a SOCK_SEQPACKET; each request has one answer, in the order of the requests, both
+/// native-endian 32-bit integers:
 ///   spawn   {1, leaves by itself, number of a zygote or 0, number n of descriptors, their numbers
 ///           in the child}, with the descriptors: a file with the command (see Command), the end of
 ///           a pipe, the socket of the zygote if there is one, then those n.
@@ -25,6 +26,7 @@ namespace play_launch::guard {
 ///   farewell {5}: the end of the socket that follows is not that of the supervisor. No answer.
 ///   group   {6}, with a descriptor: the folder of the session's control group. When the supervisor
 ///           has died, it is removed with those below it and all that is in them. No answer.
+///   forget  {7, pid}: nothing asks any more about a process that was given up. No answer.
 ///
 /// When the supervisor has died, `last_command` is started after all of that, unless it is null:
 /// what it does for the dead is done by nobody else until the next start.

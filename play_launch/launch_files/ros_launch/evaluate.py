@@ -6,6 +6,7 @@ this process is killed.
 
 from __future__ import annotations
 
+import asyncio
 import os
 import select
 import sys
@@ -93,7 +94,8 @@ def _run(job: Job, text: str) -> Description | Failure:
                 argv = [sys.executable, "-P", "-m", _MODULE, text]
                 with open(os.devnull, "rb") as nothing:  # noqa: PTH123
                     streams = {0: nothing.fileno(), 1: write, 2: 2}
-                    pid = guard.spawn(argv, _environment(), streams, leaves_by_itself=False)
+                    start = guard.spawn(argv, _environment(), streams, leaves_by_itself=False)
+                    pid = asyncio.run(start)
             finally:
                 os.close(write)
             if not job.only_arguments:
@@ -105,7 +107,7 @@ def _run(job: Job, text: str) -> Description | Failure:
         try:
             return decode_records(content)
         except ValueError:
-            return _failure(job, f"it ends its own evaluation: {_end(guard, pid)}")
+            return _failure(job, f"it ends its own evaluation: {asyncio.run(_end(guard, pid))}")
     finally:
         guard.close()
 
@@ -137,15 +139,15 @@ def _read(descriptor: int, limit: float) -> bytes | None:
             return bytes(content[SIZE.size :])
 
 
-def _end(guard: SessionGuard, pid: int) -> str:
+async def _end(guard: SessionGuard, pid: int) -> str:
     """Say how the process ended, which closed its end of the pipe before."""
     deadline = time.monotonic() + _END_LIMIT
     found: Exit | None = None
     while found is None and time.monotonic() < deadline:
         try:
-            found = guard.ended(pid)
+            found = await guard.ended(pid)
         except ChildProcessError:
             break
         if found is None:
-            time.sleep(0.01)
+            await asyncio.sleep(0.01)
     return str(found) if found is not None else "it closed its output"
