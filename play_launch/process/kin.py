@@ -9,6 +9,7 @@ with the session.
 from __future__ import annotations
 
 import asyncio
+import itertools
 import logging
 import threading
 import time
@@ -33,6 +34,8 @@ _LONGEST_READ: Final = 1.0
 _LONGEST_EXECUTION: Final = 0.5
 """Seconds that a program may take to be mapped."""
 _PAUSE: Final = 0.001
+_LOOKS_AT_NONE: Final = 5
+"""An environment has no bytes for a moment while it is made; seen so often, there is none."""
 _ENVIRONMENT: Final = slice(47, 49)
 """Begin and end of it, among what follows the command in ``/proc/<pid>/stat``."""
 
@@ -136,20 +139,29 @@ def below(table: Collection[ProcessStat], roots: Collection[int]) -> list[Proces
 def mark_of(pid: int) -> str:
     """Read which child a process came of; empty where that cannot be known."""
     deadline = time.monotonic() + _LONGEST_EXECUTION
+    name = f"{MEMBER_VARIABLE}=".encode()
+    looks = itertools.count(1)
     try:
-        while not (text := Path(f"/proc/{pid}/environ").read_bytes()):
-            if not _is_being_executed(pid) or time.monotonic() > deadline:
+        while True:
+            text = Path(f"/proc/{pid}/environ").read_bytes()
+            for each in text.split(b"\0"):
+                if each.startswith(name):
+                    return each.removeprefix(name).decode(errors="replace")
+            is_certain = bool(text) or next(looks) >= _LOOKS_AT_NONE
+            if is_certain and not _is_being_executed(pid, len(text)):
+                return ""
+            if time.monotonic() > deadline:
                 return ""
             time.sleep(_PAUSE)
     except OSError:  # it has ended, or is another user's by now
         return ""
-    name = f"{MEMBER_VARIABLE}=".encode()
-    marks = (each.removeprefix(name) for each in text.split(b"\0") if each.startswith(name))
-    return next(marks, b"").decode(errors="replace")
 
 
-def _is_being_executed(pid: int) -> bool:
-    """Whether a process without environment is just getting one: execve(2) begins with none."""
+def _is_being_executed(pid: int, size: int) -> bool:
+    """Whether a process is getting its environment, of which so many bytes were read.
+
+    execve(2) begins with none, and what is read while it goes on may be cut.
+    """
     stat = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
     begin, end = map(int, stat.rpartition(")")[2].split()[_ENVIRONMENT])
-    return parse_stat(stat).is_alive and (end == 0 or end > begin)
+    return parse_stat(stat).is_alive and (end == 0 or end - begin != size)
