@@ -26,6 +26,10 @@ test *arguments:
 search *arguments:
     {{python}} -m pytest --hypothesis-profile search {{arguments}}
 
+# Simulate whole lives of systems until one breaks an invariant: just simulate --seeds 0:10000
+simulate *arguments:
+    {{python}} -m tests.simulation {{arguments}}
+
 # Check style and types.
 lint:
     {{python}} -m pytest tests/style

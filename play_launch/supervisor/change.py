@@ -50,6 +50,14 @@ class Change(Struct, frozen=True, kw_only=True):
     limit: float
     open: tuple[OpenStep, ...] = ()
     has_failed: bool = False
+    recalls: frozenset[str] = frozenset()
+    """What an operator had stopped before it began; what it replaces of that is started."""
+
+
+def dismissed(world: World, name: str) -> None:
+    """Leave what an operator stops during a change stopped."""
+    if world.change is not None:
+        world.change = replace(world.change, recalls=world.change.recalls - {name})
 
 
 def begin(step: Step, said: ChangeRequested) -> None:
@@ -61,7 +69,11 @@ def begin(step: Step, said: ChangeRequested) -> None:
     for unit, managed in target.managed.items():
         if unit not in world.goals:
             world.put(Goal(unit=unit, config=managed))
-    world.change = Change(target=target, phases=said.phases, limit=said.limit)
+    world.change = Change(
+        target=target, phases=said.phases, limit=said.limit, recalls=world.dismissed
+    )
+    # What is taken out must not start because the target has no rule that holds it back.
+    settle_confined(step)
 
 
 def parameters_set(step: Step, said: ParametersSet) -> None:
@@ -194,7 +206,9 @@ def _replace(world: World, target: ReplayConfig, plan_step: PlanStep) -> None:
     """Have one run that is configured as in the target, anew if it runs."""
     config: Any = declared(target, plan_step)
     nodes = config.composable_nodes if plan_step.kind is Kind.CONTAINER else ()
-    world.dismissed -= {plan_step.name, *(str(node.key) for node in nodes)}
+    if world.change is not None:
+        recalled = {plan_step.name, *(str(node.key) for node in nodes)}
+        world.dismissed -= recalled & world.change.recalls
     if plan_step.kind is Kind.COMPONENT:
         _replace_node(world, NodeKey.parsed(plan_step.name), config)
         return

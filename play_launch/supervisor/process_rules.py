@@ -54,6 +54,8 @@ def apply(step: Step, name: str, fact: Fact, reason: str = "", due: float | None
     phase, actions = TABLE[before.phase][fact]
     if phase is not before.phase:
         step.world.put(before, phase=phase, reason=reason, due=due)
+        if phase is Phase.GAVE_UP and before.phase is not Phase.STOPPING:
+            _end_all_with(step, before)
     for action in actions:
         process = step.process(name)
         match action:
@@ -168,6 +170,8 @@ def poisoned(step: Step, process: Process, reason: str) -> None:
 def exited(step: Step, said: Exited) -> None:
     """A process exited."""
     process = step.process(said.unit)
+    if process.exit is not None:
+        return  # it was reported before
     step.world.put(process, exit=said.exit, is_stuck=False, due=None)
     if process.phase in INACTIVE or process.phase in {Phase.QUEUED, Phase.BACKOFF}:
         return  # what follows was decided before
@@ -265,8 +269,13 @@ def _exit(
         apply(step, name, Fact.EXITED_DONE, reason)
     else:
         _restart(step, process, reason, lived)
-    if ends_all:
-        request_stop(step, f"{name} has ended")
+    if not was_stopped:
+        _end_all_with(step, process)
+
+
+def _end_all_with(step: Step, process: Process) -> None:
+    if process.config.on_exit is OnExit.SHUTDOWN:
+        request_stop(step, f"{process.name} has ended")
 
 
 def _restart(step: Step, process: Process, reason: str, lived: float) -> None:
@@ -373,11 +382,14 @@ def _with_next_config(step: Step, process: Process) -> Process:
     assert config is not None
     # What was started once waits for no conditions.
     released = {node.key: node.released_at for node in world.nodes_of(process.name)}
+    asked = [each.key for each in world.nodes_of(process.name) if each.generation > each.attempted]
     for node in world.nodes_of(process.name):
         world.forget(node)
     if isinstance(config, ContainerConfig):
         for each in config.composable_nodes:
-            world.put(Node(config=each, released_at=released.get(each.key)))
+            is_asked = int(each.key in asked)
+            released_at = released.get(each.key)
+            world.put(Node(config=each, generation=is_asked, released_at=released_at))
     anew = Process(config=config, generation=process.generation, attempt=process.attempt)
     anew = replace(anew, released_at=process.released_at)
     world.put(replace(anew, phase=process.phase, reason=process.reason))
@@ -390,7 +402,7 @@ def _queue(step: Step, process: Process) -> None:
     ready = readiness(world, process, step.now)
     if ready.failure:
         world.put(process, wait=None)
-        _impossible(step, process, ready.failure)
+        apply(step, process.name, Fact.IMPOSSIBLE, ready.failure)
         return
     if not ready.may_start:
         assert ready.wait is not None
@@ -405,12 +417,6 @@ def _queue(step: Step, process: Process) -> None:
     process = step.process(process.name)
     if not process.is_present and _has_slot(step, process):
         apply(step, process.name, Fact.TURN)
-
-
-def _impossible(step: Step, process: Process, reason: str) -> None:
-    apply(step, process.name, Fact.IMPOSSIBLE, reason)
-    if process.config.on_exit is OnExit.SHUTDOWN:
-        request_stop(step, f"{process.name} has ended")
 
 
 def reported(step: Step, name: str, before: Wait | None, wait: Wait) -> Wait:

@@ -87,6 +87,8 @@ def reduce(world: World, said: Input, now: float, chance: float = 0.5) -> list[E
         _settle(step, is_about_all=isinstance(said, _ABOUT_ALL))
     except Exception as error:  # noqa: BLE001 - the effects until then are carried out
         step.effects.append(Raised("", error))
+    # What is declared anew later is wanted.
+    world.dismissed = frozenset(each for each in world.dismissed if find_unit(world, each))
     return step.finish()
 
 
@@ -204,6 +206,7 @@ def _operate(
         case EndRequested():
             world.put(world.processes[said.unit], request_reason=said.reason)
             world.dismissed |= {said.unit}
+            change.dismissed(world, said.unit)
         case LoadRequested():
             node = world.nodes[said.node]
             was_wanted = str(said.node) not in world.dismissed
@@ -219,6 +222,7 @@ def _operate(
             )
         case UnloadRequested():
             world.dismissed |= {str(said.node)}
+            change.dismissed(world, str(said.node))
 
 
 def _settle(step: Step, *, is_about_all: bool) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 from pathlib import Path
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 from msgspec.structs import replace
 
@@ -20,11 +21,17 @@ from play_launch.config.model import (
     ContainerConfig,
     ContainerType,
     ManagedConfig,
+    ParameterConfig,
+    ParameterType,
+    ParameterValue,
     ProcessConfig,
     ReplayConfig,
 )
 from play_launch.config.node_key import NodeKey
 from play_launch.config.policies import Autostart, OnCrash, OnExit, RestartLimits
+
+if TYPE_CHECKING:
+    from collections.abc import Container
 
 FILES = ("/calibration", "/map")
 TOPICS = ("/scan", "/tf")
@@ -52,12 +59,14 @@ def node(chance: random.Random, container: str, name: str) -> ComposableNodeConf
 
 
 def container(chance: random.Random, name: str) -> ContainerConfig:
-    full_name = f"/{name}"
+    full_name, attach = f"/{name}", chance.random() < 0.1
+    kinds = (ContainerType.ISOLATED, ContainerType.ISOLATED, ContainerType.STOCK)
     return ContainerConfig(
         name=name,
         namespace="/",
         full_name=full_name,
-        container_type=chance.choice((ContainerType.ISOLATED, ContainerType.STOCK)),
+        container_type=ContainerType.STOCK if attach else chance.choice(kinds),
+        attach=attach,
         restart=restart(chance),
         on_exit=OnExit.SHUTDOWN if chance.random() < 0.05 else OnExit.RESTART,
         loading_timeout=chance.choice((5.0, 10.0)),
@@ -79,16 +88,23 @@ def process(chance: random.Random, name: str) -> ProcessConfig:
     )
 
 
-def rule(chance: random.Random, others: list[str]) -> StartRule:
+def rule(
+    chance: random.Random, others: list[str], managed: Container[str], containers: Container[str]
+) -> StartRule:
     found = []
     for _ in range(chance.randrange(1, 3)):
         unit = chance.choice(others) if others else ""
         timeout = chance.choice((float("inf"), 3.0, 20.0))
         otherwise = chance.choice(list(Otherwise))
         kinds = [Condition.FILE, Condition.TOPIC]
-        if unit:
-            of_node = ":" in unit
-            kinds += [Condition.LOADED] if of_node else [Condition.STARTED, Condition.LOG]
+        if unit in managed:
+            kinds += [Condition.ACTIVE]
+        if ":" in unit:
+            kinds += [Condition.LOADED]
+        elif unit in containers:
+            kinds += [Condition.STARTED, Condition.LOADED]
+        elif unit:
+            kinds += [Condition.STARTED, Condition.LOG, Condition.EXITED]
         kind = chance.choice(kinds)
         subject = {
             Condition.FILE: chance.choice(FILES),
@@ -122,20 +138,33 @@ def system(chance: random.Random) -> ReplayConfig:
         nodes=processes,
     )
     units = [unit for name, nodes in config.units.items() for unit in (name, *nodes)]
-    rules: dict[str, StartRule] = {}
-    for index, unit in enumerate(units):
-        if chance.random() < 0.3:
-            tried = {**rules, unit: rule(chance, units[:index])}
-            if not DependencyGraph(tried, config.units).cycles():
-                rules = tried
+    boxes = {each.full_name for each in containers}
     managed = {
         unit: ManagedConfig(
             name=unit.rpartition(":")[2], autostart=chance.choice(list(Autostart)), timeout=5.0
         )
         for unit in units
-        if chance.random() < 0.1 and unit not in {each.full_name for each in containers}
+        if chance.random() < 0.15 and unit not in boxes
     }
+    rules: dict[str, StartRule] = {}
+    for index, unit in enumerate(units):
+        if chance.random() < 0.3:
+            tried = {**rules, unit: rule(chance, units[:index], managed, boxes)}
+            if not DependencyGraph(tried, config.units).cycles():
+                rules = tried
     return replace(config, start_rules=MappingProxyType(rules), managed=MappingProxyType(managed))
+
+
+def changed_node(chance: random.Random, node: ComposableNodeConfig) -> ComposableNodeConfig:
+    how = chance.random()
+    if how < 0.15:
+        return replace(node, log_level=chance.choice(("warn", "info")))
+    if how < 0.3:
+        value = ParameterValue(ParameterType.INTEGER, chance.randrange(3))
+        return replace(node, parameters=(ParameterConfig("rate", value),))
+    if how < 0.35:
+        return replace(node, on_crash=chance.choice(list(OnCrash)))
+    return node
 
 
 def changed(chance: random.Random, config: ReplayConfig) -> ReplayConfig:
@@ -147,9 +176,7 @@ def changed(chance: random.Random, config: ReplayConfig) -> ReplayConfig:
             each,
             log_level="debug" if chance.random() < 0.2 else each.log_level,
             composable_nodes=tuple(
-                replace(one, log_level="warn") if chance.random() < 0.2 else one
-                for one in each.composable_nodes
-                if chance.random() < 0.9
+                changed_node(chance, one) for one in each.composable_nodes if chance.random() < 0.9
             ),
         )
         for each in containers

@@ -1,0 +1,17 @@
+"""A container may start without end."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from play_launch.supervisor import process_rules
+from tests.simulation.rewriting import rewrite
+
+if TYPE_CHECKING:
+    import pytest
+
+FOUND_BY: Final = "what is wanted is up"
+
+
+def apply(patch: pytest.MonkeyPatch) -> None:
+    rewrite(patch, process_rules.started, "step.now + step.world.limits.hello", "None")

@@ -1,0 +1,17 @@
+"""A node that is loaded is not replaced at request."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from play_launch.supervisor import reducer
+from tests.simulation.rewriting import rewrite
+
+if TYPE_CHECKING:
+    import pytest
+
+FOUND_BY: Final = "what is asked for is done"
+
+
+def apply(patch: pytest.MonkeyPatch) -> None:
+    rewrite(patch, reducer._operate, "(said.anew or not exists)", "(not exists)")

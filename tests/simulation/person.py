@@ -1,0 +1,130 @@
+"""A person who types at random, another configuration included."""
+
+from __future__ import annotations
+
+import random
+from typing import TYPE_CHECKING
+
+from play_launch.config.node_key import NodeKey
+from play_launch.supervisor import inputs as said
+from play_launch.supervisor.events import ActionEvent, ActionPhase
+from play_launch.supervisor.plan import plan
+from play_launch.supervisor.steps import Result, StepOutcome, after
+from play_launch.supervisor.view import absent
+
+from . import systems
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from play_launch.config.model import ReplayConfig
+
+    from .machine import Machine
+
+
+class Person:
+    """Does one thing at a time, and does not wait for what follows."""
+
+    def __init__(self, machine: Machine) -> None:
+        self._machine = machine
+        self.target: ReplayConfig | None = None
+        """What is being applied."""
+        self.done: list[said.StepEnded] = []
+        self._changes = 0
+
+    def meddle(self) -> None:
+        """Do one thing that a person or the world outside does."""
+        machine, chance = self._machine, self._machine.chance
+        if not chance.happens(1.0, "meddling"):
+            return
+        names, keys = list(machine.world.processes), list(machine.world.nodes)
+        deeds: list[Callable[[], None]] = [machine.touch_file, machine.touch_topic, self._change]
+        if names:
+            name = chance.choice(names, "name")
+            anew = said.StartRequested(name, anew=True, reason="for a test")
+            deeds += [
+                lambda: self._act("start", name, said.StartRequested(name)),
+                lambda: self._act("stop", name, said.EndRequested(name, "a person asked for it")),
+                lambda: self._act("restart", name, anew),
+            ]
+        if keys:
+            key = chance.choice(keys, "key")
+            deeds += [
+                lambda: self._act("load", str(key), said.LoadRequested(key)),
+                lambda: self._act("unload", str(key), said.UnloadRequested(key)),
+                lambda: self._act("reload", str(key), said.LoadRequested(key, anew=True)),
+            ]
+        chance.choice(deeds, "deed")()
+
+    def _act(self, action: str, target: str, one: said.Input) -> None:
+        self._note(action, (target,))
+        self._machine.post(one)
+
+    def _note(self, action: str, targets: tuple[str, ...]) -> None:
+        event = ActionEvent(
+            stamp_ns=0,
+            number=1,
+            action=action,
+            phase=ActionPhase.REQUESTED,
+            targets=targets,
+            uid=0,
+            pid=1,
+            command="",
+        )
+        self._machine.publish([event])
+
+    def _change(self) -> None:
+        machine = self._machine
+        if self.target is not None or machine.world.is_stopping or machine.world.is_ending:
+            return
+        self._changes += 1
+        chance = random.Random(f"{machine.chance.seed} {self._changes}")
+        self.target = systems.changed(chance, machine.config)
+        found = plan(machine.config, self.target, self._absent())
+        self.done = []
+        recalled = tuple(step.name for step in found.to_do if step.name)
+        self._note("apply", recalled)
+        machine.post(said.ChangeRequested(self.target, found.phases(), 30.0))
+
+    def _absent(self) -> dict[str, str]:
+        """As `play_launch.runtime.applying` finds it."""
+        world, config = self._machine.world, self._machine.config
+        members = {*(each.full_name for each in config.containers)}
+        members |= {each.full_name for each in config.nodes}
+        nodes = {each.key for box in config.containers for each in box.composable_nodes}
+        left = [*(members - world.processes.keys()), *map(str, nodes - world.nodes.keys())]
+        left += [
+            each.name
+            for each in world.processes.values()
+            if each.is_removed or each.next_config is not None
+        ]
+        left += [str(each.key) for each in world.nodes.values() if each.is_removed]
+        return {**absent(self._machine.view), **dict.fromkeys(left, "it was asked to end")}
+
+    def set_parameters(self, effect: said.SetParameters) -> None:
+        machine, step = self._machine, effect.step
+        refuses = machine.is_unlucky(1.0, f"refuses parameters: {step.name}")
+        answer = said.ParametersSet(step, "it is read only" if refuses else "")
+        if not machine.is_unlucky(0.1, f"does not answer: {step.name}"):
+            machine.post_later(machine.soon(1.0, f"parameters {step.name}"), answer)
+
+    def step_ended(self, effect: said.StepEnded) -> None:
+        self.done.append(effect)
+
+    def change_ended(self) -> None:
+        machine = self._machine
+        assert self.target is not None
+        held = [
+            each.step
+            for each in self.done
+            if StepOutcome(
+                step=each.step, result=Result.DONE if each.is_done else Result.FAILED
+            ).holds
+        ]
+        machine.config = after(machine.config, self.target, held)
+        self.target = None
+
+
+def unit_of(name: str) -> str:
+    """Name the process that a unit lives in."""
+    return NodeKey.parsed(name).container if ":/" in name else name

@@ -1,0 +1,297 @@
+"""What was wanted and what happened, noted from inputs, effects and events; no rule is asked."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final
+
+from play_launch.supervisor import inputs as said
+from play_launch.supervisor.events import ContainerState as State
+from play_launch.supervisor.events import (
+    ContainerStateChanged,
+    NodeState,
+    NodeStateChanged,
+    ProcessEvent,
+    ProcessEventKind,
+    Withdrawn,
+)
+from play_launch.supervisor.steps import Action
+
+from .person import unit_of
+
+if TYPE_CHECKING:
+    from play_launch.config.node_key import NodeKey
+    from play_launch.supervisor.events import RunEvent
+    from play_launch.supervisor.world import Exit
+
+    from .machine import Machine
+
+LOADING: Final = frozenset({NodeState.REQUESTED, NodeState.LOADING})
+
+
+class BrokenError(AssertionError):
+    """An invariant does not hold."""
+
+    def __init__(self, name: str, text: str, units: tuple[str, ...] = ()) -> None:
+        super().__init__(f"[{name}] {text}")
+        self.name = name
+        self.units = {unit_of(each) for each in units}
+        """What it is about; empty: everything."""
+
+
+@dataclass
+class Ending:
+    """How a start ended: a process exited, or none came."""
+
+    at: float
+    exit: Exit | None
+    lived: float
+    was_ready: bool
+    is_permanent: bool
+    was_stopped: bool
+    """Whether the supervisor had stopped it."""
+    was_killed: bool
+    under_way: frozenset[NodeKey]
+    """Nodes that were being loaded into it."""
+
+
+@dataclass
+class Starts:
+    """The starts of one unit."""
+
+    start: int = 0
+    at: float = 0.0
+    ending: Ending | None = None
+    restarts: list[tuple[float, float, bool]] = field(default_factory=list)
+    """Restarts that nothing requested: time of the death, of the spawn, whether no node was being
+    loaded."""
+    streak: int = 0
+    is_fatal: bool = False
+    was_stopped: bool = False
+    was_killed: bool = False
+    deaths: int = 0
+    exits: int = 0
+    """How often an exit of the latest start was published."""
+
+
+class Seen:
+    """Watches one machine."""
+
+    def __init__(self, machine: Machine) -> None:
+        self._machine = machine
+        self.starts: defaultdict[str, Starts] = defaultdict(Starts)
+        self.dismissed: set[str] = set()
+        self.unsure: set[str] = set()
+        """Dismissed ones that a change may have recalled."""
+        self.requested: set[str] = set()
+        """Units whose next start or load was requested; conditions do not count."""
+        self.anew: dict[str, tuple[float, int]] = {}
+        """Replacements that were requested: when, and the start or attempt to be replaced."""
+        self.attempts: dict[NodeKey, int] = {}
+        self.gave_up: set[str] = set()
+        """Units that were reported as given up, and not requested since."""
+        self.killers: defaultdict[NodeKey, int] = defaultdict(int)
+        """Deaths of its container in a row while a node was being loaded."""
+        self.killed: dict[str, float] = {}
+        """When processes were killed that have not exited."""
+        self.shown: dict[NodeKey, NodeState] = {}
+        self.crashed: dict[NodeKey, int] = {}
+        """Nodes whose latest instance crashed: the start of their container."""
+        self.stop_reason: str | None = None
+        self.stopped_at = 0.0
+        self.is_hurried = False
+        self.has_changed = self.is_changing = False
+        self.changing: set[str] = set()
+        """What the change that is being carried out is about."""
+        self.unremoved: set[str] = set()
+        """What could not be taken out in time, and may go later."""
+        self.lines: set[tuple[str, str]] = set()
+        self.ends_all: str = ""
+        """What has to end the whole system."""
+        self.born = machine.now
+
+    def before(self, one: said.Input) -> None:
+        """Note an input before the supervisor gets it."""
+        now = self._machine.now
+        match one:
+            case said.StartRequested():
+                self._recall(one.unit)
+                if one.anew:
+                    self.anew[one.unit] = (now, self.starts[one.unit].start)
+                    self._stops(one.unit)
+            case said.EndRequested():
+                self.dismissed.add(one.unit)
+                self.unsure.discard(one.unit)
+                self._stops(one.unit)
+                self.anew.pop(one.unit, None)
+            case said.LoadRequested():
+                self._recall(str(one.node))
+                if one.anew:
+                    self.anew[str(one.node)] = (now, self.attempts.get(one.node, 0))
+            case said.UnloadRequested():
+                self.dismissed.add(str(one.node))
+                self.unsure.discard(str(one.node))
+                self.anew.pop(str(one.node), None)
+            case said.ChangeRequested():
+                self._change(one)
+            case said.StopRequested():
+                if self.stop_reason is not None and one.signum is not None:
+                    self.is_hurried = True
+                if self.stop_reason is None:
+                    self.stop_reason, self.stopped_at = one.reason, now
+            case said.Hurried():
+                self.is_hurried = True
+            case said.LineSeen():
+                self.lines.add((one.unit, one.pattern))
+            case said.Exited() | said.NotStarted():
+                self._ends(one)
+            case said.NodeReported():
+                self._reported(one)
+            case _:
+                pass
+
+    def _stops(self, unit: str) -> None:
+        """Note that a process is not wanted, even if it is too early to stop it."""
+        starts = self.starts[unit]
+        if starts.start and starts.ending is None:
+            starts.was_stopped = True
+
+    def _recall(self, unit: str) -> None:
+        self.dismissed.discard(unit)
+        self.unsure.discard(unit)
+        self.requested.add(unit)
+        self.gave_up.discard(unit)
+        if ":/" not in unit:
+            self.starts[unit].restarts.clear()
+
+    def _change(self, one: said.ChangeRequested) -> None:
+        self.has_changed = self.is_changing = True
+        self.changing.clear()
+        for phase in one.phases:
+            for step in phase:
+                self.changing.add(step.name)
+                self.gave_up.discard(step.name)
+                for unit in [each for each in self.anew if step.name in {each, unit_of(each)}]:
+                    del self.anew[unit]
+                if step.action not in {Action.REMOVE, Action.ADOPT}:
+                    # The nodes of a container come with it.
+                    recalled = {
+                        each for each in self.dismissed if step.name in {each, unit_of(each)}
+                    }
+                    self.dismissed -= recalled
+                    # They are declared anew.
+                    self.gave_up -= {each for each in self.gave_up if unit_of(each) == step.name}
+                    self.unsure |= recalled
+
+    def _ends(self, one: said.Exited | said.NotStarted) -> None:
+        """Note the first report of the end of the latest start."""
+        starts = self.starts[one.unit]
+        if starts.start != one.start or starts.ending is not None:
+            return
+        machine, now = self._machine, self._machine.now
+        self.killed.pop(one.unit, None)
+        proc = machine.processes.last(one.unit)
+        exited = isinstance(one, said.Exited)
+        was_ready = exited and proc is not None and proc.is_ready
+        lived = 0.0
+        if exited and proc is not None and was_ready:
+            lived = now - (proc.ready_at if proc.is_container else proc.spawned_at)
+        shown = machine.view.containers.get(one.unit)
+        nodes = shown.nodes.values() if shown is not None else ()
+        under_way = frozenset(each.key for each in nodes if each.state in LOADING)
+        starts.ending = Ending(
+            at=now,
+            exit=one.exit if isinstance(one, said.Exited) else None,
+            lived=lived,
+            was_ready=was_ready,
+            is_permanent=isinstance(one, said.NotStarted) and one.is_permanent,
+            was_stopped=starts.was_stopped,
+            was_killed=starts.was_killed,
+            under_way=under_way,
+        )
+        starts.deaths += 1
+        if not starts.was_stopped and not starts.was_killed and exited:
+            for key in under_way:
+                self.killers[key] += 1
+
+    def _reported(self, one: said.NodeReported) -> None:
+        for key, attempt in self.attempts.items():
+            if key.container == one.unit and attempt == one.attempt and one.said == "crashed":
+                self.crashed[key] = one.start
+
+    def effect(self, effect: said.Effect) -> None:
+        """Note an effect after it was judged."""
+        machine = self._machine
+        match effect:
+            case said.Spawn():
+                starts = self.starts[effect.unit]
+                starts.start, starts.at, starts.ending = effect.start, machine.now, None
+                starts.is_fatal = starts.was_stopped = starts.was_killed = False
+                starts.exits = 0
+                self.requested.discard(effect.unit)
+            case said.Load():
+                self.attempts[effect.node] = effect.attempt
+                self.crashed.pop(effect.node, None)
+                self.requested.discard(str(effect.node))
+            case said.Stop():
+                self.starts[effect.unit].was_stopped = True
+            case said.Kill():
+                self.starts[effect.unit].was_killed = True
+                self.killed[effect.unit] = machine.now
+            case said.StepEnded():
+                if not effect.is_done:
+                    self.requested.add(effect.step.name)
+                has_failed = not effect.is_done and effect.step.action is Action.REMOVE
+                (self.unremoved.add if has_failed else self.unremoved.discard)(effect.step.name)
+            case said.ChangeEnded():
+                self.is_changing = False
+                self.changing.clear()
+            case _:
+                pass
+
+    def event(self, event: RunEvent) -> None:
+        """Note what was published."""
+        match event:
+            case ContainerStateChanged(state=State.GAVE_UP):
+                self._given_up(event.container)
+            case ProcessEvent(kind=ProcessEventKind.GAVE_UP):
+                self._given_up(event.name)
+            case ProcessEvent(kind=ProcessEventKind.EXITED):
+                self.starts[event.name].exits += 1
+            case NodeStateChanged():
+                was = self.shown.get(event.key)
+                self.shown[event.key] = event.state
+                if event.state is NodeState.GAVE_UP:
+                    self._given_up(str(event.key))
+                if was in LOADING and event.state not in {*LOADING, NodeState.LOST}:
+                    self.killers.pop(event.key, None)
+            case Withdrawn():
+                for units in (self.dismissed, self.unsure, self.requested, self.gave_up):
+                    units.discard(event.key)
+                    units -= {each for each in units if each.startswith(f"{event.key}:/")}
+                self.anew.pop(event.key, None)
+                self.starts[event.key].restarts.clear()
+            case _:
+                pass
+
+    def _given_up(self, unit: str) -> None:
+        if not self.is_requested(unit):
+            self.gave_up.add(unit)
+
+    def is_requested(self, unit: str) -> bool:
+        """Whether its next start or load is requested by a person, or by a change."""
+        return not {unit, unit_of(unit)}.isdisjoint({*self.requested, *self.changing})
+
+    def forgive(self, container: str) -> None:
+        """Begin anew with the nodes of a container."""
+        for key in [key for key in self.killers if key.container == container]:
+            del self.killers[key]
+
+    def is_dismissed(self, unit: str) -> bool:
+        """Whether it must not run."""
+        return unit in self.dismissed
+
+    def is_wanted(self, unit: str) -> bool:
+        """Whether it has to run, if it can."""
+        return unit not in self.dismissed and unit not in self.unsure
