@@ -2,6 +2,7 @@
 
 #include <dirent.h>
 #include <dlfcn.h>
+#include <pthread.h>
 #include <signal.h>
 #include <unistd.h>
 
@@ -16,6 +17,7 @@
 #include <vector>
 
 #include "harness.hpp"
+#include "isolation/clone/inheritance.hpp"
 
 namespace {
 
@@ -150,6 +152,51 @@ void test_thread_local_objects() {
   CHECK(destroyed_in_container == 0);
 }
 
+/// The stack of a dead thread that was joined becomes another one's, which finds nothing of it.
+void test_thread_on_the_stack_of_a_dead_one() {
+  static pthread_key_t key{};
+  static pthread_t dead{};
+  CHECK(::pthread_key_create(&key, nullptr) == 0);
+  Program dying([](Program&) {
+    const auto allocate_and_die = [](void*) -> void* {
+      ::pthread_setspecific(key, &key);
+      void* volatile memory = std::malloc(1);
+      std::free(memory);
+      std::abort();
+    };
+    CHECK(::pthread_create(&dead, nullptr, allocate_and_die, nullptr) == 0);
+    while (true) {
+      ::pause();
+    }
+    return 0;
+  });
+  Program next([](Program&) {
+    CHECK(::pthread_tryjoin_np(dead, nullptr) == 0);
+    pthread_t thread{};
+    void* found = &thread;
+    const auto look = [](void*) { return ::pthread_getspecific(key); };
+    CHECK(::pthread_create(&thread, nullptr, look, nullptr) == 0);
+    CHECK(thread == dead);
+    CHECK(::pthread_join(thread, &found) == 0);
+    CHECK(found == nullptr);
+    return 0;
+  });
+  CrashSlot slot;
+  ChildEnd death;
+  ChildEnd end;
+  DonorThread donor("donor", [&] {
+    death = run_in_child(dying, slot);
+    CHECK(slot.report.resting_thread_count == 1);
+    CHECK(give_back_heaps(slot));
+    CrashSlot next_slot;
+    end = run_in_child(next, next_slot);
+  });
+  donor.join();
+  CHECK(death.signal == SIGABRT);
+  CHECK(end.clean());
+  ::pthread_key_delete(key);
+}
+
 /// The end of the container ends the children.
 void test_children_die_with_their_container() {
   Event alive;
@@ -240,6 +287,7 @@ int main() {
   test_growth(false);
   test_growth(true);
   test_thread_local_objects();
+  test_thread_on_the_stack_of_a_dead_one();
   test_children_die_with_their_container();
   test_limit_of_cpu_time();
   test_the_end_of_a_donor_is_announced();

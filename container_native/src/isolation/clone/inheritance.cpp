@@ -1,8 +1,10 @@
 #include "isolation/clone/inheritance.hpp"
 
+#include <pthread.h>
 #include <signal.h>
 
 #include <chrono>
+#include <climits>
 #include <cstdint>
 
 #include "isolation/clone/allocator.hpp"
@@ -35,10 +37,22 @@ constexpr auto kLimit = 200ms;
 #endif
 }
 
-[[gnu::noinline]] void call_as(std::uintptr_t thread_pointer, ThreadDone function) noexcept {
+/// What the C library does at the end of a thread, without destructors.
+void forget_values_of_keys() noexcept {
+  for (pthread_key_t key = 0; key < PTHREAD_KEYS_MAX; ++key) {
+    if (::pthread_getspecific(key) != nullptr) {
+      ::pthread_setspecific(key, nullptr);
+    }
+  }
+}
+
+[[gnu::noinline]] void end_as(std::uintptr_t thread_pointer, ThreadDone done) noexcept {
   const auto own = reinterpret_cast<std::uintptr_t>(__builtin_thread_pointer());
   become(thread_pointer);
-  function();
+  if (done != nullptr) {
+    done();
+  }
+  forget_values_of_keys();
   become(own);
 }
 
@@ -47,7 +61,7 @@ int give_back(void* argument) {
   const auto& slot = *static_cast<const CrashSlot*>(argument);
   const ThreadDone done = allocator_thread_done();
   for (std::uint32_t i = 0; i < slot.report.resting_thread_count; ++i) {
-    call_as(slot.report.resting_threads[i], done);
+    end_as(slot.report.resting_threads[i], done);
   }
   return 0;
 }
@@ -55,7 +69,7 @@ int give_back(void* argument) {
 }  // namespace
 
 bool give_back_heaps(const CrashSlot& slot) noexcept {
-  if (slot.report.resting_thread_count == 0 || allocator_thread_done() == nullptr) {
+  if (slot.report.resting_thread_count == 0) {
     return true;
   }
   return clone_and_wait(give_back, const_cast<CrashSlot*>(&slot)).clean();
