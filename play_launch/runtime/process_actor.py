@@ -42,7 +42,8 @@ class ProcessActor:
         self._sources.run_in(system.sources.tasks)
         self._process: ManagedProcess | None = None
         self._start = 0
-        self._spawning = anyio.CancelScope()
+        self._spawning: anyio.CancelScope | None = None
+        self._is_given_up = False
         self._companion = Source()
         self._stopped: anyio.Event | None = None
         self._was_killed = False
@@ -67,15 +68,18 @@ class ProcessActor:
     def spawn(self, start: int) -> None:
         """Start its process."""
         self._start = start
-        self._spawning = anyio.CancelScope()
-        self._sources.begin(partial(self._spawn, start, self._spawning))
+        # The scope is made in the task: outside of one, sniffio does not know the event loop.
+        self._spawning, self._is_given_up = None, False
+        self._sources.begin(partial(self._spawn, start))
 
     def kill(self, start: int) -> None:
         """Kill its process, or give its start up, which is answered all the same."""
         if start != self._start:
             return
         if self._process is None:
-            self._spawning.cancel()
+            self._is_given_up = True
+            if self._spawning is not None:
+                self._spawning.cancel()
         else:
             self._stops()
             self._process.kill()
@@ -137,10 +141,12 @@ class ProcessActor:
 
     # The life of a process.
 
-    async def _spawn(self, start: int, scope: anyio.CancelScope) -> None:
+    async def _spawn(self, start: int) -> None:
         answer: Started | NotStarted
         answer = NotStarted(self.name, start, "its start was cancelled", is_permanent=False)
-        with scope:
+        with anyio.CancelScope() as self._spawning:
+            if self._is_given_up:
+                self._spawning.cancel()
             try:
                 process = await self._begin()
             except StartError as error:

@@ -55,7 +55,7 @@ def lived(
 
     decided = reducer.reduce
     monkeypatch.setattr(machine, "reduce", reduce)
-    monkeypatch.setattr(life, "_publish", publish)
+    monkeypatch.setattr(life, "publish", publish)
     log.add(life.now, Origin(life.config, life.world.starts, life.world.limits, 0))
     life.begin()
     life.run(life.now + 60.0)
