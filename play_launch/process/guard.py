@@ -284,12 +284,15 @@ class SessionGuard:
         self._say_farewell()
         atexit.unregister(self._say_farewell)
         self._lose()
-        self._socket.close()
+        # Not closed: where an answer cannot be sent, the guard reads nothing behind its request.
+        with suppress(OSError):
+            self._socket.shutdown(socket.SHUT_WR)
         self._continue()
 
     def _wait_for_end(self) -> None:
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(_END_LIMIT)
+        self._socket.close()
 
     def _say_farewell(self) -> None:
         # Without it, the end of the socket is our death.
