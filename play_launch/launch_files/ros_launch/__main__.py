@@ -44,16 +44,16 @@ def main() -> None:
             place = Origin(Place(job.path))
             text = error.object[error.start : error.end + 20]
             records = encode(Failure(f"it holds what is not UTF-8: {text!a}", place))
+        # Before the answer, after which this process may be killed. The launch file may have closed
+        # them, or put something else in their place.
+        for stream in (sys.stdout, sys.stderr):
+            with suppress(Exception):
+                stream.flush()
         content = SIZE.pack(len(records)) + records
         while content:
             content = content[os.write(descriptor, content) :]
 
     evaluate(job, answer)
-    # The launch file may have closed them, or put something else in their place.
-    with suppress(Exception):
-        sys.stdout.flush()
-    with suppress(Exception):
-        sys.stderr.flush()
     os._exit(0)
 
 
