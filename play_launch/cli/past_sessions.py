@@ -184,7 +184,7 @@ def rerun(
     ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Decide once more what was decided in a session, and say what this version decides otherwise.
+    """Decide a session once more from its inputs, and report what this version decides otherwise.
 
     Nothing is started: what processes and nodes did is taken from the recording. Exits with 0 when
     all changes of state follow as they were recorded, with 1 when not, with 2 when the file is not

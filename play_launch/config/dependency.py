@@ -45,7 +45,7 @@ class UnitCondition(StrEnum):
 
 
 ABOUT_GRAPH: Final = frozenset({Condition.NODE, Condition.TOPIC, Condition.SERVICE})
-"""Conditions for which somebody has to look at the ROS graph."""
+"""Conditions that need the ROS graph."""
 
 
 class Otherwise(StrEnum):
@@ -92,7 +92,7 @@ class StartRule(Struct, frozen=True, kw_only=True):
 
 
 class DependencyGraph:
-    """Who depends on whom."""
+    """The dependencies of all units."""
 
     def __init__(
         self, rules: Mapping[str, StartRule], members: Mapping[str, tuple[str, ...]]

@@ -1,4 +1,4 @@
-"""What a control group (cgroup v2) limits, and who has one.
+"""Limits of control groups (cgroup v2), and which units have one.
 
 The files are those of the kernel's documentation, Control Group v2: each takes one line.
 """

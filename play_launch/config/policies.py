@@ -8,7 +8,7 @@ from msgspec import Struct
 
 
 class OnExit(StrEnum):
-    """What follows when an ordinary process ends by itself: ``on_exit``."""
+    """Consequence of the exit of an ordinary process: ``on_exit``."""
 
     IGNORE = "ignore"
     RESTART = "restart"
@@ -39,7 +39,7 @@ class OnCrash(StrEnum):
 
 
 class Autostart(StrEnum):
-    """How far a managed node is brought by itself: ``autostart``."""
+    """State that a managed node is brought to: ``autostart``."""
 
     CONFIGURE = "configure"
     ACTIVATE = "activate"

@@ -180,7 +180,7 @@ def _ros(
 
 
 def _ros2_needs(installation: RosInstallation, environ: Mapping[str, str]) -> str:
-    """Say how the ``ros2`` of a sourced ROS is shown what is installed in our own environment."""
+    """Describe how the ``ros2`` of a sourced ROS finds what our own environment has."""
     prefix = installation.prefix
     is_ours = (prefix / "share" / "play_launch_container").is_dir()
     if installation.source is RosSource.WHEELS or not is_ours or prefix in ament_prefixes(environ):

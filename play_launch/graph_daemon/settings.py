@@ -1,7 +1,7 @@
 """What decides whom a participant meets: settings that freeze when the daemon starts.
 
 Two processes see the same graph only when these agree, so they are compared. Clients read those of
-the daemon from its process; it does not report them to whoever asks.
+the daemon from its process; it reports them to no client.
 """
 
 from __future__ import annotations

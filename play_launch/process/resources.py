@@ -108,7 +108,7 @@ def _io_priority(pid: int) -> IoPriority | None:
 
 
 def shortfalls(wanted: Resources, held: HeldResources) -> tuple[str, ...]:
-    """Say what a process has not got, why, and the fix: a sentence each."""
+    """Describe the resources that a process lacks, with cause and fix: a sentence each."""
     return tuple(_shortfalls(wanted, held))
 
 
@@ -169,7 +169,7 @@ def _rlimit(limit: ResourceLimit, soft: float, hard: float) -> str:
     unit, conf = _for_files(limit)
     why, fix = "with CAP_SYS_RESOURCE only", _allow(limit.name.upper(), unit, conf)
     if limit.name == "nofile":
-        # That holds for whoever has the capability, too.
+        # That holds for a process with the capability, too.
         why += ", and to fs.nr_open at most, which is never unlimited"
         if math.isfinite(limit.hard):
             fix += f"; where fs.nr_open is less, sysctl fs.nr_open={limit.hard:.0f}"

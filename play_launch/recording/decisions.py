@@ -6,7 +6,6 @@ rosbag2 refused files that mix CDR with other encodings until 2026.
 
 from __future__ import annotations
 
-import random
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -107,11 +106,6 @@ class DecisionLog:
         self._count += 1
 
 
-def chance() -> float:
-    """Give a random number in [0, 1), as short as a delay needs it."""
-    return random.getrandbits(16) / (1 << 16)
-
-
 def written(decisions: Sequence[Decision]) -> bytes:
     """Write a message.
 
@@ -132,7 +126,7 @@ def read(message: bytes) -> list[Decision]:
     Raises:
         UnreadableInputError: When it is something else.
     """
-    from play_launch.supervisor import inputs  # noqa: PLC0415 - who records has no use for it
+    from play_launch.supervisor import inputs  # noqa: PLC0415 - the recorder does not need it
 
     kind = tuple[int, float, float, int, inputs.Origin | inputs.Input | inputs.Over]
     try:

@@ -66,7 +66,7 @@ class CompositionClient:
         await self._ros.until(lambda node: not self._is_ready(node))
 
     async def is_ready(self) -> bool:
-        """Whether somebody offers the services now."""
+        """Whether the services are available now."""
         return await self._ros.call(self._is_ready)
 
     async def servers(self) -> frozenset[bytes]:

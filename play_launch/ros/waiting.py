@@ -48,7 +48,7 @@ class Waiting:
         self._wake.trigger()
 
     def wait(self) -> None:
-        """Wait, and hand answers and messages to those who expect them.
+        """Wait, and pass answers and messages to their callbacks.
 
         Raises what keeps one of them from being read, or goes wrong in a subscription's callback.
         """

@@ -213,7 +213,7 @@ class NativeLauncher:
         self._policy = _policy(config)
 
     def hello(self) -> Hello:
-        """Say who we are."""
+        """Give the hello of the supervisor."""
         return self._hello
 
     async def start_container(

@@ -72,7 +72,7 @@ class ManagedProcess(Protocol):
 
         Args:
             ask: Asks it in its own language; False when it could not be asked.
-            hurry: Set when somebody does not want to wait any longer.
+            hurry: Set to skip to the next stop signal.
 
         Returns:
             Whether it has ended; False when not even SIGKILL did it in time.
@@ -92,7 +92,7 @@ class ControlLink(Protocol):
         """Send a message, without waiting."""
 
     def close(self) -> None:
-        """Close it; a container that still lives stops by itself then."""
+        """Close it; a container that still runs stops in order then."""
 
 
 class ParameterService(Protocol):
@@ -123,7 +123,7 @@ class ManagedNode(Protocol):
     """A way to talk to a managed node."""
 
     is_offered: bool
-    """Whether somebody has been seen that offers its services."""
+    """Whether its services have been available."""
 
     async def state(self) -> int:
         """Wait for its services and ask for its state, a number of ``lifecycle_msgs``."""
@@ -168,7 +168,7 @@ class NodeGroups(Protocol):
         """
 
     def leave(self, key: NodeKey, attempt: int) -> str:
-        """Kill what a node left whose process has ended; says why the kernel killed it, if so."""
+        """Kill what an exited node left; returns why the kernel killed the node, if it did."""
 
     def check(self, full_name: str, pid: int) -> None:
         """Report the process of a member or node that is not in the group it was given."""
@@ -182,7 +182,7 @@ class Launcher(Protocol):
         """The control groups of nodes."""
 
     def hello(self) -> Hello:
-        """Say who we are."""
+        """Give the hello of the supervisor."""
 
     async def start_container(
         self, config: ContainerConfig, on_output: OutputCallback

@@ -5,12 +5,12 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
+import random
 from collections import deque
 from typing import TYPE_CHECKING, Final
 
 import anyio
 
-from play_launch.recording.decisions import chance
 from play_launch.runtime.container_actor import ContainerActor
 from play_launch.runtime.event_log import EventLog
 from play_launch.runtime.goals import Conversations
@@ -91,7 +91,6 @@ class System:
         limits: Limits | None = None,
         starts: int = 16,
         ros: RosAccess | None = None,
-        jitter: Callable[[], float] = chance,
         decisions: DecisionLog | None = None,
     ) -> None:
         """Begin nothing yet; ``starts`` bounds how many containers start at the same time."""
@@ -101,7 +100,6 @@ class System:
         self.publisher = publisher
         self.launcher = launcher
         self._stop = stop
-        self._jitter = jitter
         self._decisions = decisions
         self._parameters = parameters
         self._loop = asyncio.get_running_loop()
@@ -147,7 +145,7 @@ class System:
         return due is not None and due <= self._loop.time() and is_open
 
     def _process(self, said: Input) -> None:
-        before, now, jitter = Snapshot.of(self.world), self._loop.time(), self._jitter()
+        before, now, jitter = Snapshot.of(self.world), self._loop.time(), _chance()
         if self._decisions is not None:
             self._decisions.add(now, said, jitter)
         effects = reduce(self.world, said, now, jitter)
@@ -182,17 +180,11 @@ class System:
             self.post(Failed(unit, reason))
 
     def _settled(self) -> None:
-        world = self.world
-        is_awaited = any(
-            unit.wait is not None
-            for units in (world.processes, world.nodes)
-            for unit in units.values()
-        )
         try:
-            self._outside.watch(pending_dependencies(world) if is_awaited else ())
+            self._outside.watch(pending_dependencies(self.world))
         except Exception:  # noqa: BLE001 - what waits has time limits, and can be started
             _log.exception("what starts depend on cannot be watched")
-        for name in [name for name in self._actors if name not in world.processes]:
+        for name in [name for name in self._actors if name not in self.world.processes]:
             del self._actors[name]
         self._changed.set()
         self._changed = asyncio.Event()
@@ -448,3 +440,8 @@ class System:
         """Wait until a condition of the world holds."""
         while not condition():
             await self._changed.wait()
+
+
+def _chance() -> float:
+    """Give a random number in [0, 1) for delays, of 16 bits: each is recorded."""
+    return random.getrandbits(16) / (1 << 16)

@@ -21,8 +21,8 @@ from play_launch.supervisor.world import INACTIVE, STATE_OF_PHASE, Goal, Node, P
 if TYPE_CHECKING:
     from play_launch.config.model import ComposableNodeConfig, ProcessConfig, ReplayConfig
     from play_launch.supervisor.inputs import ChangeRequested, ParametersSet
-    from play_launch.supervisor.step import Step
-    from play_launch.supervisor.steps import Step as PlanStep
+    from play_launch.supervisor.reduction import Reduction
+    from play_launch.supervisor.steps import Step
     from play_launch.supervisor.world import World
 
 _BECAUSE = "the configuration has changed"
@@ -34,7 +34,7 @@ _FAILED = frozenset(
 class OpenStep(Struct, frozen=True):
     """A step that was begun and has not ended."""
 
-    step: PlanStep
+    step: Step
     began_at: float
     asks: bool = False
     """Whether the answer of a node that was given parameters is awaited."""
@@ -46,7 +46,7 @@ class Change(Struct, frozen=True, kw_only=True):
     """A change that is being carried out."""
 
     target: ReplayConfig
-    phases: tuple[tuple[PlanStep, ...], ...]
+    phases: tuple[tuple[Step, ...], ...]
     limit: float
     open: tuple[OpenStep, ...] = ()
     has_failed: bool = False
@@ -60,7 +60,7 @@ def dismissed(world: World, name: str) -> None:
         world.change = replace(world.change, recalls=world.change.recalls - {name})
 
 
-def begin(step: Step, said: ChangeRequested) -> None:
+def begin(step: Reduction, said: ChangeRequested) -> None:
     """Begin a change; what has to hold before a start is that of the target from now on."""
     world, target = step.world, said.target
     world.config = replace(
@@ -76,7 +76,7 @@ def begin(step: Step, said: ChangeRequested) -> None:
     settle_confined(step)
 
 
-def parameters_set(step: Step, said: ParametersSet) -> None:
+def parameters_set(step: Reduction, said: ParametersSet) -> None:
     """A node took its parameters, or refused them: then it is replaced."""
     change = step.world.change
     if change is None:
@@ -96,7 +96,7 @@ def parameters_set(step: Step, said: ParametersSet) -> None:
     _replace(step.world, change.target, said.step)
 
 
-def settle_confined(step: Step) -> None:
+def settle_confined(step: Reduction) -> None:
     """The same as `settle`; an exception in it ends the change, and nothing else."""
     try:
         settle(step)
@@ -109,7 +109,7 @@ def settle_confined(step: Step) -> None:
         step.effects.append(ChangeEnded())
 
 
-def settle(step: Step) -> None:
+def settle(step: Reduction) -> None:
     """End the steps that are over, and begin those of the next phase."""
     while (change := step.world.change) is not None and not change.open:
         if not change.phases or change.has_failed:
@@ -123,7 +123,7 @@ def settle(step: Step) -> None:
     _judge(step)
 
 
-def _judge(step: Step) -> None:
+def _judge(step: Reduction) -> None:
     world = step.world
     change = world.change
     if change is None:
@@ -143,7 +143,7 @@ def _judge(step: Step) -> None:
         world.change = replace(change, open=tuple(still_open), has_failed=has_failed)
 
 
-def _end(step: Step, found: OpenStep, failure: str, *, is_done: bool) -> None:
+def _end(step: Reduction, found: OpenStep, failure: str, *, is_done: bool) -> None:
     seconds = step.now - found.began_at
     step.effects.append(StepEnded(found.step, is_done, failure or found.note, seconds))
 
@@ -169,7 +169,7 @@ def next_deadline(world: World) -> float | None:
 # What a step changes.
 
 
-def _begin(step: Step, target: ReplayConfig, plan_step: PlanStep) -> OpenStep:
+def _begin(step: Reduction, target: ReplayConfig, plan_step: Step) -> OpenStep:
     opened = OpenStep(plan_step, step.now)
     if plan_step.kind is Kind.SESSION:
         return opened
@@ -185,7 +185,7 @@ def _begin(step: Step, target: ReplayConfig, plan_step: PlanStep) -> OpenStep:
     return opened
 
 
-def _remove(world: World, plan_step: PlanStep) -> None:
+def _remove(world: World, plan_step: Step) -> None:
     if plan_step.kind is Kind.COMPONENT:
         if (node := world.nodes.get(NodeKey.parsed(plan_step.name))) is not None:
             world.put(node, is_removed=True)
@@ -193,7 +193,7 @@ def _remove(world: World, plan_step: PlanStep) -> None:
         world.put(process, is_removed=True, request_reason=_BECAUSE)
 
 
-def _adopt(world: World, target: ReplayConfig, plan_step: PlanStep) -> None:
+def _adopt(world: World, target: ReplayConfig, plan_step: Step) -> None:
     config: Any = declared(target, plan_step)
     if plan_step.kind is Kind.COMPONENT:
         node = world.nodes[NodeKey.parsed(plan_step.name)]
@@ -202,7 +202,7 @@ def _adopt(world: World, target: ReplayConfig, plan_step: PlanStep) -> None:
         world.put(world.processes[plan_step.name], config=config)
 
 
-def _replace(world: World, target: ReplayConfig, plan_step: PlanStep) -> None:
+def _replace(world: World, target: ReplayConfig, plan_step: Step) -> None:
     """Have one run that is configured as in the target, anew if it runs."""
     config: Any = declared(target, plan_step)
     nodes = config.composable_nodes if plan_step.kind is Kind.CONTAINER else ()
@@ -245,7 +245,7 @@ def _replace_node(world: World, key: NodeKey, config: ComposableNodeConfig) -> N
 
 
 def declared(
-    target: ReplayConfig, plan_step: PlanStep
+    target: ReplayConfig, plan_step: Step
 ) -> ContainerConfig | ProcessConfig | ComposableNodeConfig:
     """Find what a step is about in the new configuration."""
     for container in target.containers:
@@ -264,7 +264,7 @@ def declared(
 # What a step leads to.
 
 
-def _settled(world: World, plan_step: PlanStep) -> str | None:
+def _settled(world: World, plan_step: Step) -> str | None:
     """Give why what a step is about is not up; empty: it is, or is gone; None: not yet known."""
     if plan_step.kind is Kind.SESSION:
         return ""
@@ -314,7 +314,7 @@ def _container_settled(world: World, process: Process) -> str | None:
     return f"{failed[0]}{more}"
 
 
-def _node_settled(world: World, plan_step: PlanStep) -> str | None:
+def _node_settled(world: World, plan_step: Step) -> str | None:
     key = NodeKey.parsed(plan_step.name)
     node = world.nodes.get(key)
     if plan_step.action is Action.REMOVE:

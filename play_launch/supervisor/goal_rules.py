@@ -13,11 +13,11 @@ from play_launch.supervisor.world import Node, Phase, Process
 
 if TYPE_CHECKING:
     from play_launch.supervisor.inputs import GoalReported
-    from play_launch.supervisor.step import Step
+    from play_launch.supervisor.reduction import Reduction
     from play_launch.supervisor.world import Goal, World
 
 
-def settle(step: Step, name: str) -> None:
+def settle(step: Reduction, name: str) -> None:
     """Begin a conversation with each new instance of a managed node, and end the old one."""
     world = step.world
     goal = world.goals[name]
@@ -49,14 +49,14 @@ def _instance(world: World, name: str) -> int:
     return 0
 
 
-def reported(step: Step, said: GoalReported) -> None:
+def reported(step: Reduction, said: GoalReported) -> None:
     """A managed node is in a state, or failed to change it."""
     goal = step.world.goals.get(said.unit)
     if goal is not None and goal.instance == said.instance:
         _apply(step, said.unit, said.said, said.reason)
 
 
-def _apply(step: Step, name: str, said: ManagedInput, reason: str = "") -> None:
+def _apply(step: Reduction, name: str, said: ManagedInput, reason: str = "") -> None:
     goal: Goal = step.world.goals[name]
     state, actions = next_state(goal.state, said, goal.config.autostart)
     failure = reason if state is ManagedState.FAILED else ""

@@ -35,7 +35,7 @@ from play_launch.supervisor.world import Phase, Stage, is_wanted
 if TYPE_CHECKING:
     from play_launch.config.node_key import NodeKey
     from play_launch.supervisor.inputs import HealthReported, NodeReported, ProbeResult
-    from play_launch.supervisor.step import Step
+    from play_launch.supervisor.reduction import Reduction
     from play_launch.supervisor.world import Node, Process, World
 
 _RELOAD_FAILURES: Final = frozenset(
@@ -56,7 +56,7 @@ def under_way(world: World, container: str) -> tuple[NodeKey, ...]:
     return tuple(node.key for node in world.nodes_of(container) if node.state in LOADING)
 
 
-def reported(step: Step, said: NodeReported) -> None:
+def reported(step: Reduction, said: NodeReported) -> None:
     """A container reported something about a node."""
     node = _meant(step.world, said)
     if node is not None:
@@ -77,7 +77,7 @@ def _meant(world: World, said: NodeReported) -> Node | None:
     return None
 
 
-def _apply(step: Step, before: Node, fact: NodeFact, said: NodeReported | None = None) -> None:
+def _apply(step: Reduction, before: Node, fact: NodeFact, said: NodeReported | None = None) -> None:
     """Apply a fact to a node by the table; ``said`` is the report that it comes from, if any."""
     world, now = step.world, step.now
     if fact is NodeFact.STATUS_UNKNOWN and before.resent:
@@ -144,13 +144,13 @@ def _other_name(node: Node) -> str:
     return f"it calls itself {node.full_node_name}" if is_other else ""
 
 
-def _is_unasked(step: Step, node: Node) -> bool:
+def _is_unasked(step: Reduction, node: Node) -> bool:
     container = step.process(node.key.container)
     runs = container.phase is not Phase.STOPPING and not container.stopped
     return runs and node.state is not NodeState.UNLOADING
 
 
-def _query_at(step: Step, before: Node, node: Node, fact: NodeFact) -> float | None:
+def _query_at(step: Reduction, before: Node, node: Node, fact: NodeFact) -> float | None:
     if node.state not in AWAITED:
         return None
     if fact is NodeFact.STATUS_CONSTRUCTING:
@@ -163,7 +163,7 @@ def _query_at(step: Step, before: Node, node: Node, fact: NodeFact) -> float | N
     return before.query_at
 
 
-def _renews(step: Step, node: Node, said: NodeReported | None) -> bool:
+def _renews(step: Reduction, node: Node, said: NodeReported | None) -> bool:
     """Restart the container because of a failed load; whether it does.
 
     What a constructor that died had opened, such as a port, stays open in the container. One that
@@ -186,14 +186,14 @@ def _renews(step: Step, node: Node, said: NodeReported | None) -> bool:
     return True
 
 
-def _reload_hangs(step: Step, node: Node) -> None:
+def _reload_hangs(step: Reduction, node: Node) -> None:
     container = step.process(node.key.container)
     if container.lost_locks:
         reason = f"{node.key.name} is not loaded again: {node.reason}"
         process_rules.poisoned(step, container, f"a dead node may have left a lock: {reason}")
 
 
-def _execute(step: Step, node: Node, action: NodeAction) -> None:
+def _execute(step: Reduction, node: Node, action: NodeAction) -> None:
     match action:
         case NodeAction.LOAD:
             _load(step, node)
@@ -213,7 +213,7 @@ def _execute(step: Step, node: Node, action: NodeAction) -> None:
             assert_never(action)
 
 
-def _load(step: Step, node: Node, *, is_again: bool = False) -> None:
+def _load(step: Reduction, node: Node, *, is_again: bool = False) -> None:
     container = step.process(node.key.container)
     assert container.container is not None
     attempt = step.world.next_load()
@@ -238,7 +238,7 @@ def _load(step: Step, node: Node, *, is_again: bool = False) -> None:
     step.effects.append(Load(node.key, attempt))
 
 
-def _follow_crash(step: Step, node: Node) -> None:
+def _follow_crash(step: Reduction, node: Node) -> None:
     """Decide what follows from a crash or a failed reload."""
     container = step.process(node.key.container)
     if not container.takes_loads or not is_wanted(step.world, node):
@@ -271,7 +271,7 @@ def _follow_crash(step: Step, node: Node) -> None:
             assert_never(verdict)
 
 
-def due(step: Step, key: NodeKey) -> None:
+def due(step: Reduction, key: NodeKey) -> None:
     """A node is loaded again, given up, or its container is queried, if it is time."""
     node = step.node(key)
     if node.next_at is not None and step.now >= node.next_at:
@@ -289,7 +289,7 @@ def due(step: Step, key: NodeKey) -> None:
 # The container of nodes.
 
 
-def container_stops(step: Step, container: Process) -> None:
+def container_stops(step: Reduction, container: Process) -> None:
     """A container stops: nothing is loaded again."""
     for node in step.world.nodes_of(container.name):
         if node.next_at is not None and not node.gives_up:
@@ -297,7 +297,7 @@ def container_stops(step: Step, container: Process) -> None:
     quarantine.cancel_probes(step, container.name)
 
 
-def container_lost(step: Step, container: Process, reason: str) -> None:
+def container_lost(step: Reduction, container: Process, reason: str) -> None:
     """The process of a container exited, and with it all nodes."""
     for before in step.world.nodes_of(container.name):
         node = replace(before, next_at=None, gives_up="", died_constructing="", is_silent=False)
@@ -308,7 +308,7 @@ def container_lost(step: Step, container: Process, reason: str) -> None:
             step.world.put(after, reason=f"its container: {reason}")
 
 
-def refuse(step: Step, node: Node, reason: str, finding: ProbeResult | None = None) -> None:
+def refuse(step: Reduction, node: Node, reason: str, finding: ProbeResult | None = None) -> None:
     """Let a node fail that its container does not get; not one that it got meanwhile."""
     if node.state not in _REFUSABLE:
         return
@@ -324,7 +324,7 @@ def refuse(step: Step, node: Node, reason: str, finding: ProbeResult | None = No
     step.world.put(step.node(node.key), reason=reason)
 
 
-def health(step: Step, said: HealthReported) -> None:
+def health(step: Reduction, said: HealthReported) -> None:
     """Judge what a container counted of its own troubles."""
     container, world = step.process(said.unit), step.world
     world.put(
@@ -350,7 +350,7 @@ def health(step: Step, said: HealthReported) -> None:
         _silence(step, node, said.silences.get(node.attempt, 0.0))
 
 
-def _silence(step: Step, node: Node, seconds: float) -> None:
+def _silence(step: Reduction, node: Node, seconds: float) -> None:
     """Report once that an executor has been blocked for long, and that it is not any more."""
     is_loaded = node.state is NodeState.LOADED
     is_silent = is_loaded and seconds >= step.world.limits.silence
@@ -367,7 +367,7 @@ def _silence(step: Step, node: Node, seconds: float) -> None:
 # What is wanted against what is.
 
 
-def settle(step: Step, key: NodeKey) -> None:
+def settle(step: Reduction, key: NodeKey) -> None:
     """Begin what is wanted of a node and has not begun."""
     node, world = step.node(key), step.world
     if not is_wanted(world, node):
@@ -389,7 +389,7 @@ def settle(step: Step, key: NodeKey) -> None:
         _load_with_container(step, node)
 
 
-def _leave(step: Step, node: Node) -> None:
+def _leave(step: Reduction, node: Node) -> None:
     if node.wait is not None or node.next_at is not None:
         step.world.put(node, wait=None, next_at=None, gives_up="")
         node = step.node(node.key)
@@ -400,7 +400,7 @@ def _leave(step: Step, node: Node) -> None:
         step.world.forget(node)
 
 
-def _load_requested(step: Step, node: Node) -> None:
+def _load_requested(step: Reduction, node: Node) -> None:
     anew = replace(
         node,
         attempted=node.generation,
@@ -411,7 +411,7 @@ def _load_requested(step: Step, node: Node) -> None:
     _apply(step, anew, NodeFact.LOAD)
 
 
-def _load_with_container(step: Step, node: Node) -> None:
+def _load_with_container(step: Reduction, node: Node) -> None:
     """Load a node into a new process of its container, if its conditions are met."""
     ready = readiness(step.world, node, step.now)
     if ready.failure:

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
         Started,
         Unkillable,
     )
-    from play_launch.supervisor.step import Step
+    from play_launch.supervisor.reduction import Reduction
     from play_launch.supervisor.world import Exit
 
 _STUCK: Final = "does not die, not even of SIGKILL"
@@ -48,8 +48,10 @@ _NEVER_RAN: Final = frozenset({126, 127})
 _ACTIVE: Final = frozenset({Phase.SPAWNING, Phase.STARTING, Phase.RUNNING, Phase.KILLING})
 
 
-def apply(step: Step, name: str, fact: Fact, reason: str = "", due: float | None = None) -> None:
-    """Apply a fact to a process by the table; ``due`` is when the new phase ends by itself."""
+def apply(
+    step: Reduction, name: str, fact: Fact, reason: str = "", due: float | None = None
+) -> None:
+    """Apply a fact to a process by the table; ``due`` is the deadline of the new phase."""
     before = step.process(name)
     phase, actions = TABLE[before.phase][fact]
     if phase is not before.phase:
@@ -74,7 +76,7 @@ def apply(step: Step, name: str, fact: Fact, reason: str = "", due: float | None
                 assert_never(action)
 
 
-def _spawn(step: Step, process: Process) -> None:
+def _spawn(step: Reduction, process: Process) -> None:
     start = step.world.next_start()
     step.world.put(
         process,
@@ -100,13 +102,13 @@ def _spawn(step: Step, process: Process) -> None:
     step.effects.append(Spawn(process.name, start))
 
 
-def _kill(step: Step, process: Process, reason: str) -> None:
+def _kill(step: Reduction, process: Process, reason: str) -> None:
     due = step.now + step.world.limits.kill
     step.world.put(process, killed_because=reason, due=due)
     step.effects.append(Kill(process.name, process.attempt))
 
 
-def _stop(step: Step, process: Process, reason: str) -> None:
+def _stop(step: Reduction, process: Process, reason: str) -> None:
     if process.container is not None:
         node_rules.container_stops(step, process)
     has_process = process.is_present and process.is_started
@@ -120,7 +122,7 @@ def _stop(step: Step, process: Process, reason: str) -> None:
 # Inputs.
 
 
-def started(step: Step, said: Started) -> None:
+def started(step: Reduction, said: Started) -> None:
     """A process runs."""
     process = step.process(said.unit)
     values = {"pid": said.pid, "start_time": said.start_time, "argv": said.argv}
@@ -135,7 +137,7 @@ def started(step: Step, said: Started) -> None:
         apply(step, said.unit, Fact.READY)
 
 
-def not_started(step: Step, said: NotStarted) -> None:
+def not_started(step: Reduction, said: NotStarted) -> None:
     """A process could not be started."""
     process = step.process(said.unit)
     step.world.put(process, is_present=False)
@@ -145,7 +147,7 @@ def not_started(step: Step, said: NotStarted) -> None:
     _exit(step, process.name, said.reason, is_permanent=said.is_permanent or not respawns)
 
 
-def greeted(step: Step, unit: str, hello: Hello) -> None:
+def greeted(step: Reduction, unit: str, hello: Hello) -> None:
     """A container is ready."""
     process = step.process(unit)
     if process.phase is Phase.STARTING:
@@ -153,21 +155,21 @@ def greeted(step: Step, unit: str, hello: Hello) -> None:
     apply(step, unit, Fact.READY)
 
 
-def faulty(step: Step, said: Faulty) -> None:
+def faulty(step: Reduction, said: Faulty) -> None:
     """A process has to be killed."""
     if said.is_fatal and TABLE[step.process(said.unit).phase][Fact.FAULTY].actions:
         step.world.put(step.process(said.unit), is_fatal=True)
     apply(step, said.unit, Fact.FAULTY, said.reason)
 
 
-def poisoned(step: Step, process: Process, reason: str) -> None:
+def poisoned(step: Reduction, process: Process, reason: str) -> None:
     """Have a container restarted because of a node that died, so not one that is being loaded."""
     if process.phase is Phase.RUNNING:
         step.world.put(process, blames_loads=False)
     apply(step, process.name, Fact.FAULTY, reason)
 
 
-def exited(step: Step, said: Exited) -> None:
+def exited(step: Reduction, said: Exited) -> None:
     """A process exited."""
     process = step.process(said.unit)
     if process.exit is not None:
@@ -181,7 +183,7 @@ def exited(step: Step, said: Exited) -> None:
         _process_exited(step, step.process(said.unit), said.exit)
 
 
-def _container_exited(step: Step, process: Process, exit_: Exit) -> None:
+def _container_exited(step: Reduction, process: Process, exit_: Exit) -> None:
     because = f"{process.killed_because}; " if process.killed_because else ""
     if process.ready_at is None:
         again = PERMANENT_EXIT_CODES.get(exit_.code, "")
@@ -194,7 +196,7 @@ def _container_exited(step: Step, process: Process, exit_: Exit) -> None:
         _exit(step, process.name, f"{because}{exit_.text}", lived=lived)
 
 
-def _process_exited(step: Step, process: Process, exit_: Exit) -> None:
+def _process_exited(step: Reduction, process: Process, exit_: Exit) -> None:
     lived = step.now - process.began_at
     if process.config.on_exit is not OnExit.RESTART:
         _exit(step, process.name, "", is_done=True, lived=lived)
@@ -205,12 +207,12 @@ def _process_exited(step: Step, process: Process, exit_: Exit) -> None:
         _exit(step, process.name, exit_.text, lived=lived)
 
 
-def cleaned_up(step: Step, said: CleanedUp) -> None:
+def cleaned_up(step: Reduction, said: CleanedUp) -> None:
     """Nothing of a process is left."""
     step.world.put(step.process(said.unit), is_present=False)
 
 
-def unkillable(step: Step, said: Unkillable) -> None:
+def unkillable(step: Reduction, said: Unkillable) -> None:
     """A process lives on after SIGKILL."""
     process = step.process(said.unit)
     if process.exit is None:
@@ -218,14 +220,14 @@ def unkillable(step: Step, said: Unkillable) -> None:
         apply(step, said.unit, Fact.STUCK, _STUCK)
 
 
-def failed(step: Step, unit: str, reason: str) -> None:
+def failed(step: Reduction, unit: str, reason: str) -> None:
     """The supervisor's own code for a process failed: it is given up, and stopped in order."""
     step.world.put(step.process(unit), wait=None)
     apply(step, unit, Fact.FAILED, reason)
 
 
-def due(step: Step, name: str) -> None:
-    """The phase of a process ends by itself, if it is time."""
+def due(step: Reduction, name: str) -> None:
+    """End the phase of a process whose deadline has passed."""
     process = step.process(name)
     if process.due is None or step.now < process.due:
         return
@@ -244,7 +246,7 @@ def due(step: Step, name: str) -> None:
 
 
 def _exit(
-    step: Step,
+    step: Reduction,
     name: str,
     reason: str,
     *,
@@ -273,12 +275,12 @@ def _exit(
         _end_all_with(step, process)
 
 
-def _end_all_with(step: Step, process: Process) -> None:
+def _end_all_with(step: Reduction, process: Process) -> None:
     if process.config.on_exit is OnExit.SHUTDOWN:
         request_stop(step, f"{process.name} has ended")
 
 
-def _restart(step: Step, process: Process, reason: str, lived: float) -> None:
+def _restart(step: Reduction, process: Process, reason: str, lived: float) -> None:
     world = step.world
     counts = not (
         is_ours(process) and process.blames_loads and quarantine.excuses_death(world, process.name)
@@ -305,7 +307,7 @@ def _restart(step: Step, process: Process, reason: str, lived: float) -> None:
         quarantine.begin(step, process, blamed, reason)
 
 
-def request_stop(step: Step, reason: str) -> None:
+def request_stop(step: Reduction, reason: str) -> None:
     """Request the stop of the whole system, once; it begins with the input that answers this."""
     if not step.world.is_ending and not step.world.is_stopping:
         step.world.is_ending = True
@@ -315,7 +317,7 @@ def request_stop(step: Step, reason: str) -> None:
 # What is wanted against what is.
 
 
-def settle(step: Step, name: str) -> None:
+def settle(step: Reduction, name: str) -> None:
     """Begin what is wanted of a process and has not begun."""
     process = step.process(name)
     world = step.world
@@ -332,7 +334,7 @@ def settle(step: Step, name: str) -> None:
         _queue(step, process)
 
 
-def _settle_unwanted(step: Step, process: Process) -> None:
+def _settle_unwanted(step: Reduction, process: Process) -> None:
     world = step.world
     reason = process.request_reason or world.stop_reason or ""
     if process.phase in {Phase.QUEUED, Phase.BACKOFF}:
@@ -345,7 +347,7 @@ def _settle_unwanted(step: Step, process: Process) -> None:
         world.forget(process)
 
 
-def _may_stop(step: Step, process: Process) -> bool:
+def _may_stop(step: Reduction, process: Process) -> bool:
     """Whether all that depends on it has stopped, where the whole system stops."""
     world = step.world
     if not world.is_stopping or world.is_hurried:
@@ -357,7 +359,7 @@ def _may_stop(step: Step, process: Process) -> bool:
     )
 
 
-def _begin(step: Step, process: Process) -> None:
+def _begin(step: Reduction, process: Process) -> None:
     """Queue a start that was requested."""
     if process.next_config is not None:
         if process.phase in {Phase.QUEUED, Phase.BACKOFF}:  # not once more as it was
@@ -376,7 +378,7 @@ def _begin(step: Step, process: Process) -> None:
     apply(step, process.name, Fact.START)
 
 
-def _with_next_config(step: Step, process: Process) -> Process:
+def _with_next_config(step: Reduction, process: Process) -> Process:
     """Begin anew with the next configuration; nodes that it does not have are forgotten."""
     config, world = process.next_config, step.world
     assert config is not None
@@ -396,7 +398,7 @@ def _with_next_config(step: Step, process: Process) -> Process:
     return step.process(process.name)
 
 
-def _queue(step: Step, process: Process) -> None:
+def _queue(step: Reduction, process: Process) -> None:
     """Start a queued process if it may."""
     world, before = step.world, process.wait
     ready = readiness(world, process, step.now)
@@ -419,7 +421,7 @@ def _queue(step: Step, process: Process) -> None:
         apply(step, process.name, Fact.TURN)
 
 
-def reported(step: Step, name: str, before: Wait | None, wait: Wait) -> Wait:
+def reported(step: Reduction, name: str, before: Wait | None, wait: Wait) -> Wait:
     """Warn of a unit that waits for long."""
     if before is None or step.now < wait.report_due:
         return wait
@@ -428,7 +430,7 @@ def reported(step: Step, name: str, before: Wait | None, wait: Wait) -> Wait:
     return replace(wait, report_due=step.now + step.world.limits.report_interval)
 
 
-def _has_slot(step: Step, process: Process) -> bool:
+def _has_slot(step: Reduction, process: Process) -> bool:
     """Whether a container may start beside those that do."""
     if not _takes_slot(process):
         return True

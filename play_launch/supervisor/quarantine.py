@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from play_launch.config.node_key import NodeKey
     from play_launch.supervisor.inputs import Probed
-    from play_launch.supervisor.step import Step
+    from play_launch.supervisor.reduction import Reduction
     from play_launch.supervisor.world import Node, Process, World
 
 MOST_DEATHS: Final = 3
@@ -51,7 +51,7 @@ def excuses_death(world: World, container: str) -> bool:
     return is_excused
 
 
-def begin(step: Step, container: Process, loads: Collection[NodeKey], reason: str) -> None:
+def begin(step: Reduction, container: Process, loads: Collection[NodeKey], reason: str) -> None:
     """Put nodes into quarantine that were being loaded when their container died."""
     probe, refused = [], []
     for node in step.world.nodes_of(container.name):
@@ -81,7 +81,7 @@ def begin(step: Step, container: Process, loads: Collection[NodeKey], reason: st
         step.effects.append(Probe(container.name, tuple(probe)))
 
 
-def cancel_probes(step: Step, container: str) -> None:
+def cancel_probes(step: Reduction, container: str) -> None:
     """End the scratch processes without a result."""
     probing = [node for node in step.world.nodes_of(container) if node.stage is Stage.PROBING]
     for node in probing:
@@ -90,7 +90,7 @@ def cancel_probes(step: Step, container: str) -> None:
         step.effects.append(CancelProbes(container))
 
 
-def probed(step: Step, said: Probed) -> None:
+def probed(step: Reduction, said: Probed) -> None:
     """A scratch process loaded the library of a node, or could not."""
     node, finding = step.world.nodes.get(said.node), said.finding
     if node is None or node.stage is not Stage.PROBING:

@@ -46,7 +46,7 @@ from play_launch.supervisor.inputs import (
     UnloadRequested,
 )
 from play_launch.supervisor.node_life import IDLE
-from play_launch.supervisor.step import Step
+from play_launch.supervisor.reduction import Reduction
 from play_launch.supervisor.world import INACTIVE, Phase
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ def reduce(world: World, said: Input, now: float, chance: float = 0.5) -> list[E
         now: Seconds of the event loop's clock.
         chance: A random number in [0, 1), for the jitter of delays.
     """
-    step = Step(world, now, chance)
+    step = Reduction(world, now, chance)
     try:
         _take(step, said)
         _settle(step, is_about_all=isinstance(said, _ABOUT_ALL))
@@ -98,7 +98,7 @@ def deadline(world: World) -> float | None:
     return min((at for at in times if at is not None), default=None)
 
 
-def _take(step: Step, said: Input) -> None:
+def _take(step: Reduction, said: Input) -> None:
     world = step.world
     match said:
         case Begun():
@@ -152,7 +152,7 @@ def _take(step: Step, said: Input) -> None:
 
 
 def _take_of_process(
-    step: Step,
+    step: Reduction,
     said: Started
     | NotStarted
     | Greeted
@@ -185,7 +185,7 @@ def _take_of_process(
 
 
 def _operate(
-    step: Step, said: StartRequested | EndRequested | LoadRequested | UnloadRequested
+    step: Reduction, said: StartRequested | EndRequested | LoadRequested | UnloadRequested
 ) -> None:
     """Note what an operator wants; it waits for no conditions."""
     world, now = step.world, step.now
@@ -225,7 +225,7 @@ def _operate(
             change.dismissed(world, str(said.node))
 
 
-def _settle(step: Step, *, is_about_all: bool) -> None:
+def _settle(step: Reduction, *, is_about_all: bool) -> None:
     """Evaluate what follows from the state of the world until nothing more does."""
     world = step.world
     for _ in range(_ROUNDS):

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from play_launch.supervisor.world import Node, Process, World
 
 
-class Step:
+class Reduction:
     """Belongs to one call of `play_launch.supervisor.reducer.reduce`."""
 
     def __init__(self, world: World, now: float, chance: float) -> None:

@@ -35,7 +35,7 @@ def test_it_has_no_process_of_ours() -> None:
         container, link = await attached(Services())
         assert (container.pid, container.start_time, container.argv) == (0, 0, ())
         container.kill()
-        assert str(await container.wait()) == "let go"
+        assert str(await container.wait()) == "detached"
         link.close()
 
     run(main())
@@ -89,7 +89,7 @@ def test_at_the_end_what_was_there_stays() -> None:
         await loaded(services, link, 1, "ours")
         assert await container.stop(ask=None, hurry=asyncio.Event())
         assert services.nodes == {1: "/there", 2: "/foreign"}
-        assert str(await container.gone()) == "let go"
+        assert str(await container.gone()) == "detached"
         link.close()
 
     run(main())

@@ -35,7 +35,7 @@ from .running import Running, running
 from .test_order import on, rules
 
 if TYPE_CHECKING:
-    from play_launch.supervisor.step import Step
+    from play_launch.supervisor.reduction import Reduction
 
 STARTED = ProcessEventKind.STARTED
 
@@ -43,7 +43,7 @@ STARTED = ProcessEventKind.STARTED
 def test_a_rule_that_raises_for_ever_fails_its_unit_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     settle = node_rules.settle
 
-    def raises(step: Step, key: NodeKey) -> None:
+    def raises(step: Reduction, key: NodeKey) -> None:
         if key.name == "/a":
             raise LookupError("a bug")
         settle(step, key)
@@ -66,7 +66,7 @@ def test_a_process_rule_that_raises_for_ever_fails_its_unit_alone(
 ) -> None:
     settle = process_rules.settle
 
-    def raises(step: Step, name: str) -> None:
+    def raises(step: Reduction, name: str) -> None:
         if name == "/p":
             raise LookupError("a bug")
         settle(step, name)

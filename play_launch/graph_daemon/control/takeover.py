@@ -78,7 +78,7 @@ class Occupant:
     holder: Holder | None = None
     status: Mapping[str, Any] = field(default_factory=dict)
     """What our daemon reports, by the fields of `DaemonStatus`; empty for others. Where its process
-    is of the same user, ``settings`` are those of its environment that decide whom it meets."""
+    is of the same user, ``settings`` are those of its environment that discovery depends on."""
     problem: str = ""
     """Why it is foreign, or hung."""
 

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 
 _UNLOADS: Final = 2
-"""How often a node is to be unloaded when a container is let go."""
+"""Tries to unload a node when a container is detached."""
 
 
 class StockLink:

@@ -100,8 +100,8 @@ class StockLoad:
         if self.is_silent:
             does = "lists other nodes only" if self.container_answers else "answers nothing"
             load = f" (pid {container.pid}, {used / 1e9:.1f} s on CPU since)"
-            who = f"the container{load if container.pid else ''}"
-            note = f"LoadNode was sent and is not answered; {who} {does} meanwhile"
+            sender = f"the container{load if container.pid else ''}"
+            note = f"LoadNode was sent and is not answered; {sender} {does} meanwhile"
         elif self.state is NodeStatusState.CONSTRUCTING:
             note = "LoadNode was answered; the container's list is to confirm it"
         return NodeStatus(

@@ -42,7 +42,7 @@ class AttachedContainer:
     """Stands for the process of a container that something else has started.
 
     It ends when the services of the container leave the graph, at once after an orderly end and
-    with the lease of its participant (20 s by default) after SIGKILL, or when it is let go.
+    with the lease of its participant (20 s by default) after SIGKILL, or when it is detached.
     """
 
     pid = 0
@@ -57,7 +57,7 @@ class AttachedContainer:
         link.start(self._report_absence())
 
     async def wait(self) -> Exit:
-        """Wait until it is gone or let go."""
+        """Wait until it is gone or detached."""
         await self._link.ended.wait()
         return Parting(reason=self._link.end_reason)
 
@@ -65,7 +65,7 @@ class AttachedContainer:
 
     def kill(self) -> None:
         """Let it go; it is not killed."""
-        self._link.end("let go")
+        self._link.end("detached")
 
     async def stop(self, *, ask: Callable[[], bool] | None, hurry: asyncio.Event) -> bool:
         """Unload what was loaded by us, and let it go."""
@@ -75,7 +75,7 @@ class AttachedContainer:
         left = ", ".join(load.label for load in self._link.unfinished())
         if left and not self._link.ended.is_set():
             _log.warning("%s keeps %s: not unloaded in time", self._name, left)
-        self._link.end("let go")
+        self._link.end("detached")
         return True
 
     async def _report_absence(self) -> None:
