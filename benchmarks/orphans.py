@@ -9,8 +9,8 @@ and SIGHUP, that fork twice, and that do so without an environment. Everything h
 and a /dev/shm of its own, so root is needed (or user namespaces), and iproute2.
 
 An orphan is a process of the system that lives one second after the SIGKILL. What is left of Fast
-DDS in /dev/shm is removed in the end by `python -m play_launch.fastdds`, which is no part of the
-system; the time until then is measured as well.
+DDS in /dev/shm is removed in the end by `python -m play_launch.ros.fastdds`, which is no part of
+the system; the time until then is measured as well.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ from benchmarks.bring_up import COMMAND, ENVIRONMENT, TIMEOUT
 from benchmarks.own_network import enter_namespace, is_inside
 from benchmarks.progress import Progress
 from benchmarks.statistics import header, row
-from play_launch.fastdds.shared_memory import SHARED_MEMORY, sweep
-from play_launch.fastdds.sweep_command import sweep_command
+from play_launch.ros.fastdds.shared_memory import SHARED_MEMORY, sweep
+from play_launch.ros.fastdds.sweep_command import sweep_command
 
 LIMIT = 1.0
 """Seconds from the death of the supervisor to that of everything else."""

@@ -29,11 +29,11 @@ from rosbags.highlevel import AnyReader
 
 from benchmarks.progress import Progress
 from benchmarks.statistics import header, row
-from play_launch.archive.leftovers import complete_files
-from play_launch.fastdds.shared_memory import sweep_shared_memory
+from play_launch.postmortem.archive.leftovers import complete_files
 from play_launch.recording.folder import BAG_NAME, parts_of
 from play_launch.recording.session import METADATA_NAME
 from play_launch.recording.topics import OUTPUT
+from play_launch.ros.fastdds.shared_memory import sweep_shared_memory
 
 COMMAND = Path(sys.prefix) / "bin" / "play-launch"
 ENVIRONMENT = {

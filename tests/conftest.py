@@ -16,8 +16,8 @@ import hypothesis
 import psutil
 import pytest
 
-from play_launch.fastdds.shared_memory import sweep
-from play_launch.install.ros import RosSource, ros_installation
+from play_launch.container.ros import RosSource, ros_installation
+from play_launch.ros.fastdds.shared_memory import sweep
 
 # For `tests.…`; at the end, so that `play_launch` is the installed package.
 sys.path.append(str(Path(__file__).resolve().parents[1]))

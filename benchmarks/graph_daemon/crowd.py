@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from types import TracebackType
 from typing import Self
 
-from play_launch.fastdds.shared_memory import sweep
+from play_launch.ros.fastdds.shared_memory import sweep
 
 _MADE = "made"
 _START_LIMIT = 120.0

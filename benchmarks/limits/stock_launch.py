@@ -16,8 +16,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final
 
-from play_launch.install.environment import child_environment
-from play_launch.install.ros import component_container, ros_installation
+from play_launch.container.environment import child_environment
+from play_launch.container.ros import component_container, ros_installation
 
 STOCK: Final = "launch file, one container"
 _END_LIMIT: Final = 30.0

@@ -27,8 +27,8 @@ from benchmarks.figures import Figures
 from benchmarks.limits.ways import groups_problem
 from benchmarks.statistics import Summary
 from benchmarks.systems import Node, keep_to_this_machine, system
-from play_launch.cgroups.group import Group
-from play_launch.cgroups.usage import group_of
+from play_launch.process.cgroups.group import Group
+from play_launch.process.cgroups.usage import group_of
 from play_launch.runtime.publisher import Publisher, StopRequests
 from play_launch.runtime.run import run_system
 from play_launch.supervisor.events import NodeState, NodeStateChanged, RunEvent

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec.structs import replace
 
-from play_launch.cdr.text import text_bytes
+from play_launch.container.cdr.text import text_bytes
 from play_launch.recording.resolved_form import resolved_form
 
 if TYPE_CHECKING:

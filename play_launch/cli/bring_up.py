@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from msgspec.structs import replace
 
 from play_launch.cli.failure import fail
-from play_launch.systemd.notification import claim
+from play_launch.deploy.notification import claim
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from play_launch.cli.watch import Watched
     from play_launch.config.model import ReplayConfig
-    from play_launch.systemd.notification import ServiceManager
+    from play_launch.deploy.notification import ServiceManager
 
 
 def bring_up(
@@ -44,9 +44,9 @@ def bring_up(
     _require_ros()
     _require_log_folder(loaded)
     _require_time_zone()
-    from play_launch.cgroups.base import GroupError  # noqa: PLC0415
     from play_launch.cli.run import RunOptions, run  # noqa: PLC0415
-    from play_launch.install.ros import NotInstalledError  # noqa: PLC0415
+    from play_launch.container.ros import NotInstalledError  # noqa: PLC0415
+    from play_launch.process.cgroups.base import GroupError  # noqa: PLC0415
     from play_launch.recording.errors import RecordingError  # noqa: PLC0415
 
     try:
@@ -148,7 +148,7 @@ def _sweep() -> None:
     """Remove what dead processes left of Fast DDS, which may be what fills shared memory."""
     import asyncio  # noqa: PLC0415
 
-    from play_launch.fastdds.shared_memory import sweep_shared_memory  # noqa: PLC0415
+    from play_launch.ros.fastdds.shared_memory import sweep_shared_memory  # noqa: PLC0415
 
     with contextlib.suppress(OSError):
         asyncio.run(sweep_shared_memory())
@@ -156,8 +156,8 @@ def _sweep() -> None:
 
 def _require_ros() -> None:
     from play_launch.config.values import domain_problem  # noqa: PLC0415
-    from play_launch.install.middleware import middleware_problem  # noqa: PLC0415
-    from play_launch.install.ros import (  # noqa: PLC0415
+    from play_launch.container.middleware import middleware_problem  # noqa: PLC0415
+    from play_launch.container.ros import (  # noqa: PLC0415
         MixedInstallationError,
         NotInstalledError,
         component_container,

@@ -18,9 +18,9 @@ from play_launch.cli.target import (
     sizes,
     target_of,
 )
+from play_launch.deploy.notification import claim
 from play_launch.launch_files.configuration.options import Containers, Options
 from play_launch.supervisor.exit_code import ExitCode
-from play_launch.systemd.notification import claim
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

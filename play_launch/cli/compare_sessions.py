@@ -9,8 +9,8 @@ import msgspec
 from play_launch.cli.failure import fail
 from play_launch.cli.show.terminal import printable, say
 from play_launch.cli.sum_up import DAMAGED, report_damage
-from play_launch.history.bag_reader import NotARecordingError
-from play_launch.history.comparison import (
+from play_launch.postmortem.bag_reader import NotARecordingError
+from play_launch.postmortem.comparison import (
     Change,
     Comparison,
     CrashChange,
@@ -18,11 +18,11 @@ from play_launch.history.comparison import (
     ParameterChange,
     compare,
 )
-from play_launch.history.parameters import shortened
-from play_launch.history.story import read_story
-from play_launch.history.whole_file import OutputError
-from play_launch.reporting.comparison import Words, comparison_page, scaled
-from play_launch.reporting.page import put
+from play_launch.postmortem.parameters import shortened
+from play_launch.postmortem.report.comparison import Words, comparison_page, scaled
+from play_launch.postmortem.report.page import put
+from play_launch.postmortem.story import read_story
+from play_launch.postmortem.whole_file import OutputError
 from play_launch.supervisor.exit_code import ExitCode
 
 if TYPE_CHECKING:

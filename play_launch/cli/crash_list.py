@@ -14,9 +14,9 @@ from play_launch.cli.find_mistakes import counted
 from play_launch.cli.show.terminal import printable, say
 from play_launch.cli.sum_up import DAMAGED
 from play_launch.cli.target import complain
-from play_launch.history.bag_reader import NotARecordingError
-from play_launch.history.crash_groups import CrashGroup, CrashGroups
-from play_launch.history.story import read_story
+from play_launch.postmortem.bag_reader import NotARecordingError
+from play_launch.postmortem.crash_groups import CrashGroup, CrashGroups
+from play_launch.postmortem.story import read_story
 from play_launch.recording.folder import part_file
 from play_launch.recording.part import ACTIVE_SUFFIX
 

@@ -248,8 +248,8 @@ def _seconds(text: str) -> float:
 
 
 def _require_ros() -> None:
-    from play_launch.install.middleware import middleware_problem  # noqa: PLC0415
-    from play_launch.install.ros import (  # noqa: PLC0415
+    from play_launch.container.middleware import middleware_problem  # noqa: PLC0415
+    from play_launch.container.ros import (  # noqa: PLC0415
         MixedInstallationError,
         NotInstalledError,
         ros_installation,

@@ -12,7 +12,7 @@ from play_launch.cli.show.terminal import say
 from play_launch.supervisor.exit_code import ExitCode
 
 if TYPE_CHECKING:
-    from play_launch.ros2cli_patch import PatchError
+    from play_launch.graph_daemon.patch import PatchError
 
 _CHANGES = (
     "listens with a queue of 512 connections, not 5",
@@ -59,9 +59,9 @@ def patch(
     daemon. 'play-launch daemon unpatch' takes it away.
     """
     # Only when it runs: help comes up faster.
-    from play_launch.ros2cli_patch import PatchError  # noqa: PLC0415
-    from play_launch.ros2cli_patch.install import Action, plan_patch  # noqa: PLC0415
-    from play_launch.ros2cli_patch.target import find_target  # noqa: PLC0415
+    from play_launch.graph_daemon.patch import PatchError  # noqa: PLC0415
+    from play_launch.graph_daemon.patch.install import Action, plan_patch  # noqa: PLC0415
+    from play_launch.graph_daemon.patch.target import find_target  # noqa: PLC0415
 
     try:
         plan = plan_patch(find_target(python), for_user=user, force=force)
@@ -89,13 +89,13 @@ def patch(
 
 def unpatch(dry_run: _DryRun = False, python: _Python = None, force: _Force = False) -> None:
     """Take away what 'play-launch daemon patch' has put beside ros2cli."""
-    from play_launch.ros2cli_patch import PatchError  # noqa: PLC0415
-    from play_launch.ros2cli_patch.install import (  # noqa: PLC0415
+    from play_launch.graph_daemon.patch import PatchError  # noqa: PLC0415
+    from play_launch.graph_daemon.patch.install import (  # noqa: PLC0415
         overlays,
         refuse_edited,
         remove,
     )
-    from play_launch.ros2cli_patch.target import find_target  # noqa: PLC0415
+    from play_launch.graph_daemon.patch.target import find_target  # noqa: PLC0415
 
     try:
         found = overlays(find_target(python, needs_ros2cli=False))
@@ -116,7 +116,7 @@ def unpatch(dry_run: _DryRun = False, python: _Python = None, force: _Force = Fa
 
 
 def _fail(error: PatchError) -> NoReturn:
-    from play_launch.ros2cli_patch import VerificationError  # noqa: PLC0415
+    from play_launch.graph_daemon.patch import VerificationError  # noqa: PLC0415
 
     failed = isinstance(error, VerificationError)
     fail(str(error), ExitCode.NODE_FAILED if failed else ExitCode.USAGE)

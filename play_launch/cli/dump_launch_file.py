@@ -17,8 +17,8 @@ from play_launch.cli.target import (
     say_arguments,
     target_of,
 )
-from play_launch.history.whole_file import is_passed_on
 from play_launch.launch_files.configuration.options import Containers, Options
+from play_launch.postmortem.whole_file import is_passed_on
 from play_launch.supervisor.exit_code import ExitCode
 
 if TYPE_CHECKING:

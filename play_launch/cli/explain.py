@@ -10,10 +10,10 @@ from play_launch.cli.failure import fail
 from play_launch.cli.show.terminal import printable, say
 from play_launch.cli.story_words import paragraphs
 from play_launch.cli.sum_up import DAMAGED, report_damage
-from play_launch.history.bag_reader import NotARecordingError
-from play_launch.history.findings import is_wrong
-from play_launch.history.locate import located
-from play_launch.history.story import read_story
+from play_launch.postmortem.bag_reader import NotARecordingError
+from play_launch.postmortem.findings import is_wrong
+from play_launch.postmortem.locate import located
+from play_launch.postmortem.story import read_story
 from play_launch.supervisor.exit_code import ExitCode
 
 if TYPE_CHECKING:

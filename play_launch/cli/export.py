@@ -10,18 +10,18 @@ from typing import TYPE_CHECKING, Final
 from play_launch.cli.failure import fail
 from play_launch.cli.show.terminal import say
 from play_launch.cli.sum_up import DAMAGED, report_damage
-from play_launch.exporting.tables import WRITERS, rows
-from play_launch.exporting.trace import trace_events, write_trace
-from play_launch.history.bag_reader import NotARecordingError
-from play_launch.history.session import PastSession
-from play_launch.history.whole_file import OutputError, is_passed_on, whole_file
+from play_launch.postmortem.bag_reader import NotARecordingError
+from play_launch.postmortem.export.tables import WRITERS, rows
+from play_launch.postmortem.export.trace import trace_events, write_trace
+from play_launch.postmortem.session import PastSession
+from play_launch.postmortem.whole_file import OutputError, is_passed_on, whole_file
 from play_launch.recording.folder import beside
 from play_launch.supervisor.exit_code import ExitCode
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from play_launch.exporting.tables import TableWriter
+    from play_launch.postmortem.export.tables import TableWriter
 
 TRACE: Final = "perfetto"
 FORMATS: Final = (TRACE, *WRITERS)

@@ -32,7 +32,7 @@ def import_system(
     What could not be carried over is reported, a line each. Exits with 2 if the result has mistakes
     that `check` finds, with --strict also if anything was lost.
     """
-    from play_launch.importing import read  # noqa: PLC0415 - not for other verbs
+    from play_launch.launch_files.importing import read  # noqa: PLC0415 - not for other verbs
 
     try:
         imported = read.import_system(file, stock=stock)

@@ -11,7 +11,7 @@ import typer
 from play_launch.cli.failure import fail
 from play_launch.cli.schema import SCHEMA_FILE
 from play_launch.cli.show.terminal import say
-from play_launch.history.whole_file import is_standard_output
+from play_launch.postmortem.whole_file import is_standard_output
 
 _STARTER: Final = """\
 # yaml-language-server: $schema=SCHEMA

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Final
 from play_launch.cli.failure import fail
 from play_launch.cli.show.terminal import say
 from play_launch.cli.sum_up import DAMAGED, report_damage
-from play_launch.exporting.foxglove import foxglove_layout
-from play_launch.exporting.plotjuggler import plotjuggler_layout
-from play_launch.exporting.subjects import NOBODY, chosen
-from play_launch.history.bag_reader import NotARecordingError
-from play_launch.history.session import PastSession
+from play_launch.postmortem.bag_reader import NotARecordingError
+from play_launch.postmortem.export.foxglove import foxglove_layout
+from play_launch.postmortem.export.plotjuggler import plotjuggler_layout
+from play_launch.postmortem.export.subjects import NOBODY, chosen
+from play_launch.postmortem.session import PastSession
 
 if TYPE_CHECKING:
     from pathlib import Path

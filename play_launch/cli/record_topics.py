@@ -12,11 +12,11 @@ from play_launch.supervisor.view import is_up
 if TYPE_CHECKING:
     from play_launch.config.model import ReplayConfig
     from play_launch.recording.session import Session
+    from play_launch.recording.topic_recorder.session import FailureWatch
+    from play_launch.recording.topic_recorder.snapshot import Snapshots
     from play_launch.runtime.publisher import Publisher, StopRequests
     from play_launch.supervisor.events import RunEvent
     from play_launch.supervisor.view import SystemView
-    from play_launch.topic_recording.session import FailureWatch
-    from play_launch.topic_recording.snapshot import Snapshots
 
 LATEST_START: Final = 3.0
 """Seconds after which it begins even though nodes are still being loaded."""
@@ -38,7 +38,7 @@ async def record_topics(
             # A look now and then takes less of the start than one at each event.
             while not is_up(publisher.view):  # noqa: ASYNC110
                 await asyncio.sleep(_LOOK)
-    from play_launch.topic_recording import session as topic_session  # noqa: PLC0415
+    from play_launch.recording.topic_recorder import session as topic_session  # noqa: PLC0415
 
     def see_failures(watch: FailureWatch) -> None:
         publisher.add_sink(_UntilStop(watch, stop))

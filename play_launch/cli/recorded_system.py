@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 from play_launch.cli.show.terminal import printable
 from play_launch.config.ament_index import ament_prefixes
 from play_launch.control.protocol import ROS_VARIABLES
-from play_launch.history.recorded_config import RecordedConfig, recorded_config
+from play_launch.postmortem.recorded_config import RecordedConfig, recorded_config
 from play_launch.recording.facts import REDACTED, versions
 from play_launch.recording.resolved_form import resolved_form
 

@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import msgspec
 
-from play_launch.cdr.layout import CdrError
-from play_launch.cdr.messages import STATE_EVENT
 from play_launch.cli.failure import fail
 from play_launch.cli.find_mistakes import counted
 from play_launch.cli.show.terminal import printable, say
 from play_launch.cli.sum_up import DAMAGED, report_damage
 from play_launch.cli.target import complain
 from play_launch.config.values import parse_duration
-from play_launch.history.bag_reader import NotARecordingError
-from play_launch.history.session import PastSession
+from play_launch.container.cdr.layout import CdrError
+from play_launch.container.cdr.messages import STATE_EVENT
+from play_launch.postmortem.bag_reader import NotARecordingError
+from play_launch.postmortem.session import PastSession
 from play_launch.recording import topics
 from play_launch.recording.bag import REPEATED
 from play_launch.recording.convert import convert

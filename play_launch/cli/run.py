@@ -38,8 +38,8 @@ from play_launch.recording.resolved_form import (
     without,
 )
 from play_launch.recording.session import Session, SessionDescription, open_session
+from play_launch.recording.topic_recorder.snapshot import Snapshots
 from play_launch.supervisor.events import GroupSample, OutputLine
-from play_launch.topic_recording.snapshot import Snapshots
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Coroutine, Mapping
@@ -48,13 +48,13 @@ if TYPE_CHECKING:
     from play_launch.cli.show.group_totals import GroupTotal
     from play_launch.cli.watch import Watched
     from play_launch.config.model import ReplayConfig
+    from play_launch.deploy.notification import ServiceManager
     from play_launch.recording.recorder import Recorder, RecordingSummary
     from play_launch.runtime.publisher import Publisher, StopRequests
     from play_launch.runtime.run import Outcome
     from play_launch.runtime.system import System
     from play_launch.supervisor.events import EventSink, LogRecord, RunEvent, SubjectKind
     from play_launch.supervisor.view import SystemView
-    from play_launch.systemd.notification import ServiceManager
 
 _log = logging.getLogger(__name__)
 _HEAD_START: Final = 1.0
@@ -253,7 +253,7 @@ async def _report(
 ) -> None:
     if manager is None:
         return
-    from play_launch.systemd.report import ServiceReport  # noqa: PLC0415 - for services only
+    from play_launch.deploy.report import ServiceReport  # noqa: PLC0415 - for services only
 
     await ServiceReport(manager, publisher, stop, system, operable).run()
 
@@ -263,7 +263,7 @@ async def _sample(config: ReplayConfig, publisher: Publisher, folder: Path) -> N
     if not math.isfinite(period):
         return
     await asyncio.sleep(_HEAD_START)
-    from play_launch.sampling.sampling import sample  # noqa: PLC0415 - after the processes' start
+    from play_launch.process.sampling.sampling import sample  # noqa: PLC0415 - after the processes' start
 
     await sample(lambda: publisher.view, publisher.publish, period=period, folder=folder)
 
@@ -326,7 +326,7 @@ async def _look_after_sessions(
 ) -> None:
     await asyncio.sleep(_HEAD_START)
     from play_launch.cli.upkeep import look_after_sessions  # noqa: PLC0415 - as above
-    from play_launch.install.ros import spawn_guard  # noqa: PLC0415
+    from play_launch.container.ros import spawn_guard  # noqa: PLC0415
 
     await look_after_sessions(log_folder, config.record.keep, lambda: publisher.view, spawn_guard())
 

@@ -28,9 +28,9 @@ if TYPE_CHECKING:
     from play_launch.control.door import Door
     from play_launch.control.feed import Feed
     from play_launch.recording.session import Session
+    from play_launch.recording.topic_recorder.snapshot import Snapshots
     from play_launch.runtime.publisher import Publisher
     from play_launch.runtime.system import System
-    from play_launch.topic_recording.snapshot import Snapshots
 
 _log = logging.getLogger(__name__)
 

@@ -112,8 +112,8 @@ def run_plainly(arguments: Sequence[str]) -> int | None:
             from play_launch.cli.bring_up_launch_file import bring_up_launch_file  # noqa: PLC0415
 
             return bring_up_launch_file(**parameters)
+    from play_launch.deploy.notification import claim  # noqa: PLC0415 - as above
     from play_launch.runtime import prestart as head_start  # noqa: PLC0415
-    from play_launch.systemd.notification import claim  # noqa: PLC0415 - as above
 
     # Whatever is started from here on has no business with it.
     manager = claim(os.environ)

@@ -7,17 +7,17 @@ from typing import TYPE_CHECKING, Final
 
 from play_launch.cli.find_mistakes import counted
 from play_launch.cli.show.durations import duration
-from play_launch.history.findings import Finding, Kind, Quantity, Trend, is_crash
-from play_launch.history.frames import plain_function
-from play_launch.history.known_causes import BY_NAME, known_by
-from play_launch.history.parameters import is_of_the_node, shortened
+from play_launch.postmortem.findings import Finding, Kind, Quantity, Trend, is_crash
+from play_launch.postmortem.frames import plain_function
+from play_launch.postmortem.known_causes import BY_NAME, known_by
+from play_launch.postmortem.parameters import is_of_the_node, shortened
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from play_launch.history.findings import Away, Place
-    from play_launch.history.parameters import Changed, ParametersOfALife
-    from play_launch.history.session import PastSession
+    from play_launch.postmortem.findings import Away, Place
+    from play_launch.postmortem.parameters import Changed, ParametersOfALife
+    from play_launch.postmortem.session import PastSession
 
 _SECOND: Final = 1_000_000_000
 _MANY: Final = 8

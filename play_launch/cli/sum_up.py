@@ -11,17 +11,17 @@ from play_launch.cli.failure import fail
 from play_launch.cli.find_mistakes import counted
 from play_launch.cli.show.terminal import printable, say
 from play_launch.cli.target import complain
-from play_launch.history.bag_reader import NotARecordingError
-from play_launch.history.crash_groups import crashes_of
-from play_launch.history.story import read_story
+from play_launch.postmortem.bag_reader import NotARecordingError
+from play_launch.postmortem.crash_groups import crashes_of
+from play_launch.postmortem.story import read_story
 from play_launch.recording.bag import PART_METADATA
 from play_launch.recording.topic_requests import DROPS_METADATA
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from play_launch.history.bag_reader import BagReader
-    from play_launch.history.story import Story
+    from play_launch.postmortem.bag_reader import BagReader
+    from play_launch.postmortem.story import Story
 
 DAMAGED: Final = 3
 """Exit code: not everything could be read."""

@@ -15,13 +15,13 @@ from play_launch.cli import shared_options as options  # noqa: TC001 - typer eva
 from play_launch.cli.failure import fail
 from play_launch.cli.show.terminal import say
 from play_launch.cli.target import complain
-from play_launch.history.whole_file import is_standard_output
+from play_launch.postmortem.whole_file import is_standard_output
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from play_launch.config.model import ReplayConfig
-    from play_launch.systemd.environment import Carried
+    from play_launch.deploy.environment import Carried
 
 _COMMAND = "play-launch"
 
@@ -53,7 +53,7 @@ def systemd_unit(
     the unit has this user, this folder, and what the shell says about ROS. Comments in it say why
     each line is there.
     """
-    from play_launch.systemd.unit import Service, unit_text  # noqa: PLC0415
+    from play_launch.deploy.unit import Service, unit_text  # noqa: PLC0415
 
     loaded = _loaded(config.absolute(), arguments or ())
     service = Service(
@@ -115,13 +115,13 @@ def _user() -> str:
 
 
 def _environment(config: ReplayConfig) -> Carried:
-    from play_launch.install.environment import caller_environment  # noqa: PLC0415
-    from play_launch.install.ros import (  # noqa: PLC0415
+    from play_launch.container.environment import caller_environment  # noqa: PLC0415
+    from play_launch.container.ros import (  # noqa: PLC0415
         MixedInstallationError,
         NotInstalledError,
         ros_installation,
     )
-    from play_launch.systemd.environment import carried  # noqa: PLC0415
+    from play_launch.deploy.environment import carried  # noqa: PLC0415
 
     try:
         environ = caller_environment(os.environ, ros_installation())
@@ -131,7 +131,7 @@ def _environment(config: ReplayConfig) -> Carried:
 
 
 def _require_plain(*paths: Path) -> None:
-    from play_launch.systemd.quoting import is_acceptable  # noqa: PLC0415
+    from play_launch.deploy.quoting import is_acceptable  # noqa: PLC0415
 
     for path in paths:
         if not is_acceptable(str(path)) or any(each in str(path) for each in "\n\t\\\"'"):

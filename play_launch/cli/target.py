@@ -84,7 +84,7 @@ def _arguments(texts: Sequence[str]) -> dict[str, str]:
 def evaluated(target: Target, timeout: str, *, only_arguments: bool = False) -> Description:
     """Return what the launch file describes; mistakes end the process."""
     from play_launch.config.values import parse_positive_duration  # noqa: PLC0415
-    from play_launch.install.ros import NotInstalledError  # noqa: PLC0415
+    from play_launch.container.ros import NotInstalledError  # noqa: PLC0415
     from play_launch.launch_files.evaluation import evaluate  # noqa: PLC0415
     from play_launch.launch_files.records import LaunchFileError  # noqa: PLC0415
 

@@ -19,11 +19,11 @@ from play_launch.cli.show.terminal import printable
 from play_launch.cli.story_words import change
 from play_launch.cli.sum_up import DAMAGED, report_damage
 from play_launch.config.values import parse_duration
-from play_launch.history.bag_reader import BagReader, NotARecordingError
-from play_launch.history.events import UnreadableEventError
-from play_launch.history.parameters import TOPICS as PARAMETER_TOPICS
-from play_launch.history.parameters import Parameters, Said, shortened
-from play_launch.history.session import PastSession
+from play_launch.postmortem.bag_reader import BagReader, NotARecordingError
+from play_launch.postmortem.events import UnreadableEventError
+from play_launch.postmortem.parameters import TOPICS as PARAMETER_TOPICS
+from play_launch.postmortem.parameters import Parameters, Said, shortened
+from play_launch.postmortem.session import PastSession
 from play_launch.recording import topics
 from play_launch.recording.console_format import DEBUG, ERROR, FATAL, INFO, WARN
 from play_launch.supervisor.event_object import event_object, names_of
@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from play_launch.history.bag_reader import Message
-    from play_launch.history.session import Happened
+    from play_launch.postmortem.bag_reader import Message
+    from play_launch.postmortem.session import Happened
 
 _AROUND: Final = 5.0
 """Seconds on either side of a moment."""

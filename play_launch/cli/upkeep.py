@@ -68,7 +68,7 @@ async def _end_of_bring_up(view: Callable[[], SystemView]) -> None:
 
 async def _run_once(log_folder: Path, keep: KeepConfig, guard: Path) -> None:
     # The working directory is no place for modules.
-    command = [sys.executable, "-P", "-m", "play_launch.archive", os.fspath(log_folder)]
+    command = [sys.executable, "-P", "-m", "play_launch.postmortem.archive", os.fspath(log_folder)]
     if keep.sessions is not None:
         command.append(f"--keep-sessions={keep.sessions}")
     if keep.size is not None:

@@ -23,7 +23,7 @@ def version(
 
 def print_version(*, as_json: bool) -> None:
     """Print versions, one a line, play-launch first; a program that is missing is named so."""
-    from play_launch.install.ros import (  # noqa: PLC0415
+    from play_launch.container.ros import (  # noqa: PLC0415
         MixedInstallationError,
         NotInstalledError,
         component_container,

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from play_launch.cli.failure import fail
 from play_launch.config.model import ContainerConfig
-from play_launch.install.environment import caller_environment, child_environment
-from play_launch.install.ros import (
+from play_launch.container.environment import caller_environment, child_environment
+from play_launch.container.ros import (
     MixedInstallationError,
     NotInstalledError,
     component_container,
@@ -22,11 +22,11 @@ from play_launch.install.ros import (
 from play_launch.process.program import SpawnError, check_program
 from play_launch.recording.facts import REDACTED, is_secret
 from play_launch.recording.resolved_form import taken_secrets, without
+from play_launch.recording.topic_recorder.program import recorder_argv
 from play_launch.runtime.commands import Command, Machine
 from play_launch.runtime.needs import is_own, shares_memory
 from play_launch.runtime.prestart import SWITCH
 from play_launch.runtime.survey import DESCRIPTOR, Start, allocator_for, survey
-from play_launch.topic_recording.program import recorder_argv
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Mapping
@@ -78,9 +78,11 @@ def helpers(config: ReplayConfig) -> list[str]:
         found.append("spawn_guard: the parent of the topic recorder")
     if config.graph_daemon:
         found.append("play_launch.graph_daemon: unless one serves the domain; outlives the session")
-    found.append("play_launch.archive: completes or removes earlier recordings, after bring-up")
     found.append(
-        "play_launch.fastdds: removes what is left in shared memory, after a SIGKILL of replay"
+        "play_launch.postmortem.archive: completes or removes earlier recordings, after bring-up"
+    )
+    found.append(
+        "play_launch.ros.fastdds: removes what is left in shared memory, after a SIGKILL of replay"
     )
     return found
 

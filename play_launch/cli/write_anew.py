@@ -8,7 +8,7 @@ from play_launch.cli.failure import fail
 from play_launch.cli.show.terminal import say
 from play_launch.cli.sum_up import DAMAGED, report_damage
 from play_launch.cli.target import complain
-from play_launch.history.recover import RecoverError, default_output, recover
+from play_launch.postmortem.recover import RecoverError, default_output, recover
 from play_launch.supervisor.exit_code import ExitCode
 
 if TYPE_CHECKING:
@@ -31,8 +31,8 @@ def write_anew(file: Path, output: Path | None) -> int:
 
 
 def _complete_folder(folder: Path, output: Path | None) -> int:
-    from play_launch.archive.folders import is_being_written  # noqa: PLC0415 - rarely needed
-    from play_launch.archive.leftovers import complete_files  # noqa: PLC0415
+    from play_launch.postmortem.archive.folders import is_being_written  # noqa: PLC0415 - rarely needed
+    from play_launch.postmortem.archive.leftovers import complete_files  # noqa: PLC0415
     from play_launch.recording.folder import active_parts, parts_of  # noqa: PLC0415
 
     if output is not None:

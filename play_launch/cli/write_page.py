@@ -8,25 +8,25 @@ from play_launch.cli.failure import fail
 from play_launch.cli.show.terminal import say
 from play_launch.cli.story_words import details, headline
 from play_launch.cli.sum_up import DAMAGED, report_damage
-from play_launch.history.bag_reader import NotARecordingError
-from play_launch.history.findings import IMPORTANCE
-from play_launch.history.locate import located
-from play_launch.history.session import PastSession
-from play_launch.history.story import Telling
-from play_launch.history.whole_file import OutputError
+from play_launch.postmortem.bag_reader import NotARecordingError
+from play_launch.postmortem.findings import IMPORTANCE
+from play_launch.postmortem.locate import located
+from play_launch.postmortem.report.facts import contents
+from play_launch.postmortem.report.gather import Gathering
+from play_launch.postmortem.report.page import write_page
+from play_launch.postmortem.report.parameters import parameters_shown
+from play_launch.postmortem.report.story import Point
+from play_launch.postmortem.session import PastSession
+from play_launch.postmortem.story import Telling
+from play_launch.postmortem.whole_file import OutputError
 from play_launch.recording.folder import beside
-from play_launch.reporting.facts import contents
-from play_launch.reporting.gather import Gathering
-from play_launch.reporting.page import write_page
-from play_launch.reporting.parameters import parameters_shown
-from play_launch.reporting.story import Point
 from play_launch.supervisor.exit_code import ExitCode
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-    from play_launch.history.findings import Finding
+    from play_launch.postmortem.findings import Finding
 
 
 def write_report(file: Path, output: Path | None) -> int:

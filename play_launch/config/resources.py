@@ -2,7 +2,7 @@
 
 All of it is inherited by the threads and processes that it starts. `Resources.settings` is what
 ``container_native/src/base/resource_setting.hpp`` reads. What its control group limits is written
-by the supervisor, see `play_launch.cgroups`.
+by the supervisor, see `play_launch.process.cgroups`.
 """
 
 from __future__ import annotations

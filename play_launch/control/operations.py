@@ -20,8 +20,8 @@ from play_launch.control.protocol import (
 from play_launch.control.rows import Clock, add_groups, rows_of
 from play_launch.control.selection import KINDS, selection_of
 from play_launch.control.targets import chosen, members_of, nodes_of
+from play_launch.recording.topic_recorder.snapshot import SnapshotError
 from play_launch.supervisor.events import ProcessSample
-from play_launch.topic_recording.snapshot import SnapshotError
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Mapping, Sequence
@@ -32,11 +32,11 @@ if TYPE_CHECKING:
     from play_launch.control.protocol import Request
     from play_launch.control.rows import Samples
     from play_launch.control.targets import Target
+    from play_launch.recording.topic_recorder.snapshot import Snapshots
     from play_launch.runtime.publisher import Publisher
     from play_launch.runtime.system import System
     from play_launch.supervisor.events import RunEvent
     from play_launch.supervisor.view import SystemView
-    from play_launch.topic_recording.snapshot import Snapshots
 
     Operation = Callable[[dict[str, Any], Peer, Stream], Awaitable[object]]
 

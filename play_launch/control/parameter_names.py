@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from play_launch.cdr.layout import CdrError
-from play_launch.cdr.messages import NODE_PARAMETERS
 from play_launch.config.node_key import NodeKey
+from play_launch.container.cdr.layout import CdrError
+from play_launch.container.cdr.messages import NODE_PARAMETERS
 from play_launch.control.protocol import names_argument
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ import os
 import time
 from typing import TYPE_CHECKING, Any, Final
 
-from play_launch.cgroups.usage import group_of, usage_of
+from play_launch.process.cgroups.usage import group_of, usage_of
 from play_launch.process.exit import UNKNOWN_STATUS
 from play_launch.supervisor.events import (
     MemoryKind,

@@ -1,1 +1,4 @@
-"""What this machine can do: facts are gathered, and judged by functions without I/O."""
+"""Checks of this machine: what play-launch needs or profits from, and how to get it.
+
+Changes nothing and knows no configuration.
+"""

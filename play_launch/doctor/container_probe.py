@@ -9,18 +9,18 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
+from play_launch.container.allocator import allocating_with, find_allocator
+from play_launch.container.channel import ControlChannel, ControlError, control_pair
+from play_launch.container.environment import child_environment
+from play_launch.container.messages import Hello, Shutdown
+from play_launch.container.ros import NotInstalledError, component_container, spawn_guard
 from play_launch.doctor.facts import ContainerFacts
-from play_launch.install.allocator import allocating_with, find_allocator
-from play_launch.install.environment import child_environment
-from play_launch.install.ros import NotInstalledError, component_container, spawn_guard
-from play_launch.wire.channel import ControlChannel, ControlError, control_pair
-from play_launch.wire.messages import Hello, Shutdown
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from play_launch.install.ros import RosInstallation
+    from play_launch.container.ros import RosInstallation
 
 _HELLO_LIMIT: Final = 20.0
 """Seconds from its start to its hello."""

@@ -14,7 +14,7 @@ from play_launch.doctor.surroundings import Surroundings
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from play_launch.cgroups.controllers import Lack
+    from play_launch.process.cgroups.controllers import Lack
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

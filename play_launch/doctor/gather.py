@@ -17,6 +17,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from play_launch.config.ament_index import ament_prefixes
+from play_launch.container.command import ExecutableNotFoundError, find_executable
+from play_launch.container.environment import child_environment
+from play_launch.container.middleware import middleware_problem
+from play_launch.container.ros import (
+    MixedInstallationError,
+    NotInstalledError,
+    RosInstallation,
+    RosSource,
+    ros_installation,
+)
 from play_launch.doctor.container_probe import probe_container
 from play_launch.doctor.facts import (
     ContainerFacts,
@@ -36,17 +46,6 @@ from play_launch.doctor.gather_kernel import (
     real_time_share,
     surroundings,
 )
-from play_launch.fastdds.shared_memory import SHARED_MEMORY, count_files
-from play_launch.install.command import ExecutableNotFoundError, find_executable
-from play_launch.install.environment import child_environment
-from play_launch.install.middleware import middleware_problem
-from play_launch.install.ros import (
-    MixedInstallationError,
-    NotInstalledError,
-    RosInstallation,
-    RosSource,
-    ros_installation,
-)
 from play_launch.process.capabilities import Capability, has_capability
 from play_launch.process.machine import (
     ADDRESS_SPACE_FIX,
@@ -59,6 +58,7 @@ from play_launch.process.machine import (
 )
 from play_launch.recording.facts import versions
 from play_launch.recording.session import default_log_folder
+from play_launch.ros.fastdds.shared_memory import SHARED_MEMORY, count_files
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

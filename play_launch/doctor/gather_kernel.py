@@ -8,16 +8,16 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from play_launch.cgroups.base import (
+from play_launch.doctor.facts import GroupFacts, KeySupport
+from play_launch.doctor.surroundings import Surroundings, surroundings_of
+from play_launch.process.cgroups.base import (
     GroupError,
     facts_of,
     obstacle,
     own_base,
     own_hierarchy,
 )
-from play_launch.cgroups.controllers import lacks
-from play_launch.doctor.facts import GroupFacts, KeySupport
-from play_launch.doctor.surroundings import Surroundings, surroundings_of
+from play_launch.process.cgroups.controllers import lacks
 
 if TYPE_CHECKING:
     from collections.abc import Callable

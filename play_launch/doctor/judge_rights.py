@@ -7,11 +7,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from play_launch.cgroups.controllers import VERSION_2_FIX, Lack, switched_on
 from play_launch.config.resources import nice_limit
 from play_launch.doctor.facts import KeySupport
 from play_launch.doctor.finding import Finding, ok, size_text
 from play_launch.doctor.rights import Right, how_to_get
+from play_launch.process.cgroups.controllers import VERSION_2_FIX, Lack, switched_on
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
+from play_launch.container.allocator import FIX
 from play_launch.doctor.finding import Finding, fail, ok, warn
-from play_launch.install.allocator import FIX
 
 if TYPE_CHECKING:
     from play_launch.doctor.facts import ContainerFacts, PythonFacts, RosFacts

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Final
 from play_launch.config.values import LARGEST_DOMAIN
 from play_launch.doctor.finding import Finding, fail, ok, size_text, warn
 from play_launch.doctor.rights import Right, how_to_get
-from play_launch.fastdds.middleware import is_fastdds
 from play_launch.process.machine import (
     ADDRESS_SPACE_FIX,
     PROC_FIX,
@@ -18,6 +17,7 @@ from play_launch.process.machine import (
     full_shared_memory,
 )
 from play_launch.process.open_files import ENOUGH as RAISED_FILES
+from play_launch.ros.fastdds.middleware import is_fastdds
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -1,4 +1,5 @@
-"""A drop-in for ros2cli's daemon: the same address and protocol, built to survive a start-up storm.
+"""A drop-in replacement of ros2cli's daemon that survives a start-up storm, and a patch for that.
 
-Importing this package imports nothing of ROS; only ``ros_graph``, which talks to rclpy, does.
+Owns address, protocol and life of the daemon. Importing this package imports nothing of ROS; only
+``ros_graph``, which calls rclpy, does. Knows no configuration of a system.
 """

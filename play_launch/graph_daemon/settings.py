@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from play_launch.fastdds.profiles import PROFILE_VARIABLES
 from play_launch.graph_daemon.contract import DOMAIN_VARIABLE
+from play_launch.ros.fastdds.profiles import PROFILE_VARIABLES
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -1,1 +1,4 @@
-"""Launch files of ROS, evaluated, and the configurations that become of them."""
+"""ROS launch files and other tools' descriptions, evaluated into configurations.
+
+Does not know how a configuration is run.
+"""

@@ -15,7 +15,7 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from play_launch.cgroups.deaths import why_failed, why_killed
+from play_launch.process.cgroups.deaths import why_failed, why_killed
 from play_launch.process.exit import Exit
 from play_launch.process.guard import Ourselves, Parent, SessionGuard
 from play_launch.process.identity import ProcessIdentity, ProcessStat, read_stat, tracer_of
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from play_launch.cgroups.group import Group
+    from play_launch.process.cgroups.group import Group
     from play_launch.process.zygote import Zygote
 
 INHERITED = 3

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     import signal
     from collections.abc import Callable, Coroutine, Iterable, Sequence
 
-    from play_launch.cgroups.group import Group
+    from play_launch.process.cgroups.group import Group
     from play_launch.process.kin import Kin
 
 

@@ -1,5 +1,5 @@
-"""The flight recorder: every event of a run into one MCAP file that ROS tools can open.
+"""The flight recorder: events and topics of a run in MCAP files that ROS tools can open.
 
-Start with :func:`play_launch.recording.session.open_session`; the file's layout is described in
-``docs/recording.md``.
+Begin with :func:`play_launch.recording.session.open_session`; ``docs/recording.md`` describes the
+layout of the files. Does not know the readers.
 """

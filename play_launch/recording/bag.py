@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 from msgspec import Struct
 
-from play_launch.cdr.layout import CdrError
+from play_launch.container.cdr.layout import CdrError
 from play_launch.recording.disk import Disk
 from play_launch.recording.errors import WriteFailedError, reason
 from play_launch.recording.index import IndexedFile, IndexedTopic, write_index

@@ -5,7 +5,8 @@ from __future__ import annotations
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Final, Generic, NamedTuple, TypeVar
 
-from play_launch.cdr.messages import (
+from play_launch.config.node_key import NodeKey
+from play_launch.container.cdr.messages import (
     ACTION_EVENT,
     COMPONENT_EVENT,
     GRAPH_EVENT,
@@ -14,7 +15,6 @@ from play_launch.cdr.messages import (
     STATE_EVENT,
     SYSTEM_STATS,
 )
-from play_launch.config.node_key import NodeKey
 from play_launch.supervisor.events import (
     ActionEvent,
     ActionPhase,
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
     from enum import Enum
 
-    from play_launch.cdr.layout import Layout
+    from play_launch.container.cdr.layout import Layout
 
 _Event = TypeVar("_Event")
 

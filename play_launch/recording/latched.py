@@ -7,7 +7,7 @@ import re
 from collections import deque
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from play_launch.cdr.layout import Layout
+from play_launch.container.cdr.layout import Layout
 from play_launch.recording.chunk import CHUNK_HEAD, ENTRY, INDEX, MESSAGE
 from play_launch.recording.topics import PARAMETERS
 

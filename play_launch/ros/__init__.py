@@ -1,1 +1,4 @@
-"""ROS as a client sees it: one rclpy thread, and what it reports to the event loop."""
+"""ROS as a client sees it: rclpy in threads of its own, and what is particular to Fast DDS.
+
+Decides nothing.
+"""

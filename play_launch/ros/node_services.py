@@ -6,7 +6,7 @@ import os
 import time
 from typing import TYPE_CHECKING, Any, Final, Self
 
-from play_launch.fastdds.own_participant import as_our_own
+from play_launch.ros.fastdds.own_participant import as_our_own
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -14,8 +14,8 @@ from collections import deque
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 
-from play_launch.fastdds.own_participant import as_our_own
-from play_launch.fastdds.waits import end_participants_safely
+from play_launch.ros.fastdds.own_participant import as_our_own
+from play_launch.ros.fastdds.waits import end_participants_safely
 from play_launch.ros.waiting import Waiting
 
 if TYPE_CHECKING:

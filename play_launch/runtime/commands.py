@@ -17,17 +17,17 @@ from msgspec.structs import replace
 from play_launch.config.ament_index import ament_prefixes
 from play_launch.config.model import ContainerType
 from play_launch.config.resources import NO_RESOURCES, Resources
-from play_launch.install.allocator import for_isolation
-from play_launch.install.command import (
+from play_launch.container.allocator import for_isolation
+from play_launch.container.command import (
     container_argv,
     find_executable,
     probe_argv,
     process_argv,
     stock_container_argv,
 )
-from play_launch.install.environment import child_environment, foreign_python_environment
-from play_launch.install.preload import with_safe_waits
-from play_launch.install.ros import RosInstallation  # noqa: TC001 - as above
+from play_launch.container.environment import child_environment, foreign_python_environment
+from play_launch.container.preload import with_safe_waits
+from play_launch.container.ros import RosInstallation  # noqa: TC001 - as above
 from play_launch.runtime.needs import shares_memory
 
 if TYPE_CHECKING:

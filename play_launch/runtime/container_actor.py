@@ -11,6 +11,10 @@ import anyio
 from msgspec.structs import replace
 
 from play_launch.config.model import ContainerConfig
+from play_launch.container.channel import ChannelClosedError, ControlError, VersionMismatchError
+from play_launch.container.codec import EncodeError
+from play_launch.container.messages import Cancel, Shutdown, Status, Unload
+from play_launch.container.messages import Hello as HelloMessage
 from play_launch.runtime.container_messages import (
     description,
     inputs_of,
@@ -26,22 +30,18 @@ from play_launch.supervisor.events import ComponentEvent, NodeState
 from play_launch.supervisor.inputs import Faulty, Greeted, HealthReported, NodeReported, Probed
 from play_launch.supervisor.node_life import TABLE, NodeFact
 from play_launch.supervisor.world import Hello, Phase, is_wanted
-from play_launch.wire.channel import ChannelClosedError, ControlError, VersionMismatchError
-from play_launch.wire.codec import EncodeError
-from play_launch.wire.messages import Cancel, Shutdown, Status, Unload
-from play_launch.wire.messages import Hello as HelloMessage
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from play_launch.config.model import ComposableNodeConfig
     from play_launch.config.node_key import NodeKey
+    from play_launch.container.messages import Incoming, Outgoing
     from play_launch.runtime.ports import ControlLink, ManagedProcess
     from play_launch.runtime.probes import LibraryProbes
     from play_launch.runtime.sources import Source
     from play_launch.runtime.system import System
     from play_launch.supervisor.world import Node
-    from play_launch.wire.messages import Incoming, Outgoing
 
 _log = logging.getLogger(__name__)
 

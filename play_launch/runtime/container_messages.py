@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Final, assert_never
 from msgspec.structs import replace
 
 from play_launch.config.model import ContainerType, Isolation
-from play_launch.install.command import remap_rules
+from play_launch.container.command import remap_rules
+from play_launch.container.messages import Accepted, Load, Rejected, Status
 from play_launch.process.exit import Exit
 from play_launch.process.identity import ProcessIdentity
 from play_launch.process.machine import explained
@@ -16,15 +17,14 @@ from play_launch.process.thread_wait import thread_wait
 from play_launch.supervisor.events import ComponentEvent, ComponentEventKind
 from play_launch.supervisor.inputs import NodeReported, blamed_frame
 from play_launch.supervisor.node_life import NodeFact
-from play_launch.wire.messages import Accepted, Load, Rejected, Status
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
     from play_launch.config.model import ComposableNodeConfig, ContainerConfig
+    from play_launch.container.messages import Hello, NodeStatus
     from play_launch.runtime.queries import Asked, Queries
     from play_launch.supervisor.world import Node
-    from play_launch.wire.messages import Hello, NodeStatus
 
 _log = logging.getLogger(__name__)
 

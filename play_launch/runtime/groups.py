@@ -10,12 +10,12 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from play_launch.cgroups.base import GroupError
-from play_launch.cgroups.group import Group
-from play_launch.cgroups.names import SessionName
-from play_launch.cgroups.session import SessionGroups, needed_controllers
-from play_launch.cgroups.usage import usage_of
 from play_launch.config.model import ContainerConfig
+from play_launch.process.cgroups.base import GroupError
+from play_launch.process.cgroups.group import Group
+from play_launch.process.cgroups.names import SessionName
+from play_launch.process.cgroups.session import SessionGroups, needed_controllers
+from play_launch.process.cgroups.usage import usage_of
 from play_launch.process.identity import ProcessIdentity, read_stat
 from play_launch.runtime.needs import group_limits, stalls, wants_groups
 from play_launch.runtime.ports import StartError

@@ -12,19 +12,19 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec.structs import replace
 
-from play_launch.cgroups.base import GroupError
 from play_launch.config.ament_index import ament_prefixes
 from play_launch.config.model import ContainerType
-from play_launch.fastdds.shared_memory import sweep_shared_memory
-from play_launch.fastdds.sweep_command import sweep_command
-from play_launch.install.command import ExecutableNotFoundError
-from play_launch.install.component_index import component_library
-from play_launch.install.ros import (
+from play_launch.container.channel import CONTROL_FD_VARIABLE, ControlChannel, control_pair
+from play_launch.container.command import ExecutableNotFoundError
+from play_launch.container.component_index import component_library
+from play_launch.container.messages import Hello
+from play_launch.container.ros import (
     NotInstalledError,
     component_container,
     ros_installation,
     spawn_guard,
 )
+from play_launch.process.cgroups.base import GroupError
 from play_launch.process.child import INHERITED, spawn
 from play_launch.process.guard import SessionGuard
 from play_launch.process.identity import read_stat
@@ -39,6 +39,8 @@ from play_launch.process.program import SpawnError
 from play_launch.process.session import Shared
 from play_launch.process.stop import StopPolicy, stop
 from play_launch.recording.versions import OURSELVES, installed_versions
+from play_launch.ros.fastdds.shared_memory import sweep_shared_memory
+from play_launch.ros.fastdds.sweep_command import sweep_command
 from play_launch.runtime import prestart as head_start
 from play_launch.runtime.commands import (
     Machine,
@@ -52,20 +54,18 @@ from play_launch.runtime.needs import has_stock_containers, is_own, participants
 from play_launch.runtime.parameter_files import ParameterFiles
 from play_launch.runtime.ports import StartError
 from play_launch.runtime.survey import allocator_for
-from play_launch.wire.channel import CONTROL_FD_VARIABLE, ControlChannel, control_pair
-from play_launch.wire.messages import Hello
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
     from pathlib import Path
 
-    from play_launch.cgroups.group import Group
     from play_launch.config.model import (
         ComposableNodeConfig,
         ContainerConfig,
         ProcessConfig,
         ReplayConfig,
     )
+    from play_launch.process.cgroups.group import Group
     from play_launch.process.child import Child
     from play_launch.process.exit import Exit
     from play_launch.process.lines import OutputCallback

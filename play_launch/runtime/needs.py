@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from play_launch.config.model import ContainerType, Isolation
-from play_launch.fastdds.middleware import asks_for_fastdds
+from play_launch.ros.fastdds.middleware import asks_for_fastdds
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

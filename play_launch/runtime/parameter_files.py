@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from play_launch.config.model import ProcessConfig
-from play_launch.install.parameter_file import (
+from play_launch.container.parameter_file import (
     ParameterFileError,
     parameter_file_of,
     write_parameter_file,

@@ -22,9 +22,9 @@ if TYPE_CHECKING:
         ReplayConfig,
     )
     from play_launch.config.node_key import NodeKey
+    from play_launch.container.messages import Hello, Incoming, Outgoing
     from play_launch.process.exit import Exit
     from play_launch.process.lines import OutputCallback
-    from play_launch.wire.messages import Hello, Incoming, Outgoing
 
 
 OnGraphChange = Callable[["Collection[tuple[Condition, str]]"], None]
@@ -80,7 +80,7 @@ class ManagedProcess(Protocol):
 
 
 class ControlLink(Protocol):
-    """Our end of a control channel; errors as :mod:`play_launch.wire.channel` has them."""
+    """Our end of a control channel; errors as :mod:`play_launch.container.channel` has them."""
 
     async def handshake(self, hello: Hello) -> Hello:
         """Wait for the container's hello and answer it."""

@@ -12,10 +12,9 @@ import re
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
-from play_launch.fastdds.sweep_command import sweep_command
-from play_launch.install.allocator import find_allocator, for_isolation
-from play_launch.install.environment import child_environment
-from play_launch.install.ros import (
+from play_launch.container.allocator import find_allocator, for_isolation
+from play_launch.container.environment import child_environment
+from play_launch.container.ros import (
     MixedInstallationError,
     NotInstalledError,
     component_container,
@@ -24,6 +23,7 @@ from play_launch.install.ros import (
 )
 from play_launch.process.guard import SessionGuard
 from play_launch.process.zygote import Zygote
+from play_launch.ros.fastdds.sweep_command import sweep_command
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

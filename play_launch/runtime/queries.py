@@ -9,14 +9,14 @@ from __future__ import annotations
 import logging
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+from play_launch.container.messages import NodeStatusState, Query
 from play_launch.supervisor.node_life import NodeFact
-from play_launch.wire.messages import NodeStatusState, Query
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from play_launch.config.node_key import NodeKey
-    from play_launch.wire.messages import NodeStatus, Status
+    from play_launch.container.messages import NodeStatus, Status
 
 _log = logging.getLogger(__name__)
 

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Final
 from msgspec import Struct
 
 from play_launch.config.model import ContainerConfig, ContainerType, ProcessConfig
-from play_launch.install.allocator import Allocator, find_allocator
-from play_launch.install.command import ExecutableNotFoundError
-from play_launch.install.parameter_file import ParameterFileError, parameter_file_of
+from play_launch.container.allocator import Allocator, find_allocator
+from play_launch.container.channel import CONTROL_FD_VARIABLE
+from play_launch.container.command import ExecutableNotFoundError
+from play_launch.container.parameter_file import ParameterFileError, parameter_file_of
 from play_launch.process.kin import MEMBER_VARIABLE, mark_for
 from play_launch.runtime.commands import Command, container_command, process_command
 from play_launch.runtime.needs import shares_memory
-from play_launch.wire.channel import CONTROL_FD_VARIABLE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

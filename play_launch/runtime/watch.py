@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
+from play_launch.container.channel import ControlError
+from play_launch.container.messages import NO_NODE, Query
 from play_launch.process.identity import tracer_of
 from play_launch.process.processor_wait import own_wait, processor_wait
-from play_launch.wire.channel import ControlError
-from play_launch.wire.messages import NO_NODE, Query
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from play_launch.container.messages import Outgoing, Status
     from play_launch.process.processor_wait import ProcessorWait
-    from play_launch.wire.messages import Outgoing, Status
 
 _log = logging.getLogger(__name__)
 

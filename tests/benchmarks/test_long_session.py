@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.long_session.plan import Plan
 from benchmarks.long_session.write import write_session
-from play_launch.history.session import PastSession
+from play_launch.postmortem.session import PastSession
 from play_launch.supervisor.events import (
     ComponentEvent,
     ComponentEventKind,

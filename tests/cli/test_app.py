@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from play_launch.cli import app as app_module
 from play_launch.cli.app import app, main
-from play_launch.install import ros
+from play_launch.container import ros
 from tests.support.replay import COMMAND
 
 if TYPE_CHECKING:

@@ -51,7 +51,7 @@ LATER = {
     "play_launch.doctor",
     "play_launch.graph_daemon",
     "play_launch.ros",
-    "play_launch.sampling",
+    "play_launch.process.sampling",
     "play_launch_msgs",
     "pydantic",
     "rcl_interfaces",

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from play_launch.cli.app import app
 from play_launch.supervisor.events import NodeState
-from tests.history.scenes import Scene
+from tests.postmortem.scenes import Scene
 from tests.support.mounts import mounted
 from tests.support.replay import COMMAND
 
@@ -310,7 +310,7 @@ def test_a_pipe_stays_one_and_a_link_leads_where_it_did(
         passed = pipe.read_bytes()
     assert writing.returncode == 0
     # A reader that goes, while more comes than a pipe holds.
-    program = "import pathlib, sys; from play_launch.history.whole_file import *\n"
+    program = "import pathlib, sys; from play_launch.postmortem.whole_file import *\n"
     program += "with whole_file(pathlib.Path(sys.argv[1])) as f: f.write_bytes(bytes(1_000_000))"
     with subprocess.Popen([sys.executable, "-c", program, pipe], stderr=subprocess.PIPE) as writing:
         with pipe.open("rb") as reading:
@@ -375,7 +375,7 @@ def test_nothing_is_left_of_outputs_that_are_interrupted(
     program = """
 import signal, sys
 from pathlib import Path
-from play_launch.history.whole_file import whole_file
+from play_launch.postmortem.whole_file import whole_file
 for each in signal.SIGINT, signal.SIGTERM, signal.SIGHUP:
     signal.signal(each, signal.SIG_DFL)
 with whole_file(Path(sys.argv[1])) as one, whole_file(Path(sys.argv[2])) as other:

@@ -26,9 +26,9 @@ from play_launch.supervisor.events import (
     RunEvent,
     Stream,
 )
-from tests.archive.scenes import begin_session, past_session
-from tests.history.scenes import Scene
-from tests.history.test_session import record
+from tests.postmortem.archive.scenes import begin_session, past_session
+from tests.postmortem.scenes import Scene
+from tests.postmortem.test_session import record
 from tests.support.replay import COMMAND, replaying
 
 if TYPE_CHECKING:

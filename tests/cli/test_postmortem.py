@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from play_launch.supervisor.events import NodeState, ProcessEventKind
-from tests.history.scenes import Scene
+from tests.postmortem.scenes import Scene
 from tests.support.replay import COMMAND
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "postmortem.md"

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import psutil
 
-from play_launch.install.ros import RosSource, ros_installation
+from play_launch.container.ros import RosSource, ros_installation
 from tests.recording.reading import messages
 from tests.support.replay import COMMAND
 

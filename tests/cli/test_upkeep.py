@@ -11,9 +11,9 @@ import pytest
 
 from play_launch.cli.upkeep import look_after_sessions
 from play_launch.config.model import KeepConfig
-from play_launch.install.ros import spawn_guard
+from play_launch.container.ros import spawn_guard
 from play_launch.supervisor.view import SystemView
-from tests.archive.scenes import begin_session, cut_off_session, name_of, past_session
+from tests.postmortem.archive.scenes import begin_session, cut_off_session, name_of, past_session
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -19,7 +19,7 @@ from play_launch.config.model import (
 )
 from play_launch.config.problems import ConfigError
 from play_launch.config.resolve.parameter_files import matches
-from play_launch.install.parameter_file import parameter_file_of
+from play_launch.container.parameter_file import parameter_file_of
 from play_launch.launch_files.configuration.options import Options
 from play_launch.launch_files.configuration.write import written
 from play_launch.launch_files.parameter_text import read_sections
@@ -32,8 +32,8 @@ from play_launch.launch_files.records import (
     parameter,
     typed_value,
 )
+from tests.container.channel.values import FILE_VALUES
 from tests.launch_files.values import shown
-from tests.wire.values import FILE_VALUES
 
 
 def load(folder: Path, entry: str) -> ReplayConfig:

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 import pytest
 from play_launch_msgs.msg import ControlHello
 
-from play_launch.fastdds.shared_memory import sweep
-from play_launch.install.environment import child_environment
-from play_launch.install.ros import component_container, ros_installation
+from play_launch.container.environment import child_environment
+from play_launch.container.ros import component_container, ros_installation
+from play_launch.ros.fastdds.shared_memory import sweep
 from tests.support.control_peer import Container, StartContainer
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ import pytest
 from play_launch_msgs.msg import ComponentEvent, ControlCancel, ControlUnload
 from std_msgs.msg import String
 
-from play_launch.fastdds.shared_memory import sweep
+from play_launch.ros.fastdds.shared_memory import sweep
 from tests.support.control_peer import PATIENCE
 from tests.support.isolated import (
     MODES,

@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from play_launch.install.environment import child_environment
-from play_launch.install.ros import component_container, ros_installation
+from play_launch.container.environment import child_environment
+from play_launch.container.ros import component_container, ros_installation
 
 FAILED, USAGE = 1, 64
 

@@ -13,7 +13,7 @@ import pytest
 from play_launch_msgs.msg import ComponentEvent, ControlQuery
 from std_msgs.msg import String
 
-from play_launch.fastdds.shared_memory import sweep
+from play_launch.ros.fastdds.shared_memory import sweep
 from tests.support.isolated import MODES, start_isolated, survives
 from tests.support.ros import Probe
 

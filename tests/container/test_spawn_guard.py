@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from play_launch.install.ros import spawn_guard
+from play_launch.container.ros import spawn_guard
 
 
 @pytest.fixture(name="guard")

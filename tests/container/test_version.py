@@ -6,8 +6,8 @@ import os
 import re
 import subprocess
 
-from play_launch.install.environment import child_environment
-from play_launch.install.ros import component_container, ros_installation
+from play_launch.container.environment import child_environment
+from play_launch.container.ros import component_container, ros_installation
 
 
 def test_version_and_kinds_of_components() -> None:

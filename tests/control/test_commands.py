@@ -21,7 +21,7 @@ import pytest
 from play_launch.control.place import LINKS, address_of
 from play_launch.control.protocol import LONGEST_REQUEST, encode
 from play_launch.control.sessions import connect_to
-from play_launch.history.session import PastSession
+from play_launch.postmortem.session import PastSession
 from play_launch.recording import topics
 from tests.support.mounts import disk_of
 from tests.support.replay import COMMAND, Replay, alive, replaying

@@ -7,11 +7,11 @@ from typing import Any
 
 import pytest
 
-from play_launch.cgroups.controllers import Lack
 from play_launch.doctor.facts import KeySupport, Limit, MachineFacts
 from play_launch.doctor.finding import Finding, Level, can_run
 from play_launch.doctor.judge import judge
 from play_launch.doctor.surroundings import Surroundings
+from play_launch.process.cgroups.controllers import Lack
 
 from .machines import (
     CONTAINER,

@@ -11,16 +11,16 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from play_launch.cgroups.base import GroupError
-from play_launch.cgroups.deaths import why_killed
-from play_launch.cgroups.group import Group
-from play_launch.cgroups.names import SUPERVISOR, SessionName
-from play_launch.cgroups.session import SessionGroups
-from play_launch.cgroups.usage import group_of, usage_of
 from play_launch.config.group_limits import CpuMax, GroupLimits, GroupPolicy
+from play_launch.process.cgroups.base import GroupError
+from play_launch.process.cgroups.deaths import why_killed
+from play_launch.process.cgroups.group import Group
+from play_launch.process.cgroups.names import SUPERVISOR, SessionName
+from play_launch.process.cgroups.session import SessionGroups
+from play_launch.process.cgroups.usage import group_of, usage_of
 from play_launch.process.identity import read_stat
-from play_launch.sampling.groups import GroupSampler
-from play_launch.sampling.targets import Target
+from play_launch.process.sampling.groups import GroupSampler
+from play_launch.process.sampling.targets import Target
 from play_launch.supervisor.events import SubjectKind
 
 TOP = Path("/sys/fs/cgroup")

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from play_launch.cgroups.group import Group
+from play_launch.process.cgroups.group import Group
 from tests.support.control_groups import control_group, group_of
 from tests.support.replay import COMMAND, Replay, replaying
 from tests.support.waiting import until

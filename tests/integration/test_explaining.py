@@ -256,7 +256,7 @@ def test_what_replay_starts_for_itself_is_named(
         assert all(f"#   {each}\n" in explain(file).stdout for each in found)
         return [each.partition(":")[0] for each in found]
 
-    later = ["play_launch.archive", "play_launch.fastdds"]
+    later = ["play_launch.postmortem.archive", "play_launch.ros.fastdds"]
     assert named(path) == ["spawn_guard", *later]
     assert named(config) == ["spawn_guard", "component_container --zygote", "spawn_guard", *later]
     path.write_text(json.dumps({**system, "graph_daemon": True}), encoding="utf-8")

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from play_launch.fastdds.shared_memory import SHARED_MEMORY
+from play_launch.ros.fastdds.shared_memory import SHARED_MEMORY
 from tests.support.loopback_network import permitted
 from tests.support.replay import replaying
 from tests.support.shared_memory import segments_of

@@ -16,11 +16,11 @@ from typing import Any
 import pytest
 
 from benchmarks.figures import Figures
-from play_launch.cgroups.base import own_hierarchy
-from play_launch.cgroups.group import Group
-from play_launch.cgroups.usage import group_of
 from play_launch.cli.show.group_totals import GroupTotals
-from play_launch.history.session import PastSession
+from play_launch.postmortem.session import PastSession
+from play_launch.process.cgroups.base import own_hierarchy
+from play_launch.process.cgroups.group import Group
+from play_launch.process.cgroups.usage import group_of
 from play_launch.supervisor.events import GroupSample
 from tests.support.control_groups import control_group
 from tests.support.replay import Replay, replaying

@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
-from play_launch.history.elf_files import read_elf
-from play_launch.history.story import read_story
+from play_launch.postmortem.elf_files import read_elf
+from play_launch.postmortem.story import read_story
 from tests.support.mounts import mounted
 from tests.support.replay import COMMAND, replaying
 from tests.support.waiting import until

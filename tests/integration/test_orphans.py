@@ -10,7 +10,7 @@ from typing import Any
 import psutil
 import yaml
 
-from play_launch.fastdds.shared_memory import SHARED_MEMORY, sweep
+from play_launch.ros.fastdds.shared_memory import SHARED_MEMORY, sweep
 from tests.process.test_guard import ESCAPES, escaping
 from tests.support.replay import Replay, alive, replaying
 from tests.support.waiting import until
@@ -29,7 +29,7 @@ def configuration() -> dict[str, Any]:
     kinds = ("standard", "isolated")
     return {
         "version": 1,
-        # It has a guard of its own, and a test of its own in tests/topic_recording.
+        # It has a guard of its own, and a test of its own in tests/recording/topic_recorder.
         "record": {"ros": False},
         "containers": [
             {"name": kind, "container_type": kind, "composable_nodes": [talker(f"talker_{kind}")]}

@@ -209,7 +209,7 @@ STOCK = """
 from pathlib import Path
 from play_launch.runtime.launcher import NativeLauncher
 from play_launch.config.load import parse_config
-from play_launch.install.ros import NotInstalledError
+from play_launch.container.ros import NotInstalledError
 text = b"{version: 1, containers: [{name: c, container_type: stock, attach: true}]}"
 try:
     NativeLauncher.of(parse_config(text, Path("robot.yaml")))

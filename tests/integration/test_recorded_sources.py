@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
-from play_launch.history.bag_reader import BagReader
+from play_launch.postmortem.bag_reader import BagReader
 from play_launch.recording.facts import REDACTED
 from play_launch.recording.topics import PARAMETER_EVENTS, PARAMETERS
 from tests.support.replay import COMMAND, Replay, replaying

@@ -15,9 +15,9 @@ import msgspec
 import pytest
 from mcap.writer import Writer
 
-from play_launch.cdr.messages import PARAMETER_VALUE
 from play_launch.cli.rerun import Choice, show_rerun
-from play_launch.history.bag_reader import BagReader
+from play_launch.container.cdr.messages import PARAMETER_VALUE
+from play_launch.postmortem.bag_reader import BagReader
 from play_launch.recording import topics
 from play_launch.supervisor import restart
 from tests.support.replay import COMMAND, Replay, replaying

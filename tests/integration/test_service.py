@@ -13,9 +13,9 @@ from pathlib import Path
 import psutil
 import pytest
 
+from tests.deploy.listening import Listening
+from tests.deploy.units import settings_of, words
 from tests.support.replay import COMMAND
-from tests.systemd.listening import Listening
-from tests.systemd.units import settings_of, words
 
 SYSTEM = """
 version: 1

@@ -6,8 +6,8 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 from play_launch.cli import upkeep
-from play_launch.history.bag_reader import BagReader
-from tests.archive.scenes import begin_session, cut_off_session, name_of, past_session
+from play_launch.postmortem.bag_reader import BagReader
+from tests.postmortem.archive.scenes import begin_session, cut_off_session, name_of, past_session
 from tests.support.replay import replaying
 
 if TYPE_CHECKING:

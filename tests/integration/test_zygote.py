@@ -13,7 +13,7 @@ import psutil
 import pytest
 import yaml
 
-from play_launch.install.ros import component_container
+from play_launch.container.ros import component_container
 from play_launch.runtime import prestart as head_start
 from play_launch.runtime.prestart import kinds_of_containers
 from tests.support.replay import COMMAND, Replay, replaying

@@ -7,10 +7,10 @@ import subprocess
 import sys
 from pathlib import Path
 
-from play_launch.fastdds.shared_memory import sweep
-from play_launch.install.allocator import find_allocator
-from play_launch.install.environment import child_environment
-from play_launch.install.ros import ros_installation
+from play_launch.container.allocator import find_allocator
+from play_launch.container.environment import child_environment
+from play_launch.container.ros import ros_installation
+from play_launch.ros.fastdds.shared_memory import sweep
 
 ROOT = Path(__file__).resolve().parents[2]
 TOOLS = Path(sys.executable).parent

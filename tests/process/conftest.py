@@ -8,7 +8,7 @@ import psutil
 import pytest
 from blockbuster import blockbuster_ctx
 
-from play_launch.install.ros import spawn_guard
+from play_launch.container.ros import spawn_guard
 from play_launch.process.guard import SessionGuard
 from tests.process.programs import open_descriptors
 

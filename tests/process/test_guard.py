@@ -16,7 +16,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from play_launch.cgroups.group import Group
+from play_launch.process.cgroups.group import Group
 from play_launch.process.child import spawn
 from play_launch.process.exit import Exit
 from play_launch.process.guard import SessionGuard

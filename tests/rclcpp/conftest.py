@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from play_launch.config.ament_index import ament_prefixes
-from play_launch.install.environment import child_environment
-from play_launch.install.ros import component_container, ros_installation
+from play_launch.container.environment import child_environment
+from play_launch.container.ros import component_container, ros_installation
 from tests.container.conftest import spawn
 from tests.support.ros import Probe
 

@@ -12,7 +12,7 @@ import pytest
 from play_launch_msgs.msg import ComponentEvent
 from std_msgs.msg import String
 
-from play_launch.fastdds.shared_memory import sweep
+from play_launch.ros.fastdds.shared_memory import sweep
 from tests.rclcpp.modes import start
 from tests.support.isolated import MODES, is_gone, only_these_remain, survives
 

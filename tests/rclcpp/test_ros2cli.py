@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import pytest
 from std_msgs.msg import String
 
-from play_launch.fastdds.shared_memory import sweep
+from play_launch.ros.fastdds.shared_memory import sweep
 from tests.rclcpp.modes import MODES, start
 from tests.support.control_peer import PATIENCE
 

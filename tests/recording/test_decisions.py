@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
-from play_launch.cdr.messages import STATE_EVENT
 from play_launch.cli.rerun import Recorded, Rerun
 from play_launch.config.model import ParameterConfig, ParameterType, ParameterValue, TakenValues
+from play_launch.container.cdr.messages import STATE_EVENT
 from play_launch.recording import topics
 from play_launch.recording.convert import convert
 from play_launch.recording.decisions import (

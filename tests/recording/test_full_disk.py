@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from play_launch.config.model import RecordConfig, RotateConfig
-from play_launch.history.bag_reader import BagReader
+from play_launch.postmortem.bag_reader import BagReader
 from play_launch.recording.errors import RecordingError
 from play_launch.recording.recorder import RecorderLimits
 from play_launch.recording.session import Session, open_session

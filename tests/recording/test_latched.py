@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from play_launch.cdr.messages import NODE_PARAMETERS
-from play_launch.history.bag_reader import BagReader
+from play_launch.container.cdr.messages import NODE_PARAMETERS
+from play_launch.postmortem.bag_reader import BagReader
 from play_launch.recording.bag import McapBagWriter, Rotation
 from play_launch.recording.latched import Latched, is_latched
 from play_launch.recording.topics import PARAMETERS, STATES, Topic

@@ -15,8 +15,8 @@ from rclpy.serialization import deserialize_message
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from play_launch.config.node_key import NodeKey
-from play_launch.history.bag_reader import Message, Topic
-from play_launch.history.events import event_of
+from play_launch.postmortem.bag_reader import Message, Topic
+from play_launch.postmortem.events import event_of
 from play_launch.recording import topics
 from play_launch.recording.bag import McapBagWriter
 from play_launch.recording.convert import convert

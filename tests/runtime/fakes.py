@@ -18,16 +18,13 @@ from play_launch.config.model import (
 )
 from play_launch.config.node_key import NodeKey
 from play_launch.config.policies import OnCrash, OnExit, RestartLimits
-from play_launch.process.exit import Exit
-from play_launch.process.lines import Line
-from play_launch.supervisor.events import ComponentEvent, ComponentEventKind, Stream
-from play_launch.wire.channel import (
+from play_launch.container.channel import (
     ChannelClosedError,
     ControlError,
     VersionMismatchError,
 )
-from play_launch.wire.frames import PROTOCOL_VERSION
-from play_launch.wire.messages import (
+from play_launch.container.frames import PROTOCOL_VERSION
+from play_launch.container.messages import (
     Accepted,
     Cancel,
     Hello,
@@ -42,6 +39,9 @@ from play_launch.wire.messages import (
     Status,
     Unload,
 )
+from play_launch.process.exit import Exit
+from play_launch.process.lines import Line
+from play_launch.supervisor.events import ComponentEvent, ComponentEventKind, Stream
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -5,10 +5,10 @@ from __future__ import annotations
 import asyncio
 from typing import TYPE_CHECKING, Any
 
+from play_launch.container.messages import Hello, Incoming, Load, Query, Status
 from play_launch.ros.composition import CompositionClient, ListedNode, LoadReply, UnloadReply
 from play_launch.runtime.stock.conversation import StockLimits
 from play_launch.runtime.stock.link import StockLink
-from play_launch.wire.messages import Hello, Incoming, Load, Query, Status
 
 from . import jumping_loop
 

@@ -23,6 +23,7 @@ from play_launch.config.model import (
     ReplayConfig,
 )
 from play_launch.config.policies import OnCrash, RestartLimits
+from play_launch.container.messages import Load, Unload
 from play_launch.runtime.applying import BusyError
 from play_launch.runtime.ports import StartError
 from play_launch.supervisor.events import (
@@ -33,7 +34,6 @@ from play_launch.supervisor.events import (
     Withdrawn,
 )
 from play_launch.supervisor.steps import Action, Applied, Kind, Result
-from play_launch.wire.messages import Load, Unload
 
 from .fake_parameters import FakeParameters
 from .fakes import (

@@ -6,9 +6,9 @@ import asyncio
 
 import pytest
 
+from play_launch.container.channel import ChannelClosedError
 from play_launch.runtime.stock.link import StockLink
 from play_launch.runtime.stock.starter import AttachedContainer
-from play_launch.wire.channel import ChannelClosedError
 
 from .stock_services import Services, greeted, link_to, load, run, settle
 

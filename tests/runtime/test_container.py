@@ -6,6 +6,10 @@ import pytest
 from msgspec.structs import replace
 
 from play_launch.config.policies import OnExit
+from play_launch.container.channel import ChannelClosedError, ProtocolViolationError
+from play_launch.container.messages import (
+    Load,
+)
 from play_launch.process.exit import Exit
 from play_launch.runtime.ports import StartError
 from play_launch.supervisor.events import (
@@ -13,10 +17,6 @@ from play_launch.supervisor.events import (
     ContainerState,
     NodeState,
     ProcessEventKind,
-)
-from play_launch.wire.channel import ChannelClosedError, ProtocolViolationError
-from play_launch.wire.messages import (
-    Load,
 )
 
 from .fakes import FakeContainer, FakeLauncher, Held, container, system

@@ -5,8 +5,7 @@ from typing import TYPE_CHECKING
 
 from msgspec.structs import replace
 
-from play_launch.supervisor.events import ComponentEvent, ComponentEventKind, NodeState
-from play_launch.wire.messages import (
+from play_launch.container.messages import (
     Accepted,
     Load,
     NodeStatus,
@@ -14,6 +13,7 @@ from play_launch.wire.messages import (
     Rejected,
     Status,
 )
+from play_launch.supervisor.events import ComponentEvent, ComponentEventKind, NodeState
 
 from .fakes import FakeContainer, FakeLauncher, Held, container, system
 from .jumping_loop import run

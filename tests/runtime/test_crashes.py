@@ -9,13 +9,13 @@ import pytest
 
 from play_launch.config.node_key import NodeKey
 from play_launch.config.policies import OnCrash, RestartLimits
+from play_launch.container.messages import Load
 from play_launch.supervisor.events import (
     ComponentEventKind,
     ContainerState,
     NodeState,
     ProcessEventKind,
 )
-from play_launch.wire.messages import Load
 
 from .fakes import FakeContainer, FakeLauncher, Held, container, node, system
 from .jumping_loop import run

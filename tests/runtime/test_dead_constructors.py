@@ -9,14 +9,14 @@ from msgspec.structs import replace
 
 from play_launch.config.node_key import NodeKey
 from play_launch.config.policies import RestartLimits
+from play_launch.container.frames import PROTOCOL_VERSION
+from play_launch.container.messages import Hello, Load
 from play_launch.supervisor.events import (
     ComponentEventKind,
     ContainerState,
     NodeState,
     ProcessEventKind,
 )
-from play_launch.wire.frames import PROTOCOL_VERSION
-from play_launch.wire.messages import Hello, Load
 
 from .fakes import FakeContainer, FakeLauncher, Held, container, node, system
 from .jumping_loop import run

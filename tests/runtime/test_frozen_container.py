@@ -9,11 +9,11 @@ from msgspec.structs import replace
 
 from play_launch.config.model import ContainerType
 from play_launch.config.node_key import NodeKey
+from play_launch.container.messages import Hello, Query, Status
 from play_launch.process.processor_wait import ProcessorWait
 from play_launch.runtime import watch
 from play_launch.runtime.watch import WatchLimits
 from play_launch.supervisor.events import ContainerState, NodeState, ProcessEvent, ProcessEventKind
-from play_launch.wire.messages import Hello, Query, Status
 
 from .fakes import FakeContainer, FakeLauncher, Held, container, system
 from .jumping_loop import run

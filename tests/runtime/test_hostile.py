@@ -12,13 +12,13 @@ import pytest
 from play_launch.config.dependency import Condition
 from play_launch.config.node_key import NodeKey
 from play_launch.config.policies import OnExit
+from play_launch.container.messages import Load, Rejected
 from play_launch.process.exit import Exit
 from play_launch.supervisor import node_rules, process_rules
 from play_launch.supervisor.events import NodeState, ProcessEventKind
 from play_launch.supervisor.inputs import StopRequested
 from play_launch.supervisor.reducer import reduce
 from play_launch.supervisor.world import World
-from play_launch.wire.messages import Load, Rejected
 
 from .fakes import (
     FakeContainer,

@@ -27,7 +27,7 @@ from play_launch.config.model import (
 )
 from play_launch.config.node_key import NodeKey
 from play_launch.config.policies import OnExit, RestartLimits
-from play_launch.fastdds.shared_memory import SweepReport
+from play_launch.ros.fastdds.shared_memory import SweepReport
 from play_launch.runtime.launcher import NativeLauncher
 from play_launch.runtime.publisher import Publisher, StopRequests
 from play_launch.runtime.run import run_system
@@ -51,9 +51,9 @@ if TYPE_CHECKING:
     from collections.abc import AsyncIterator
 
     from play_launch.config.model import ReplayConfig
+    from play_launch.container.messages import Incoming
     from play_launch.process.lines import OutputCallback
     from play_launch.runtime.ports import ControlLink, ManagedProcess
-    from play_launch.wire.messages import Incoming
 
 QUICK = RestartLimits(max_restarts=2, within=60.0, initial=0.05, maximum=0.1)
 

@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING
 import pytest
 
 from play_launch.config.node_key import NodeKey
+from play_launch.container.channel import ProtocolViolationError
 from play_launch.process.exit import Exit
 from play_launch.supervisor.events import ContainerState, NodeState, ProcessEventKind
-from play_launch.wire.channel import ProtocolViolationError
 
 from .fakes import FakeContainer, FakeLauncher, FakeProcess, Held, container, process, system
 from .jumping_loop import run
 from .running import Running, running
 
 if TYPE_CHECKING:
-    from play_launch.wire.messages import Load
+    from play_launch.container.messages import Load
 
 A, B = NodeKey("/c", "/a"), NodeKey("/c", "/b")
 CONFIG = system(container("c", "a", "b"), container("d", "x"), process("p"))

@@ -14,11 +14,11 @@ from play_launch.config.model import (
     ParameterType,
     ParameterValue,
 )
-from play_launch.install.ros import NotInstalledError
+from play_launch.container.codec import EncodeError
+from play_launch.container.messages import Load
+from play_launch.container.ros import NotInstalledError
 from play_launch.runtime.stock.loads import load_node_request
 from play_launch.runtime.stock.starter import StockContainers
-from play_launch.wire.codec import EncodeError
-from play_launch.wire.messages import Load
 
 from .fakes import container, system
 

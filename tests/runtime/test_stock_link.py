@@ -6,13 +6,9 @@ import asyncio
 
 import pytest
 
-from play_launch.ros.composition import LoadReply
-from play_launch.ros.thread import RosThreadError
-from play_launch.runtime.stock.conversation import StockLimits
-from play_launch.supervisor.events import ComponentEvent, ComponentEventKind
-from play_launch.wire.channel import ChannelClosedError, ControlError
-from play_launch.wire.codec import EncodeError
-from play_launch.wire.messages import (
+from play_launch.container.channel import ChannelClosedError, ControlError
+from play_launch.container.codec import EncodeError
+from play_launch.container.messages import (
     Cancel,
     Hello,
     Load,
@@ -22,6 +18,10 @@ from play_launch.wire.messages import (
     Shutdown,
     Unload,
 )
+from play_launch.ros.composition import LoadReply
+from play_launch.ros.thread import RosThreadError
+from play_launch.runtime.stock.conversation import StockLimits
+from play_launch.supervisor.events import ComponentEvent, ComponentEventKind
 
 from .stock_services import Services, ask, greeted, link_to, load, run, settle, status
 

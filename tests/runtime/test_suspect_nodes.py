@@ -10,6 +10,7 @@ from msgspec.structs import replace
 
 from play_launch.config.model import ContainerType
 from play_launch.config.node_key import NodeKey
+from play_launch.container.messages import Load, Query
 from play_launch.process.exit import Exit
 from play_launch.process.lines import Line
 from play_launch.runtime.ports import StartError
@@ -24,7 +25,6 @@ from play_launch.supervisor.events import (
     OutputLine,
     Stream,
 )
-from play_launch.wire.messages import Load, Query
 
 from .fakes import FakeContainer, FakeLauncher, FakeProcess, Held, container, found, system
 from .jumping_loop import run

@@ -8,6 +8,7 @@ from msgspec.structs import replace
 
 from play_launch.config.model import ProcessConfig
 from play_launch.config.policies import OnExit
+from play_launch.container.messages import Incoming
 from play_launch.process.exit import Exit
 from play_launch.process.lines import OutputCallback
 from play_launch.runtime.publisher import Publisher, StopRequests
@@ -20,7 +21,6 @@ from play_launch.supervisor.events import (
     RunEvent,
 )
 from play_launch.supervisor.view import SystemView
-from play_launch.wire.messages import Incoming
 
 from .fakes import (
     FakeContainer,

@@ -5,8 +5,6 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-import pytest
-
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "architecture.md"
 PYTHON, NATIVE = ROOT / "play_launch", ROOT / "container_native" / "src"
@@ -31,13 +29,13 @@ def test_the_page_names_something() -> None:
     assert len(places()) > 50
 
 
-@pytest.mark.parametrize(("path", "names"), places(), ids=str)
-def test_what_it_names_is_there(path: str, names: tuple[str, ...]) -> None:
-    files = located(path)
-    assert files, f"{path} does not exist: mend {PAGE.name}"
-    text = files[0].read_text(encoding="utf-8") if files[0].is_file() else ""
-    for name in names:
-        assert re.search(rf"\b{name}\b", text), f"{path} has no {name}: mend {PAGE.name}"
+def test_what_it_names_is_there() -> None:
+    for path, names in places():
+        files = located(path)
+        assert files, f"{path} does not exist: mend {PAGE.name}"
+        text = files[0].read_text(encoding="utf-8") if files[0].is_file() else ""
+        for name in names:
+            assert re.search(rf"\b{name}\b", text), f"{path} has no {name}: mend {PAGE.name}"
 
 
 def test_every_room_is_in_the_table() -> None:
@@ -69,13 +67,9 @@ def walks() -> dict[str, tuple[int, int, list[str]]]:
     return found
 
 
-def test_the_page_has_walks_of_a_load_a_crash_and_an_apply() -> None:
+def test_steps_of_the_walks_are_numbered_and_counted() -> None:
     assert len(walks()) == 7
-
-
-@pytest.mark.parametrize("name", walks())
-def test_steps_are_numbered_and_counted(name: str) -> None:
-    steps, files, rows = walks()[name]
-    assert [int(row.split("|")[1]) for row in rows] == list(range(1, len(rows) + 1))
-    named = {path for row in rows for path, _ in _PATH.findall(row)}
-    assert (steps, files) == (len(rows), len(named))
+    for steps, files, rows in walks().values():
+        assert [int(row.split("|")[1]) for row in rows] == list(range(1, len(rows) + 1))
+        named = {path for row in rows for path, _ in _PATH.findall(row)}
+        assert (steps, files) == (len(rows), len(named))

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from play_launch.install.ros import component_container
+from play_launch.container.ros import component_container
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCES = ROOT / "container_native" / "src"

@@ -9,8 +9,8 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
-from play_launch.install.environment import child_environment
-from play_launch.install.ros import component_container, ros_installation
+from play_launch.container.environment import child_environment
+from play_launch.container.ros import component_container, ros_installation
 
 
 @contextmanager

@@ -10,8 +10,8 @@ from tempfile import mkdtemp
 
 import pytest
 
-from play_launch.cgroups.base import GroupError, own_hierarchy
-from play_launch.cgroups.group import Group
+from play_launch.process.cgroups.base import GroupError, own_hierarchy
+from play_launch.process.cgroups.group import Group
 
 
 @contextmanager

@@ -10,7 +10,7 @@ from play_launch_msgs.msg import ComponentEvent
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from play_launch.fastdds.shared_memory import sweep
+from play_launch.ros.fastdds.shared_memory import sweep
 from tests.support.control_peer import Container
 from tests.support.ros import Probe
 

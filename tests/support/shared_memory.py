@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 
-from play_launch.fastdds.shared_memory import SHARED_MEMORY, sweep
+from play_launch.ros.fastdds.shared_memory import SHARED_MEMORY, sweep
 
 
 def segments_of(pids: Iterable[int]) -> set[Path]:

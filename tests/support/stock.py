@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from play_launch.config.ament_index import ament_prefixes
-from play_launch.install.command import ExecutableNotFoundError, find_executable
-from play_launch.install.environment import child_environment
-from play_launch.install.ros import ros_installation
+from play_launch.container.command import ExecutableNotFoundError, find_executable
+from play_launch.container.environment import child_environment
+from play_launch.container.ros import ros_installation
 from tests.support import stock_double
 
 PACKAGE = "stock_double"

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from play_launch.fastdds.sweep_command import sweep_command
+from play_launch.ros.fastdds.sweep_command import sweep_command
 from tests.support.turns import _is_sweep
 from tests.support.waiting import until
 
@@ -90,7 +90,7 @@ def test_without_workers_the_order_stays(tmp_path: Path) -> None:
 def test_a_sweep_is_awaited_but_not_a_guard_that_is_to_start_one(
     tmp_path: Path, is_sweep: bool
 ) -> None:
-    (tmp_path / "play_launch.fastdds").write_text("read line")
+    (tmp_path / "play_launch.ros.fastdds").write_text("read line")
     # To a shell, the options of a sweep are those for a script of that name.
     command = [*sweep_command()] if is_sweep else ["guard", "-s", "--", *sweep_command()]
     with subprocess.Popen(

@@ -79,7 +79,7 @@ def _is_sweep(process: Path) -> bool:
     except OSError:  # no process, or gone
         return False
     # Guards of living sessions, which tests may share, have it at the end of their own.
-    return command.split(b"\0")[1:] == [b"-P", b"-m", b"play_launch.fastdds", b""]
+    return command.split(b"\0")[1:] == [b"-P", b"-m", b"play_launch.ros.fastdds", b""]
 
 
 def _is_alone(item: pytest.Item) -> bool:

@@ -81,7 +81,7 @@ def say(text: str, *, beside: Path | None = None) -> None:
     Where a file that was written ``beside`` is stdout itself, ``text`` goes to stderr.
     """
     if beside is not None:
-        from play_launch.history.whole_file import is_standard_output  # noqa: PLC0415
+        from play_launch.postmortem.whole_file import is_standard_output  # noqa: PLC0415
 
         if is_standard_output(beside):
             print(text, file=sys.stderr)  # noqa: T201 - what it is for

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 from play_launch.cli.top.app import End, TopApp
 from play_launch.cli.top.cells import clean
 from play_launch.control.protocol import Code, ControlError
-from play_launch.history.whole_file import is_standard_output
+from play_launch.postmortem.whole_file import is_standard_output
 
 if TYPE_CHECKING:
     from textual.pilot import Pilot

@@ -11,12 +11,12 @@ import time
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Final
 
-from play_launch.fastdds.profiles import PROFILE_FILES
 from play_launch.process.machine import (
     SHARED_MEMORY_FIX,
     full_shared_memory,
     shared_memory_room,
 )
+from play_launch.ros.fastdds.profiles import PROFILE_FILES
 
 if TYPE_CHECKING:
     import socket

@@ -12,14 +12,14 @@ import time
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Final
 
-from play_launch.fastdds.own_participant import OwnParticipant, decide
-from play_launch.fastdds.profiles import files_here
 from play_launch.graph_daemon.contract import IDLE_TIMEOUT, LISTENING, WARM
 from play_launch.graph_daemon.server.clients import Limits, Server
 from play_launch.graph_daemon.server.interfaces import InterfaceWatch
 from play_launch.graph_daemon.server.replacement import Replacer
 from play_launch.graph_daemon.server.service import GraphService
 from play_launch.graph_daemon.server.warm_up import participants_here
+from play_launch.ros.fastdds.own_participant import OwnParticipant, decide
+from play_launch.ros.fastdds.profiles import files_here
 
 if TYPE_CHECKING:
     import socket

@@ -18,10 +18,10 @@ from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from play_launch.fastdds.own_participant import as_our_own
-from play_launch.fastdds.waits import end_participants_safely
 from play_launch.graph_daemon.contract import GRAPH_METHODS, NODE_PREFIX
 from play_launch.graph_daemon.server.marshal import to_wire
+from play_launch.ros.fastdds.own_participant import as_our_own
+from play_launch.ros.fastdds.waits import end_participants_safely
 from play_launch.ros.waiting import Waiting
 
 if TYPE_CHECKING:

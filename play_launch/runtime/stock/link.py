@@ -17,12 +17,8 @@ from typing import TYPE_CHECKING, Any, Final, assert_never
 
 from msgspec.structs import replace
 
-from play_launch.ros.thread import RosThreadError
-from play_launch.runtime.stock.conversation import Conversation, StockLimits
-from play_launch.runtime.stock.loads import StockLoad, cpu_time_ns, load_node_request
-from play_launch.supervisor.events import ComponentEvent, ComponentEventKind
-from play_launch.wire.channel import ChannelClosedError, ControlError
-from play_launch.wire.messages import (
+from play_launch.container.channel import ChannelClosedError, ControlError
+from play_launch.container.messages import (
     NO_NODE,
     Cancel,
     Hello,
@@ -36,6 +32,10 @@ from play_launch.wire.messages import (
     Status,
     Unload,
 )
+from play_launch.ros.thread import RosThreadError
+from play_launch.runtime.stock.conversation import Conversation, StockLimits
+from play_launch.runtime.stock.loads import StockLoad, cpu_time_ns, load_node_request
+from play_launch.supervisor.events import ComponentEvent, ComponentEventKind
 
 if TYPE_CHECKING:
     from collections.abc import Coroutine

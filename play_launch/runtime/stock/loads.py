@@ -6,14 +6,14 @@ import asyncio
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from play_launch.container.codec import EncodeError
+from play_launch.container.messages import NodeStatus, NodeStatusState
 from play_launch.ros.parameters import to_parameter_message
-from play_launch.wire.codec import EncodeError
-from play_launch.wire.messages import NodeStatus, NodeStatusState
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
 
-    from play_launch.wire.messages import Hello, Load
+    from play_launch.container.messages import Hello, Load
 
 
 def cpu_time_ns(pid: int) -> int:

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 import anyio
 
 from play_launch.config.model import ContainerType
-from play_launch.install.ros import NotInstalledError
+from play_launch.container.messages import Hello
+from play_launch.container.ros import NotInstalledError
 from play_launch.process.exit import Exit
 from play_launch.ros.composition import CompositionClient
 from play_launch.ros.thread import RosThread
 from play_launch.runtime.sources import first_of
 from play_launch.runtime.stock.link import StockLink
-from play_launch.wire.messages import Hello
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -15,7 +15,6 @@ from pathlib import Path
 
 import pytest
 
-from play_launch.fastdds.shared_memory import sweep
 from play_launch.graph_daemon.contract import LISTENING, STATUS_METHOD, DaemonAddress
 from play_launch.graph_daemon.control.background import StartError, log_path, spawn
 from play_launch.graph_daemon.control.port import listen
@@ -27,6 +26,7 @@ from play_launch.graph_daemon.control.start_stop import (
     stop_daemon,
 )
 from play_launch.graph_daemon.control.takeover import Kind, look
+from play_launch.ros.fastdds.shared_memory import sweep
 from tests.graph_daemon.addresses import is_free
 from tests.graph_daemon.control.occupants import occupied
 from tests.graph_daemon.wire import ask

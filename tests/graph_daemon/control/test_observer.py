@@ -17,7 +17,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from play_launch.fastdds.shared_memory import sweep
 from play_launch.graph_daemon.contract import DaemonAddress
 from play_launch.graph_daemon.control import observer
 from play_launch.graph_daemon.control.observer import (
@@ -35,6 +34,7 @@ from play_launch.graph_daemon.control.start_stop import (
     stop_daemon,
 )
 from play_launch.graph_daemon.control.takeover import Kind, Occupant, look
+from play_launch.ros.fastdds.shared_memory import sweep
 from play_launch.supervisor.events import GraphChanged, RunEvent
 from tests.graph_daemon.control.occupants import occupied
 from tests.support.ros import Probe

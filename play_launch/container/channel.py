@@ -1,0 +1,303 @@
+"""The supervisor's end of a control channel.
+
+One socket pair per container, ordered and lossless. The end of the stream means that the other
+side is gone.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import socket
+from collections import deque
+from typing import TYPE_CHECKING, Self
+
+from play_launch.container.codec import (
+    MessageError,
+    decode_message,
+    encode_message,
+)
+from play_launch.container.frames import (
+    MAX_FRAME_LENGTH,
+    PROTOCOL_VERSION,
+    Frame,
+    FrameDecoder,
+    FrameError,
+)
+from play_launch.container.messages import (
+    Hello,
+)
+
+if TYPE_CHECKING:
+    from types import TracebackType
+
+    from play_launch.container.messages import Incoming, Outgoing
+
+CONTROL_FD_VARIABLE = "PLAY_LAUNCH_CONTROL_FD"
+"""Environment variable that names the container's end."""
+MAX_OUTGOING_BYTES = 2 * MAX_FRAME_LENGTH
+"""A container that leaves more than this unread is broken."""
+MAX_QUEUED_FRAMES = 1024
+"""With this many frames not yet received, the socket is left alone and the container waits."""
+_READ_BYTES = 256 * 1024
+
+_log = logging.getLogger(__name__)
+
+
+class ControlError(Exception):
+    """The channel is of no use any more; the container has to be stopped."""
+
+
+class ChannelClosedError(ControlError):
+    """The container is gone or has closed its end, or we have closed ours."""
+
+
+class ProtocolViolationError(ControlError):
+    """The container sent what cannot be understood."""
+
+
+class VersionMismatchError(ControlError):
+    """The container speaks another version of the protocol; another start changes nothing."""
+
+    def __init__(self, version: int) -> None:
+        super().__init__(
+            f"the container speaks version {version} of the control protocol, this supervisor "
+            f"version {PROTOCOL_VERSION}: install both from the same release"
+        )
+        self.version = version
+
+
+class ChannelOverflowError(ControlError):
+    """The container does not read what is sent to it."""
+
+    def __init__(self, waiting: int) -> None:
+        super().__init__(f"the container does not read: {waiting} bytes wait for it")
+
+
+class ControlPair:
+    """Both ends of a new channel; neither is inherited unless it is passed on by number.
+
+    Give `child_fd` to the container (with `environment`), then call `close_child_end`: as long as
+    we hold it as well, the end of the stream never comes.
+    """
+
+    def __init__(self) -> None:
+        self.ours, self._theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM)
+
+    @property
+    def child_fd(self) -> int:
+        """The container's end."""
+        return self._theirs.fileno()
+
+    @property
+    def environment(self) -> dict[str, str]:
+        """What passes it to a container that has it under the same number."""
+        return {CONTROL_FD_VARIABLE: str(self.child_fd)}
+
+    def close_child_end(self) -> None:
+        """Close our copy of the container's end; may be called twice."""
+        self._theirs.close()
+
+    def close(self) -> None:
+        """Close both ends; may be called twice."""
+        self._theirs.close()
+        self.ours.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def control_pair() -> ControlPair:
+    """Make a channel.
+
+    Raises:
+        OSError: EMFILE and the like.
+    """
+    return ControlPair()
+
+
+class ControlChannel:
+    """Talks to one container over our end of a control channel; it owns that socket.
+
+    Reading: `receive`, or iterate; one reader at a time. Reading stops while
+    `MAX_QUEUED_FRAMES` frames wait, so a slow reader slows the container down and nothing is
+    lost. What arrived before an error is given first, then each call raises that error.
+
+    Sending never waits: what the socket does not take is kept, up to `MAX_OUTGOING_BYTES`.
+    """
+
+    def __init__(self, ours: socket.socket, *, container: str) -> None:
+        """Take over a connected socket.
+
+        Args:
+            ours: The socket.
+            container: Full name of the container's node, which its events carry.
+        """
+        ours.setblocking(False)
+        self.container = container
+        self.skipped_frames = 0
+        self._socket = ours
+        self._loop = asyncio.get_running_loop()
+        self._decoder = FrameDecoder()
+        self._frames: deque[Frame] = deque()
+        self._outgoing = bytearray()
+        self._arrived = asyncio.Event()
+        self._error: ControlError | None = None
+        self._send_error: ControlError | None = None
+        self._reading = False
+        self._read_on()
+
+    async def handshake(self, hello: Hello) -> Hello:
+        """Wait for the container's hello and answer it.
+
+        Raises:
+            VersionMismatchError: When it speaks another version; it is not answered then.
+            ProtocolViolationError: When it says something else first.
+            ChannelClosedError: When it is gone before.
+        """
+        first = await self.receive()
+        if not isinstance(first, Hello):
+            raise self._fail(
+                ProtocolViolationError(f"a {type(first).__name__} came instead of a hello")
+            )
+        if first.protocol_version != PROTOCOL_VERSION:
+            raise self._fail(VersionMismatchError(first.protocol_version))
+        self.send(hello)
+        return first
+
+    async def receive(self) -> Incoming:
+        """Wait for the next message; frames of an unknown kind are skipped and counted.
+
+        Raises:
+            ControlError: When the channel is of no use any more.
+        """
+        while True:
+            while self._frames:
+                frame = self._frames.popleft()
+                if not self._reading and len(self._frames) <= MAX_QUEUED_FRAMES // 2:
+                    self._read_on()
+                message = self._decode(frame)
+                if message is not None:
+                    return message
+            if self._error is not None:
+                raise self._error
+            self._arrived.clear()
+            await self._arrived.wait()
+
+    def send(self, message: Outgoing) -> None:
+        """Send a message, without waiting.
+
+        Raises:
+            ControlError: When the channel is of no use any more.
+            EncodeError: When a value does not fit into the message; nothing is sent then.
+        """
+        error = self._error or self._send_error
+        if error is not None:
+            raise error
+        self._outgoing += encode_message(message)
+        if len(self._outgoing) > MAX_OUTGOING_BYTES:
+            raise self._fail(ChannelOverflowError(len(self._outgoing)))
+        self._write()
+
+    def close(self) -> None:
+        """Close the channel; the container stops by itself then. May be called twice."""
+        self._frames.clear()
+        self._fail(ChannelClosedError("the control channel was closed by the supervisor"))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        state = "open" if self._error is None else str(self._error)
+        return f"<ControlChannel to {self.container}: {state}>"
+
+    def _decode(self, frame: Frame) -> Incoming | None:
+        if frame.version != PROTOCOL_VERSION:
+            self._frames.clear()
+            raise self._fail(VersionMismatchError(frame.version))
+        try:
+            message = decode_message(frame, container=self.container)
+        except MessageError as error:
+            self._frames.clear()
+            raise self._fail(ProtocolViolationError(str(error))) from error
+        if message is None:
+            self.skipped_frames += 1
+            _log.warning("%s sent a frame of unknown kind %d", self.container, frame.kind)
+            return None
+        return message
+
+    def _fail(self, error: ControlError) -> ControlError:
+        """End the channel for this reason unless it has ended before; return the reason."""
+        if self._error is None:
+            self._error = error
+            if self._reading:
+                self._loop.remove_reader(self._socket)
+                self._reading = False
+            self._loop.remove_writer(self._socket)
+            self._outgoing.clear()
+            self._socket.close()
+            self._arrived.set()
+        return self._error
+
+    def _read_on(self) -> None:
+        if self._error is None:
+            self._loop.add_reader(self._socket, self._read)
+            self._reading = True
+
+    def _read(self) -> None:
+        try:
+            data = self._socket.recv(_READ_BYTES)
+        except (BlockingIOError, InterruptedError):
+            return
+        except OSError as error:
+            self._fail(ChannelClosedError(f"the control channel broke: {error.strerror}"))
+            return
+        if not data:
+            inside = f", inside a frame ({self._decoder.pending} bytes of it)"
+            self._fail(
+                ChannelClosedError(
+                    "the container closed the control channel"
+                    + (inside if self._decoder.pending else "")
+                )
+            )
+            return
+        try:
+            self._frames.extend(self._decoder.feed(data))
+            broken = self._decoder.error
+        except FrameError as error:
+            broken = error
+        if broken is not None:
+            self._fail(ProtocolViolationError(str(broken)))
+        elif len(self._frames) >= MAX_QUEUED_FRAMES:
+            self._loop.remove_reader(self._socket)
+            self._reading = False
+        self._arrived.set()
+
+    def _write(self) -> None:
+        try:
+            sent = self._socket.send(self._outgoing)
+        except (BlockingIOError, InterruptedError):
+            sent = 0
+        except OSError as error:
+            # What the container said before it died is still to be read: the reading side ends
+            # the channel.
+            self._send_error = ChannelClosedError(f"the container is gone: {error.strerror}")
+            self._loop.remove_writer(self._socket)
+            self._outgoing.clear()
+            return
+        del self._outgoing[:sent]
+        if self._outgoing:
+            self._loop.add_writer(self._socket, self._write)
+        else:
+            self._loop.remove_writer(self._socket)

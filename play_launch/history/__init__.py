@@ -1,1 +1,0 @@
-"""Recordings, read back; damaged ones as far as they can be read."""

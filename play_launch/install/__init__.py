@@ -1,1 +1,0 @@
-"""What is installed and how it is started: ROS, the container, the allocator."""

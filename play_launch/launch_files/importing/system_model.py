@@ -1,0 +1,174 @@
+"""Reads `system_model.yaml`, what the program play_launch (Rust) has resolved a launch file to.
+
+Its fields are those of `NodeInstance` and its neighbours in the crate `model` of the repository
+ros-launch-manifest; `docs/design/system-model.md` of play_launch says what they are for.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+from play_launch.config.policies import Autostart
+from play_launch.launch_files.importing.fields import (
+    Fields,
+    file_text,
+    inline,
+    origin_of,
+    parameters,
+    set_name,
+)
+from play_launch.launch_files.importing.launch_dump import ordered_sources
+from play_launch.launch_files.parameters import evaluate_sources
+from play_launch.launch_files.records import Composable, Description, Process, ProgramKind
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from play_launch.launch_files.losses import Losses
+    from play_launch.launch_files.records import Source, Unit
+
+NEWEST_VERSION: Final = 1
+_WIRING: Final = ("topics", "services", "actions")
+_CONTAINER_PROGRAM: Final = "component_container"
+_AUTOSTART: Final = {"configure": Autostart.CONFIGURE, "active": Autostart.ACTIVATE}
+
+
+def is_system_model(values: Any) -> bool:
+    """Whether the values of a file are such a model."""
+    return isinstance(values, dict) and isinstance(values.get("structure"), dict)
+
+
+def read_system_model(values: Mapping[str, Any], losses: Losses) -> Description:
+    """Return the system in a model."""
+    fields = Fields(values, "(top level)", losses)
+    _read_meta(fields.take("meta"), losses)
+    structure = Fields(fields.take("structure"), "structure", losses)
+    scopes = _mapping(structure.take("scopes"))
+    nodes = _mapping(structure.take("nodes"))
+    for kind in _WIRING:
+        if wired := _mapping(structure.take(kind)):
+            # Who is connected to whom follows from the nodes; that is written down, not done.
+            losses.note("structure", f"{len(wired)} {kind} with their types are not checked here")
+    structure.refuse_rest()
+    elsewhere = _read_execution(fields.take("execution"), losses)
+    for layer, entries in _mapping(fields.take("contracts")).items():
+        if entries:
+            losses.lost("contracts", f"{layer}: {len(entries)} contracts are not checked here")
+    fields.refuse_rest()
+    targets = _targets(nodes)
+    system = Description()
+    for key, record in nodes.items():
+        if key in elsewhere:
+            losses.lost(key, f"runs on {elsewhere[key]}, not on this machine")
+        else:
+            system.units.append(_node(key, record, targets, scopes, losses))
+    return system
+
+
+def _mapping(values: Any) -> dict[str, Any]:
+    return values if isinstance(values, dict) else {}
+
+
+def _targets(nodes: Mapping[str, Any]) -> set[str]:
+    """Return the names that composable nodes give as their container."""
+    return {
+        str(record["container"])
+        for record in nodes.values()
+        if isinstance(record, dict) and record.get("container")
+    }
+
+
+def _read_meta(values: Any, losses: Losses) -> None:
+    meta = Fields(values if values is not None else {}, "meta", losses)
+    version = meta.take("version")
+    if isinstance(version, int) and version > NEWEST_VERSION:
+        losses.lost("meta", f"version {version} is newer than {NEWEST_VERSION}, which is read here")
+    for text in meta.texts("diagnostics"):
+        losses.note("meta", f"the model says: {text}")
+    # Where the model comes from: nothing follows from it.
+    for name in ("args", "inputs", "resolver", "record"):
+        meta.take(name)
+    meta.refuse_rest()
+
+
+def _read_execution(values: Any, losses: Losses) -> dict[str, str]:
+    """Report what is not done here; return the nodes that are not for this machine."""
+    execution = _mapping(values)
+    elsewhere: dict[str, str] = {}
+    for key, record in _mapping(execution.get("deploy")).items():
+        deploy = Fields(record, f"execution.deploy {key}", losses)
+        target = deploy.text("target")
+        if target not in ("", "linux"):
+            elsewhere[key] = target
+        deploy.refuse_rest()
+    for layer, entries in execution.items():
+        if layer != "deploy" and entries:
+            losses.lost("execution", f"{layer}: {len(entries)} entries; nodes run unscheduled here")
+    return elsewhere
+
+
+def _node(
+    key: str, record: Any, targets: set[str], scopes: Mapping[str, Any], losses: Losses
+) -> Unit:
+    fields = Fields(record, key, losses)
+    plugin = fields.text("plugin")
+    container = fields.text("container")
+    executable = fields.text("exec")
+    is_container = bool(fields.flag("is_container")) or (
+        # As older models have it.
+        not plugin and key in targets and executable.startswith(_CONTAINER_PROGRAM)
+    )
+    node: Unit = (
+        Composable(where=key, plugin=plugin, container=container)
+        if plugin
+        else Process(
+            where=key,
+            kind=ProgramKind.CONTAINER if is_container else ProgramKind.NODE,
+            executable=executable,
+        )
+    )
+    namespace, _, last = key.rpartition("/")
+    # A process whose name is not declared is called after its executable, with a number.
+    declared = fields.text("node_name") or (last if plugin or is_container else "")
+    set_name(node, declared.rpartition("/")[2], namespace)
+    node.package = fields.text("pkg")
+    node.remappings = fields.pairs("remaps", ("from", "to"))
+    environment = fields.pairs("env", ("name", "value"))
+    command = fields.texts("raw_cmd")
+    respawn, respawn_delay = fields.flag("respawn"), fields.number("respawn_delay")
+    arguments, ros_arguments = fields.texts("args"), fields.texts("ros_args")
+    extra = parameters(fields.pairs("extra_args"), key, losses)
+    if isinstance(node, Process):
+        node.arguments, node.ros_arguments = arguments, ros_arguments
+        node.environment = environment
+        node.respawn, node.respawn_delay = respawn, respawn_delay
+        if not node.package and command:
+            node.command = [*command[0].split(), *command[1:]]
+    else:
+        node.extra_arguments = list(extra)
+        if environment:
+            losses.lost(key, "environment variables: it shares those of its container")
+    node.sources = _sources(fields, losses)
+    evaluate_sources(node, losses)
+    node.autostart = _autostart(fields, losses)
+    scope = fields.text("scope")
+    node.origin = origin_of(scope if scope in scopes else "")
+    if criticality := fields.text("criticality"):
+        losses.lost(key, f"its criticality {criticality}: nodes run unscheduled here")
+    fields.refuse_rest()
+    return node
+
+
+def _sources(fields: Fields, losses: Losses) -> list[Source]:
+    values = [inline(*pair, fields.where, losses) for pair in fields.pairs("params")]
+    files = [file_text(text) for text in fields.texts("params_files")]
+    # Without the ordered list, what stands in the launch file itself comes last.
+    return ordered_sources(fields, losses) or files + values
+
+
+def _autostart(fields: Fields, losses: Losses) -> Autostart | None:
+    is_lifecycle = fields.flag("lifecycle")
+    autostart = fields.text("lifecycle_autostart")
+    if is_lifecycle and autostart not in _AUTOSTART:
+        losses.note(fields.where, "is a lifecycle node; nobody but your own nodes activates it")
+    return _AUTOSTART.get(autostart) if is_lifecycle else None

@@ -1,0 +1,438 @@
+"""A recording from its beginning to its end, or to where it cannot be read any more.
+
+It is one MCAP file, or a folder with several that follow each other.
+
+The readers of the package ``mcap`` end with whatever exception damage leads to, and believe every
+length that they find. A recording is wanted above all after something went wrong, so this one keeps
+what can be read: a broken chunk is left out, behind a record that reaches beyond the file the next
+chunk is looked for, and each such place is remembered. The index at the end is not used: a file may
+not have one.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import sys
+from dataclasses import dataclass, field
+from itertools import islice
+from typing import IO, TYPE_CHECKING, Final, NamedTuple
+
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Metadata, Schema
+from msgspec import Struct
+
+from play_launch.postmortem.file_end import MAGIC, NotTheEndError, problem_at_the_end
+from play_launch.postmortem.records import (
+    INDEX_HEAD,
+    BrokenError,
+    LogTimes,
+    behind_indexes,
+    check_index,
+    is_too_long,
+    read_attachment,
+    read_chunk,
+    read_content,
+    read_record,
+    refuse,
+    started_ns,
+)
+from play_launch.postmortem.resync import may_begin, next_chunk
+from play_launch.recording.bag import PART_METADATA, REPEATED
+from play_launch.recording.folder import BAG_NAME, PartFile, open_bag, parts_of
+from play_launch.recording.part import part_path
+from play_launch.recording.topics import KEY, KIND, SYSTEM
+
+if TYPE_CHECKING:
+    from collections.abc import Container, Iterator
+    from pathlib import Path
+
+_RECORD: Final = struct.Struct("<BQ")
+"""Kind and length of the content."""
+_MESSAGE: Final = struct.Struct("<HIQQ")
+"""Channel, sequence number, log time, publish time; the data follows."""
+_IN_CHUNK: Final = struct.Struct("<BQHIQQ")
+"""A message with what precedes each record."""
+_MESSAGE_KIND: Final = int(Opcode.MESSAGE)
+_FOR_APPLICATIONS: Final = 0x80
+"""From here on records mean what a program wants."""
+_LISTED: Final = 100
+"""Damages that are listed one by one."""
+
+
+class NotARecordingError(Exception):
+    """The file cannot be read, or holds something else; the text names it and says why."""
+
+
+class Damage(NamedTuple):
+    """A place of the file that cannot be read."""
+
+    offset: int
+    """In bytes, of the record."""
+    reason: str
+    file: str = ""
+    """Its name, where the recording has several."""
+
+    def __str__(self) -> str:
+        place = f"byte {self.offset}: {self.reason}"
+        return f"{self.file}: {place}" if self.file else place
+
+
+class Topic(Struct, frozen=True, order=True, cache_hash=True):
+    """A channel of the file."""
+
+    name: str
+    type_name: str
+    encoding: str
+    kind: str = ""
+    """What its messages are about, where that is one thing: node, container, process."""
+    key: str = ""
+    """Of that, as in the changes of state."""
+
+
+class Message(Struct, frozen=True, gc=False):
+    """One message; times are nanoseconds since the epoch."""
+
+    topic: Topic
+    log_time: int
+    """By the clock as it was when the session began, see `LogTimes`."""
+    publish_time: int
+    """As it stands in the file."""
+    data: bytes
+    channel: int
+    """Its number in the file."""
+    offset: int
+    """In the file, in bytes: of its record, or of the chunk that holds it."""
+    sequence: int = 0
+    set_ns: int = 0
+    """What was taken off the log time: by how much the clock had been set forward."""
+
+
+class Description(NamedTuple):
+    """What a file says about a channel, as it stands there."""
+
+    topic: Topic
+    channel: Channel
+    schema: Schema | None
+    is_wanted: bool
+
+
+@dataclass(slots=True)
+class BagReader:
+    """One pass: iterate over `messages`; the rest is known as far as that has come.
+
+    What one of several files repeats from that before it is passed over when that was read.
+    """
+
+    path: Path
+    """The file, or the folder with the files."""
+    attachments: dict[str, Attachment] = field(default_factory=dict)
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    counts: dict[Topic, int] = field(default_factory=dict)
+    """Messages of each topic, the unwanted ones included."""
+    damages: list[Damage] = field(default_factory=list)
+    """The first ones; of more than can be listed the last stands for the rest."""
+    size: int = 0
+    """Bytes."""
+    is_complete: bool = False
+    """Whether it was closed in order: its last record is there."""
+    begin: int = 0
+    end: int = 0
+    """Log times of the earliest and the latest message; 0 without any."""
+    channels: dict[int, Description] = field(default_factory=dict)
+    """Those of the file that is being read."""
+    files: tuple[str, ...] = ()
+    """The names of all."""
+    file: str = ""
+    """The name of that file, where the recording has several."""
+    _schemas: dict[int, Schema] = field(default_factory=dict)
+    _before: int = -1
+    """Number of the file that was read before this one."""
+    _has_chunks: bool = False
+    _passes_over: bool = False
+    """Whether messages that repeat earlier ones are of no use."""
+    log_times: LogTimes = field(default_factory=LogTimes)
+    _noted: Damage | None = None
+    _unlisted: int = 0
+
+    def note(self, damage: Damage, *, places: int = 1) -> None:
+        """Remember a place that cannot be read, or so many; it may be noted twice in a row."""
+        if damage == self._noted:
+            return
+        self._noted = damage
+        if len(self.damages) < _LISTED:
+            self.damages.append(damage)
+            return
+        self._unlisted += places
+        if len(self.damages) == _LISTED:
+            self.damages.append(damage)
+        if self._unlisted > 1:
+            reason = f"from here on {self._unlisted:,} places cannot be read"
+            self.damages[-1] = self.damages[-1]._replace(reason=reason)
+
+    def messages(self, wanted: Container[str] | None = None) -> Iterator[Message]:
+        """Give the messages of these topics (None: all) in the order of the file.
+
+        Raises:
+            NotARecordingError: At once, when it is none.
+        """
+        parts = _parts(self.path)
+        self.files = tuple(part.path.name for part in parts)
+        are_complete, unreadable = [], []
+        for part in parts:
+            self._begin_file(part.path.name if len(parts) > 1 else "")
+            try:
+                for found in self._file_messages(part.path, wanted):
+                    yield from found
+                self._before = part.number
+            except NotARecordingError as error:
+                unreadable.append(error)
+                self._damaged(0, str(error).removeprefix(f"{part.path}: "))
+            are_complete.append(self.is_complete)
+        if len(unreadable) == len(parts):
+            raise unreadable[0]
+        self.is_complete = all(are_complete)
+        self._name_missing(parts)
+
+    def _begin_file(self, name: str) -> None:
+        self.file = name
+        self.is_complete = False
+        self.channels, self._schemas = {}, {}
+        self._has_chunks = self._passes_over = False
+
+    def _file_messages(self, path: Path, wanted: Container[str] | None) -> Iterator[list[Message]]:
+        """Give those of a file, chunk by chunk."""
+        try:
+            file = open_bag(path)
+        except OSError as error:
+            raise NotARecordingError(f"{path}: {error.strerror}") from error
+        with file:
+            try:
+                size = os.fstat(file.fileno()).st_size
+                magic = file.read(len(MAGIC))
+            except OSError as error:
+                raise NotARecordingError(f"{path}: {error.strerror}") from error
+            self.size += size
+            if magic != MAGIC:
+                raise NotARecordingError(f"{path}: it is not an MCAP file")
+            yield from self._records(file, size, wanted)
+
+    def _name_missing(self, parts: list[PartFile]) -> None:
+        if len(parts) == 1:
+            return
+        there, last = {part.number for part in parts}, parts[-1].number
+        left = last + 1 - len(there)
+        # A name can hold any number.
+        for number in islice((each for each in range(last) if each not in there), _LISTED + 1):
+            name = part_path(self.path / BAG_NAME, number).name
+            left -= 1
+            self.note(Damage(0, "the file is missing", name))
+        if left:
+            self.note(Damage(0, "files are missing", parts[-1].path.name), places=left)
+
+    def _records(
+        self, file: IO[bytes], size: int, wanted: Container[str] | None
+    ) -> Iterator[list[Message]]:
+        at = len(MAGIC)
+        while at < size:
+            try:
+                head = file.read(_RECORD.size)
+            except OSError as error:
+                self._damaged(at, f"{error.strerror}")
+                at = file.seek(next_chunk(file, at + 1, size) or size)
+                continue
+            if len(head) < _RECORD.size:
+                self._damaged(at, "the file ends within a record")
+                return
+            kind, length = _RECORD.unpack(head)
+            end = at + _RECORD.size + length
+            if end > size or is_too_long(kind, length):
+                reason = f"the file ends within a record, or its length ({length} bytes) is wrong"
+                self._damaged(at, reason)
+                following = next_chunk(file, at + 1, size)
+                if following is None:
+                    return
+                at = file.seek(following)
+                continue
+            if kind in {Opcode.DATA_END, Opcode.FOOTER}:
+                # What follows repeats what was read.
+                try:
+                    channels = {number: each.channel for number, each in self.channels.items()}
+                    problem = problem_at_the_end(file, at, kind, channels, self._schemas)
+                except NotTheEndError:
+                    self._damaged(at, "a record says that the data ends here, and it goes on")
+                    at = file.seek(end)
+                    continue
+                except OSError as error:
+                    problem = f"the summary at its end cannot be read: {error.strerror}"
+                self.is_complete = problem is None
+                if problem is not None:
+                    self._damaged(at, problem)
+                return
+            try:
+                match kind:
+                    case Opcode.MESSAGE if self._has_chunks:
+                        # No writer does both. Another record that became one would be believed.
+                        refuse(kind)
+                    case Opcode.CHUNK | Opcode.SCHEMA | Opcode.CHANNEL | Opcode.MESSAGE:
+                        found: list[Message] = []
+                        content = read_content(file, kind, length)
+                        try:
+                            if kind == Opcode.CHUNK:
+                                self._has_chunks = True
+                                content = read_chunk(content)
+                            else:
+                                content = head + content
+                            self._data(content, at, wanted, found)
+                        finally:
+                            yield found
+                        if kind == Opcode.CHUNK:
+                            end = behind_indexes(file, end, size)
+                    case Opcode.ATTACHMENT:
+                        self._attachment(read_content(file, kind, length))
+                    case Opcode.METADATA:
+                        metadata = read_record(Metadata.read, read_content(file, kind, length))
+                        self.metadata[metadata.name] = metadata.metadata
+                        if metadata.name == PART_METADATA:
+                            number = _number(metadata.metadata.get("number", ""))
+                            self._passes_over = number == self._before + 1 > 0
+                    case Opcode.HEADER if at == len(MAGIC):
+                        pass
+                    case Opcode.MESSAGE_INDEX:
+                        check_index(file.read(INDEX_HEAD), length)
+                    case _:
+                        refuse(kind)
+            except (BrokenError, OSError) as error:
+                # A sector that cannot be read costs the record that it is in.
+                self._damaged(at, getattr(error, "strerror", None) or str(error))
+                if not may_begin(file, end, size):
+                    # Then its length is wrong as well, or nothing but zeros were written.
+                    end = next_chunk(file, at + 1, size) or size
+            at = file.seek(end)
+
+    def _attachment(self, content: bytes) -> None:
+        attachment, is_right = read_attachment(content)
+        self.attachments[attachment.name] = attachment
+        if not is_right:
+            # Better than none: a configuration with a wrong letter is still read by people.
+            raise BrokenError(f"the checksum of the attachment {attachment.name} is wrong")
+
+    def _data(
+        self, data: bytes, offset: int, wanted: Container[str] | None, found: list[Message]
+    ) -> None:
+        """Read the records of a chunk, or one outside of it; add wanted messages to ``found``."""
+        size = len(data)
+        begin = end = 0
+        counts: dict[int, int] = {}
+        earliest, latest = self.begin or sys.maxsize, self.end
+        started = started_ns(self.metadata)
+        now = started and (self.end or started)
+        set_ns, (likely_from, likely_to) = self.log_times.set_ns, self.log_times.likely(now)
+        unpack, head, channels = _IN_CHUNK.unpack_from, _IN_CHUNK.size, self.channels
+        # An hour of a large system has a million messages: this looks at each once.
+        try:
+            while begin < size:
+                if size - begin < head or data[begin] != _MESSAGE_KIND:
+                    begin = self._other(data, begin, wanted)
+                    continue
+                _, length, number, sequence, log_time, publish_time = unpack(data, begin)
+                end = begin + _RECORD.size + length
+                if end > size:
+                    raise BrokenError("a record reaches beyond its chunk")
+                if length < _MESSAGE.size:
+                    raise BrokenError("a message is too short")
+                channel = channels.get(number)
+                if channel is None:
+                    reason = f"a message belongs to channel {number}, which nothing describes"
+                    raise BrokenError(reason)
+                data_at = begin + head
+                begin = end
+                if sequence == REPEATED and self._passes_over:
+                    continue
+                counts[number] = counts.get(number, 0) + 1
+                moved = set_ns
+                log_time -= moved
+                if not likely_from <= log_time <= likely_to:
+                    moved = self.log_times.take(log_time + moved, latest or now)
+                    log_time += set_ns - moved
+                    set_ns = self.log_times.set_ns
+                if log_time > latest:  # noqa: PLR1730 - several times as fast as max()
+                    latest = log_time
+                if log_time < earliest:  # noqa: PLR1730 - and min()
+                    earliest = log_time
+                if channel.is_wanted:
+                    found.append(
+                        Message(
+                            channel.topic,
+                            log_time,
+                            publish_time,
+                            data[data_at:end],
+                            number,
+                            offset,
+                            sequence,
+                            moved,
+                        )
+                    )
+        finally:
+            for number, count in counts.items():
+                topic = channels[number].topic
+                self.counts[topic] += count
+                if topic.name == SYSTEM.name:
+                    self.log_times.has_samples = True
+            if counts:
+                self.begin, self.end = earliest, latest
+
+    def _other(self, data: bytes, begin: int, wanted: Container[str] | None) -> int:
+        """Read a record of a chunk that is no whole message; return where the next one begins."""
+        if len(data) - begin < _RECORD.size:
+            raise BrokenError("a chunk ends within a record")
+        kind, length = _RECORD.unpack_from(data, begin)
+        begin += _RECORD.size
+        if length > len(data) - begin:
+            raise BrokenError("a record reaches beyond its chunk")
+        if kind == _MESSAGE_KIND:
+            raise BrokenError("a message is too short")
+        self._describe(kind, data[begin : begin + length], wanted)
+        return int(begin + length)
+
+    def _describe(self, kind: int, content: bytes, wanted: Container[str] | None) -> None:
+        match kind:
+            case Opcode.SCHEMA:
+                schema = read_record(Schema.read, content)
+                self._schemas[schema.id] = schema
+            case Opcode.CHANNEL:
+                channel = read_record(Channel.read, content)
+                described = self._schemas.get(channel.schema_id)
+                type_name = described.name if described else ""
+                topic = Topic(
+                    channel.topic,
+                    type_name,
+                    channel.message_encoding,
+                    channel.metadata.get(KIND, ""),
+                    channel.metadata.get(KEY, ""),
+                )
+                is_wanted = wanted is None or topic.name in wanted
+                self.channels[channel.id] = Description(topic, channel, described, is_wanted)
+                self.counts.setdefault(topic, 0)
+            case _ if kind < _FOR_APPLICATIONS:
+                # A gigabyte of zeros, which are small in the file, would be as many records.
+                refuse(kind)
+
+    def _damaged(self, at: int, reason: str) -> None:
+        self.note(Damage(at, reason, self.file))
+
+
+def _parts(path: Path) -> list[PartFile]:
+    if not path.is_dir():
+        return [PartFile(path, 0)]
+    try:
+        parts = parts_of(path)
+    except OSError as error:
+        raise NotARecordingError(f"{path}: {error.strerror}") from error
+    if not parts:
+        raise NotARecordingError(f"{path}: no {BAG_NAME} is in this folder")
+    return parts
+
+
+def _number(text: str) -> int:
+    return int(text) if text.isascii() and text.isdecimal() and len(text) < 10 else 0

@@ -1,0 +1,197 @@
+"""Two sessions of one system, beside each other: what is worse, what is better."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct
+
+from play_launch.postmortem.crash_groups import crashes_of
+from play_launch.postmortem.frames import Signature  # noqa: TC001 - a field of a Struct
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from play_launch.postmortem.parameters import Parameters
+    from play_launch.postmortem.story import Story
+
+
+class Measure(StrEnum):
+    """What is compared, and its unit."""
+
+    BRING_UP = "bring_up_s"
+    """Seconds from the start of the session until a node is loaded."""
+    RESTARTS = "restarts"
+    """Of a container or process; of a node, how often it was loaded again."""
+    PEAK_MEMORY = "peak_memory_bytes"
+    CPU = "cpu_percent"
+    """Of one core, on average."""
+
+
+class Worse(Struct, frozen=True):
+    """A number counts as worse when it is so many times as large, and so much larger."""
+
+    factor: float
+    least: float
+
+
+RULES: Final[Mapping[Measure, Worse]] = {
+    Measure.BRING_UP: Worse(1.5, 1.0),
+    Measure.RESTARTS: Worse(1.0, 1.0),
+    Measure.PEAK_MEMORY: Worse(1.5, 64e6),
+    Measure.CPU: Worse(1.5, 10.0),
+}
+"""Smaller differences come from one run of the same system to the next."""
+
+
+class Change(Struct, frozen=True):
+    """One number in both sessions."""
+
+    measure: Measure
+    who: str
+    """Key of the node, or name."""
+    before: float
+    after: float
+
+    @property
+    def is_worse(self) -> bool:
+        """Whether the second is worse by the rules."""
+        return _is_worse(self.measure, self.before, self.after)
+
+    @property
+    def is_better(self) -> bool:
+        """Whether the first is worse by the rules."""
+        return _is_worse(self.measure, self.after, self.before)
+
+
+class CrashChange(Struct, frozen=True):
+    """How often crashes of one signature happened."""
+
+    signature: Signature
+    who: tuple[str, ...]
+    """Who crashed so, in either session."""
+    before: int
+    after: int
+
+
+class ParameterChange(Struct, frozen=True):
+    """A parameter that the sessions ended with different values of."""
+
+    node: str
+    name: str
+    before: str | None
+    """Values as JSON; None: it was not declared, or not set."""
+    after: str | None
+
+
+class Comparison(Struct, frozen=True):
+    """What differs from the first session to the second."""
+
+    changes: tuple[Change, ...]
+    """All numbers that both have."""
+    new_crashes: tuple[CrashChange, ...]
+    """Of a signature that the first session does not have."""
+    gone_crashes: tuple[CrashChange, ...]
+    more_crashes: tuple[CrashChange, ...]
+    """Of a signature that both have, more often in the second."""
+    fewer_crashes: tuple[CrashChange, ...]
+    new_failures: tuple[str, ...]
+    """Keys of nodes that were loaded in the first session only."""
+    new_members: tuple[str, ...]
+    """Keys that only the second session has."""
+    gone_members: tuple[str, ...]
+    parameters: tuple[ParameterChange, ...]
+    """Of nodes that gave theirs in both sessions."""
+
+    @property
+    def is_worse(self) -> bool:
+        """Whether the second is worse: a new crash or more, a node that is missing, or a number."""
+        return bool(self.new_crashes or self.more_crashes or self.new_failures) or any(
+            change.is_worse for change in self.changes
+        )
+
+
+def compare(first: Story, second: Story) -> Comparison:
+    """Compare two sessions, which were read to their ends."""
+    crashes = _crash_changes(first, second)
+    old, new = _members(first), _members(second)
+    loaded = first.bring_up.keys() - second.bring_up.keys()
+    return Comparison(
+        changes=tuple(_changes(first, second)),
+        new_crashes=tuple(each for each in crashes if each.before == 0),
+        gone_crashes=tuple(each for each in crashes if each.after == 0),
+        more_crashes=tuple(each for each in crashes if 0 < each.before < each.after),
+        fewer_crashes=tuple(each for each in crashes if 0 < each.after < each.before),
+        new_failures=tuple(sorted(loaded & new)),
+        new_members=tuple(sorted(new - old)),
+        gone_members=tuple(sorted(old - new)),
+        parameters=tuple(_parameters(first.parameters, second.parameters)),
+    )
+
+
+def _changes(first: Story, second: Story) -> Iterator[Change]:
+    for measure in Measure:
+        before, after = _numbers(first, measure), _numbers(second, measure)
+        for who in sorted(before.keys() & after.keys()):
+            yield Change(measure, who, before[who], after[who])
+
+
+def _numbers(story: Story, measure: Measure) -> Mapping[str, float]:
+    match measure:
+        case Measure.BRING_UP:
+            return {key: ns / 1e9 for key, ns in story.bring_up.items()}
+        case Measure.PEAK_MEMORY:
+            return story.samples.peak_memory()
+        case Measure.CPU:
+            return story.samples.mean_cpu()
+        case Measure.RESTARTS:
+            return _restarts(story)
+
+
+def _restarts(story: Story) -> dict[str, float]:
+    view = story.session.view
+    found: dict[str, float] = {name: each.restarts for name, each in view.processes.items()}
+    for container in view.containers.values():
+        found[container.name] = container.process.restarts
+        found |= {str(key): node.reloads for key, node in container.nodes.items()}
+    return found
+
+
+def _members(story: Story) -> set[str]:
+    return set(_restarts(story))
+
+
+def _parameters(first: Parameters, second: Parameters) -> Iterator[ParameterChange]:
+    for node in sorted(first.nodes.keys() & second.nodes.keys()):
+        one, two = first.nodes[node], second.nodes[node]
+        if not (one.asked_ns and two.asked_ns):
+            continue
+        for name in sorted(one.values.keys() | two.values.keys()):
+            before, after = one.values.get(name), two.values.get(name)
+            if before != after:
+                yield ParameterChange(node, name, before, after)
+
+
+def _crash_changes(first: Story, second: Story) -> list[CrashChange]:
+    before, after = _crashes(first), _crashes(second)
+    nothing: tuple[int, tuple[str, ...]] = (0, ())
+    changes = []
+    for signature in sorted(before.keys() | after.keys()):
+        (one, old), (two, new) = before.get(signature, nothing), after.get(signature, nothing)
+        changes.append(CrashChange(signature, tuple(dict.fromkeys((*old, *new))), one, two))
+    return changes
+
+
+def _crashes(story: Story) -> dict[Signature, tuple[int, tuple[str, ...]]]:
+    found: dict[Signature, tuple[int, tuple[str, ...]]] = {}
+    for finding in crashes_of(story):
+        assert finding.signature is not None
+        count, who = found.get(finding.signature, (0, ()))
+        found[finding.signature] = (count + len(finding.times_ns), (*who, finding.who))
+    return found
+
+
+def _is_worse(measure: Measure, before: float, after: float) -> bool:
+    rule = RULES[measure]
+    return after >= before * rule.factor and after - before >= rule.least

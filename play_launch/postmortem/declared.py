@@ -1,0 +1,58 @@
+"""What a recording's configuration says about those who are in it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import PurePath
+from typing import TYPE_CHECKING, Any
+
+from play_launch.postmortem.findings import Place
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from mcap.records import Attachment
+
+RESOLVED: str = "resolved_config.json"
+
+
+def declared_places(attachments: Mapping[str, Attachment]) -> dict[str, Place]:
+    """Give the place of each declared thing, by its key; empty where it cannot be read."""
+    try:
+        config = json.loads(attachments[RESOLVED].data)
+        return dict(_places(config))
+    except (KeyError, ValueError, TypeError, AttributeError, RecursionError):
+        return {}
+
+
+def _places(config: dict[str, Any]) -> Iterator[tuple[str, Place]]:
+    source = str(config.get("source", ""))
+    for container in config.get("containers", ()):
+        name = container["full_name"]
+        yield name, Place(config=_line(container, source))
+        for node in container.get("composable_nodes", ()):
+            yield (
+                node["key"],
+                Place(
+                    package=node["package"],
+                    plugin=node["plugin"],
+                    container=name,
+                    config=_line(node, source),
+                ),
+            )
+    for process in config.get("nodes", ()):
+        command = process.get("command") or ()
+        yield (
+            process["full_name"],
+            Place(
+                package=process.get("package") or "",
+                config=_line(process, source),
+                command=tuple(map(str, command)),
+            ),
+        )
+
+
+def _line(declared: dict[str, Any], source: str) -> str:
+    # An older recording names no file: it has only one.
+    file = PurePath(str(declared.get("file") or source)).name
+    return f"{file}:{declared['line']}"

@@ -1,0 +1,295 @@
+"""A session as a trace that Perfetto and ``chrome://tracing`` open.
+
+The format is the JSON of the Trace Event Format: "complete" events (X) are slices, "instant" ones
+(i) are marks, "counter" ones (C) are curves, "metadata" (M) names the tracks. Each container is a
+process of the trace, with a track for each of its nodes; an ordinary process has one to itself.
+Times are microseconds since the beginning of the session.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import IO, TYPE_CHECKING, Any, Final
+
+from msgspec import Struct
+
+from play_launch.config.node_key import NodeKey
+from play_launch.recording.console_format import ERROR, WARN, line_level
+from play_launch.supervisor.events import (
+    ComponentEvent,
+    ComponentEventKind,
+    ContainerState,
+    ContainerStateChanged,
+    GroupSample,
+    LogRecord,
+    MemoryKind,
+    NodeState,
+    NodeStateChanged,
+    OutputLine,
+    ProcessEvent,
+    ProcessEventKind,
+    ProcessSample,
+    SubjectKind,
+    SystemSample,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping
+
+    from play_launch.postmortem.session import Happened, PastSession
+    from play_launch.supervisor.events import RunEvent
+
+    TraceEvent = dict[str, Any]
+
+_MEGABYTE: Final = 1e6
+_LONGEST_NAME: Final = 120
+_MACHINE: Final = "machine"
+_SUPERVISOR: Final = "play-launch"
+_NOT_THERE: Final = frozenset(
+    {
+        NodeState.PENDING,
+        NodeState.UNLOADED,
+        ContainerState.STOPPED,
+        ProcessEventKind.EXITED,
+    }
+)
+"""States in which a track is empty."""
+_BAD: Final = frozenset(
+    {NodeState.CRASHED, NodeState.LOAD_FAILED, NodeState.GAVE_UP, ContainerState.GAVE_UP}
+)
+"""States whose beginning is marked."""
+
+
+class Track(Struct, frozen=True):
+    """Where events are drawn: a process and a thread of the trace."""
+
+    process: int
+    thread: int
+
+
+class _Slice(Struct):
+    name: str
+    begin: float
+    args: TraceEvent
+
+
+class TraceMaker:
+    """Makes the events of the trace from those of the session, in their order."""
+
+    def __init__(self, started_ns: int) -> None:
+        """Times count from `started_ns`, in nanoseconds since the epoch."""
+        self._started_ns = started_ns
+        self._processes: dict[str, int] = {}
+        self._tracks: dict[tuple[str, str], Track] = {}
+        self._open: dict[Track, _Slice] = {}
+        self._counters: dict[tuple[int, str], Mapping[str, float]] = {}
+        self._backtraces: dict[str, str] = {}
+        self._made: list[TraceEvent] = []
+
+    def add(self, happened: Happened) -> list[TraceEvent]:
+        """Give the events of the trace that something that happened leads to."""
+        self._add(self._time(happened.log_time), happened.event)
+        made, self._made = self._made, []
+        return made
+
+    def end(self, end_ns: int) -> list[TraceEvent]:
+        """Give the slices that are still open."""
+        for track in list(self._open):
+            self._close(track, self._time(end_ns))
+        made, self._made = self._made, []
+        return made
+
+    def _add(self, at: float, event: RunEvent) -> None:
+        match event:
+            case NodeStateChanged():
+                self._node(at, event)
+            case ContainerStateChanged():
+                track = self._track(event.container, "container")
+                args: TraceEvent = {"reason": event.reason, "mechanism": event.mechanism}
+                self._state(track, at, event.state, args)
+            case ProcessEvent():
+                self._process_event(at, event)
+            case ComponentEvent() if event.kind is ComponentEventKind.CRASHED:
+                # The state that follows is marked with it.
+                self._backtraces[event.full_node_name] = "\n".join(event.backtrace)
+            case ProcessSample():
+                self._process_sample(at, event)
+            case GroupSample():
+                self._group_sample(at, event)
+            case SystemSample():
+                self._system_sample(at, event)
+            case LogRecord() if event.level >= WARN:
+                args = {"logger": event.name, "message": event.message}
+                self._mark(self._track(_SUPERVISOR, "log"), at, event.message, args)
+            case OutputLine() if line_level(event) >= ERROR:
+                args = {"text": event.text, "pid": event.pid}
+                self._mark(self._track(event.process, "output"), at, event.text, args)
+            case _:
+                pass
+
+    def _node(self, at: float, event: NodeStateChanged) -> None:
+        track = self._track(event.container, event.node)
+        args: TraceEvent = {"reason": event.reason, "pid": event.pid, "attempt": event.attempt}
+        if event.state is NodeState.CRASHED:
+            args["backtrace"] = self._backtraces.pop(event.node, "")
+        self._state(track, at, event.state, args)
+
+    def _process_event(self, at: float, event: ProcessEvent) -> None:
+        track = self._track(event.name, "process")
+        args: TraceEvent = {"reason": event.message, "pid": event.pid}
+        self._state(track, at, event.kind, args)
+        if event.kind is ProcessEventKind.EXITED and (event.signal or event.exit_code):
+            how = f"signal {event.signal}" if event.signal else f"status {event.exit_code}"
+            self._mark(track, at, f"ended by {how}", args)
+
+    def _state(
+        self,
+        track: Track,
+        at: float,
+        state: NodeState | ContainerState | ProcessEventKind,
+        args: TraceEvent,
+    ) -> None:
+        name = state.name.lower().replace("_", " ")
+        before = self._open.get(track)
+        if before is not None and before.name == name:
+            return  # reported again
+        self._close(track, at)
+        if state not in _NOT_THERE:
+            self._open[track] = _Slice(name, at, args)
+        if state in _BAD:
+            self._mark(track, at, name, args)
+
+    def _close(self, track: Track, at: float) -> None:
+        ended = self._open.pop(track, None)
+        if ended is not None:
+            self._made.append(
+                {
+                    "ph": "X",
+                    "cat": "state",
+                    "name": ended.name,
+                    "pid": track.process,
+                    "tid": track.thread,
+                    "ts": ended.begin,
+                    "dur": round(max(0.0, at - ended.begin), 3),
+                    "args": ended.args,
+                }
+            )
+
+    def _mark(self, track: Track, at: float, name: str, args: TraceEvent) -> None:
+        self._made.append(
+            {
+                "ph": "i",
+                "s": "t",
+                "cat": "mark",
+                "name": name[:_LONGEST_NAME] or "(empty)",
+                "pid": track.process,
+                "tid": track.thread,
+                "ts": at,
+                "args": args,
+            }
+        )
+
+    def _process_sample(self, at: float, sample: ProcessSample) -> None:
+        process, name = self._owner(sample)
+        self._count(process, at, f"cpu {name}", {"percent": sample.cpu_percent})
+        if sample.memory_kind is not MemoryKind.SHARED:
+            self._count(process, at, f"memory {name}", {"MB": sample.memory_bytes / _MEGABYTE})
+            self._count(process, at, f"descriptors {name}", {"count": sample.descriptors})
+        self._count(process, at, f"threads {name}", {"count": sample.threads})
+
+    def _group_sample(self, at: float, sample: GroupSample) -> None:
+        process, name = self._owner(sample)
+        if sample.throttled_periods:
+            self._count(process, at, f"throttled {name}", {"s": sample.throttled_seconds})
+        self._count(process, at, f"pressure cpu {name}", {"some percent": sample.cpu_pressure})
+
+    def _owner(self, sample: ProcessSample | GroupSample) -> tuple[int, str]:
+        """Give where a sample is shown, and under which name."""
+        if sample.kind is not SubjectKind.NODE:
+            return self._process(sample.key), sample.key
+        key = NodeKey.parsed(sample.key)
+        return self._process(key.container), key.name
+
+    def _system_sample(self, at: float, sample: SystemSample) -> None:
+        process = self._process(_MACHINE)
+        used = sample.memory_total - sample.memory_available
+        for name, values in (
+            ("cpu", {"percent": sample.cpu_percent}),
+            ("memory used", {"MB": used / _MEGABYTE}),
+            ("shared memory used", {"MB": sample.shm_used / _MEGABYTE}),
+            ("disk free", {"MB": sample.disk_free / _MEGABYTE}),
+            ("load", {"1 min": sample.load_1}),
+            ("pressure cpu", {"some percent": sample.cpu_some_avg10}),
+            ("pressure memory", {"some percent": sample.memory_some_avg10}),
+            ("pressure io", {"some percent": sample.io_some_avg10}),
+        ):
+            self._count(process, at, name, values)
+
+    def _count(self, process: int, at: float, name: str, values: Mapping[str, float]) -> None:
+        rounded = {key: round(value, 1) for key, value in values.items() if math.isfinite(value)}
+        # A curve holds its value until the next.
+        if not rounded or self._counters.get((process, name)) == rounded:
+            return
+        self._counters[process, name] = rounded
+        self._made.append(
+            {"ph": "C", "name": name, "pid": process, "tid": 0, "ts": at, "args": rounded}
+        )
+
+    def _process(self, name: str) -> int:
+        number = self._processes.get(name)
+        if number is None:
+            number = self._processes[name] = len(self._processes) + 1
+            self._name("process", Track(number, 0), name)
+        return number
+
+    def _track(self, process_name: str, name: str) -> Track:
+        track = self._tracks.get((process_name, name))
+        if track is None:
+            process = self._process(process_name)
+            track = Track(process, len(self._tracks) + 1)
+            self._tracks[process_name, name] = track
+            self._name("thread", track, name)
+        return track
+
+    def _name(self, what: str, track: Track, name: str) -> None:
+        where = {"ph": "M", "pid": track.process, "tid": track.thread}
+        number = track.process if what == "process" else track.thread
+        self._made += (
+            {**where, "name": f"{what}_name", "args": {"name": name}},
+            {**where, "name": f"{what}_sort_index", "args": {"sort_index": number}},
+        )
+
+    def _time(self, stamp_ns: int) -> float:
+        return max(0, stamp_ns - self._started_ns) / 1000
+
+
+def trace_events(session: PastSession) -> Iterator[TraceEvent]:
+    """Give the trace of a session while it is read.
+
+    Raises:
+        NotARecordingError: At once, when it is none.
+    """
+    maker: TraceMaker | None = None
+    for happened in session.events():
+        maker = maker or TraceMaker(session.started_ns)
+        yield from maker.add(happened)
+    if maker is not None:
+        yield from maker.end(session.reader.end)
+
+
+def write_trace(events: Iterable[TraceEvent], about: Mapping[str, str], file: IO[str]) -> None:
+    """Write a trace, one event a line; `about` says whose it is, as far as that is known by then.
+
+    Raises:
+        OSError: When the file takes no more.
+    """
+    file.write('{"displayTimeUnit":"ms","traceEvents":[')
+    separator = "\n"
+    for event in events:
+        file.write(separator)
+        file.write(json.dumps(event, separators=(",", ":"), allow_nan=False))
+        separator = ",\n"
+    # Last: it is read before the first event, but not before this is called.
+    described = {name: about[name] for name in ("name", "id", "started_ns") if name in about}
+    file.write(f'\n],"otherData":{json.dumps(described)}}}\n')

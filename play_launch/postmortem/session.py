@@ -1,0 +1,74 @@
+"""What happened in a session, from its recording."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from play_launch.postmortem.bag_reader import BagReader, Damage
+from play_launch.postmortem.events import UnreadableEventError, event_of
+from play_launch.postmortem.records import started_ns
+from play_launch.recording.session import METADATA_NAME
+from play_launch.supervisor.view import SystemView
+
+if TYPE_CHECKING:
+    from collections.abc import Container, Iterator
+    from pathlib import Path
+
+    from play_launch.postmortem.bag_reader import Message
+    from play_launch.supervisor.events import RunEvent
+
+
+class Happened(NamedTuple):
+    """One event, when it was received, and the system before and after it."""
+
+    log_time: int
+    event: RunEvent
+    before: SystemView
+    after: SystemView
+
+
+class PastSession:
+    """One pass over a recording, after which `reader` and `view` are whole."""
+
+    def __init__(self, path: Path) -> None:
+        """Read nothing yet."""
+        self.reader = BagReader(path)
+        self.view = SystemView()
+        """The system after the events that were given so far."""
+
+    @property
+    def about(self) -> dict[str, str]:
+        """What the recording says about itself (`play_launch.session`); empty where it does not."""
+        return self.reader.metadata.get(METADATA_NAME, {})
+
+    @property
+    def started_ns(self) -> int:
+        """Nanoseconds since the epoch; that of the earliest message where nothing else is known."""
+        return started_ns(self.reader.metadata) or self.reader.begin
+
+    def events(self, topics: Container[str] | None = None) -> Iterator[Happened]:
+        """Give the events of these topics (None: all) in the order in which they were received.
+
+        Raises:
+            NotARecordingError: At once, when it is none.
+        """
+        for message in self.reader.messages(topics):
+            happened = self.take(message)
+            if happened is not None:
+                yield happened
+
+    def take(self, message: Message) -> Happened | None:
+        """Give the event of a message, for those who read others as well; None without one."""
+        try:
+            event = event_of(message)
+        except UnreadableEventError as error:
+            self.note_damage(message, error)
+            return None
+        if event is None:
+            return None
+        before, self.view = self.view, self.view.after(event)
+        return Happened(message.log_time, event, before, self.view)
+
+    def note_damage(self, message: Message, error: Exception) -> None:
+        """Remember a message that cannot be read; whoever else finds that out adds nothing."""
+        self.reader.note(Damage(message.offset, str(error), self.reader.file))

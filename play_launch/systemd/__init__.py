@@ -1,1 +1,0 @@
-"""Running as a service of systemd: units are written, and the service manager hears how it goes."""

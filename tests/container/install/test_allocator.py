@@ -1,0 +1,173 @@
+"""Which allocator isolated containers get."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from play_launch.container.allocator import (
+    Allocator,
+    allocating_with,
+    find_allocator,
+    for_isolation,
+)
+from play_launch.container.ros import RosSource, ros_installation
+
+PYTHON = Path(sys.executable).resolve()
+
+
+def library(path: Path) -> Path:
+    """A file that looks like a library for this machine: the beginning of a program for it."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with PYTHON.open("rb") as file:
+        path.write_bytes(file.read(64))
+    return path
+
+
+def found(environ: dict[str, str], listing: str = "", *folders: Path) -> Allocator:
+    return find_allocator(environ, listing=lambda: listing, folders=folders, packages=())
+
+
+def test_the_variable_wins(tmp_path: Path) -> None:
+    own, other = library(tmp_path / "own.so"), library(tmp_path / "libmimalloc.so.2")
+    assert found({"PLAY_LAUNCH_ALLOCATOR": str(own)}, "", other.parent) == Allocator(own)
+
+
+def test_a_variable_that_names_nothing_of_use_is_told(tmp_path: Path) -> None:
+    text = tmp_path / "libmimalloc.so.2"
+    text.write_text("INPUT(libmimalloc.so.2.0)")
+    for path in (text, tmp_path / "missing.so", tmp_path):
+        answer = found({"PLAY_LAUNCH_ALLOCATOR": str(path)})
+        assert answer.library is None
+        assert str(path) in answer.problem
+
+
+def test_mimalloc_is_taken_before_jemalloc(tmp_path: Path) -> None:
+    jemalloc = library(tmp_path / "a" / "libjemalloc.so.2")
+    listing = f"2 libs found\n\tlibjemalloc.so.2 (libc6,x86-64) => {jemalloc}\n"
+    assert found({}, listing) == Allocator(jemalloc)
+    mimalloc = library(tmp_path / "b" / "libmimalloc.so.2")
+    assert found({}, listing, mimalloc.parent) == Allocator(mimalloc)
+
+
+def test_the_packages_mimalloc_is_taken_before_the_systems(tmp_path: Path) -> None:
+    packages = [tmp_path / "own", tmp_path / "systems"]
+    wheels = [library(folder / "cmeel.prefix/lib/libmimalloc.so.3") for folder in packages]
+    system = library(tmp_path / "lib" / "libmimalloc.so.2")
+    own = library(tmp_path / "own.so")
+
+    def answer(environ: dict[str, str]) -> Allocator:
+        return find_allocator(
+            environ, listing=lambda: "", folders=[system.parent], packages=packages
+        )
+
+    assert answer({"PLAY_LAUNCH_ALLOCATOR": str(own)}) == Allocator(own)
+    for expected in wheels:
+        assert answer({}) == Allocator(expected)
+        expected.unlink()
+    assert answer({}) == Allocator(system)
+
+
+def test_the_extra_brings_the_allocator_that_is_found_by_itself() -> None:
+    if ros_installation().source is not RosSource.WHEELS:
+        pytest.skip("ROS is not from wheels")
+    answer = find_allocator({})
+    assert answer.library is not None
+    assert answer.library.is_relative_to(sys.prefix)
+    assert answer.library.name == "libmimalloc.so.3"
+
+
+def test_a_library_in_a_folder_with_a_space_is_loaded(tmp_path: Path) -> None:
+    maps = Path("/proc/self/maps").read_text()
+    any_library = re.search(r"/\S*/libm\.so\.\S+", maps)
+    assert any_library
+    copy = tmp_path / "a folder" / "libcopy.so"
+    copy.parent.mkdir()
+    shutil.copy(any_library[0], copy)
+    environment = allocating_with({"LD_LIBRARY_PATH": "/nowhere"}, copy)
+    assert environment["LD_LIBRARY_PATH"] == f"{copy.parent}:/nowhere"
+    loaded = subprocess.run(
+        ["cat", "/proc/self/maps"], check=True, capture_output=True, text=True, env=environment
+    )
+    assert str(copy) in loaded.stdout
+    assert not loaded.stderr
+
+
+def test_a_library_for_another_machine_is_passed_over(tmp_path: Path) -> None:
+    foreign = library(tmp_path / "32" / "libmimalloc.so.2")
+    content = bytearray(foreign.read_bytes())
+    content[4] ^= 3
+    foreign.write_bytes(content)
+    ours = library(tmp_path / "64" / "libmimalloc.so.2")
+    listing = "".join(f"\tlibmimalloc.so.2 (libc6) => {path}\n" for path in (foreign, ours))
+    assert found({}, listing) == Allocator(ours)
+
+
+def test_none_is_reported_with_the_impact_and_the_fix(tmp_path: Path) -> None:
+    answer = found({}, "0 libs found\n", tmp_path)
+    assert answer.library is None
+    assert "neither mimalloc nor jemalloc" in answer.problem
+    assert "freeze" in answer.problem
+    assert "pip install cmeel-mimalloc" in answer.problem
+
+
+@pytest.mark.skipif(
+    shutil.which("ldconfig", path="/usr/sbin:/sbin") is None, reason="there is no ldconfig"
+)
+def test_this_machine_is_looked_at_without_an_error() -> None:
+    answer = find_allocator({})
+    assert (answer.library is None) == bool(answer.problem)
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ({}, "/l/libmimalloc.so.2"),
+        ({"LD_PRELOAD": "/x/liba.so libb.so"}, "/l/libmimalloc.so.2:/x/liba.so:libb.so"),
+        ({"LD_PRELOAD": "/x/libjemalloc.so.2"}, "/x/libjemalloc.so.2"),
+        ({"LD_PRELOAD": "/x/libmimalloc-secure.so.2.0:y"}, "/x/libmimalloc-secure.so.2.0:y"),
+    ],
+)
+def test_preloading(before: dict[str, str], after: str) -> None:
+    assert allocating_with(before, Path("/l/libmimalloc.so.2"))["LD_PRELOAD"] == after
+
+
+@pytest.mark.parametrize(
+    ("library", "before", "after"),
+    [
+        ("libmimalloc.so.3", {}, "0"),
+        ("libmimalloc.so.2", {"MIMALLOC_ALLOW_THP": "1"}, "1"),
+        ("libjemalloc.so.2", {}, None),
+    ],
+)
+def test_mimalloc_does_without_huge_pages_unless_asked_for(
+    library: str, before: dict[str, str], after: str | None
+) -> None:
+    assert allocating_with(before, Path("/l") / library).get("MIMALLOC_ALLOW_THP") == after
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ({}, "glibc.malloc.arena_max=100000"),
+        (
+            {"GLIBC_TUNABLES": "glibc.malloc.check=1"},
+            "glibc.malloc.check=1:glibc.malloc.arena_max=100000",
+        ),
+        ({"GLIBC_TUNABLES": "glibc.malloc.arena_max=2"}, "glibc.malloc.arena_max=2"),
+    ],
+)
+def test_without_a_library_each_thread_gets_an_arena(before: dict[str, str], after: str) -> None:
+    environment = for_isolation({"LD_PRELOAD": "/l/libguard.so"} | before, None)
+    assert environment == {"LD_PRELOAD": "/l/libguard.so", "GLIBC_TUNABLES": after}
+
+
+def test_with_a_library_the_c_librarys_allocator_is_left_alone() -> None:
+    library = Path("/l/libmimalloc.so.2")
+    environment = {"LD_PRELOAD": str(library), "MIMALLOC_ALLOW_THP": "0"}
+    assert for_isolation({}, library) == environment

@@ -1,0 +1,178 @@
+"""Command lines."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from play_launch.config.model import (
+    ContainerConfig,
+    ContainerType,
+    Isolation,
+    MemoryDomains,
+    ProcessConfig,
+)
+from play_launch.container.command import (
+    ExecutableNotFoundError,
+    container_argv,
+    find_executable,
+    process_argv,
+    stock_container_argv,
+)
+
+BINARY = Path("/opt/lib/component_container")
+
+
+def container(**changes: object) -> ContainerConfig:
+    values: dict[str, object] = {"name": "c", "namespace": "/", "full_name": "/c", **changes}
+    return ContainerConfig(**values)  # type: ignore[arg-type]
+
+
+def process(**changes: object) -> ProcessConfig:
+    values: dict[str, object] = {"name": "", "namespace": "", "full_name": "/[x]", **changes}
+    return ProcessConfig(**values)  # type: ignore[arg-type]
+
+
+def test_a_plain_container_gets_name_and_namespace() -> None:
+    assert container_argv(container(), BINARY) == (
+        *("/opt/lib/component_container", "--ros-args"),
+        *("-r", "__node:=c", "-r", "__ns:=/"),
+    )
+
+
+def test_a_container_with_everything() -> None:
+    config = container(
+        namespace="/sensing",
+        container_type=ContainerType.MT,
+        thread_num=4,
+        log_level="debug",
+        ros_arguments=("-p", "use_sim_time:=true"),
+        arguments=("--failpoints", "container.drop_event=loaded"),
+    )
+    assert container_argv(config, BINARY, stop_timeout=1.5) == (
+        "/opt/lib/component_container",
+        *("--use_multi_threaded_executor", "--thread_num", "4", "--stop_timeout", "1.5"),
+        *("--failpoints", "container.drop_event=loaded"),
+        *("--ros-args", "-r", "__node:=c", "-r", "__ns:=/sensing"),
+        *("--log-level", "debug", "-p", "use_sim_time:=true"),
+    )
+
+
+def test_a_prefix_comes_first() -> None:
+    prefix = ("gdb", "-ex", "set print on", "--args")
+    own = container_argv(container(prefix=prefix), BINARY)
+    assert own == (*prefix, *container_argv(container(), BINARY))
+    stock = stock_container_argv(container(prefix=prefix), BINARY)
+    assert stock == (*prefix, *stock_container_argv(container(), BINARY))
+    assert process_argv(process(prefix=prefix, command=("x", "-y"))) == (*prefix, "x", "-y")
+    installed = process_argv(process(prefix=prefix, arguments=("-y",)), executable=Path("/x"))
+    assert installed == (*prefix, "/x", "-y")
+
+
+@pytest.mark.parametrize(
+    ("kind", "isolation", "flags"),
+    [
+        (ContainerType.STANDARD, Isolation.PROCESS, ()),
+        (ContainerType.ISOLATED, Isolation.AUTO, ("--isolated", "--isolation", "auto")),
+        (
+            ContainerType.ISOLATED_MT,
+            Isolation.SHARED_MEMORY,
+            ("--isolated", "--isolation", "shared_memory", "--use_multi_threaded_executor"),
+        ),
+    ],
+)
+def test_an_isolated_container(
+    kind: ContainerType, isolation: Isolation, flags: tuple[str, ...]
+) -> None:
+    argv = container_argv(container(container_type=kind, isolation=isolation), BINARY)
+    assert argv[1 : argv.index("--ros-args")] == flags
+
+
+def test_cores_are_dumped_where_that_is_asked_for() -> None:
+    asked = container(container_type=ContainerType.ISOLATED, core_dumps=True)
+    assert "--core_dumps" in container_argv(asked, BINARY)
+    assert "--core_dumps" not in container_argv(container(core_dumps=True), BINARY)
+
+
+def test_memory_domains_are_for_isolated_containers() -> None:
+    asked = container(container_type=ContainerType.ISOLATED, memory_domains=MemoryDomains.AUTO)
+    argv = container_argv(asked, BINARY)
+    assert argv[argv.index("--memory_domains") + 1] == "auto"
+    isolated = container(container_type=ContainerType.ISOLATED)
+    assert "--memory_domains" not in container_argv(isolated, BINARY)
+    plain = container(memory_domains=MemoryDomains.REQUIRED)
+    assert "--memory_domains" not in container_argv(plain, BINARY)
+
+
+def test_a_stock_container_gets_its_arguments_before_those_for_ros() -> None:
+    config = ContainerConfig(
+        name="box",
+        namespace="/a",
+        full_name="/a/box",
+        container_type=ContainerType.STOCK,
+        arguments=("--use_multi_threaded_executor",),
+        log_level="warn",
+        ros_arguments=("-p", "thread_num:=4"),
+    )
+    assert stock_container_argv(config, Path("/x/component_container_isolated")) == (
+        "/x/component_container_isolated",
+        "--use_multi_threaded_executor",
+        "--ros-args",
+        "-r",
+        "__node:=box",
+        "-r",
+        "__ns:=/a",
+        "--log-level",
+        "warn",
+        "-p",
+        "thread_num:=4",
+    )
+
+
+def test_a_command_with_nothing_for_ros_stays_as_it_is() -> None:
+    labelled = process(command=("sleep", "1"), name="nap", namespace="/bed")
+    assert process_argv(labelled) == ("sleep", "1")
+
+
+def test_a_node_with_everything() -> None:
+    config = process(
+        name="listener",
+        namespace="/ns",
+        package="demo",
+        executable="listener",
+        arguments=("--verbose",),
+        remappings=(("chatter", "/talk"), ("__ns", "/other")),
+        log_level="warn",
+        ros_arguments=("--enclave", "/e"),
+    )
+    argv = process_argv(config, executable=Path("/p/listener"), parameter_file=Path("/t/p.yaml"))
+    assert argv == (
+        *("/p/listener", "--verbose", "--ros-args", "-r", "chatter:=/talk", "-r", "__ns:=/other"),
+        *("-r", "__node:=listener", "-r", "__ns:=/ns", "--params-file", "/t/p.yaml"),
+        *("--log-level", "warn", "--enclave", "/e"),
+    )
+
+
+def test_a_nameless_node_keeps_its_own_name() -> None:
+    argv = process_argv(process(command=("node",), log_level="info"))
+    assert argv == ("node", "--ros-args", "--log-level", "info")
+
+
+def test_a_node_without_a_program_is_an_error() -> None:
+    with pytest.raises(ValueError, match="neither a command nor an executable"):
+        process_argv(process(package="demo", executable="listener"))
+
+
+def test_executables_are_found_in_the_first_prefix(tmp_path: Path) -> None:
+    prefixes = [tmp_path / name for name in ("empty", "not executable", "first", "second")]
+    for prefix in prefixes[1:]:
+        folder = prefix / "lib" / "demo"
+        folder.mkdir(parents=True)
+        (folder / "listener").touch(0o644 if prefix.name == "not executable" else 0o755)
+    found = find_executable("demo", "listener", prefixes)
+    assert found == tmp_path / "first" / "lib" / "demo" / "listener"
+    with pytest.raises(ExecutableNotFoundError, match=r"no lib/demo/talker .*second"):
+        find_executable("demo", "talker", prefixes)
+    with pytest.raises(ExecutableNotFoundError, match="AMENT_PREFIX_PATH is empty"):
+        find_executable("demo", "talker", [])

@@ -1,0 +1,213 @@
+"""The unit that is written, and what systemd says about it."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from play_launch.config.load import parse_config
+from play_launch.config.problems import ConfigError
+from play_launch.deploy.environment import Carried
+from play_launch.deploy.quoting import is_acceptable
+from play_launch.deploy.unit import Service, unit_text
+from tests.support.replay import COMMAND
+
+from .test_needs import ISOLATED, SLEEP
+from .units import settings_of, verify, words
+
+NOTHING = Carried({}, (), ())
+
+
+def service(**more: Any) -> Service:
+    keys = more.pop("keys", {"nodes": [{**SLEEP, "name": "p"}]})
+    path = Path(more.pop("path", "/etc/robots/robot.yaml"))
+    made: dict[str, Any] = {
+        "config": parse_config(json.dumps({"version": 1, "name": "robot", **keys}).encode(), path),
+        "program": COMMAND,
+        "folder": Path("/"),
+        "user": "robot",
+        "environment": NOTHING,
+        **more,
+    }
+    return Service(**made)
+
+
+GREEDY = {
+    "containers": [ISOLATED],
+    "nodes": [
+        {
+            **SLEEP,
+            "name": "p",
+            "resources": {
+                "nice": -10,
+                "io_priority": "realtime",
+                "oom_score_adj": -200,
+                "rlimits": {"nofile": 1_000_000, "msgqueue": "1 MiB", "nproc": 9000},
+            },
+        }
+    ],
+}
+
+
+@pytest.mark.parametrize("for_user", [False, True])
+def test_systemd_accepts_it(tmp_path: Path, for_user: bool) -> None:
+    config = tmp_path / "100 % of it $HOME.yaml"
+    config.write_text("version: 1\nnodes: [{command: ['true']}]\n")
+    environment = Carried({"ROS_DOMAIN_ID": "7", "TEXT": 'a "b" \\ 100%\n$x'}, ("TOKEN",), ("X",))
+    text = unit_text(
+        service(
+            keys=GREEDY,
+            path=config,
+            folder=tmp_path,
+            user="" if for_user else "root",
+            environment=environment,
+            arguments=("text:=a 'b' $c %d \\e;",),
+            log_dir=tmp_path,
+        )
+    )
+    verify(text, tmp_path, for_user=for_user)
+
+
+def test_systemd_is_asked_in_earnest(tmp_path: Path) -> None:
+    text = unit_text(service())
+    verify(text, tmp_path)
+    with pytest.raises(AssertionError, match=r"robot\.service:"):
+        verify(text.replace("WatchdogSec=30", "WatchdogSec=soon"), tmp_path)
+
+
+def test_every_choice_has_a_reason() -> None:
+    lines = unit_text(service(keys=GREEDY)).splitlines()
+    for before, line in itertools.pairwise(lines):
+        if line.startswith(("Type=", "ExecReload=", "Watchdog", "KillMode=", "Restart=", "Limit")):
+            assert before.startswith(("# ", "Limit")), line
+
+
+def test_a_slow_machine_has_time_to_start() -> None:
+    found = settings_of(unit_text(service()))
+    # More than systemd gives by itself, which is 90 s, and only to the first pulse.
+    assert int(found["Service.TimeoutStartSec"][0]) >= 120
+    assert int(found["Service.WatchdogSec"][0]) < 120
+
+
+def test_a_system_service_runs_as_its_user_and_a_user_s_own_does_not_say() -> None:
+    found = settings_of(unit_text(service()))
+    assert found["Service.User"] == ["robot"]
+    assert found["Install.WantedBy"] == ["multi-user.target"]
+    assert found["Unit.After"] == ["network-online.target"]
+    own = settings_of(unit_text(service(user="")))
+    assert "Service.User" not in own
+    assert own["Install.WantedBy"] == ["default.target"]
+    assert "Unit.After" not in own, "a user's manager does not know the network"
+
+
+@pytest.mark.parametrize("where", ["the shell", "the configuration"])
+def test_what_stays_on_this_machine_waits_for_no_network(where: str) -> None:
+    variables = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    made = service(environment=Carried(variables, (), ()))
+    if where == "the configuration":
+        made = service(keys={"environment": variables, "nodes": [{**SLEEP, "name": "p"}]})
+    assert "Unit.Wants" not in settings_of(unit_text(made))
+
+
+WORDS = st.text(st.sampled_from("ab %$\\\"';#{}~\n\t")).filter(is_acceptable)
+
+
+@given(WORDS, WORDS)
+def test_commands_and_variables_are_what_was_given(word: str, value: str) -> None:
+    text = unit_text(
+        service(arguments=(f"a:={word}",), environment=Carried({"NAME": value}, (), ()))
+    )
+    found = settings_of(text)
+    (start,) = found["Service.ExecStart"]
+    usual = [str(COMMAND), "replay", "--quiet", "/etc/robots/robot.yaml", f"a:={word}"]
+    assert words(start) == usual
+    (reload,) = found["Service.ExecReload"]
+    assert words(reload, MAINPID="9") == [
+        *(str(COMMAND), "apply", "--session", "9"),
+        *usual[3:],
+    ]
+    (variable,) = found["Service.Environment"]
+    assert words(variable.replace("$", "$$")) == [f"NAME={value}"]
+
+
+@given(st.text(st.characters(codec="utf-8"), min_size=1, max_size=20))
+def test_any_name_of_a_system_makes_a_unit(name: str) -> None:
+    try:
+        made = service(keys={"name": name, "nodes": [{**SLEEP, "name": "p"}]})
+    except ConfigError:
+        return
+    text = unit_text(made)
+    assert settings_of(text)["Unit.Description"][0].endswith("(play-launch)")
+    assert made.name.strip("-") == made.name
+    assert made.name
+
+
+def unit(*arguments: str | Path, cwd: Path, **variables: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [COMMAND, "systemd-unit", *arguments],
+        cwd=cwd,
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        env={**os.environ, **variables},
+    )
+
+
+def test_the_command_writes_what_systemd_accepts(tmp_path: Path) -> None:
+    config = tmp_path / "robot.yaml"
+    config.write_text(
+        "version: 1\nname: spot\nnodes:\n  - command: [echo, '${arg:a}', '${env:ROBOT}']\n"
+    )
+    target = tmp_path / "spot.service"
+    more = {"ROBOT": "spot 1", "ROS_LOCALHOST_ONLY": "0", "UNRELATED": "x"}
+    done = unit("robot.yaml", "a:=1 2", "--user", "-o", target, cwd=tmp_path, **more)
+    assert done.returncode == 0, done.stderr
+    assert str(target) in done.stdout
+    text = target.read_text()
+    found = settings_of(text)
+    assert words(found["Service.ExecStart"][0]) == [
+        *(str(COMMAND), "replay", "--quiet", str(config), "a:=1 2"),
+    ]
+    assert found["Service.WorkingDirectory"] == [str(tmp_path)]
+    variables = [words(each)[0] for each in found["Service.Environment"]]
+    assert "ROBOT=spot 1" in variables
+    assert f"ROS_DOMAIN_ID={os.environ['ROS_DOMAIN_ID']}" in variables
+    assert not any(each.startswith(("UNRELATED", "_ROS_WHEELS")) for each in variables)
+    verify(text, tmp_path, for_user=True)
+
+
+def test_a_secret_stays_out_of_the_unit_and_is_named(tmp_path: Path) -> None:
+    config = tmp_path / "robot.yaml"
+    config.write_text("version: 1\nnodes:\n  - command: [echo, '${env:HUB_TOKEN}']\n")
+    done = unit("robot.yaml", cwd=tmp_path, HUB_TOKEN="abcdef")
+    assert done.returncode == 0
+    assert "abcdef" not in done.stdout + done.stderr
+    assert "HUB_TOKEN" in done.stdout
+    assert "HUB_TOKEN" in done.stderr
+    assert "EnvironmentFile=-/etc/play-launch/robot.env" in done.stdout
+
+
+def test_mistakes_are_reported_and_nothing_is_written(tmp_path: Path) -> None:
+    (tmp_path / "robot.yaml").write_text("version: 1\nnodes: [{comand: ['true']}]\n")
+    done = unit("robot.yaml", "-o", "robot.service", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "robot.yaml:2:" in done.stderr
+    assert not (tmp_path / "robot.service").exists()
+    (tmp_path / "robot.yaml").write_text("version: 1\nnodes: [{command: ['true']}]\n")
+    done = unit("robot.yaml", "-o", "no/folder", cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith("error: no/folder cannot be written")
+    folder = tmp_path / "a'b"
+    folder.mkdir()
+    done = unit("../robot.yaml", cwd=folder)
+    assert done.returncode == 2
+    assert "systemd takes no such path" in done.stderr

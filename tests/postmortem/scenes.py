@@ -1,0 +1,228 @@
+"""Made-up sessions, event by event, for what judges recordings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from play_launch.config.model import ParameterType
+from play_launch.config.node_key import NodeKey
+from play_launch.container.cdr.messages import NODE_PARAMETERS, PARAMETER_EVENT
+from play_launch.postmortem.story import read_story
+from play_launch.recording import topics
+from play_launch.recording.bag import McapBagWriter
+from play_launch.recording.convert import convert
+from play_launch.recording.session import METADATA_NAME
+from play_launch.supervisor.events import (
+    ComponentEvent,
+    ComponentEventKind,
+    ContainerState,
+    ContainerStateChanged,
+    MemoryKind,
+    NodeState,
+    NodeStateChanged,
+    OutputLine,
+    ProcessEvent,
+    ProcessEventKind,
+    ProcessSample,
+    RunEvent,
+    Stream,
+    SubjectKind,
+    SystemSample,
+)
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from play_launch.postmortem.story import Story
+    from play_launch.recording.topics import Topic
+
+SECOND = 1_000_000_000
+START = 1_700_000_000 * SECOND
+NAN = float("nan")
+TYPES = {
+    ParameterType.BOOL: bool,
+    ParameterType.INTEGER: int,
+    ParameterType.DOUBLE: float,
+    ParameterType.STRING: str,
+    ParameterType.BYTE_ARRAY: bytes,
+    ParameterType.STRING_ARRAY: tuple,
+}
+"""A bool is an int as well: the first that fits holds."""
+
+
+@dataclass
+class Scene:
+    """Events with their times; methods take seconds since the start."""
+
+    events: list[RunEvent] = field(default_factory=list)
+    messages: list[tuple[int, Topic, bytes]] = field(default_factory=list)
+    """Others, with their times."""
+
+    def parameters(self, at: float, node: str, **values: Any) -> None:
+        """What a node answered when it was asked."""
+        self._answer(at, {"node": node, "parameters": parameters(values)})
+
+    def no_parameters(self, at: float, node: str, error: str) -> None:
+        """Why it did not answer."""
+        self._answer(at, {"node": node, "error": error})
+
+    def _answer(self, at: float, fields: dict[str, Any]) -> None:
+        data = NODE_PARAMETERS.write({"stamp": ns(at), **fields})
+        self.messages.append((ns(at), topics.PARAMETERS, data))
+
+    def parameters_changed(self, at: float, node: str, **changes: dict[str, Any]) -> None:
+        """A message of ROS; ``new``, ``changed`` and ``deleted`` hold values."""
+        fields = {f"{kind}_parameters": parameters(values) for kind, values in changes.items()}
+        data = PARAMETER_EVENT.write({"stamp": ns(at), "node": node, **fields})
+        self.messages.append((ns(at), topics.PARAMETER_EVENTS, data))
+
+    def node(self, at: float, name: str, state: NodeState, **fields: Any) -> None:
+        key = NodeKey(fields.pop("container", "/box"), name)
+        self.events.append(NodeStateChanged(stamp_ns=ns(at), key=key, state=state, **fields))
+
+    def container(self, at: float, state: ContainerState, name: str = "/box") -> None:
+        self.events.append(ContainerStateChanged(stamp_ns=ns(at), container=name, state=state))
+
+    def process(self, at: float, kind: ProcessEventKind, name: str = "/box", **fields: Any) -> None:
+        self.events.append(ProcessEvent(stamp_ns=ns(at), kind=kind, name=name, **fields))
+
+    def line(self, at: float, text: str, process: str = "/box") -> None:
+        line = OutputLine(stamp_ns=ns(at), process=process, pid=1, stream=Stream.STDOUT, text=text)
+        self.events.append(line)
+
+    def started(self, at: float = 0.0, name: str = "/box") -> None:
+        self.container(at, ContainerState.STARTING, name)
+        self.process(at, ProcessEventKind.STARTED, name, pid=100)
+        self.container(at, ContainerState.RUNNING, name)
+
+    def crashed(
+        self,
+        at: float,
+        name: str,
+        function: str = "demo::tick()",
+        *,
+        crashes: int = 0,
+        in_constructor: bool = False,
+        **fields: Any,
+    ) -> None:
+        """A container's word about a crash, and what the supervisor makes of it."""
+        report = {
+            "signal": 11,
+            "error_message": "SIGSEGV (no memory at address 0x0) in thread 'main'",
+            "backtrace": (f"#0 {function}+0x1 (libdemo.so+0x2)",),
+            "pid": 7,
+            **fields,
+        }
+        sequel = str(report.pop("sequel", "it is loaded again at once"))
+        self.events.append(
+            ComponentEvent(
+                stamp_ns=ns(at),
+                kind=ComponentEventKind["LOAD_FAILED" if in_constructor else "CRASHED"],
+                container="",
+                unique_id=1,
+                attempt=1,
+                full_node_name=name,
+                package_name="demo",
+                plugin_name="demo::Talker",
+                **report,
+            )
+        )
+        said = {
+            "reason": "; ".join(filter(None, (report["error_message"], sequel))),
+            "crashes": crashes,
+            "pid": report["pid"],
+        }
+        state = NodeState.LOAD_FAILED if in_constructor else NodeState.CRASHED
+        self.node(at, name, state, unique_id=1, attempt=1, **said)
+
+    def used(
+        self,
+        at: float,
+        key: str,
+        memory_kind: MemoryKind = MemoryKind.PSS,
+        **numbers: Any,
+    ) -> None:
+        kind = SubjectKind.NODE if ":/" in key else SubjectKind.PROCESS
+        numbers = {"cpu_percent": 0.0, "cpu_seconds": 0.0, "memory_bytes": 10**7} | numbers
+        numbers = {"threads": 1, "descriptors": 10, "involuntary_switches": 0} | numbers
+        self.events.append(
+            ProcessSample(
+                stamp_ns=ns(at),
+                kind=kind,
+                key=key,
+                pid=numbers.pop("pid", 7),
+                start_time=1,
+                memory_kind=memory_kind,
+                read_bytes=0,
+                write_bytes=0,
+                voluntary_switches=0,
+                **numbers,
+            )
+        )
+
+    def machine(self, at: float, **numbers: Any) -> None:
+        numbers = {"cpu_percent": 10.0, "cpu_some_avg10": NAN, "disk_free": 10**12} | numbers
+        numbers = {"memory_available": 8 * 10**9} | numbers
+        self.events.append(
+            SystemSample(
+                stamp_ns=ns(at),
+                core_percent=(),
+                core_mhz=(),
+                memory_total=16 * 10**9,
+                swap_used=0,
+                shm_used=0,
+                shm_total=0,
+                load_1=0.0,
+                load_5=0.0,
+                load_15=0.0,
+                memory_some_avg10=NAN,
+                memory_full_avg10=NAN,
+                io_some_avg10=NAN,
+                io_full_avg10=NAN,
+                steal_percent=0.0,
+                **numbers,
+            )
+        )
+
+    def record(self, path: Path, *, finished: bool = True) -> Path:
+        """Write it; received when it happened."""
+        writer = McapBagWriter(path)
+        writer.metadata(METADATA_NAME, {"name": "made_up", "started_ns": str(START)})
+        channels: dict[Topic, int] = {}
+        messages = self.messages + [
+            (event.stamp_ns, recorded.topic, recorded.data)
+            for event in self.events
+            for recorded in convert(event)
+        ]
+        flushed = 0
+        for stamp, topic, data in messages:
+            if topic not in channels:
+                channels[topic] = writer.register(topic)
+            if abs(stamp - flushed) >= SECOND:
+                writer.flush()
+                flushed = stamp
+            writer.write(channels[topic], data, log_time=stamp, publish_time=stamp)
+        if finished:
+            writer.close()
+            return path
+        writer.flush()
+        writer.abandon()
+        return path.with_name(f"{path.name}.active")
+
+    def story(self, folder: Path) -> Story:
+        return read_story(self.record(folder / "session.mcap"))
+
+
+def parameters(values: dict[str, Any]) -> tuple[dict[str, Any], ...]:
+    """Values as ``rcl_interfaces/Parameter``; None is one that is not set."""
+    found = []
+    for name, value in values.items():
+        kind = next((kind for kind, types in TYPES.items() if isinstance(value, types)), None)
+        given = {} if kind is None else {"type": kind, kind.field: value}
+        found.append({"name": name, "value": given})
+    return tuple(found)
+
+
+def ns(seconds: float) -> int:
+    return START + round(seconds * SECOND)

@@ -1,0 +1,266 @@
+"""Events come back from a recording as they were."""
+
+from __future__ import annotations
+
+import json
+import re
+import tempfile
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from msgspec.structs import replace
+
+from play_launch.cli.explain import explain
+from play_launch.cli.story_words import headline
+from play_launch.cli.sum_up import session_object
+from play_launch.cli.write_page import write_report
+from play_launch.container.cdr.layout import Layout
+from play_launch.container.cdr.log import log_message
+from play_launch.container.cdr.messages import PROCESS_STATS
+from play_launch.postmortem.bag_reader import Message, Topic
+from play_launch.postmortem.crash_groups import CrashGroups
+from play_launch.postmortem.events import event_of
+from play_launch.postmortem.findings import Away
+from play_launch.postmortem.recover import write_whole
+from play_launch.postmortem.session import PastSession
+from play_launch.postmortem.story import read_story
+from play_launch.recording import topics
+from play_launch.recording.bag import McapBagWriter
+from play_launch.recording.convert import convert
+from play_launch.recording.session import METADATA_NAME
+from play_launch.supervisor.events import (
+    ComponentEvent,
+    ComponentEventKind,
+    LogRecord,
+    NodeState,
+    OutputLine,
+    RunEvent,
+    Stream,
+    SubjectKind,
+)
+from play_launch.supervisor.view import SystemView
+from tests.postmortem.scenes import SECOND, Scene, ns
+from tests.recording.reading import raw_messages
+from tests.recording.test_states import (
+    EVENTS,
+    GRAPH_CHANGES,
+    GROUP_SAMPLES,
+    INT32,
+    NAMES,
+    PROCESS_SAMPLES,
+    STAMPS,
+    SYSTEM_SAMPLES,
+    TEXTS,
+    UINT64,
+)
+
+OTHERS = st.one_of(
+    GRAPH_CHANGES,
+    SYSTEM_SAMPLES,
+    PROCESS_SAMPLES,
+    GROUP_SAMPLES,
+    st.builds(
+        OutputLine,
+        stamp_ns=STAMPS,
+        process=NAMES,
+        pid=st.integers(0, 2**22),
+        stream=st.sampled_from(Stream),
+        text=TEXTS,
+        truncated=st.booleans(),
+    ),
+    st.builds(
+        LogRecord,
+        stamp_ns=STAMPS,
+        level=st.sampled_from([10, 20, 30, 40]),
+        name=TEXTS,
+        message=TEXTS,
+        file=TEXTS,
+        function=TEXTS,
+        line=st.integers(0, 2**32 - 1),
+    ),
+    st.builds(
+        ComponentEvent,
+        stamp_ns=STAMPS,
+        kind=st.sampled_from(ComponentEventKind),
+        container=st.just(""),  # the message does not say
+        unique_id=UINT64,
+        attempt=UINT64,
+        full_node_name=NAMES,
+        package_name=TEXTS,
+        plugin_name=TEXTS,
+        error_message=TEXTS,
+        pid=INT32,
+        start_time=UINT64,
+        exit_code=INT32,
+        signal=INT32,
+        backtrace=st.lists(TEXTS, max_size=3).map(tuple),
+        modules=st.lists(TEXTS, max_size=3).map(tuple),
+        confirmed_by=TEXTS,
+    ),
+)
+
+EVERYTHING = st.one_of(EVENTS, OTHERS)
+
+
+EVENT_BEFORE_MODULES = Layout(
+    "stamp:t event_type:B unique_id:Q attempt:Q full_node_name:s package_name:s plugin_name:s "
+    "error_message:s pid:i start_time:Q exit_code:i signal:i backtrace:s[] confirmed_by:s"
+)
+
+
+def record(path: Path, events: list[RunEvent], damage: bytes = b"") -> Path:
+    writer = McapBagWriter(path)
+    writer.metadata(METADATA_NAME, {"name": "x", "started_ns": "500", "ros_distro": "jazzy"})
+    channels = {topic: writer.register(topic) for topic in topics.ALL_TOPICS}
+    for number, event in enumerate(events):
+        for topic, data, _ in convert(event):
+            if topic not in channels:
+                channels[topic] = writer.register(topic)
+            writer.write(channels[topic], data, log_time=1000 + number, publish_time=event.stamp_ns)
+    if damage:
+        writer.write(channels[topics.STATES], damage, log_time=0, publish_time=0)
+    writer.close()
+    return writer.path
+
+
+@settings(max_examples=50)
+@given(st.lists(EVENTS | OTHERS, max_size=20))
+def test_any_event_is_read_back_as_it_was(events: list[RunEvent]) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        session = PastSession(record(Path(folder) / "x.mcap", events))
+        happened = list(session.events())
+    assert [each.event for each in happened] == events
+    assert session.started_ns == 500
+    view = SystemView()
+    for each in happened:
+        assert each.before == view
+        view = view.after(each.event)
+        assert each.after == view
+    assert session.view == view
+    assert session.reader.damages == []
+
+
+def test_a_message_that_is_no_event_is_damage_and_the_rest_is_read(tmp_path: Path) -> None:
+    line = OutputLine(stamp_ns=1, process="/a", pid=7, stream=Stream.STDOUT, text="here")
+    session = PastSession(record(tmp_path / "x.mcap", [line], b"\0\1\0\0nonsense"))
+    assert [each.event for each in session.events()] == [line]
+    (damage,) = session.reader.damages
+    assert "/play_launch/states" in damage.reason
+
+
+def test_the_graph_as_earlier_versions_recorded_it_is_passed_over(tmp_path: Path) -> None:
+    log = log_message(1, 20, "graph", "appeared /a; 1 nodes")
+    writer = McapBagWriter(tmp_path / "x.mcap")
+    channel = writer.register(replace(topics.GRAPH, type_name="rcl_interfaces/msg/Log"))
+    writer.metadata(METADATA_NAME, {"name": "x", "started_ns": "500"})
+    writer.write(channel, log, log_time=1, publish_time=1)
+    writer.close()
+    session = PastSession(writer.path)
+    assert list(session.events()) == []
+    assert session.reader.damages == []
+
+
+@given(st.text(st.characters(codec="ascii", exclude_characters="\0"), max_size=9))
+def test_an_event_of_an_earlier_version_has_no_modules(confirmed_by: str) -> None:
+    data = EVENT_BEFORE_MODULES.write({"stamp": 5, "confirmed_by": confirmed_by})
+    topic = Topic(topics.COMPONENT_EVENTS.name, topics.COMPONENT_EVENTS.type_name, "cdr")
+    event = event_of(Message(topic, 0, 0, data, 0, 0))
+    assert isinstance(event, ComponentEvent)
+    assert (event.stamp_ns, event.confirmed_by, event.modules) == (5, confirmed_by, ())
+
+
+@pytest.mark.parametrize("about", [(SubjectKind.NODE, "/not_a_node"), (SubjectKind.NODE, "")])
+def test_a_sample_of_nobody_is_damage(tmp_path: Path, about: tuple[SubjectKind, str]) -> None:
+    writer = McapBagWriter(tmp_path / "x.mcap")
+    channel = writer.register(replace(topics.stats_topic(SubjectKind.PROCESS, "/a"), about=about))
+    writer.write(channel, PROCESS_STATS.write({}), log_time=1, publish_time=1)
+    writer.close()
+    session = PastSession(writer.path)
+    assert list(session.events()) == []
+    assert len(session.reader.damages) == 1
+    assert "is not the key of a node" in session.reader.damages[0].reason
+
+
+DAY = 24 * 3600
+YEARS = 2 * 365 * DAY
+
+
+def session_with_steps(*steps: float) -> Scene:
+    """The clock is set after every 20 s, to be so much ahead; /talker crashes 10 s before the end.
+
+    The last step is such that a line from before it is recorded after it.
+    """
+    scene = Scene()
+    scene.started()
+    scene.node(1, "/talker", NodeState.LOADED)
+    ahead = (0, *steps)
+    for at in range(1, 20 * len(ahead)):
+        now = at + ahead[at // 20]
+        scene.machine(now)
+        if at == 20 * len(steps) + 2:
+            scene.line(at - 2.5 + ahead[-2], "written before, and recorded after")
+        if at == 20 * len(steps) + 10:
+            scene.crashed(now, "/talker")
+            scene.node(now + 0.5, "/talker", NodeState.LOADED)
+    return scene
+
+
+@pytest.mark.parametrize(
+    ("steps", "said"),
+    [
+        ((YEARS,), "forward by 730.0 days while"),
+        ((-5 * DAY,), "back by 5.0 days while"),
+        ((YEARS, 0), "forward by 730.0 days, and set again, while"),
+        ((-5 * DAY, 0), "back by 5.0 days, and set again, while"),
+        ((YEARS, 2 * YEARS, -YEARS), "forward by 1,460.0 days, and set again, while"),
+    ],
+)
+def test_a_clock_that_is_set_while_the_session_runs(
+    tmp_path: Path, steps: tuple[float, ...], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = session_with_steps(*steps).record(tmp_path / "session.mcap")
+    crashed = 20 * len(steps) + 10
+    lasted = 20 * len(steps) + 20
+    story = read_story(path)
+    (crash,) = story.findings
+    text = headline(crash, story.session.started_ns)
+    at = float(re.findall(r"crashed at ([0-9.]+) s after the start", text)[0])
+    assert abs(at - crashed) <= len(steps), "what passed while it was set is not known"
+    assert crash.away == (Away("/talker", SECOND // 2),)
+    reader = story.session.reader
+    assert (reader.end - reader.begin) / SECOND < lasted
+    # Of many sessions, and to people: by the clock as it was set last.
+    groups = CrashGroups()
+    groups.add(story)
+    assert groups.sorted()[0].last_ns == ns(crashed + steps[-1])
+    started = session_object(story)["started_ns"]
+    assert abs(started - ns(steps[-1])) <= len(steps) * SECOND
+    # Another file has the times as they are.
+    write_whole(path, tmp_path / "whole.mcap")
+    copied, own = (
+        [each.log_time for each in raw_messages(file, topics.OUTPUT.name)]
+        for file in (tmp_path / "whole.mcap", path)
+    )
+    assert copied == own
+    capsys.readouterr()
+    assert explain(path, as_json=True) == 1
+    output, errors = capsys.readouterr()
+    assert said in errors
+    assert json.loads(output)["findings"][0]["times_ns"] == list(crash.times_ns)
+    write_report(path, tmp_path / "page.html")
+    page = (tmp_path / "page.html").read_text()
+    end = next(re.finditer(r'"end": ?([0-9.e+]+)', page))[1]
+    assert float(end) < 1000 * lasted
+    assert "The clock was set" in page
+
+
+def test_a_long_silence_is_none(tmp_path: Path) -> None:
+    scene = Scene()
+    scene.started()
+    scene.node(1, "/talker", NodeState.LOADED)
+    scene.crashed(3 * DAY, "/talker")
+    story = scene.story(tmp_path)
+    assert "crashed at 259200.000 s" in headline(story.findings[0], story.session.started_ns)
+    assert story.session.reader.log_times.note == ""

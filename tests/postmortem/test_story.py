@@ -1,0 +1,420 @@
+"""What a session's events come to: who failed, because of what, and who was hit."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from play_launch.cli.story_words import headline, paragraphs
+from play_launch.container.cdr.log import log_message
+from play_launch.postmortem.bag_reader import Message, Topic
+from play_launch.postmortem.findings import (
+    IMPORTANCE,
+    Away,
+    Finding,
+    Kind,
+    Quantity,
+    by_importance,
+    is_wrong,
+)
+from play_launch.postmortem.frames import Signature
+from play_launch.postmortem.known_causes import BY_NAME, known_cause
+from play_launch.postmortem.last_lines import MOST_LOGGERS, LastLines
+from play_launch.postmortem.story import read_story
+from play_launch.recording import topics
+from play_launch.supervisor.events import LogRecord, MemoryKind, NodeState, ProcessEventKind
+from tests.postmortem.scenes import NAN, SECOND, Scene, ns
+from tests.recording.test_states import EVENTS
+
+if TYPE_CHECKING:
+    from play_launch.supervisor.events import RunEvent
+
+LOADING, LOADED, LOST = NodeState.LOADING, NodeState.LOADED, NodeState.LOST
+
+
+def kinds(findings: tuple[Finding, ...]) -> list[tuple[Kind, str]]:
+    return [(each.kind, each.who) for each in findings]
+
+
+def test_every_kind_has_its_importance() -> None:
+    assert IMPORTANCE.keys() == set(Kind)
+
+
+@given(st.lists(st.tuples(st.sampled_from(Kind), st.integers(0, 9))))
+def test_the_most_important_comes_first_and_then_the_earliest(
+    pairs: list[tuple[Kind, int]],
+) -> None:
+    findings = [Finding(kind=kind, who="", times_ns=(at,)) for kind, at in pairs]
+    ordered = [(IMPORTANCE[one.kind].rank, one.at_ns) for one in by_importance(findings)]
+    assert ordered == sorted(ordered)
+
+
+def test_a_session_in_which_nothing_happened(tmp_path: Path) -> None:
+    scene = Scene()
+    scene.started()
+    scene.node(0.1, "/talker", LOADING)
+    scene.node(0.2, "/talker", LOADED)
+    scene.process(5, ProcessEventKind.STOPPING, message="the run is over")
+    scene.node(5, "/talker", NodeState.UNLOADED)
+    scene.process(5.1, ProcessEventKind.EXITED)
+    story = scene.story(tmp_path)
+    assert story.findings == ()
+    assert story.bring_up == {"/box:/talker": SECOND // 5}
+
+
+def test_equal_crashes_are_one_finding_with_all_times(tmp_path: Path) -> None:
+    scene = Scene()
+    scene.started()
+    scene.node(1, "/talker", LOADED)
+    for at in (2, 4):
+        scene.crashed(at, "/talker")
+        scene.node(at + 0.5, "/talker", LOADING)
+        scene.node(at + 1, "/talker", LOADED)
+    scene.crashed(6, "/talker", "demo::other()", sequel="it stays away")
+    first, second = scene.story(tmp_path).findings
+    assert first.times_ns == (ns(2), ns(4))
+    assert first.away == (Away("/talker", SECOND), Away("/talker", SECOND))
+    assert first.done == ("it is loaded again at once",)
+    assert (first.state, first.since_ns) == ("loaded", ns(1))
+    assert first.known == "null_pointer"
+    assert second.away == (Away("/talker", None),)
+    assert str(second.signature) == "SIGSEGV in demo::other (libdemo.so)"
+
+
+def test_who_was_hit_by_the_death_of_a_container(tmp_path: Path) -> None:
+    scene = Scene()
+    scene.started()
+    for name in ("/a", "/b"):
+        scene.node(1, name, LOADED)
+    scene.process(2, ProcessEventKind.EXITED, signal=11, message="exited with signal 11 (SIGSEGV)")
+    for name in ("/a", "/b"):
+        scene.node(2, name, LOST)
+    again = "exited with signal 11 (SIGSEGV); starts again in 0.10 s"
+    scene.process(2, ProcessEventKind.RESTARTING, message=again)
+    scene.process(3, ProcessEventKind.STARTED)
+    scene.node(3.5, "/a", LOADED)
+    (finding,) = scene.story(tmp_path).findings
+    assert (finding.kind, finding.who, finding.hit) == (Kind.DIED, "/box", ("/a", "/b"))
+    assert finding.done == ("starts again in 0.10 s",)
+    assert set(finding.away) == {
+        Away("/box", SECOND),
+        Away("/a", SECOND * 3 // 2),
+        Away("/b", None),
+    }
+
+
+def test_what_is_killed_for_a_dead_node_is_blamed_on_that(tmp_path: Path) -> None:
+    scene = Scene()
+    scene.started()
+    for name, pid in (("/holder", 7), ("/waiting", 8)):
+        scene.node(1, name, LOADED, pid=pid)
+    scene.crashed(2, "/holder", signal=9, error_message="SIGKILL", backtrace=())
+    why = "killed: a node died with a lock: thread 9 of process 8 waits for one held by process 7"
+    scene.process(3, ProcessEventKind.STOPPING, message=why)
+    scene.process(3.1, ProcessEventKind.EXITED, signal=9)
+    scene.node(3.1, "/waiting", LOST)
+    (finding,) = scene.story(tmp_path).findings
+    assert (finding.kind, finding.who) == (Kind.CRASHED, "/holder")
+    assert finding.hit == ("/box", "/waiting")
+    assert "process 8 (/waiting) waits for one held by process 7 (/holder)" in finding.done[-1]
+
+
+def test_what_is_killed_for_its_own_sake(tmp_path: Path) -> None:
+    scene = Scene()
+    scene.started()
+    scene.process(3, ProcessEventKind.STOPPING, message="killed: it is frozen: no answer for 3 s")
+    scene.process(3.1, ProcessEventKind.EXITED, signal=9)
+    (finding,) = scene.story(tmp_path).findings
+    assert (finding.kind, finding.cause) == (Kind.KILLED, "it is frozen: no answer for 3 s")
+
+
+def test_who_does_not_stop_is_deaf_and_who_does_is_fine(tmp_path: Path) -> None:
+    scene = Scene()
+    for name, signal in (("/deaf", 9), ("/good", 2)):
+        scene.process(0, ProcessEventKind.STARTED, name)
+        scene.process(1, ProcessEventKind.STOPPING, name, message="the run is over")
+        scene.process(2, ProcessEventKind.EXITED, name, signal=signal)
+    assert kinds(scene.story(tmp_path).findings) == [(Kind.DEAF, "/deaf")]
+
+
+DEADLINE = "SIGTERM (it did not leave in time after the signal) in thread 'main'"
+TIMEOUT = "SIGABRT (uncaught exception Timeout: the vehicle did not leave in time; it stays away)"
+
+
+@pytest.mark.parametrize(
+    ("signal", "said", "kind"),
+    [(15, DEADLINE, Kind.DEAF), (6, TIMEOUT, Kind.CRASHED), (6, f"a; {DEADLINE}", Kind.CRASHED)],
+)
+@pytest.mark.parametrize("sequel", ["it stays away", ""])
+def test_what_a_program_says_of_its_end_does_not_decide_what_it_is(
+    tmp_path: Path, signal: int, said: str, kind: Kind, sequel: str
+) -> None:
+    scene = Scene()
+    scene.started()
+    scene.node(1, "/gate", LOADED)
+    scene.crashed(2, "/gate", signal=signal, error_message=said, sequel=sequel)
+    (finding,) = scene.story(tmp_path).findings
+    assert (finding.kind, finding.cause) == (kind, said)
+    assert finding.done == tuple(filter(None, [sequel]))
+
+
+@pytest.mark.parametrize(
+    ("finding", "text"),
+    [
+        ({"kind": Kind.CRASHED}, "/cam crashed at 12.345 s after the start."),
+        (
+            {"kind": Kind.UNFINISHED, "who": ""},
+            (
+                "The recording is incomplete and ends 12.345 s after the start: "
+                "play-launch was killed, or still runs."
+            ),
+        ),
+        (
+            {"kind": Kind.NOT_LOADED, "state": "requested"},
+            "/cam was never loaded: it was requested since 12.345 s after the start.",
+        ),
+        (
+            {"kind": Kind.NOT_LOADED, "state": "lost"},
+            "/cam was not loaded again: it was lost since 12.345 s after the start.",
+        ),
+        (
+            {"kind": Kind.GREW},
+            "/cam kept growing, from 12.345 s after the start to the end.",
+        ),
+        (
+            {"kind": Kind.SLOW},
+            "/cam was slow to construct: it was not ready at 12.345 s after the start.",
+        ),
+        (
+            {"kind": Kind.STARVED},
+            "/cam starved others of CPU time, from 12.345 s after the start on.",
+        ),
+        (
+            {"kind": Kind.STARVED, "times_ns": (ns(12.345), ns(20))},
+            "/cam starved others of CPU time 2 times, first from 12.345 s after the start on.",
+        ),
+        (
+            {"kind": Kind.LOAD_FAILED},
+            "/cam failed to load at 12.345 s after the start.",
+        ),
+        (
+            {"kind": Kind.LOAD_FAILED, "signature": Signature("SIGSEGV", ())},
+            "/cam crashed in its constructor at 12.345 s after the start.",
+        ),
+    ],
+)
+def test_headlines_can_be_said_of_their_times(finding: dict[str, Any], text: str) -> None:
+    given = {"who": "/cam", "times_ns": (ns(12.345),), **finding}
+    assert headline(Finding(**given), ns(0)) == text
+
+
+def test_a_slow_constructor_with_how_long_it_took(tmp_path: Path) -> None:
+    scene = Scene()
+    scene.started()
+    scene.node(1, "/engine", LOADING)
+    for at in (11, 21):
+        scene.node(at, "/engine", LOADING, reason=f"its constructor runs for {at - 1:.1f} s")
+    scene.node(25, "/engine", LOADED, elapsed_ns=24 * SECOND)
+    (finding,) = scene.story(tmp_path).findings
+    assert (finding.kind, finding.times_ns) == (Kind.SLOW, (ns(11),))
+    assert finding.cause == "its constructor runs for 20.0 s"
+    assert finding.away == (Away("/engine", 24 * SECOND),)
+
+
+@settings(max_examples=60)
+@given(st.lists(EVENTS, max_size=15))
+def test_any_events_make_a_story(events: list[RunEvent]) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        story = Scene(events).story(Path(folder))
+        lines = list(paragraphs(story.findings, story.session))
+    assert all(finding.times_ns for finding in story.findings)
+    assert lines[-1].endswith(".")
+    assert msgspec.json.encode(story.findings)
+
+
+def test_just_before_the_start_is_at_the_start() -> None:
+    finding = Finding(kind=Kind.CRASHED, who="/a", times_ns=(ns(1) - 1000,))
+    assert headline(finding, ns(1)) == "/a crashed at 0.000 s after the start."
+
+
+def test_who_never_came(tmp_path: Path) -> None:
+    scene = Scene()
+    scene.started()
+    scene.node(1, "/late", NodeState.PENDING)
+    assert kinds(scene.story(tmp_path).findings) == [(Kind.NOT_LOADED, "/late")]
+
+
+def test_the_last_lines_are_those_of_the_node(tmp_path: Path) -> None:
+    scene = Scene()
+    scene.started()
+    scene.node(0.5, "/ns/talker", LOADED)
+    for number in range(30):
+        scene.line(1 + number / 100, f"[INFO] [1.0] [ns.talker]: {number}")
+        scene.line(1 + number / 100, f"[INFO] [1.0] [ns.talker_two]: {number}")
+    scene.line(1.9, "[INFO] [1.0] [ns.talker.child]: child")
+    scene.line(1.95, "plain")
+    scene.crashed(2, "/ns/talker")
+    scene.node(2.1, "/ns/talker", LOADING)
+    scene.line(2.15, "[INFO] [1.0] [ns.talker]: I am new")
+    (finding,) = scene.story(tmp_path).findings
+    lines = [f"[INFO] [1.0] [ns.talker]: {number}" for number in range(12, 30)]
+    assert finding.last_lines == (*lines, "[INFO] [1.0] [ns.talker.child]: child", "plain")
+
+
+def test_loggers_whose_names_count_up_take_bounded_memory() -> None:
+    lines = LastLines()
+    topic = Topic(topics.OUTPUT.name, topics.OUTPUT.type_name, "cdr")
+    count = 20 * MOST_LOGGERS
+    for number in range(count):
+        text = f"[INFO] [1.0] [worker_{number}]: done"
+        lines.take(Message(topic, number, number, log_message(number, 20, "/box", text), 1, 0))
+        text = f"[INFO] [1.0] [talker]: {number}"
+        lines.take(Message(topic, number, number, log_message(number, 20, "/box", text), 1, 0))
+    (rings,) = lines._rings.values()
+    assert len(rings) <= MOST_LOGGERS
+    last = f"[INFO] [1.0] [talker]: {count - 1}"
+    assert lines.of_node("/box", "/talker", count)[-1] == last
+    assert len(lines.of_node("/box", f"/worker_{count - 1}", count)) == 1
+
+
+def test_what_grew_before_a_failure(tmp_path: Path) -> None:
+    scene = Scene()
+    scene.process(0, ProcessEventKind.STARTED, "/leaker", pid=7)
+    for at in range(10):
+        scene.used(at, "/leaker", pid=6, memory_bytes=9 * 10**9)
+    for at in range(10, 20):
+        scene.used(at, "/leaker", memory_bytes=at * 10**7)
+    scene.process(20, ProcessEventKind.EXITED, "/leaker", pid=7, signal=9)
+    (finding,) = scene.story(tmp_path).findings
+    (trend,) = finding.before
+    assert (trend.who, trend.quantity) == ("/leaker", Quantity.MEMORY)
+    assert (trend.before, trend.after) == (10**8, 19 * 10**7)
+    assert (trend.begin_ns, trend.end_ns) == (ns(10), ns(19))
+
+
+def test_the_memory_of_the_container_is_not_held_against_a_node(tmp_path: Path) -> None:
+    scene = Scene()
+    for at in range(10):
+        scene.used(at, "/box:/a", memory_bytes=at * 10**9, memory_kind=MemoryKind.SHARED)
+    scene.crashed(10, "/a")
+    (finding,) = scene.story(tmp_path).findings
+    assert finding.before == ()
+
+
+def test_who_grows_without_failing(tmp_path: Path) -> None:
+    scene = Scene()
+    for at in range(100):
+        scene.used(at, "/leaker", memory_bytes=10**8 + at * 10**7)
+        # Takes its memory at once and keeps it.
+        scene.used(at, "/big", memory_bytes=10**7 if at < 2 else 10**9)
+    (finding,) = scene.story(tmp_path).findings
+    assert (finding.kind, finding.who) == (Kind.GREW, "/leaker")
+
+
+@pytest.mark.parametrize(
+    ("pressure", "percent", "is_busy"),
+    [(0.0, 99.0, False), (60.0, 30.0, True), (NAN, 99.0, True), (NAN, 50.0, False)],
+)
+def test_who_starved_whom(tmp_path: Path, pressure: float, percent: float, is_busy: bool) -> None:
+    scene = Scene()
+    for at in range(10):
+        scene.machine(at, cpu_some_avg10=pressure, cpu_percent=percent)
+        scene.used(at, "/hog", cpu_seconds=0.99 * at, involuntary_switches=at)
+        scene.used(at, "/box:/poor", cpu_seconds=0.01 * at, involuntary_switches=50 * at)
+        scene.used(at, "/idle", cpu_seconds=0.01 * at)
+    found = scene.story(tmp_path).findings
+    if not is_busy:
+        assert found == ()
+        return
+    (finding,) = found
+    assert (finding.kind, finding.who, finding.hit) == (Kind.STARVED, "/hog", ("/poor",))
+
+
+def test_a_recording_without_an_end_is_no_failure_and_a_full_disk_is(tmp_path: Path) -> None:
+    scene = Scene()
+    scene.started()
+    scene.machine(1)
+    path = scene.record(tmp_path / "cut.mcap", finished=False)
+    found = read_story(path).findings
+    assert kinds(found) == [(Kind.UNFINISHED, "")]
+    assert not is_wrong(found)
+    scene.machine(2, disk_free=1000)
+    path = scene.record(tmp_path / "full.mcap", finished=False)
+    found = read_story(path).findings
+    assert [each.kind for each in found] == [Kind.DISK_FULL, Kind.UNFINISHED]
+    assert is_wrong(found)
+
+
+def test_when_the_recording_took_nothing(tmp_path: Path) -> None:
+    scene = Scene()
+    scene.started()
+    for at, text in (
+        (1, "the recording is interrupted: cannot write x.mcap: No space left on device"),
+        (3, "the recording goes on after 2.0 s; nothing is lost"),
+    ):
+        scene.events.append(
+            LogRecord(
+                stamp_ns=ns(at), level=40, name="play_launch.recording.recorder", message=text
+            )
+        )
+    (finding,) = scene.story(tmp_path).findings
+    assert (finding.kind, finding.known) == (Kind.INTERRUPTED, "disk_full")
+    assert finding.done == ("the recording goes on after 2.0 s; nothing is lost",)
+
+
+def test_only_failures_gives_the_same_failures(tmp_path: Path) -> None:
+    scene = Scene()
+    scene.started()
+    scene.node(1, "/a", LOADED)
+    scene.line(1.5, "hello")
+    scene.crashed(2, "/a")
+    path = scene.record(tmp_path / "x.mcap")
+    (fast,) = read_story(path, only_failures=True).findings
+    (whole,) = read_story(path).findings
+    assert (fast.signature, fast.last_lines) == (whole.signature, ())
+    assert whole.last_lines == ("hello",)
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [
+        ("write failed: No space left on device", "disk_full"),
+        ("terminate called after throwing an instance of 'std::bad_alloc'", "out_of_memory"),
+        ("MemoryError", "out_of_memory"),
+        ("libx.so: cannot open shared object file: No such file", "missing_library"),
+        ("libx.so: undefined symbol: _ZN1aE", "missing_symbol"),
+        (
+            "rclcpp::exceptions::InvalidParameterTypeException: parameter 'x'",
+            "wrong_parameter_type",
+        ),
+        ("SIGSEGV (no memory at address 0x8) in thread", "null_pointer"),
+        ("SIGSEGV (no memory at address 0x7f0012345678)", ""),
+        ("*** stack smashing detected ***: terminated", "stack_smashed"),
+        ("free(): invalid pointer", "heap_broken"),
+        ("bind: Address already in use", "address_in_use"),
+        ("exited with status 127: its program was not found", "missing_program"),
+        (
+            "object 'libx.so' cannot be preloaded (cannot open shared object file): ignored.",
+            "",
+        ),
+        ("all is well", ""),
+    ],
+)
+def test_well_known_causes(text: str, name: str) -> None:
+    assert known_cause(text, ()) == name
+    assert known_cause("exited with status 1", ("before", text, "after")) == name
+    assert not name or BY_NAME[name].means
+
+
+@pytest.mark.parametrize("line", ["free(): invalid pointer", "bind: Address already in use"])
+def test_a_line_is_no_cause_of_a_kill_from_outside(line: str) -> None:
+    killed = "exited with signal 9 (SIGKILL): sent by a process, not by the kernel"
+    assert known_cause(killed, (line,)) == ""
+    # A reason that names one itself keeps it.
+    assert known_cause(f"{killed}: out of memory", (line,)) == "out_of_memory"

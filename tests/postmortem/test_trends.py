@@ -1,0 +1,74 @@
+"""Samples of a session of any length take bounded memory, and say the same."""
+
+from __future__ import annotations
+
+import tracemalloc
+
+from play_launch.container.cdr.messages import PROCESS_STATS, SYSTEM_STATS
+from play_launch.postmortem.bag_reader import Message, Topic
+from play_launch.postmortem.trends import MOST_SAMPLES, Samples
+
+SECOND = 1_000_000_000
+
+
+def sample(at: int, memory: int, cpu_seconds: float) -> Message:
+    values = {"pid": 7, "memory_bytes": memory, "memory_kind": 1, "cpu_seconds": cpu_seconds}
+    topic = Topic("/play_launch/node/a/stats", "", "cdr", "process", "/a")
+    return Message(topic, at * SECOND, at * SECOND, PROCESS_STATS.write(values), 1, 0, 0)
+
+
+def test_a_session_of_days_is_thinned_out() -> None:
+    samples = Samples()
+    count = 5 * MOST_SAMPLES
+    for at in range(1, count):
+        memory = 10**12 if at == 3 else 10**7 + at * 10**5
+        samples.of("/a")(sample(at, memory, at / 4))
+    assert samples.peak_memory() == {"/a": 10**12}
+    assert abs(samples.mean_cpu()["/a"] - 25) < 0.1
+    (trend,) = samples.before("/a", "/a", 7, count * SECOND)
+    assert trend.end_ns == (count - 1) * SECOND
+    assert trend.before < 10**9
+    assert trend.after == 10**7 + (count - 1) * 10**5
+
+
+def machine(at: int, pressure: float) -> Message:
+    values = {"cpu_some_avg10": pressure, "core_percent": [1.0] * 16, "disk_free": at}
+    topic = Topic("/play_launch/system", "", "cdr")
+    return Message(topic, at * SECOND, at * SECOND, SYSTEM_STATS.write(values), 1, 0, 0)
+
+
+def test_samples_of_the_machine_are_thinned_out_and_no_busy_time_is_missed() -> None:
+    samples = Samples()
+    tracemalloc.start()
+    count = 3 * MOST_SAMPLES
+    try:
+        for at in range(1, count):
+            samples.take_system(machine(at, 99.0 if 9 <= at % MOST_SAMPLES <= 11 else 0.0))
+        size, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert size < MOST_SAMPLES * 600
+    assert [begin // SECOND % MOST_SAMPLES for begin, _, _ in samples._busy.times()] == [9] * 3
+    trend = samples.disk_free_at_the_end()
+    assert trend is not None
+    assert (trend.before, trend.after) == (1, count - 1)
+
+
+def test_samples_take_little_more_than_their_bytes() -> None:
+    samples = Samples()
+    tracemalloc.start()
+    try:
+        for at in range(1, MOST_SAMPLES):
+            samples.of("/a")(sample(at, 1, 1.0))
+        size, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert size < MOST_SAMPLES * 1.3 * (len(sample(1, 1, 1.0).data) + 8)
+
+
+def test_one_sample_says_how_much_there_was() -> None:
+    samples = Samples()
+    samples.of("/a")(sample(1, 5, 0.1))
+    assert samples.peak_memory() == {"/a": 5}
+    assert samples.mean_cpu() == {}
+    assert samples.before("/a", "/a", 7, 2 * SECOND) == ()

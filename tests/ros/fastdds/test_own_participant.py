@@ -1,0 +1,224 @@
+"""Our participants meet others soon, and over UDP; nobody else's are changed by us."""
+
+from __future__ import annotations
+
+import os
+import socket
+import statistics
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from play_launch.ros.fastdds.own_participant import Reach, as_our_own, decide
+from play_launch.ros.fastdds.profiles import profile_in_use
+from tests.support.loopback_network import permitted, wrapped
+
+PATIENCE = 60.0
+VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
+RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+FASTDDS = "rmw_fastrtps_cpp"
+FIRST = 6
+"""Announcements that come in quick succession anyhow."""
+
+
+PROGRAM = """
+import sys
+from play_launch.ros.thread import RosThread
+ros = RosThread("announced")
+ros.start()
+sys.stdin.read()
+ros.close()
+"""
+"""A process of its own: profiles are read for the first participant only."""
+
+
+def seen_by_children() -> str:
+    """What a program gets that is started with the C library's environment."""
+    return subprocess.run(
+        ["/usr/bin/env"], env=None, check=True, capture_output=True, text=True
+    ).stdout
+
+
+def arrivals(listener: socket.socket, count: int) -> list[float]:
+    times: list[float] = []
+    while len(times) < count:
+        assert listener.recv(65536).startswith(b"RTPS")
+        times.append(time.monotonic())
+    return times
+
+
+def test_a_participant_of_ours_announces_itself_often(ros_domain: int) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
+        # Where the last participant of the domain would listen (RTPS 2.2, 9.6.1.1).
+        listener.bind(("127.0.0.1", 7400 + 250 * ros_domain + 10 + 2 * 119))
+        listener.settimeout(PATIENCE)
+        with subprocess.Popen([sys.executable, "-c", PROGRAM], stdin=subprocess.PIPE) as program:
+            try:
+                times = arrivals(listener, FIRST + 9)
+            finally:
+                program.communicate(timeout=PATIENCE)
+    pauses = [late - early for early, late in zip(times[FIRST:], times[FIRST + 1 :], strict=False)]
+    assert statistics.median(pauses) < 1.0  # by itself it is 3 s
+
+
+SILENT = """<?xml version="1.0" encoding="UTF-8"?>
+<dds xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
+  <profiles>
+    <participant profile_name="silent" is_default_profile="true">
+      <rtps>
+        <builtin>
+          <discovery_config>
+            <leaseAnnouncement><sec>1000</sec></leaseAnnouncement>
+            <leaseDuration><sec>3000</sec></leaseDuration>
+          </discovery_config>
+        </builtin>
+      </rtps>
+    </participant>
+  </profiles>
+</dds>
+"""
+"""Of a participant that answers others, and announces itself no more after it was made."""
+
+MEETING = """
+import asyncio, os, subprocess, sys
+other = subprocess.Popen(
+    [sys.executable, "-c", '''
+import rclpy, sys
+rclpy.init()
+node = rclpy.create_node("silent")
+print("is there", flush=True)
+sys.stdin.read()
+'''],
+    stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+    env=os.environ | {"FASTRTPS_DEFAULT_PROFILES_FILE": sys.argv[1]},
+)
+while "is there" not in (line := other.stdout.readline()):
+    assert line
+from play_launch.ros.thread import RosThread
+
+async def meet(number):
+    ros = RosThread(f"ours_{number}")
+    await asyncio.to_thread(ros.start)
+    async with asyncio.timeout(60):
+        while "silent" not in await ros.call(lambda node: node.get_node_names()):
+            await asyncio.sleep(0.02)
+    queues = "fastrtps_port" in open("/proc/self/maps").read()
+    await asyncio.to_thread(ros.close)
+    print("met", "in shared memory" if queues else "over UDP", flush=True)
+
+async def main():
+    for number in range(5):
+        await meet(number)
+
+asyncio.run(main())
+other.stdin.close()
+other.wait()
+"""
+
+
+def met(tmp_path: Path, reach: str, *, network: bool) -> list[str]:
+    profile = tmp_path / "silent.xml"
+    profile.write_text(SILENT, encoding="utf-8")
+    command = [sys.executable, "-c", MEETING, str(profile)]
+    done = subprocess.run(
+        wrapped(*command) if network else command,
+        check=True,
+        stdout=subprocess.PIPE,
+        text=True,
+        timeout=6 * PATIENCE,
+        env=os.environ | {RANGE: reach},
+    )
+    return [line for line in done.stdout.splitlines() if line.startswith("met")]
+
+
+def test_who_is_silent_is_met_on_this_machine(tmp_path: Path) -> None:
+    assert met(tmp_path, "LOCALHOST", network=False) == ["met over UDP"] * 5
+
+
+@pytest.mark.skipif(not permitted(), reason="this kernel permits no network namespace")
+def test_who_is_silent_is_met_by_multicast(tmp_path: Path) -> None:
+    assert met(tmp_path, "SUBNET", network=True) == ["met over UDP"] * 5
+
+
+@pytest.mark.parametrize("reach", ["LOCALHOST", "SUBNET"])
+def test_children_do_not_get_what_is_ours(reach: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(RANGE, reach)
+    before = dict(os.environ)
+    with as_our_own(os.environ, FASTDDS):
+        assert dict(os.environ) == before
+        given = subprocess.run(
+            ["/usr/bin/env"], env=os.environ, check=True, capture_output=True, text=True
+        ).stdout
+        assert VARIABLE not in given
+        assert f"{RANGE}={reach}" in given
+        ours = dict(line.partition("=")[::2] for line in seen_by_children().splitlines())
+        assert "initialPeersList" in Path(ours[VARIABLE]).read_text(encoding="ascii")
+        assert ours[RANGE] == "SYSTEM_DEFAULT"
+    after = seen_by_children()
+    assert VARIABLE not in after
+    assert f"{RANGE}={reach}" in after
+    assert not Path(ours[VARIABLE]).exists()
+
+
+@pytest.mark.parametrize(
+    ("environment", "files", "transports", "reach"),
+    [
+        ({"HOME": "/"}, ["robot.yaml"], "UDPv4", Reach.NETWORKS),
+        ({RANGE: "SUBNET"}, [], "UDPv4", Reach.NETWORKS),
+        ({RANGE: "LOCALHOST"}, [], "UDPv4", Reach.THIS_MACHINE),
+        ({"ROS_LOCALHOST_ONLY": "1"}, [], "UDPv4", Reach.THIS_MACHINE),
+        # Whom it meets is configured.
+        ({RANGE: "OFF"}, [], "", Reach.NOBODY),
+        ({RANGE: "LOCALHOST", "ROS_STATIC_PEERS": "10.0.0.1"}, [], "", Reach.NOBODY),
+        ({"ROS_STATIC_PEERS": "10.0.0.1"}, [], "", Reach.NOBODY),
+        # How it meets them is.
+        ({"FASTDDS_BUILTIN_TRANSPORTS": "SHM"}, [], "SHM", Reach.NOBODY),
+        ({"FASTDDS_BUILTIN_TRANSPORTS": ""}, [], "", Reach.NOBODY),
+        ({"SKIP_DEFAULT_XML_FILE": "1"}, ["DEFAULT_FASTDDS_PROFILES.xml"], "UDPv4", Reach.NETWORKS),
+    ],
+)  # fmt: skip
+def test_what_is_chosen(
+    environment: dict[str, str], files: list[str], transports: str, reach: Reach
+) -> None:
+    chosen = decide(environment, files, FASTDDS)
+    assert chosen is not None
+    assert (chosen.profile, chosen.transports, chosen.reach) == (True, transports, reach)
+
+
+@pytest.mark.parametrize(
+    ("environment", "files"),
+    [
+        ({VARIABLE: "profile.xml"}, []),
+        ({"FASTDDS_DEFAULT_PROFILES_FILE": "profile.xml"}, []),
+        ({}, ["DEFAULT_FASTRTPS_PROFILES.xml"]),
+        ({}, ["DEFAULT_FASTDDS_PROFILES.xml"]),
+    ],
+)
+def test_a_profile_of_the_user_is_left_alone(
+    environment: dict[str, str], files: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in files:
+        (tmp_path / name).write_text("<dds/>")
+    monkeypatch.chdir(tmp_path)
+    with as_our_own(environment, FASTDDS) as chosen:
+        assert chosen is not None
+        assert not chosen.profile
+        assert chosen.reason.split(" ", 1)[0] in {*environment, *files}
+        assert VARIABLE not in seen_by_children()
+
+
+def test_other_middlewares_get_nothing() -> None:
+    with as_our_own({}, "rmw_cyclonedds_cpp") as chosen:
+        assert chosen is None
+        assert VARIABLE not in seen_by_children()
+
+
+def test_it_is_said_where_a_profile_is() -> None:
+    assert profile_in_use({}, ["robot.xml"]) is None
+    assert profile_in_use({VARIABLE: ""}, []) is None
+    assert profile_in_use({VARIABLE: "x"}, []) == f"{VARIABLE} is set"
+    found = profile_in_use({}, ["DEFAULT_FASTDDS_PROFILES.xml"])
+    assert found == "DEFAULT_FASTDDS_PROFILES.xml is in the working directory"
