@@ -62,6 +62,8 @@ class ContainerActor(ProcessActor):
         self._has_ended = anyio.Event()
         self._is_draining = False
         """Whether its process exited, and what it sent before is still read."""
+        self._well_with: tuple[int, int] | None = None
+        """Counts of the last answer if that is no news when it is repeated; else None."""
         self._queries = Queries(name)
         self._watch = ContainerWatch(name, clock=system.time, limits=system.watch_limits)
         self._probes: list[Source] = []
@@ -78,6 +80,7 @@ class ContainerActor(ProcessActor):
     async def _begin(self) -> ManagedProcess:
         self._has_ended = anyio.Event()
         self._is_draining = False
+        self._well_with = None
         self._queries.clear()
         launcher = self._system.launcher
         process, self._link = await launcher.start_container(self.config, self._on_output)
@@ -177,16 +180,14 @@ class ContainerActor(ProcessActor):
             return
         if isinstance(message, Status) and self._watch.accept(message):
             silences = {each.attempt: each.silence_ns / 1e9 for each in message.nodes}
-            self._system.post(
-                HealthReported(
-                    self.name,
-                    start,
-                    message.leaked,
-                    message.unquiesced,
-                    message.dead_locks,
-                    silences,
-                )
-            )
+            counts = (message.leaked, message.unquiesced)
+            is_well = not (silences or message.dead_locks or all(counts))
+            if is_well and self._well_with == counts:
+                self._system.wake_by(self._watch.next_deadline())
+                return
+            self._well_with = counts if is_well else None
+            locks = message.dead_locks
+            self._system.post(HealthReported(self.name, start, *counts, locks, silences))
             return
         if isinstance(message, ComponentEvent):
             self._system.publisher.publish(message)

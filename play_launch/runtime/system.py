@@ -96,7 +96,6 @@ class System:
         """Begin nothing yet; ``starts`` bounds how many containers start at the same time."""
         self.world = World(config, starts=starts, limits=limits)
         self.config = config
-        """As it is configured now."""
         self.publisher = publisher
         self.launcher = launcher
         self._stop = stop
@@ -200,6 +199,11 @@ class System:
                 due = max(due, self._loop.time() + _RETRY_INTERVAL)
             self._timer = self._loop.call_at(due, self._on_time)
 
+    def wake_by(self, due: float | None) -> None:
+        """Let the timer fire at ``due`` (seconds of the loop's clock) at the latest."""
+        if due is not None and (self._timer is None or self._timer.when() > due):
+            self._set_timer()
+
     def _due(self) -> float | None:
         times = [deadline(self.world), *(each.next_deadline() for each in self._actors.values())]
         return min((at for at in times if at is not None), default=None)
@@ -207,7 +211,10 @@ class System:
     def _on_time(self) -> None:
         self._timer = None
         self._is_overdue = False
+        now = self._loop.time()
         for actor in tuple(self._actors.values()):
+            if (due := actor.next_deadline()) is None or due > now:
+                continue
             try:
                 actor.on_time()
             except Exception as error:  # noqa: BLE001 - it is the failure of its unit alone
@@ -282,7 +289,6 @@ class System:
 
     @property
     def stop_requests(self) -> StopRequests:
-        """The way to end it."""
         return self._stop
 
     @property
@@ -303,18 +309,15 @@ class System:
         return self._applying
 
     async def until_applied(self) -> None:
-        """Wait until no configuration is being applied."""
         if self._applying is not None:
             await self._applying.idle.wait()
 
     @property
     def is_stopping(self) -> bool:
-        """Whether its end was requested."""
         return self._stop.requested.is_set()
 
     @property
     def is_changing(self) -> bool:
-        """Whether another configuration is being applied."""
         return self._applying is not None and not self._applying.idle.is_set()
 
     @property

@@ -12,8 +12,10 @@ from play_launch.config.node_key import NodeKey
 from play_launch.container.messages import Hello, Query, Status
 from play_launch.process.processor_wait import ProcessorWait
 from play_launch.runtime import watch
+from play_launch.runtime.system import System
 from play_launch.runtime.watch import WatchLimits
 from play_launch.supervisor.events import ContainerState, NodeState, ProcessEvent, ProcessEventKind
+from play_launch.supervisor.inputs import HealthReported, Input
 
 from .fakes import FakeContainer, FakeLauncher, Held, container, system
 from .jumping_loop import run
@@ -178,6 +180,25 @@ def test_what_it_counts_is_told_when_it_grows(caplog: pytest.LogCaptureFixture) 
     messages = [record.getMessage() for record in caplog.records]
     assert sum("what 1 of 5 crashed nodes held stays" in each for each in messages) == 1
     assert sum("2 of 5 crashed nodes were killed" in each for each in messages) == 1
+
+
+def test_answers_without_news_are_no_inputs(monkeypatch: pytest.MonkeyPatch) -> None:
+    posted: list[Input] = []
+    post = System.post
+
+    def spied(system: System, said: Input) -> None:
+        posted.append(said)
+        post(system, said)
+
+    monkeypatch.setattr(System, "post", spied)
+
+    async def main() -> int:
+        async with running(system(container("c", "a")), launcher(FakeContainer)) as sys:
+            await sys.until_loaded(1)
+            await asyncio.sleep(60)
+            return len([each for each in posted if isinstance(each, HealthReported)])
+
+    assert run(main()) == 1
 
 
 @pytest.mark.parametrize(
