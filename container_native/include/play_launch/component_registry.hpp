@@ -30,7 +30,7 @@ class ComponentRegistry {
   static ComponentRegistry& instance();
 
   /// The factory for `class_name` ("ns::Class") in the library of that path, or in any library if
-  /// the path is empty. Null when there is none. Paths are compared after resolving links. Valid
+  /// the path is empty. Null if no class matches. Paths are compared after resolving links. Valid
   /// until the library is closed.
   [[nodiscard]] const ComponentFactory* find(const std::string& class_name,
                                              const std::string& library = {}) const;

@@ -36,7 +36,7 @@ class Context {
   [[nodiscard]] bool ok() const noexcept;
 
   /// Cancels every executor that ever held a node of this context and invalidates the context.
-  /// Idempotent. In a container, where the context is everybody's, it is a request that the
+  /// Idempotent. In a container, where all nodes share the context, it is a request that the
   /// container decides on: an isolated node ends alone, any other one ends the container; the
   /// context stays valid.
   void shutdown();

@@ -23,7 +23,7 @@ struct RunningTurn;
 ///
 /// What a callback throws is caught nowhere in here, so that a process which ends for it does so
 /// where it was thrown. It leaves SingleThreadedExecutor::spin(); MultiThreadedExecutor::spin()
-/// lets nobody catch it: std::terminate() is called.
+/// cannot be caught: std::terminate() is called.
 class Executor {
  public:
   /// Removes the nodes that are left. spin() must have returned.

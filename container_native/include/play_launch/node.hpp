@@ -26,10 +26,10 @@ class ParameterServer;
 class ParameterStore;
 class WaitableRegistry;
 
-/// What a node says to values that somebody wants to set.
+/// A node's answer to a request to set parameters.
 struct SetParametersVerdict {
   bool ok = true;
-  /// Why not; reaches whoever asked.
+  /// Reason of a refusal; part of the service's answer.
   std::string reason;
 };
 
@@ -85,7 +85,7 @@ class Node {
     return subscription;
   }
 
-  /// Calls `callback` every `period` of the steady clock until the last owner lets go of the timer
+  /// Calls `callback` every `period` of the steady clock until the last owner releases the timer
   /// or cancels it. Throws std::invalid_argument for a negative period.
   std::shared_ptr<Timer> create_timer(std::chrono::nanoseconds period,
                                       std::function<void()> callback,
@@ -138,8 +138,8 @@ class Node {
   [[nodiscard]] ParameterValue get_parameter(const std::string& name) const;
   [[nodiscard]] bool has_parameter(const std::string& name) const;
 
-  /// Sets all or none. Never throws for a refused value: the verdict says why (undeclared, other
-  /// type, the node's own callback). On success it is published on /parameter_events.
+  /// Sets all or none. Never throws for a refused value: the verdict has the reason (undeclared,
+  /// other type, the node's own callback). On success it is published on /parameter_events.
   SetParametersVerdict set_parameters(const std::vector<Parameter>& parameters);
 
   /// Offers the parameter services and publishes changes on /parameter_events from now on; for

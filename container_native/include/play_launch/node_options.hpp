@@ -9,7 +9,7 @@ namespace play_launch {
 
 class Context;
 
-/// How to make a node. A component gets this object from whoever loads it and hands it on to Node.
+/// How to make a node. A component gets this object from its loader and passes it to Node.
 struct NodeOptions {
   /// The context the node belongs to; must not be null.
   std::shared_ptr<Context> context;

@@ -29,7 +29,7 @@ namespace play_launch {
 
 /// An allocator of private_memory(), as of the moment at which it is made by default: for
 /// containers that do not take a std::pmr::memory_resource, and for containers of containers, each
-/// of which finds it by itself. A copy of a container is allocated by whoever makes it; what is
+/// of which finds it. A copy of a container is allocated by the thread that makes it; what is
 /// moved stays where it is.
 template <class T>
 class PrivateAllocator {

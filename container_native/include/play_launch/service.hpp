@@ -24,7 +24,7 @@ class PendingRequestBase {
  public:
   PendingRequestBase(std::weak_ptr<ServiceHandle> service, const rmw_request_id_t& id,
                      Logger logger);
-  /// Warns when nobody answered: the client waits for nothing.
+  /// Warns when a request got no answer: the client waits in vain.
   ~PendingRequestBase();
   PendingRequestBase(const PendingRequestBase&) = delete;
   PendingRequestBase& operator=(const PendingRequestBase&) = delete;
@@ -60,7 +60,7 @@ class PendingRequest final : public PendingRequestBase {
   const typename S::Request request_;
 };
 
-/// The part of a service that does not depend on its type. Lives as long as somebody holds it.
+/// The part of a service that does not depend on its type. Lives as long as an owner holds it.
 class ServiceBase : public Waitable {
  public:
   ~ServiceBase() override;
@@ -76,7 +76,7 @@ class ServiceBase : public Waitable {
             const rosidl_service_type_support_t* type_support, const std::string& name,
             const QoS& qos);
 
-  /// Takes one request; false when there is none. Throws RclError.
+  /// Takes one request; false if none is pending. Throws RclError.
   bool take_request(rmw_request_id_t& id, void* request);
   [[nodiscard]] const std::shared_ptr<ServiceHandle>& handle() const noexcept { return handle_; }
 

@@ -21,7 +21,7 @@ namespace play_launch {
 class NodeHandle;
 class SubscriptionHandle;
 
-/// The part of a subscription that does not depend on the message type. Lives as long as somebody
+/// The part of a subscription that does not depend on the message type. Lives as long as an owner
 /// holds it; its callback runs in the executor that holds the node.
 class SubscriptionBase : public Waitable {
  public:
@@ -44,7 +44,7 @@ class SubscriptionBase : public Waitable {
             const std::string& topic, const QoS& qos, std::shared_ptr<IntraProcessInbox> inbox);
 
   /// Takes one message from the middleware into `message`, skipping those that also come by
-  /// pointer. False when there is none. Throws RclError.
+  /// pointer. False if none is pending. Throws RclError.
   bool take_from_middleware(void* message);
 
  private:
@@ -127,7 +127,7 @@ class CallbackSubscription final : public Subscription<M> {
  private:
   template <class P>
   Work work(P message) {
-    // The callback is shared: it may outlive the subscription when it lets go of it itself.
+    // The callback is shared: it may outlive the subscription when it releases that itself.
     return Work([callback = callback_, message = std::move(message)]() mutable {
       if constexpr (detail::takes_reference<F, M>) {
         (*callback)(*message);

@@ -9,7 +9,7 @@
 namespace play_launch {
 
 /// Calls back periodically by the steady clock. Periods that were missed because the executor was
-/// busy are skipped, the phase is kept. Lives as long as somebody holds it.
+/// busy are skipped, the phase is kept. Lives as long as an owner holds it.
 class Timer final : public Waitable {
  public:
   /// Use Node::create_timer. A period of zero is always due; a negative one throws

@@ -22,8 +22,8 @@ struct Command {
 
   /// False when the file does not hold a command.
   bool read(int file);
-  /// Applies the settings to the calling process, as far as the kernel agrees: whoever asked for
-  /// them looks what holds. False when one of them is none, or is required and was refused.
+  /// Applies the settings to the calling process, as far as the kernel agrees: the supervisor that
+  /// sent them checks what is in force. False when one is malformed, or required and refused.
   bool apply_settings() const;
 };
 

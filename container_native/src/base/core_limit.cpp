@@ -16,7 +16,7 @@ void set_core_dumps(bool dumps) noexcept {
   rlimit limit{};
   if (::getrlimit(RLIMIT_CORE, &limit) == 0) {
     limit.rlim_cur = dumps ? limit.rlim_max : kNone;
-    // Only who has the right to raises a hard limit of 0.
+    // Raising a hard limit of 0 needs CAP_SYS_RESOURCE.
     limit.rlim_max = std::max(limit.rlim_max, limit.rlim_cur);
     ::setrlimit(RLIMIT_CORE, &limit);
   }

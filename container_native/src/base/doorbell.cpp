@@ -21,7 +21,7 @@ UniqueFd make_doorbell() {
 
 void ring(int doorbell) noexcept {
   const std::uint64_t one = 1;
-  // Fails only when the counter is full, and then everybody is awake anyway.
+  // Fails only when the counter is full, and then all waiters are awake anyway.
   [[maybe_unused]] const ssize_t written = ::write(doorbell, &one, sizeof one);
 }
 

@@ -7,7 +7,7 @@ namespace play_launch {
 /// An eventfd to wake a thread with, out of reach of nodes. Throws std::system_error.
 UniqueFd make_doorbell();
 
-/// Wakes whoever polls it. Any thread of any process that has it, also a signal handler.
+/// Wakes the threads that poll it. Any thread of any process that has it, also a signal handler.
 void ring(int doorbell) noexcept;
 
 /// Forgets what was rung.

@@ -7,7 +7,7 @@ namespace play_launch {
 /// of a node is loaded. Takes the loader's lock.
 void note_early_code() noexcept;
 
-/// Whether the address is code of such a library; the program is none. Always false before.
+/// Whether the address is code of such a library; the program does not count. Always false before.
 /// Async-signal-safe.
 bool is_early_code(const void* address) noexcept;
 

@@ -16,7 +16,7 @@ namespace play_launch {
 using LookUpEnd = std::chrono::steady_clock::time_point;
 constexpr LookUpEnd kNoLookUpEnd = LookUpEnd::max();
 
-/// The library, or the program, whose code or data is at the address; null when there is none.
+/// The library, or the program, whose code or data is at the address; null if none is mapped there.
 /// Neither allocates nor takes the dynamic loader's lock, unlike dladdr(): async-signal-safe, and
 /// also answers while a library's initialiser runs or after it died.
 const link_map* library_at(std::uintptr_t address) noexcept;
@@ -41,7 +41,7 @@ class DynamicSymbols {
   /// The exported function at the address; none when the end came first.
   Function function_at(std::uintptr_t address, LookUpEnd end = kNoLookUpEnd) const noexcept;
 
-  /// Address of an exported function; 0 when there is none.
+  /// Address of an exported function; 0 if it is not exported.
   std::uintptr_t find(std::string_view name) const noexcept;
 
   /// Where the code between two exported functions begins, which is that of functions without an
@@ -94,7 +94,7 @@ class DynamicSymbols {
 /// that are not exported, as most callbacks are.
 class FileSymbols {
  public:
-  /// Opens the file; one that cannot be read, or is none, has no symbols.
+  /// Opens the file; one that cannot be read, or is not ELF, has no symbols.
   explicit FileSymbols(const std::string& path);
   FileSymbols(const FileSymbols&) = delete;
   FileSymbols& operator=(const FileSymbols&) = delete;

@@ -63,7 +63,7 @@ constexpr std::array kActions{
 void arm_event(std::string_view part, std::string_view type) {
   const auto found = std::ranges::find(kEvents, type);
   if (found == kEvents.end()) {
-    refuse(part, "the type is none of loading, loaded, failed, unloaded, crashed");
+    refuse(part, "the type is not one of loading, loaded, failed, unloaded, crashed");
   }
   Slot& slot = slots[static_cast<std::size_t>(Failpoint::drop_event)];
   slot.argument = static_cast<int>(found - kEvents.begin());
@@ -106,7 +106,7 @@ void arm(std::string_view part) {
     slots[index].action = known.action;
     return;
   }
-  refuse(part, "the action is none of hang, abort, kill, exit:N, delay:MS, once, always");
+  refuse(part, "the action is not one of hang, abort, kill, exit:N, delay:MS, once, always");
 }
 
 bool act(Slot& slot, std::string_view name) {

@@ -3,8 +3,8 @@
 namespace play_launch {
 
 /// Removes the names in /dev/shm that the middleware (Fast DDS) created in this process and would
-/// have removed itself in an orderly end. Only for a process that is about to end: whoever has a
-/// segment mapped keeps it, but nobody can find it any more. Takes no lock of this process.
+/// have removed itself in an orderly end. Only for a process that is about to end: a process that
+/// has a segment mapped keeps it, but no other process can find it. Takes no lock of this process.
 /// Async-signal-safe.
 void unlink_own_segments() noexcept;
 

@@ -20,7 +20,7 @@ namespace {
 constexpr unsigned kNumbers = 4096;
 constexpr unsigned kWordBits = 64;
 
-/// The container's own descriptors are among the last of as many numbers: high enough for whoever
+/// The container's own descriptors are among the last of as many numbers: high enough for code
 /// counts from 0, low enough to keep the kernel's table small, which fork() copies.
 constexpr rlim_t kReach = 1024;
 constexpr rlim_t kRoom = 128;

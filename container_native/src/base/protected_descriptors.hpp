@@ -8,7 +8,7 @@ namespace play_launch {
 /// the lowest 4096 numbers; all of its functions are async-signal-safe and keep errno, unless they
 /// say otherwise.
 
-/// Protects `fd` after moving it to a number that nobody hits by chance, such as a loop over the
+/// Protects `fd` after moving it to a number that is not hit by chance, such as a loop over the
 /// low numbers; returns that number, and closes the old one. Where no number is free there, the
 /// descriptor stays where it is.
 int move_out_of_reach(int fd) noexcept;
@@ -26,7 +26,7 @@ bool is_any_protected(unsigned first, unsigned last) noexcept;
 /// Whether the number may be protected: one look, no system call.
 bool may_be_protected(int fd) noexcept;
 
-/// Called before the descriptor is closed or replaced by somebody who may do so, in a process that
+/// Called before the descriptor is closed or replaced by code that may do so, in a process that
 /// shares the container's table of descriptors, or is the container.
 void release_protection(int fd) noexcept;
 

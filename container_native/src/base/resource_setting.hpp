@@ -22,7 +22,7 @@ namespace play_launch {
 ///   nice NUMBER
 ///   scheduler POLICY PRIORITY      see sched_setscheduler(2)
 ///   cgroup FOLDER                  of a control group to enter, its absolute path
-///   required_cgroup FOLDER         the same; who is not let in is to end
+///   required_cgroup FOLDER         the same; a process that is refused ends
 struct ResourceSetting {
   enum class Kind { rlimit, oom_score_adj, io_priority, cpu_affinity, nice, scheduler, cgroup };
 
@@ -33,7 +33,7 @@ struct ResourceSetting {
   bool is_required = false;                // the process is not to run without it
 };
 
-/// Nothing when the text is none.
+/// Nothing when the text is malformed.
 std::optional<ResourceSetting> parse_resource_setting(std::string_view text);
 
 /// All of them, in their order. Throws std::invalid_argument that names the text.

@@ -81,8 +81,8 @@ void Rank::end() noexcept {
   }
 }
 
-// Whoever raises says so before it looks whether the rank is put aside, and whoever puts it aside
-// says that before it looks who raises it: one of them sees the other.
+// A raising thread reports so before it checks whether the rank is put aside, and the thread that
+// puts it aside reports that before it checks for raising threads: one of them sees the other.
 void Rank::rise(Urgency urgency) noexcept {
   raised_ = urgency;
   ++risers_;
@@ -100,7 +100,7 @@ void Rank::put_aside() noexcept {
     assume(0, calm);
   }
   while (risers_ != 0) {
-    // Raised just now: who did it may wait for this very processor.
+    // Raised just now: the raising thread may wait for this very processor.
     assume(0, calm);
     ::sched_yield();
   }

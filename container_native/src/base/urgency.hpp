@@ -35,8 +35,8 @@ bool is_more_urgent(Urgency left, Urgency right) noexcept;
 Urgency just_above(Urgency urgency) noexcept;
 
 /// Gives it to a thread of this process, by its number, 0: the calling one; false when the kernel
-/// refuses. One of SCHED_FIFO and SCHED_RR keeps its nice value, which means nothing there: who may
-/// give it up could not take it back. Async-signal-safe, and keeps errno.
+/// refuses. One of SCHED_FIFO and SCHED_RR keeps its nice value, which means nothing there: a
+/// process that may give it up could not take it back. Async-signal-safe, and keeps errno.
 bool assume(pid_t thread, Urgency urgency) noexcept;
 
 /// The urgency of one thread, which others may raise at any time.
@@ -57,15 +57,15 @@ class Rank {
   void take_up() noexcept;
 
   std::atomic<pid_t> number_{0};  // of the thread; 0: it has not begun, or is about to end
-  std::atomic<int> risers_{0};    // who use the number, and saw that it is not put aside
+  std::atomic<int> risers_{0};    // threads that use the number, and saw that it is not put aside
   std::atomic<bool> is_aside_{false};
   Urgency before_;                             // when it was put aside
   std::atomic<Urgency> raised_{kLeastUrgent};  // what was asked for last
 };
 
-/// As long as it lives, the calling thread is none of the real-time ones.
+/// As long as it lives, the calling thread is not a real-time one.
 ///
-/// For reaping a process: the kernel then waits, without ever sleeping, for whoever just looks at
+/// For reaping a process: the kernel then waits, without ever sleeping, for a thread that reads
 /// the process's folder in /proc. Should that be a thread that the caller keeps from its processor,
 /// it waits for minutes, and not even SIGKILL ends it (d_invalidate() in release_task(), Linux
 /// 6.18).
@@ -77,7 +77,7 @@ class NotRealTime {
   NotRealTime& operator=(const NotRealTime&) = delete;
 
  private:
-  Rank own_;  // of a thread that nobody raises
+  Rank own_;  // of a thread that is not raised
   Rank& rank_;
 };
 

@@ -46,8 +46,9 @@ class ComponentExecutor {
   virtual void add(Component& component) = 0;
   /// Returns when no callback of the component runs any more; none will run afterwards.
   virtual void remove(Component& component) = 0;
-  /// For an executor whose spin() ran in a process that shares this memory and has died: lets go
-  /// of the callbacks that were running, so that remove() and the destructor can do their work.
+  /// For an executor whose spin() ran in a process that shares this memory and has died: releases
+  /// the hold of the callbacks that were running, so that remove() and the destructor can do their
+  /// work.
   virtual void abandon() = 0;
   /// Before spin(): from then on, the time is noted in `beat` whenever the executor comes round,
   /// and at least once a second unless every thread of it is in a callback. `beat` must outlive
@@ -55,7 +56,7 @@ class ComponentExecutor {
   virtual void beat_into(Beat& beat) = 0;
 };
 
-/// A component class in a library that is open. Lives for ever.
+/// A component class in a library that is open. Never destroyed.
 class ComponentClass {
  public:
   ComponentClass() = default;
@@ -82,7 +83,7 @@ class ComponentLibrary {
 struct ExecutorChoice {
   bool multi_threaded = false;
   std::size_t threads = 1;
-  /// Nobody asked for a number: a node that may use other CPUs than the container has another one.
+  /// No number was requested: a node that may use other CPUs than the container has another one.
   bool by_cpus = false;
 };
 

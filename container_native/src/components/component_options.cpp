@@ -105,7 +105,7 @@ ComponentOptions component_options(const LoadRequest& request) {
   }
   if (request.log_level > kHighestLogLevel) {
     throw LoadError("log level " + std::to_string(request.log_level) +
-                    " is none of 10, 20, 30, 40, 50 (debug to fatal) or 0");
+                    " is not one of 10, 20, 30, 40, 50 (debug to fatal) or 0");
   }
   check_parameters(request.parameters, "parameter");
   check_parameters(request.extra_arguments, "extra argument");

@@ -24,7 +24,7 @@ struct ComponentOptions {
   std::vector<rcl_interfaces::msg::Parameter> extra_arguments;
 };
 
-/// Throws LoadError when something in the request is wrong by itself: names, remap rules, types of
+/// Throws LoadError when something in the request is wrong: names, remap rules, types of
 /// extra arguments, an unknown parameter type.
 ComponentOptions component_options(const LoadRequest& request);
 

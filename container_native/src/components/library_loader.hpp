@@ -31,7 +31,7 @@ class LibraryLoader {
   LibraryLoader& operator=(const LibraryLoader&) = delete;
 
   /// The library, at once if it is open already; else waits until it has been opened. `unique_id`
-  /// and `node` say for whom. Throws LoadError.
+  /// and `node` name the requester. Throws LoadError.
   const ComponentLibrary& open(ComponentBackend& backend, const std::string& path,
                                std::uint64_t unique_id, const std::string& node);
 

@@ -12,7 +12,7 @@
 namespace play_launch::container {
 namespace {
 
-/// Bytes. A text that is too long for a frame would be no text at all, and nobody reads this much.
+/// Bytes. A text that is too long for a frame would be dropped whole, and this much is not read.
 constexpr std::size_t kLongestText = 16 * 1024;
 
 /// At most that of it, cut between two characters (UTF-8).

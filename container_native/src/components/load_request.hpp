@@ -10,7 +10,7 @@ namespace play_launch::container {
 /// the control channel. An empty name or namespace is the component's own.
 using LoadRequest = play_launch_msgs::msg::ControlLoad;
 
-/// Why a component could not be loaded, worded for the person who asked for it.
+/// Why a component could not be loaded, worded for the user.
 class LoadError : public std::runtime_error {
  public:
   using std::runtime_error::runtime_error;

@@ -9,8 +9,8 @@ namespace play_launch::container {
 
 /// Opens a library with ComponentBackend::open(). With ROS from PyPI's wheels, a library that was
 /// linked, without need, against the Python half of an interface package wants symbols of libpython
-/// that nobody has; it gets stand-ins. One that brings libpython along gets its own. In one thread
-/// at a time. Throws LoadError.
+/// that no library defines; it gets stand-ins. One that brings libpython along gets its own. In one
+/// thread at a time. Throws LoadError.
 std::unique_ptr<ComponentLibrary> open_library(ComponentBackend& backend, const std::string& path);
 
 }  // namespace play_launch::container

@@ -20,7 +20,7 @@ std::atomic<const char*> text{nullptr};
 std::atomic<pid_t> thread{0};
 pid_t process = 0;
 
-/// Says how the initialiser that runs in the calling thread ends the container; once.
+/// Reports how the initialiser that runs in the calling thread ends the container; once.
 void report_end(const char* how, const char* what) {
   const char* const known = text;
   if (known == nullptr || ::gettid() != thread || ::getpid() != process) {

@@ -98,7 +98,7 @@ bool Channel::send(FrameKind kind, std::span<const std::uint8_t> payload) {
 }
 
 std::size_t Channel::write_now(std::span<const std::uint8_t> bytes) noexcept {
-  // The socket's flags are shared with whoever created it: ask for non-blocking per call. What goes
+  // The socket's flags are shared with its creator: request non-blocking per call. What goes
   // wrong goes wrong for the writer as well, which deals with it.
   const ssize_t sent =
       ::send(socket_.get(), bytes.data(), bytes.size(), MSG_NOSIGNAL | MSG_DONTWAIT);
@@ -182,7 +182,7 @@ void Channel::write_loop() {
     lock.lock();
     writing_ = false;
     if (!written) {
-      // The reader learns of the end by itself; here only nothing may pile up any more.
+      // The reader notices the end; here nothing more may pile up.
       broken_ = true;
       dropped_.fetch_add(queue_.size() + 1, std::memory_order_relaxed);
       queue_.clear();
@@ -195,7 +195,7 @@ void Channel::write_loop() {
 
 bool Channel::write_all(std::span<const std::uint8_t> bytes) {
   while (!bytes.empty()) {
-    // The socket's flags are shared with whoever created it: ask for non-blocking per call.
+    // The socket's flags are shared with its creator: request non-blocking per call.
     const ssize_t sent =
         ::send(socket_.get(), bytes.data(), bytes.size(), MSG_NOSIGNAL | MSG_DONTWAIT);
     if (sent >= 0) {

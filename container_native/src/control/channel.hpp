@@ -33,8 +33,8 @@ class ChannelHandler {
 
 /// One end of the control channel: frames over a stream socket.
 ///
-/// A thread reads, and another one writes what the socket does not take at once, so that nobody who
-/// sends or handles a frame ever waits for the peer. These frames wait in a queue of bounded
+/// A thread reads, and another one writes what the socket does not take at once, so that no thread
+/// that sends or handles a frame ever waits for the peer. These frames wait in a queue of bounded
 /// length; one that finds it full is dropped and counted, which leaves the order of the others as
 /// it was.
 class Channel {
@@ -63,9 +63,9 @@ class Channel {
   /// on_closed(), even if another process holds the peer's end open. Any thread.
   void expect_no_more();
 
-  /// Whether its socket is still the one that it was made with: somebody in this process may have
-  /// closed the descriptor, or put another file in its place. Then on_closed() says nothing about
-  /// the peer.
+  /// Whether its socket is still the one that it was made with: code in this process may have
+  /// closed the descriptor, or put another file in its place. Then on_closed() does not mean the
+  /// end of the peer.
   bool has_its_socket() const noexcept;
 
   /// Frames that send() dropped since the start.

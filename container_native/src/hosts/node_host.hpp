@@ -26,15 +26,15 @@ struct NodeDeath {
   bool unquiesced = false;
 };
 
-/// Learns what becomes of nodes. Every node ends with exactly one of on_load_failed,
+/// Receives the ends of nodes. Every node ends with exactly one of on_load_failed,
 /// on_load_crashed, on_gone and on_crashed. Calls come from any thread, for one node never two at a
 /// time.
 class NodeHostObserver {
  public:
   virtual ~NodeHostObserver() = default;
 
-  /// The constructor is about to run in `process`. `cpu_clock` counts the CPU time of whoever runs
-  /// it, and is valid until the next call for this node has returned.
+  /// The constructor is about to run in `process`. `cpu_clock` counts the CPU time of the thread
+  /// that runs it, and is valid until the next call for this node has returned.
   virtual void on_constructing(std::uint64_t unique_id, const ProcessIdentity& process,
                                clockid_t cpu_clock) = 0;
   /// The node's callbacks run. False: it was cancelled meanwhile; the host makes it leave as if
@@ -43,7 +43,7 @@ class NodeHostObserver {
   virtual void on_load_failed(std::uint64_t unique_id, const std::string& reason) = 0;
   /// The process that was to hold the node died before on_loaded.
   virtual void on_load_crashed(std::uint64_t unique_id, const NodeDeath& death) = 0;
-  /// The node is destroyed. `why` when it ended by itself; empty: somebody wanted it.
+  /// The node is destroyed. `why` when it ended unrequested; empty: it was requested.
   virtual void on_gone(std::uint64_t unique_id, const std::string& why) = 0;
   /// The process that held the node died after on_loaded, also while it was being unloaded.
   virtual void on_crashed(std::uint64_t unique_id, const NodeDeath& death) = 0;

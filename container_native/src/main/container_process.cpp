@@ -81,9 +81,10 @@ ContainerProcess::~ContainerProcess() = default;
 void ContainerProcess::start(int argc, const char* const* argv) {
   BackendList backends = make_backends(argc, argv);
   context_ = backends.context();
-  context_guard_.emplace(context_, [this](const std::string& who) { on_context_shutdown(who); });
+  context_guard_.emplace(context_,
+                         [this](const std::string& caller) { on_context_shutdown(caller); });
   // The first node of the context, and the last to go: the participant and its threads come with
-  // it, and must not depend on what becomes of a component.
+  // it, and must not depend on the end of a component.
   if (!options_.hosted) {
     NodeOptions node_options;
     node_options.context = context_;
@@ -192,10 +193,10 @@ int ContainerProcess::run() {
   return status;
 }
 
-void ContainerProcess::on_context_shutdown(const std::string& who) {
+void ContainerProcess::on_context_shutdown(const std::string& caller) {
   std::call_once(shut_down_by_node_, [&] {
-    why_stopping_ = who + " shut the ROS context down";
-    report(why_stopping_ + ", which is everybody's in this container: stopping");
+    why_stopping_ = caller + " shut the ROS context down";
+    report(why_stopping_ + ", which all nodes of this container share: stopping");
     stop_.request(StopCause::context);
   });
 }

@@ -37,7 +37,7 @@ class ContainerProcess {
   ExecutorChoice choose_executor();
   play_launch_msgs::msg::ControlHello hello(std::size_t threads,
                                             std::vector<std::string> backends) const;
-  void on_context_shutdown(const std::string& who);
+  void on_context_shutdown(const std::string& caller);
   ComponentEvent own_crash(const isolation::CrashSlot& slot) const;
   void stop_nodes();
   void report_remaining() const;
@@ -48,7 +48,7 @@ class ContainerProcess {
   Watchdog watchdog_;
   std::optional<ControlInterface> control_;
   std::once_flag shut_down_by_node_;
-  std::string why_stopping_;  // set before the stop is requested; empty: somebody asked for it
+  std::string why_stopping_;  // set before the stop is requested; empty: it was requested
   std::shared_ptr<Context> context_;
   std::optional<ContextGuard> context_guard_;
   std::shared_ptr<Node> node_;

@@ -183,7 +183,7 @@ void ControlInterface::on_closed() {
   if (!channel_.has_its_socket()) {
     report(
         "the control channel's descriptor was closed or replaced within this process, by a system "
-        "call that it does not see: a node must have done it. Nobody can command this container "
+        "call that it does not see: a node must have done it. No client can command this container "
         "any more: stopping");
   }
   on_lost_();

@@ -36,7 +36,8 @@ int usage_error(const std::exception& error) {
   return kExitUsage;
 }
 
-/// As far as the kernel agrees: who asked for it looks what holds. False: it must not run without.
+/// As far as the kernel agrees: the supervisor checks what is in force. False: it must not run
+/// without.
 bool apply_resources(const Options& options) {
   for (const ResourceSetting& setting : options.resources) {
     if (!apply_or_complain(setting)) {

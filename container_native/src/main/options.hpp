@@ -13,7 +13,7 @@
 
 namespace play_launch::container {
 
-/// Most threads of an executor that anybody may ask for.
+/// Most threads of an executor that may be requested.
 inline constexpr std::size_t kMaxThreads = 1024;
 
 /// A component whose library is only tried out, see probe().
@@ -47,7 +47,7 @@ struct Options {
   std::string mode() const;
 };
 
-/// The command line makes no sense; the text says why.
+/// The command line makes no sense; the text has the reason.
 class UsageError : public std::runtime_error {
  public:
   using std::runtime_error::runtime_error;

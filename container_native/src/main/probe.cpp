@@ -117,7 +117,7 @@ Finding open_library(const BackendList& backends, const BackendList::Place& plac
                                [&] { end = isolation::run_in_child(opening, slot, options); });
   donor.join();
   if (end.error != 0) {
-    opening.run();  // no such processes here: a crash ends this one, and probe() says so
+    opening.run();  // no such processes here: a crash ends this one, and probe() reports it
     end = {};
     end.returned = true;
   }
@@ -152,7 +152,7 @@ int probe(const std::string& package, const std::string& plugin) {
   } catch (const LoadError& error) {
     return conclude(out.get(), {"", error.what(), 0, {}, {}});
   }
-  // Whatever becomes of the process that opens it, this one is left to say so.
+  // However the process that opens it ends, this one is left to report it.
   const pid_t parent = ::getpid();
   const pid_t pid = ::fork();
   if (pid == 0) {

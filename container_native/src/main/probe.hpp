@@ -12,7 +12,7 @@ namespace play_launch::container {
 /// in which `error` is empty when the library can be opened, `signal` is 0 unless a signal ended
 /// it, and `backtrace` is innermost first. What the library writes to stdout goes to stderr.
 /// Returns the exit status: kExitOk, or kExitFailed when the library cannot be opened. There is no
-/// time limit; whoever kills this process has done so with all that it started.
+/// time limit; killing this process kills all that it started.
 ///
 /// To be called before there are other threads.
 int probe(const std::string& package, const std::string& plugin);

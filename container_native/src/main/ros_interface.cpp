@@ -170,7 +170,7 @@ void RosInterface::on_event(const ComponentEvent& event) {
       has_loaded_ = true;
       loading_.insert(event.unique_id);
     }
-    // An event that somebody's answer depends on is never dropped; there are at most as many as
+    // An event that an answer depends on is never dropped; there are at most as many as
     // requests that wait.
     const bool awaited = loads_.contains(event.unique_id) || unloads_.contains(event.unique_id);
     if (queue_.size() >= kQueueCapacity && !awaited) {

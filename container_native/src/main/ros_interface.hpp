@@ -24,14 +24,14 @@ namespace play_launch::container {
 /// a thread that publishes and answers, so that the middleware cannot keep the manager busy.
 class RosInterface final : public EventSink {
  public:
-  /// Events that wait to be published. More are dropped and counted; whoever waits for a service's
-  /// answer still gets it.
+  /// Events that wait to be published. More are dropped and counted; a caller that waits for a
+  /// service's answer still gets it.
   static constexpr std::size_t kQueueCapacity = 4096;
 
-  /// `supervised`: somebody gets the events over the control channel and reports them, so that the
-  /// log need not. Then everything is offered after the first loads only: a topic and nine services
-  /// in each container, which all others must discover, would compete with the nodes for which
-  /// everybody waits. Events since the start are published nevertheless.
+  /// `supervised`: a supervisor gets the events over the control channel and reports them, so that
+  /// the log need not. Then everything is offered after the first loads only: a topic and nine
+  /// services in each container, which all others must discover, would compete with the nodes for
+  /// which all callers wait. Events since the start are published nevertheless.
   RosInterface(std::shared_ptr<Node> node, ObservableComponentManager& manager, bool supervised);
   /// Publishes what is queued.
   ~RosInterface() override;

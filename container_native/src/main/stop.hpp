@@ -39,7 +39,7 @@ class StopRequests {
 
   /// Signals count as a cause too.
   StopCause cause() const;
-  /// How often somebody asked: a signal or a request each count 1.
+  /// Number of requests: a signal or a request each count 1.
   int times_asked() const;
 
  private:
@@ -73,7 +73,7 @@ class Watchdog {
 };
 
 /// Ends the process at once with this status, without destructors and handlers, but not without
-/// taking its shared memory segments out of the file system, which would stay there for ever.
+/// taking its shared memory segments out of the file system, which would stay there.
 /// Async-signal-safe.
 [[noreturn]] void leave_now(int exit_code) noexcept;
 

@@ -33,7 +33,7 @@ std::size_t count(const char* folder) {
 }
 
 /// Nothing may be open but what is known: a library that has opened something would lose it in the
-/// child, and nobody else's threads may be there, as they would be missing in it.
+/// child, and no other threads may exist, as they would be missing in it.
 bool is_as_expected(std::size_t descriptors, const TracingThreads& tracing) {
   const std::size_t own = 1;  // of the list itself
   return count("/proc/self/fd") == descriptors + own &&

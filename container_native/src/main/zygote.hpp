@@ -14,9 +14,9 @@ namespace play_launch::container {
 /// The socket is a SOCK_SEQPACKET whose other end the supervisor has; spawn_guard sends through it:
 ///   {numbers of the child's descriptors}, with the descriptors: a line to this very child, the
 ///   command (see Command), then those.
-/// The child says {its pid} through the line once it is like one after exec, and begins when
-/// anything arrives there. At the end of the line it leaves; so whoever has lost patience closes it
-/// and can be sure that there will be no container. A zygote that cannot fork closes the line.
+/// The child sends {its pid} through the line once it is like one after exec, and begins when
+/// anything arrives there. At the end of the line it exits: closing the line cancels the fork. A
+/// zygote that cannot fork closes the line.
 ///
 /// Returns in each child, with what it has to do. The zygote itself never returns: it ends when the
 /// socket does, or at once when it cannot fork here.

@@ -60,8 +60,8 @@ void add_death(ComponentEvent& event, const NodeDeath& death) {
   }
 }
 
-/// Whether a node that should leave faulted instead. Who does not leave in time is ended by us, by
-/// systemd or by a person, with one of these signals: that is no fault of its code.
+/// Whether a node that should leave faulted instead. A node that does not leave in time is ended by
+/// us, by systemd or by a person, with one of these signals: that is no fault of its code.
 bool faulted(const NodeDeath& death) {
   switch (death.signal) {
     case 0:
@@ -251,7 +251,7 @@ void ObservableComponentManager::begin_stop(std::function<void()> on_empty,
       }
     }
   }
-  // From here on isolated nodes leave: what becomes of them is the end that they were asked for.
+  // From here on isolated nodes leave: their end is the requested one.
   host_.stop_spinning();
   const std::lock_guard lock(mutex_);
   for (const std::uint64_t unique_id : to_unload) {
@@ -343,7 +343,7 @@ void ObservableComponentManager::on_crashed(std::uint64_t unique_id, const NodeD
   ComponentEvent event = event_of(*entry, ComponentEvent::CRASHED);
   event.error_message = death.reason;
   if (entry->retired) {
-    // Nobody wants it back, but a destructor that faults is a crash to whoever looks for one.
+    // It is not wanted back, but a destructor that faults is reported as a crash.
     if (!faulted(death)) {
       event.event_type = ComponentEvent::UNLOADED;
     }

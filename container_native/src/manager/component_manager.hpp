@@ -32,7 +32,7 @@ inline constexpr std::int64_t kSilenceUnknown = -1;
 struct NodeSnapshot {
   NodeEntry entry;
   std::int64_t elapsed_ns = 0;                // in its state
-  std::int64_t cpu_time_ns = 0;               // of who constructs it; 0 when nobody does
+  std::int64_t cpu_time_ns = 0;               // of the constructing thread; 0 without one
   std::int64_t silence_ns = kSilenceUnknown;  // since its executor last came round
   std::string note;                           // what it waits for before its constructor
 };
@@ -83,7 +83,7 @@ class ObservableComponentManager final : public NodeHostObserver {
 
   /// Takes up no load any more, has nodes spin no more, and begins to unload all. `on_empty` is
   /// called (once, with the manager locked) when none is left. `why` goes with the end of each
-  /// node; empty: somebody asked for the stop.
+  /// node; empty: the stop was requested.
   void begin_stop(std::function<void()> on_empty, const std::string& why = "");
   bool empty() const;
 

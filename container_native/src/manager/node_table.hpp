@@ -25,19 +25,19 @@ struct NodeEntry {
   std::uint64_t attempt = 0;
   std::string package_name;
   std::string plugin_name;
-  std::string full_name;  // empty while nobody can know it
+  std::string full_name;  // empty while unknown
   NodeState state = NodeState::constructing;
   SteadyTime since;         // when it entered `state`
-  ProcessIdentity process;  // who holds it
-  /// CPU clock of who constructs it; valid only while `state` is constructing.
+  ProcessIdentity process;  // its process
+  /// CPU clock of the constructing thread; valid only while `state` is constructing.
   std::optional<clockid_t> cpu_clock;
-  /// Set: nobody wants it any more, it goes once its constructor has returned.
+  /// Set: it is not wanted, and leaves once its constructor has returned.
   bool retired = false;
   /// Error message of its last event, when it was cancelled while constructing.
   std::string verdict;
 };
 
-/// The container's nodes and the decisions about them. Pure: no threads, clocks or I/O; whoever
+/// The container's nodes and the decisions about them. Pure: no threads, clocks or I/O; code that
 /// owns it serialises the calls.
 class NodeTable {
  public:
@@ -65,7 +65,7 @@ class NodeTable {
   /// Construction began in `process`.
   void constructing(std::uint64_t unique_id, ProcessIdentity process, clockid_t cpu_clock);
 
-  /// The node spins under that name. False: it must leave; the entry says why.
+  /// The node spins under that name. False: it must leave; the entry has the reason.
   bool loaded(std::uint64_t unique_id, const std::string& full_name, SteadyTime now);
 
   enum class Retirement {
@@ -74,7 +74,7 @@ class NodeTable {
     unload_now,  // it was loaded and is unloading now: the caller unloads it
     under_way    // it was unloading or retired already
   };
-  /// Nobody wants the node any more. `verdict` goes into its last event.
+  /// The node is not wanted. `verdict` goes into its last event.
   Retirement retire(std::uint64_t unique_id, const std::string& verdict, SteadyTime now);
 
   /// Takes back a retirement that answered unload_now: unloading could not be started.

@@ -1,16 +1,17 @@
 // Defines pthread_cond_timedwait() for the whole program, as condition_guard.cpp does with
 // pthread_cond_destroy().
 //
-// Where std::condition_variable waits by the steady clock "for ever" (time_point::max()), libstdc++
-// without pthread_cond_clockwait(), which libraries for old systems are built with, as the ROS
-// wheels are, adds the difference of two clocks to it. The sum overflows: a deadline long before
-// 1970. The wait returns at once, finds that the time has not come, and waits again. Fast DDS does
-// so when a participant goes while a discovery callback runs (DomainParticipantImpl::set_listener()
-// of version 2.14), and it keeps the mutex from the very thread that it waits for: containers that
-// were stopped during discovery took a processor for a second or more.
+// Where std::condition_variable waits by the steady clock without limit (time_point::max()),
+// libstdc++ without pthread_cond_clockwait(), which libraries for old systems are built with, as
+// the ROS wheels are, adds the difference of two clocks to it. The sum overflows: a deadline long
+// before 1970. The wait returns at once, finds that the time has not come, and waits again. Fast
+// DDS does so when a participant goes while a discovery callback runs
+// (DomainParticipantImpl::set_listener() of version 2.14), and it keeps the mutex from the very
+// thread that it waits for: containers that were stopped during discovery took a processor for a
+// second or more.
 //
 // Such a deadline passes here 10 ms after the call: late, as POSIX allows, so that others get the
-// mutex. Who is waited for ends the wait sooner.
+// mutex. The awaited thread ends the wait sooner.
 
 #include <pthread.h>
 

@@ -1,6 +1,6 @@
 // Defines execve() and its relatives for the whole program, as exit_guard.cpp does with exit(). In
 // a child they end it: the program that would take its place is no node any more, has none of its
-// memory, and nobody would supervise it. The container reports which program that was. What cannot
+// memory, and unsupervised. The container reports which program that was. What cannot
 // be executed fails as always. A process that a node forked is no child, and does as it likes.
 
 #include <alloca.h>

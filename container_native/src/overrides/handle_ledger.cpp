@@ -15,7 +15,7 @@ namespace {
 
 void forget_error(rcl_ret_t result) noexcept {
   if (result != RCL_RET_OK) {
-    rcl_reset_error();  // it stays on the network; nobody is there to report it to
+    rcl_reset_error();  // it stays on the network; there is no channel to report it
   }
 }
 

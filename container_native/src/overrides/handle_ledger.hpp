@@ -12,10 +12,10 @@ namespace play_launch {
 enum class HandleKind { node, publisher, subscription, service, client };
 
 /// What the constructor of a component has taken from rcl and not given back yet. Should its
-/// process die in there, nobody has these handles, and neither rcl nor rclcpp lists them; with
+/// process die in there, no owner has these handles, and neither rcl nor rclcpp lists them; with
 /// this, another process that shares the memory can take the half of a node off the network.
 /// rcl_handles.cpp fills it, from all threads of the child: it belongs to the process and not to a
-/// thread, so that whoever cleans up, a process of its own, has nothing to forget.
+/// thread, so that the cleanup, a process of its own, has nothing to forget.
 ///
 /// An entry is known by the address of its handle. Those of the SDK, rclcpp and rcl's own actions
 /// and lifecycles stay where they were made; a component that moves a handle of its own, made with
@@ -46,7 +46,7 @@ class HandleLedger {
   void logs(const rcl_node_t* node) noexcept;
   void closed(const void* handle) noexcept;
 
-  // For who cleans up; everybody who could enter something is dead. The lock is not taken, as one
+  // For the cleanup; all threads that could enter something are dead. The lock is not taken, as one
   // of them may have died with it.
 
   void for_each_node(const std::function<void(rcl_node_t&)>& visit) const;

@@ -6,11 +6,11 @@
 // once more to note that it has found it
 // (SharedMemGlobal::Port::get_and_remove_blocked_processing() of Fast DDS, in version 2.14 and
 // since). That waits for itself, for the second that Fast DDS gives each lock, then the note is
-// missing, it finds the same again, and so on for ever: the process goes on publishing nothing, and
-// whoever shares the queue waits a second for each of its locks.
+// missing, it finds the same again, without end: the process goes on publishing nothing, and
+// a process that shares the queue waits a second for each of its locks.
 //
 // Here a thread that asks, with a deadline, for a mutex between processes that it has already gets
-// it again, and the first of the two unlocks is none.
+// it again, and the first of the two unlocks fails.
 
 #include <pthread.h>
 #include <unistd.h>

@@ -28,7 +28,8 @@ std::string library_of(const void* code) {
     return "a thread that no executor knows";
   }
   const std::string path = found.dlfo_link_map->l_name;
-  // The last call of a function leaves nothing of it on the stack: then it is who starts threads.
+  // The last call of a function leaves nothing of it on the stack: then it is the function that
+  // starts threads.
   const bool is_known = !path.empty() && path.find("/libstdc++.so") == std::string::npos &&
                         path.find("/libc.so") == std::string::npos;
   return is_known ? "a thread in " + path : "a thread that no executor knows";

@@ -12,8 +12,8 @@ namespace play_launch {
 /// asked to stop. It is one object, as rcl_shutdown() has no other way to find it.
 class ContextGuard {
  public:
-  /// Who called, for people: the node's full name, or the library when that is not known.
-  using OnShutdown = std::function<void(const std::string& who)>;
+  /// The caller, for messages: the node's full name, or the library when that is not known.
+  using OnShutdown = std::function<void(const std::string& caller)>;
 
   /// `on_shutdown` is called in the thread that wants to shut the context down, outside of isolated
   /// nodes.

@@ -112,7 +112,7 @@ bool is_filled(const Description& description, const Sources& sources) {
 
 /// The code that is generated for a type fills these tables when it is first asked for them, and
 /// notes before it is done that it has: a second thread may be given empty ones, which rcl refuses.
-/// Who fills them may have been killed, so this waits for a second at most.
+/// The thread that fills them may have been killed, so this waits for a second at most.
 void wait_until_filled(const Description& description, const Sources& sources) {
   constexpr std::chrono::microseconds kPause{100};
   for (int i = 0; i < 10'000 && !is_filled(description, sources); ++i) {
@@ -192,7 +192,7 @@ rcl_ret_t rcl_client_fini(rcl_client_t* client, rcl_node_t* node) {
 }
 
 rcl_ret_t rcl_logging_rosout_init_publisher_for_node(rcl_node_t* node) {
-  // Before: who dies in there may be in the table.
+  // Before: a thread that dies in there may be in the table.
   if (HandleLedger* const entries = ledger()) {
     entries->logs(node);
   }

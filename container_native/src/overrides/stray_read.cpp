@@ -30,7 +30,7 @@ const NextFunction<"recv", ssize_t(int, void*, std::size_t, int)> next_recv;
 const NextFunction<"recvfrom", ssize_t(int, void*, std::size_t, int, sockaddr*, socklen_t*)>
     next_recvfrom;
 
-/// Writes what is there to each page of it that is somebody's private memory. False: there is none.
+/// Writes what is there to each page of it that is private memory of a node. False: no page is.
 bool touch(void* buffer, std::size_t size) noexcept {
   constexpr std::uintptr_t kPage = 4096;
   const auto begin = reinterpret_cast<std::uintptr_t>(buffer);

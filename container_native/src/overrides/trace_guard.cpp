@@ -1,7 +1,7 @@
 // Defines ptrace() for the whole program. Some libraries have themselves traced by their parent to
 // keep debuggers away (PTRACE_TRACEME). The parent does not know of it: the donor of a node would
 // take the first stop for the end, and go on, on the stack that both have; the guard of a session
-// would let nobody go on. So that does nothing here, and succeeds. What a node forks is free to do
+// would never resume it. So that does nothing here, and succeeds. What a node forks is free to do
 // it, as debuggers do before they start a program.
 
 #include <sys/ptrace.h>

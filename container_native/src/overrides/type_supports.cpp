@@ -1,7 +1,7 @@
 // Defines, for the whole program, the four functions with which the libraries of message types find
 // the type support that a middleware asks for. ROS's own look it up in a library each time, with
 // the dynamic loader's lock: while the initialisers of one node's library run, no other node could
-// make a publisher. These remember what was found; only what nobody has asked for before is looked
+// make a publisher. These remember what was found; only what was not requested before is looked
 // up, by ROS's functions.
 //
 // Children use the table too, and may be killed anywhere in here: there is no lock, and a place
@@ -51,8 +51,8 @@ class Answers {
   void add(const void* type, const char* identifier, const void* answer) noexcept {
     for (std::size_t i = 0; i < kMostTries; ++i) {
       Entry& entry = entries_[place(type, i)];
-      const void* nobody = nullptr;
-      if (entry.type.compare_exchange_strong(nobody, type)) {
+      const void* none = nullptr;
+      if (entry.type.compare_exchange_strong(none, type)) {
         entry.identifier = identifier;
         entry.answer.store(answer, std::memory_order_release);
         return;

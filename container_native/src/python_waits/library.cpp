@@ -1,7 +1,7 @@
 // A library for Python processes with participants of Fast DDS: gives Fast DDS the functions of
-// overrides/condition_deadline.cpp and overrides/owned_lock.cpp, which say why. Our own programs
-// define them before all libraries; in a Python that is running already the C library's come first,
-// so the entries in the table through which Fast DDS calls them are replaced.
+// overrides/condition_deadline.cpp and overrides/owned_lock.cpp, which give the reasons. Our own
+// programs define them before all libraries; in a Python that is running already the C library's
+// come first, so the entries in the table through which Fast DDS calls them are replaced.
 
 #include <link.h>
 #include <pthread.h>

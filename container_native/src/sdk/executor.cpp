@@ -256,8 +256,8 @@ MultiThreadedExecutor::MultiThreadedExecutor(std::size_t threads,
 
 void MultiThreadedExecutor::spin() {
   const Spinning spinning(*this);
-  // Not a catch: an exception that nobody above catches is to end the process where it is thrown.
-  // Where somebody does, it ends here as it does in another thread; nobody could go on with some of
+  // Not a catch: an uncaught exception is to end the process where it is thrown.
+  // Where a caller catches it, it ends here as in another thread; none could go on with some of
   // the threads.
   struct Ended {
     bool in_order = false;

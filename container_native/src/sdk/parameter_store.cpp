@@ -171,7 +171,7 @@ rcl_interfaces::msg::ListParametersResult ParameterStore::list(
 }
 
 void ParameterStore::announce(rcl_interfaces::msg::ParameterEvent event) const {
-  // Nothing is kept for late joiners, so without a subscription there is nobody to publish to.
+  // Nothing is kept for late joiners, so without a subscription there is nothing to publish to.
   if (!events_ || events_->subscription_count() == 0) return;
   rcutils_time_point_value_t now = 0;
   if (rcutils_system_time_now(&now) != RCUTILS_RET_OK) rcutils_reset_error();

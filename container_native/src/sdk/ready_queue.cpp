@@ -56,7 +56,7 @@ void ReadyQueue::let_go() noexcept {
   while (const auto token = batch.pop_front()) token->leave(*this);
 }
 
-// Who notifies marks the token and then reads the slot; who attaches writes the slot and then looks
+// A notifier marks the token and then reads the slot; an attaching thread writes the slot and looks
 // at the mark. So one of the two sees the other, and nothing is lost.
 void WakeToken::notify(std::size_t new_events) noexcept {
   events.fetch_add(new_events);

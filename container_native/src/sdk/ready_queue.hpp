@@ -46,7 +46,7 @@ class ReadyQueue {
   };
   [[nodiscard]] Batch take_all() noexcept;
 
-  /// Nobody takes any more: what is here, and what somebody is about to push, is let go of.
+  /// Closed: what is here, and what a thread is about to push, is released.
   void retire() noexcept;
 
   /// The request to the executor to stop.
@@ -75,7 +75,7 @@ class NodeSlot : public std::enable_shared_from_this<NodeSlot> {
 };
 
 /// Stands for a waitable wherever the waitable itself must not be kept alive: in the queues of an
-/// executor and in the hands of those who notify.
+/// executor and in the hands of notifiers.
 class WakeToken : public std::enable_shared_from_this<WakeToken> {
  public:
   WakeToken(bool is_timed, std::shared_ptr<CallbackGroup> callback_group)
@@ -94,7 +94,7 @@ class WakeToken : public std::enable_shared_from_this<WakeToken> {
   void detach() noexcept { slot_.store(nullptr); }
   /// Null when it is in no executor.
   [[nodiscard]] std::shared_ptr<NodeSlot> slot() const;
-  /// It was taken from that queue, and there is nobody to look at it there.
+  /// It was taken from that queue, where no thread handles it.
   void leave(const ReadyQueue& queue) noexcept;
   /// Null when the waitable is gone.
   [[nodiscard]] std::shared_ptr<Waitable> lock() const { return waitable_.lock(); }
@@ -102,8 +102,8 @@ class WakeToken : public std::enable_shared_from_this<WakeToken> {
   const bool timed;
   const std::shared_ptr<CallbackGroup> group;
 
-  /// Set by whoever puts the token into a queue, cleared when it is taken out to be worked on: a
-  /// token is in at most one place.
+  /// Set by the thread that puts the token into a queue, cleared when it is taken out to be worked
+  /// on: a token is in at most one place.
   std::atomic<bool> queued{false};
   /// Notified since the last look; a hint, the middleware may have replaced messages.
   std::atomic<std::size_t> events{0};
@@ -119,7 +119,8 @@ class WakeToken : public std::enable_shared_from_this<WakeToken> {
   friend class ReadyQueue;
 
   std::atomic<NodeSlot*> slot_{nullptr};
-  // All that slot_ ever was, for who has just read it: one for each executor that had the node.
+  // All that slot_ ever was, for threads that have just read it: one for each executor that had the
+  // node.
   std::vector<std::shared_ptr<NodeSlot>> slots_;
   std::weak_ptr<Waitable> waitable_;
   // Owned by the queue the token is in.

@@ -14,7 +14,7 @@
 namespace play_launch {
 
 /// A turn that was given and is not over. Kept here and not on the stack of the thread that runs
-/// it, so that everything can be let go of when that thread dies with its process.
+/// it, so that everything can be released when that thread dies with its process.
 struct RunningTurn {
   ReadyEntry entry;
   pthread_t thread;
@@ -25,7 +25,8 @@ struct RunningTurn {
 
 /// Decides what an executor runs next. First come, first served among callback groups: a mutually
 /// exclusive group queues once, with its next entry, and queues again behind all others after its
-/// turn; an entry of a reentrant group queues by itself. Not thread-safe: the executor guards it.
+/// turn; an entry of a reentrant group has a queue of its own. Not thread-safe: the executor guards
+/// it.
 class Scheduler {
  public:
   explicit Scheduler(std::shared_ptr<ReadyQueue> queue) : queue_(std::move(queue)) {}
@@ -37,7 +38,7 @@ class Scheduler {
   /// follow.
   RunningTurn* next();
 
-  /// The turn is over; the caller has let go of its waitable and work. `look_again` when there may
+  /// The turn is over; the caller has released its waitable and work. `look_again` when there may
   /// be more to take.
   void finish(RunningTurn& turn, bool look_again);
 
@@ -52,7 +53,7 @@ class Scheduler {
   void purge(const NodeSlot& slot);
 
   [[nodiscard]] bool has_runnable() const noexcept { return !runnable_.empty(); }
-  /// When the next timer is due; kNever when there is none.
+  /// When the next timer is due; kNever without timers.
   [[nodiscard]] Nanoseconds next_deadline() const noexcept;
 
  private:

@@ -29,8 +29,8 @@ bool tie_to(pid_t parent, const char* command) {
     std::perror("spawn_guard: PR_SET_PDEATHSIG");
     return false;
   }
-  // The parent may have died before the request above; then nobody would ever kill us. Comparing
-  // with 1 is not enough: orphans may go to a subreaper.
+  // The parent may have died before the request above; then no process would ever kill us.
+  // Comparing with 1 is not enough: orphans may go to a subreaper.
   if (::getppid() != parent) {
     std::fprintf(stderr, "spawn_guard: parent %d is gone, not starting %s\n",
                  static_cast<int>(parent), command);

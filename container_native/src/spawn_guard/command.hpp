@@ -14,7 +14,7 @@ bool tie_to(pid_t parent, const char* command);
 /// Makes `folder` the working directory, if it is not null; false, with a message, if it cannot.
 bool enter(const char* folder);
 
-/// Becomes the command, looked up in PATH; returns the exit status that says why it could not.
+/// Becomes the command, looked up in PATH; returns the exit status that tells why it could not.
 int become(char* const* argv);
 
 }  // namespace play_launch::guard

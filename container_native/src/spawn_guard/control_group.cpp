@@ -19,7 +19,7 @@ using std::chrono::steady_clock;
 constexpr std::chrono::seconds kLimit{5};
 constexpr std::chrono::milliseconds kRound{2};
 
-/// From below to above; false when somebody is still in one of them.
+/// From below to above; false when a process is still in one of them.
 bool remove_tree(const std::filesystem::path& folder) {
   std::error_code error;
   for (const auto& entry : std::filesystem::directory_iterator(folder, error)) {
@@ -35,7 +35,7 @@ bool remove_tree(const std::filesystem::path& folder) {
 
 void remove_group(const UniqueFd& folder) {
   std::error_code error;
-  // Its name: of a group that is removed, there is none any more.
+  // Its name: a removed group has none.
   const auto path =
       std::filesystem::read_symlink("/proc/self/fd/" + std::to_string(folder.get()), error);
   const auto deadline = steady_clock::now() + kLimit;

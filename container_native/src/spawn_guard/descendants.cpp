@@ -96,8 +96,8 @@ std::vector<pid_t> children() {
 }
 
 void kill_descendants(const std::set<pid_t>& spared) {
-  // A pid that is found here belongs to a process that nobody but its parent can wait for, and
-  // parents are killed in the same breath: within it, it is given to nobody else.
+  // A pid that is found here belongs to a process that only its parent can wait for, and
+  // parents are killed in the same breath: until then, the pid is not reused.
   for (const pid_t pid : living_descendants(spared)) {
     ::kill(pid, SIGKILL);
   }

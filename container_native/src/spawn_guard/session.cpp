@@ -60,7 +60,7 @@ using Message = DescriptorMessage;
 constexpr std::size_t kSpawnHead = 4;
 constexpr std::size_t kHelperHead = 2;
 
-/// A fork of a zygote that does not run yet, and what says whether it may.
+/// A fork of a zygote that does not run yet, and the condition for it.
 struct Held {
   Fork fork;
   UniqueFd go_ahead;
@@ -299,7 +299,7 @@ class Session {
     return {1, info.si_code, info.si_status};
   }
 
-  /// Those that we did not start: whoever did is gone. The others keep their pid until the
+  /// Those that we did not start: their parent has exited. The others keep their pid until the
   /// supervisor has seen their end.
   void reap_orphans() {
     for (const pid_t pid : children()) {

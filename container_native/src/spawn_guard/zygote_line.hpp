@@ -11,7 +11,7 @@ namespace play_launch::guard {
 
 /// A child of ours that waits at the end of its line until it may begin; it ends when that closes.
 struct Fork {
-  pid_t pid;  // -errno: there is none, nor will there be
+  pid_t pid;  // -errno: it was not and will not be started
   UniqueFd line;
 };
 

@@ -40,7 +40,7 @@ struct Chunk {
 };
 
 /// Makes a chunk in a file in memory, see https://mcap.dev/spec. The data of a message is put where
-/// it belongs by whoever has it, so that it is not copied again.
+/// it belongs by its owner, so that it is not copied again.
 class ChunkBuilder {
  public:
   explicit ChunkBuilder(MemoryFile file);

@@ -11,7 +11,7 @@ constexpr std::uint32_t kPolynomial = 0xEDB88320;
 constexpr std::size_t kStride = 16;
 using Tables = std::array<std::array<std::uint32_t, 256>, kStride>;
 
-/// "Slicing": sixteen bytes at a time, each with a table of its own. Table k says what a byte does
+/// "Slicing": sixteen bytes at a time, each with a table of its own. Table k has what a byte does
 /// to the sum when k more bytes follow it.
 constexpr Tables make_tables() {
   Tables tables{};

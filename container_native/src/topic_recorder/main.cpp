@@ -1,6 +1,6 @@
 // topic_recorder --socket FD [--topic NAME]... [--exclude NAME]... [--held NAME]...
 //                [--budget BYTES] [--topic-budget NAME=BYTES]...
-//                [--hold-time NANOSECONDS] [--hold-size BYTES] [--patience NANOSECONDS]
+//                [--hold-time NANOSECONDS] [--hold-size BYTES] [--answer-timeout NANOSECONDS]
 //
 // Takes messages of ROS topics as they came over the wire, and hands them as chunks of an MCAP file
 // to the supervisor at the other end of the socket FD, see packet.hpp. A process of its own, so

@@ -44,8 +44,8 @@ Options parse_options(int argc, const char* const* argv) {
       }
       options.topic_budgets.emplace_back(value.substr(0, end),
                                          number<std::uint64_t>(option, value.substr(end + 1)));
-    } else if (option == "--patience") {
-      options.patience = number<std::int64_t>(option, value);
+    } else if (option == "--answer-timeout") {
+      options.answer_timeout = number<std::int64_t>(option, value);
     } else if (option == "--hold-time") {
       options.hold_time = number<std::int64_t>(option, value);
     } else if (option == "--hold-size") {

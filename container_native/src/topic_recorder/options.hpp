@@ -21,7 +21,7 @@ struct Options {
   /// Such numbers for some topics, by name or pattern; the first that matches holds.
   std::vector<std::pair<std::string, std::uint64_t>> topic_budgets;
   /// How long a node may take to give its parameters, in nanoseconds.
-  std::int64_t patience = 5'000'000'000;
+  std::int64_t answer_timeout = 5'000'000'000;
   /// How much of `held` is kept: nanoseconds, and bytes of all of them together.
   std::int64_t hold_time = 0;
   std::uint64_t hold_size = 0;

@@ -21,10 +21,10 @@ namespace play_launch::topics {
 ///   snapshot number u32, messages u64, bytes u64, nanoseconds that they span u64: it was handed
 ///            over
 /// From the supervisor:
-///   answer   request u32, channel u16, or 0 when there is none
+///   answer   request u32, channel u16, or 0 without one
 ///   done     slot u32: its file is not needed any more
-///   take     number u32: hand over what is held
-///   stop     hand over what is there and end
+///   take     number u32: pass on what is held
+///   stop     pass on what is there and end
 enum class Kind : std::uint32_t {
   channel = 1,
   chunk = 2,

@@ -58,7 +58,7 @@ std::optional<ParameterSurvey::Parameters> ParameterSurvey::result_of(ParameterQ
 void ParameterSurvey::begin(const std::string& name, Time now,
                             const std::function<void(Parameters)>& on_result) {
   try {
-    questions_.emplace_back(node_, name, now + patience_);
+    questions_.emplace_back(node_, name, now + answer_timeout_);
   } catch (const std::exception& error) {
     Parameters failed;
     failed.node = name;

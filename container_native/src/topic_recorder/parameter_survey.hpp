@@ -17,9 +17,9 @@ class ParameterSurvey {
   using Time = AskingPlan::Time;
   using Parameters = play_launch_msgs::msg::NodeParameters;
 
-  /// `patience` is how long a node may take for its answers.
-  ParameterSurvey(RosNode& node, std::chrono::nanoseconds patience)
-      : node_(node), patience_(patience), plan_(2 * patience) {}
+  /// `answer_timeout` is how long a node may take for its answers.
+  ParameterSurvey(RosNode& node, std::chrono::nanoseconds answer_timeout)
+      : node_(node), answer_timeout_(answer_timeout), plan_(2 * answer_timeout) {}
 
   /// Looks which nodes there are.
   void follow_graph(Time now);
@@ -38,7 +38,7 @@ class ParameterSurvey {
   void settle(Parameters result, Time now, const std::function<void(Parameters)>& on_result);
 
   RosNode& node_;
-  const std::chrono::nanoseconds patience_;
+  const std::chrono::nanoseconds answer_timeout_;
   AskingPlan plan_;
   std::list<ParameterQuestion> questions_;
 };

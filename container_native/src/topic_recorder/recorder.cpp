@@ -54,7 +54,7 @@ Recorder::Recorder(const Options& options)
       live_(Treatment::recorded, kLongestLive, spare_),
       held_(Treatment::held, kLongestHeld, spare_),
       scratch_(MemoryFile()),
-      survey_(node_, std::chrono::nanoseconds(options.patience)) {
+      survey_(node_, std::chrono::nanoseconds(options.answer_timeout)) {
   if (asks_for_parameters(options)) {
     link_.post(Packet(Kind::channel)
                    .number(kParametersRequest)

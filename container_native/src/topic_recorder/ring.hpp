@@ -9,15 +9,15 @@
 
 namespace play_launch::topics {
 
-/// The last seconds of the topics that are held, in chunks that are ready to be handed over.
+/// The last seconds of the topics that are held, in chunks that are ready to be passed on.
 class Ring {
  public:
   Ring(SpareFiles& spare, std::int64_t time, std::uint64_t size)
       : spare_(spare), time_(static_cast<std::uint64_t>(time)), size_limit_(size) {}
 
-  /// Takes a chunk, and lets go of what is too old or too much beside it.
+  /// Takes a chunk, and drops what is too old or too much beside it.
   void add(Chunk chunk);
-  /// Lets go of what is older than it may be at `now`, in nanoseconds since the epoch.
+  /// Drops what is older than it may be at `now`, in nanoseconds since the epoch.
   void expire(std::uint64_t now);
   /// Gives the oldest chunk away.
   std::optional<Chunk> take();

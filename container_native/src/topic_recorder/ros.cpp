@@ -16,7 +16,7 @@
 namespace play_launch::topics {
 namespace {
 
-/// In a destructor there is nobody to hear of it.
+/// In a destructor no caller can handle it.
 void ignore(rcl_ret_t result) {
   if (result != RCL_RET_OK) {
     rcl_reset_error();

@@ -72,7 +72,7 @@ class SerializedSubscription {
 
   const rcl_subscription_t* rcl() const { return &subscription_; }
   [[nodiscard]] const rmw_qos_profile_t& qos() const { return qos_; }
-  /// False when there is none left.
+  /// False when the last one was taken.
   bool take(rcl_serialized_message_t& message, rmw_message_info_t& info);
 
  private:
@@ -92,14 +92,14 @@ class ServiceClient {
   ~ServiceClient();
 
   const rcl_client_t* rcl() const { return &client_; }
-  /// Whether there is somebody to answer.
+  /// Whether the service is available.
   [[nodiscard]] bool is_available() const;
   /// Sends a request of the service's type; returns its number.
   template <class Request>
   std::int64_t send(const Request& request) {
     return send_any(&request);
   }
-  /// Takes the answer to a request; false when there is none yet.
+  /// Takes the answer to a request; false while it has not arrived.
   template <class Response>
   bool take(std::int64_t request, Response& response) {
     return take_any(request, &response);

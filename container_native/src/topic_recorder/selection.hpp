@@ -34,7 +34,7 @@ constexpr const char* kParametersTopic = "/play_launch/parameters";
 bool asks_for_parameters(const Options& options);
 
 /// What is both asked for as it comes and to be held is recorded as it comes. Never topics below
-/// /play_launch: those are the supervisor's own, somebody plays a recording back.
+/// /play_launch: those are the supervisor's own, played back from a recording.
 Treatment treatment(const Options& options, const std::string& topic);
 
 }  // namespace play_launch::topics

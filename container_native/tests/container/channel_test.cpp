@@ -95,7 +95,7 @@ void test_a_peer_that_does_not_read() {
   CHECK(refused > 50);
   CHECK(channel.dropped() == refused);
   CHECK(!channel.flush(std::chrono::steady_clock::now() + 1ms));
-  channel.stop();  // in the middle of a frame that nobody reads
+  channel.stop();  // in the middle of a frame that is not read
 }
 
 void test_ends() {

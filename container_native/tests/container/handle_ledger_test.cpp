@@ -216,8 +216,8 @@ void a_node_in_the_table_for_rosout(const std::shared_ptr<Context>& context) {
   CHECK(half.burial_end.clean());
   CHECK(half.nodes() == 1 && half.locked() == 1);
   CHECK(node.impl == nullptr);
-  // Whoever logs looks the name up in the table.
-  PLAY_LAUNCH_INFO(Logger("logging"), "nobody has this name any more");
+  // A logging thread looks the name up in the table.
+  PLAY_LAUNCH_INFO(Logger("logging"), "this name is unused");
 }
 
 /// Blocks of memory of 1 MiB and more.

@@ -31,7 +31,7 @@ NodeLife whole(const Life& life) {
   return so_far;
 }
 
-/// What of the program happens before the end of the process. A program comes so far by itself, in
+/// What of the program happens before the end of the process. A program comes so far unaided, in
 /// a child or without one; it can be killed after each step.
 std::vector<Life> programs() {
   using enum NodeLife;
@@ -65,7 +65,7 @@ std::vector<Life> lives() {
   return all;
 }
 
-/// The calls when somebody looks after those steps whose bit is set in `looks`, and at the end.
+/// The calls when a reader checks after those steps whose bit is set in `looks`, and at the end.
 Calls calls_of(const Life& life, std::uint32_t looks) {
   LifeRecord record;
   LifeCalls due;

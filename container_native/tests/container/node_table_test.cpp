@@ -1,4 +1,4 @@
-// The decisions about nodes: names, attempts, and what becomes of a node that nobody wants.
+// The decisions about nodes: names, attempts, and the end of a node that is not wanted.
 
 #include "manager/node_table.hpp"
 

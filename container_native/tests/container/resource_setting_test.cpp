@@ -79,7 +79,7 @@ void test_ranks() {
   CHECK(!is_more_urgent(just_above(after({"nice -20"})), after({"nice -20"})));
 }
 
-/// A thread that has put its rank aside is none of the real-time ones, whoever raises it meanwhile,
+/// A thread that has put its rank aside is not a real-time one, even if it is raised meanwhile,
 /// and has what was asked for last when it takes it up again.
 void test_a_rank_that_is_raised_while_it_is_aside() {
   const Urgency before = own_urgency();
@@ -113,7 +113,7 @@ void test_a_rank_that_is_raised_while_it_is_aside() {
   }
   over = true;
   raised.join();
-  // Nobody touches a thread that has ended, or has not begun.
+  // A thread that has ended, or has not begun, is not touched.
   rank.rise({SCHED_FIFO, 9, 0});
 }
 

@@ -74,7 +74,7 @@ void test_libraries_of_nodes() {
   CHECK(!judge(stack_of({node.compute_for_ever, stand_in::publish}), Caution::lenient).harmless);
 }
 
-/// They stand between the C library's and whoever takes or gives back a mutex.
+/// They stand between the C library's and the code that locks or unlocks a mutex.
 void test_our_own_locks() {
   const auto lock = reinterpret_cast<void (*)()>(&::pthread_mutex_timedlock);
   const auto unlock = reinterpret_cast<void (*)()>(&::pthread_mutex_unlock);
@@ -141,7 +141,7 @@ void test_functions_of_the_c_library_that_take_locks() {
             .harmless);
 }
 
-/// A thread that gave back a lock and has not yet woken who waits for it.
+/// A thread that released a lock and has not yet woken its waiter.
 void test_before_a_wake() {
   CallStack stack = stack_of({nullptr, play_launch_test_function_of_a_node});
   stack.frames[0].address = a_system_call();

@@ -1,4 +1,4 @@
-// A deadline before 1970, the overflow of "for ever", must not become a loop.
+// A deadline before 1970, the overflow of "no limit", must not become a loop.
 
 #include <pthread.h>
 
@@ -62,7 +62,7 @@ void a_deadline_that_has_passed_times_out(clockid_t clock) {
   ::pthread_mutex_unlock(&condition.mutex);
 }
 
-/// Notified in time, it does not time out; a loop that waits for ever ends.
+/// Notified in time, it does not time out; a loop that waits without limit ends.
 void a_notification_ends_it(clockid_t clock) {
   Condition condition(clock);
   const std::array<timespec, 2> deadlines{in(clock, 3600s), {-7'461'234'567, 0}};

@@ -23,7 +23,7 @@ extern "C" void crash_by_lost_stack();
 extern "C" void crash_by_damaged_frame();
 extern "C" void crash_by_damaged_unwind_data();
 
-// The stack pointer is gone; what finds the frame is gone; what says how to find it is damaged,
+// The stack pointer is gone; what finds the frame is gone; the table for finding it is damaged,
 // which makes the unwinder call abort().
 #if defined(__x86_64__)
 asm(R"(
@@ -109,7 +109,7 @@ volatile std::uintptr_t bad_address = 8;
 void crash_by_bad_address() { *reinterpret_cast<volatile int*>(bad_address) = 1; }
 void crash_by_abort() { std::abort(); }
 void crash_by_exception() { throw std::runtime_error("what went wrong"); }
-/// Nobody catches it, so nobody leaves a frame, though some have something to destroy or catch
+/// It is uncaught, so no frame is left, though some have something to destroy or catch
 /// something else.
 [[gnu::noinline]] void throw_through(const std::string& text) {
   const std::string longer = text + "wrong";

@@ -1,4 +1,4 @@
-// Locks that died with their holders are found, with who waits for them; and no others. What a
+// Locks that died with their holders are found, with their waiters; and no others. What a
 // child was initialising once for all when it died is begun anew.
 
 #include <fcntl.h>
@@ -100,7 +100,7 @@ pid_t die_with(Mutex& mutex, bool in_first_thread) {
 
 template <class Mutex>
 void test_dead_holder(DeadLockSearch& search, bool in_first_thread) {
-  // Stays locked for ever, and may not be destroyed like that.
+  // Stays locked, and may not be destroyed like that.
   auto& mutex = *new Mutex();
   const pid_t dead = die_with(mutex, in_first_thread);
   CHECK(look(search).empty());

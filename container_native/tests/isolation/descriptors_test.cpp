@@ -1,4 +1,4 @@
-// Who may close the container's descriptors, and who may not.
+// Which code may close the container's descriptors.
 
 #include <dlfcn.h>
 #include <fcntl.h>
@@ -24,7 +24,7 @@ int open_nothing() {
 
 bool is_open(int fd) { return ::fcntl(fd, F_GETFD) >= 0; }
 
-/// Runs in a child and expects that it says nothing worse than 0.
+/// Runs in a child and expects that it returns nothing worse than 0.
 void in_child(Outcome& outcome, const std::function<bool()>& body) {
   run(outcome, [&](Program&) { return body() ? 0 : 1; });
   CHECK(outcome.end.clean() && outcome.end.exit_code == 0);
@@ -73,7 +73,7 @@ void test_ranges() {
   CHECK(::close(ours) == 0);
 }
 
-/// A number that was closed in a way that nobody sees, and used again.
+/// A number that was closed in an invisible way, and used again.
 void test_other_file() {
   const int ours = move_out_of_reach(open_nothing());
   int ends[2];

@@ -253,7 +253,7 @@ void test_limit_of_cpu_time() {
   CHECK(waiting.end.clean());
 }
 
-/// Whoever joins then does not wait for what is still to be given back.
+/// A joining thread then does not wait for what is still to be released.
 void test_the_end_of_a_donor_is_announced() {
   for (const bool crashes : {false, true}) {
     std::atomic<bool> body_is_over{false};

@@ -296,7 +296,7 @@ void test_threads_are_cancelled_in_all_processes() {
   cancel_a_thread();
 }
 
-/// As for a user of whom too many signals are pending.
+/// As for a user with too many pending signals.
 void test_it_begins_where_no_signal_can_be_queued() {
   const pid_t container = ::fork();
   CHECK(container >= 0);

@@ -1,5 +1,5 @@
 // Machines that refuse clone3, both ways to make a process that shares memory, or waiting for one:
-// nodes run by the other way, or the gate says why they cannot.
+// nodes run by the other way, or the gate gives the reason.
 
 #include <linux/audit.h>
 #include <linux/filter.h>

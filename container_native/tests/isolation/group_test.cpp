@@ -46,7 +46,7 @@ std::string own_group() {
   return "";
 }
 
-/// A group that nobody else has.
+/// A group of this process alone.
 class Folder {
  public:
   explicit Folder(const std::string& parent)
@@ -91,7 +91,7 @@ void test_born_inside(const Folder& folder) {
   const int number = group.get();
   // No setting: it is there from the beginning.
   CHECK(group_of_child(&group, {}).ends_with(folder.name()));
-  // The descriptor is not needed any more, and whose number it is now is somebody else's matter.
+  // The descriptor is not needed now, and its number may be reused.
   CHECK(group.get() == -1 && ::fcntl(number, F_GETFD) == -1);
 }
 

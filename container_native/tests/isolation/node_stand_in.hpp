@@ -6,10 +6,10 @@ namespace stand_in {
 
 /// What a node's library does.
 struct NodeLibrary {
-  /// Loops in the node's own code for ever.
+  /// Loops in the node's own code without end.
   void (*compute_for_ever)();
-  /// Publishes by pointer for ever: through a template of rclcpp's that became code of the library,
-  /// and that holds the lock below most of the time.
+  /// Publishes by pointer without end: through a template of rclcpp's that became code of the
+  /// library, and that holds the lock below most of the time.
   void (*publish_by_pointer_for_ever)();
   std::shared_timed_mutex& (*pointer_lock)();
 };

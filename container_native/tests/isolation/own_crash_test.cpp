@@ -1,4 +1,4 @@
-// How a process that holds nodes as threads says what it dies of.
+// How a process that holds nodes as threads reports what it dies of.
 
 #include "isolation/crash/own_crash.hpp"
 

@@ -1,4 +1,5 @@
-// Private memory as a memory resource, and who gets which key: all that needs no protection keys.
+// Private memory as a memory resource, and which domain gets which key: all that needs no
+// protection keys.
 
 #include "isolation/memory/private_memory.hpp"
 

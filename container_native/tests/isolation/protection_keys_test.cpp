@@ -1,5 +1,5 @@
 // What children with protection keys can do to one another's private memory. Needs them: without,
-// it says so and checks only that nothing is broken.
+// it reports that and checks only that nothing is broken.
 
 #include "isolation/memory/protection_keys.hpp"
 
@@ -117,7 +117,7 @@ void what_is_right_goes_on() {
     CHECK(*mine->value == 49);
   });
   lives([] {
-    // A process of its own: what it does is nobody's business.
+    // A process of its own: it affects no other.
     const pid_t pid = ::fork();
     if (pid == 0) {
       *mine->value = 3;
@@ -169,7 +169,7 @@ void handlers_do_not_change_rights() {
   CHECK(outcome.end.clean());
 }
 
-/// The key can be given to somebody else: nothing of the dead has it.
+/// The key can be reused: no memory of the dead node has it.
 void keys_are_used_again() {
   const int key = new_protection_key();
   CHECK(key > 0);

@@ -53,7 +53,7 @@ void run_patiently(Outcome& outcome, std::function<int(Program&)> body) {
   run(outcome, std::move(body), {.quiesce_limit = 10s});
 }
 
-/// Crashes in the first thread beside `threads` that do `work` for ever.
+/// Crashes in the first thread beside `threads` that do `work` without end.
 void crash_beside(Outcome& outcome, int threads, void (*work)()) {
   run_patiently(outcome, [&](Program&) {
     std::atomic<int> running{0};

@@ -178,7 +178,7 @@ void test_name() {
   CHECK(outcome.end.clean());
 }
 
-/// Signals while children come and go never hit anybody else, and the child always dies of them.
+/// Signals while children come and go never hit another process, and the child always dies of them.
 void test_signals_at_any_instant() {
   for (int round = 0; round < 300; ++round) {
     Outcome outcome;

@@ -11,6 +11,6 @@ using Report = void (*)();
 extern "C" {
 /// A thread_local object. `another`: its destructor makes one more.
 void leave_object(Deed deed, Report report);
-/// A value of a pthread key. `another`: it comes back for ever.
+/// A value of a pthread key. `another`: it comes back without end.
 void leave_value(Deed deed, Report report);
 }

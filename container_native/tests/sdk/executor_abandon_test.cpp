@@ -12,7 +12,7 @@ using String = std_msgs::msg::String;
 
 namespace {
 
-/// Stops the calling thread for ever, as if its process had died there.
+/// Stops the calling thread for good, as if its process had died there.
 [[noreturn]] void vanish(Counter& vanished) {
   vanished.increment();
   while (true) pause();

@@ -1,5 +1,5 @@
-// An executor whose thread is gone for ever, at any place where it held a lock, neither holds up
-// who notifies it nor who cleans up after it.
+// An executor whose thread was killed at any place where it held a lock holds up neither
+// its notifiers nor the cleanup.
 #include <dlfcn.h>
 #include <pthread.h>
 #include <unistd.h>
@@ -45,7 +45,7 @@ void test_vanishing(const std::shared_ptr<Context>& context, int locks) {
   std::thread([executor] { executor->spin(); }).detach();
   CHECK(eventually([] { return vanished.load(); }));
 
-  // Whoever has news for the node, like a thread of the middleware.
+  // A producer of news for the node, like a thread of the middleware.
   std::atomic<bool> notified{false};
   std::thread([&notified, timer] {
     timer->notify(0);
@@ -53,7 +53,7 @@ void test_vanishing(const std::shared_ptr<Context>& context, int locks) {
   }).detach();
   CHECK(eventually([&notified] { return notified.load(); }));
 
-  // Who cleans up.
+  // The cleanup.
   executor->cancel();
   play_launch::detail::ExecutorAccess::abandon(*executor);
   executor->remove_node(node);

@@ -37,7 +37,7 @@ void reentrant_callbacks_run_in_parallel(const std::shared_ptr<Context>& context
   const auto group = node->create_callback_group(Kind::reentrant);
   MultiThreadedExecutor executor(3);
   executor.add_node(node);
-  // The same subscription must be entered three times before anybody leaves.
+  // The same subscription must be entered three times before it is left.
   Occupancy occupancy;
   Counter done;
   const auto publisher = node->create_publisher<String>("reentrant");

@@ -38,7 +38,7 @@ void listing(const std::shared_ptr<Context>& context) {
 
 void getting(const std::shared_ptr<Context>& context) {
   GetParameters::Request request;
-  request.names = {"rate", "nobody", "camera.left.gain"};
+  request.names = {"rate", "undeclared", "camera.left.gain"};
   const auto values = Client<GetParameters>(context, "/owner/get_parameters").call(request).values;
   CHECK(values.size() == 3);
   CHECK(from_message(values[0]) == ParameterValue(10.0));
@@ -58,14 +58,14 @@ void getting(const std::shared_ptr<Context>& context) {
                                .descriptors;
   CHECK(descriptors.size() == 3);
   CHECK(descriptors[0].name == "rate" && descriptors[0].type == 3);
-  CHECK(descriptors[1].name == "nobody" && descriptors[1].type == 0);
+  CHECK(descriptors[1].name == "undeclared" && descriptors[1].type == 0);
 }
 
 void setting(const std::shared_ptr<Context>& context, Node& owner) {
   SetParameters::Request request;
-  request.parameters = {to_message(Parameter{"rate", 20.0}), to_message(Parameter{"nobody", 1.0}),
-                        to_message(Parameter{"cameras", 1.0}),
-                        to_message(Parameter{"camera.rate", -1.0})};
+  request.parameters = {
+      to_message(Parameter{"rate", 20.0}), to_message(Parameter{"undeclared", 1.0}),
+      to_message(Parameter{"cameras", 1.0}), to_message(Parameter{"camera.rate", -1.0})};
   const auto results =
       Client<SetParameters>(context, "/owner/set_parameters").call(request).results;
   CHECK(results.size() == 4);
@@ -77,7 +77,7 @@ void setting(const std::shared_ptr<Context>& context, Node& owner) {
 
   Client<SetParametersAtomically> atomically(context, "/owner/set_parameters_atomically");
   SetParametersAtomically::Request all;
-  all.parameters = {to_message(Parameter{"rate", 30.0}), to_message(Parameter{"nobody", 1.0})};
+  all.parameters = {to_message(Parameter{"rate", 30.0}), to_message(Parameter{"undeclared", 1.0})};
   CHECK(!atomically.call(all).result.successful);
   CHECK(owner.get_parameter<double>("rate") == 20.0);
   all.parameters.pop_back();

@@ -109,7 +109,7 @@ void declaring_and_setting(const std::shared_ptr<Context>& context) {
   CHECK(verdict.reason.find("expected string, given integer") != std::string::npos);
   CHECK(node.get_parameter<double>("rate") == 10.0);  // all or none
 
-  verdict = node.set_parameters({{"nobody", 1.0}});
+  verdict = node.set_parameters({{"undeclared", 1.0}});
   CHECK(!verdict.ok && verdict.reason.find("not been declared") != std::string::npos);
   CHECK(!node.set_parameters({{"rate", ParameterValue()}}).ok);
   CHECK(node.set_parameters({{"rate", 5.0}, {"name", std::string("eve")}}).ok);

@@ -92,7 +92,7 @@ void a_dropped_subscription_ends() {
   Counter received;
   std::shared_ptr<SubscriptionBase> subscription;
   const Spinner spinner(executor);
-  // It lets go of itself in its own callback.
+  // It releases itself in its own callback.
   const auto timer = node->create_timer(std::chrono::milliseconds(1), [&] {
     if (created.get()) return;
     subscription = node->create_subscription<String>("drop", 10, [&](const String&) {
@@ -106,7 +106,7 @@ void a_dropped_subscription_ends() {
   publisher->publish(text("last"));
   CHECK(received.reaches_at_least(1));
   CHECK(eventually([&] { return publisher->subscription_count() == 0; }));
-  publisher->publish(text("nobody"));
+  publisher->publish(text("unheard"));
   CHECK(received.get() == 1);
 }
 

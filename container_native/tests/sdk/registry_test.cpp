@@ -35,7 +35,7 @@ int main() {
   CHECK((registry.names() == std::vector<std::string>{"demo::Broken", "demo::First"}));
   CHECK(registry.names(here).size() == 2);
   CHECK(registry.names("/no/such/library.so").empty());
-  CHECK(registry.find("demo::Nobody") == nullptr);
+  CHECK(registry.find("demo::Missing") == nullptr);
   CHECK(registry.find("demo::First", "/no/such/library.so") == nullptr);
   const auto* factory = registry.find("demo::First", here);
   CHECK(factory != nullptr && factory == registry.find("demo::First"));

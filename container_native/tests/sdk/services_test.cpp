@@ -63,7 +63,7 @@ void later(const std::shared_ptr<Context>& context, const std::shared_ptr<Contex
   CHECK(received && received->first == first && received->second.message == "first");
   CHECK_THROWS(requests[0]->respond(answer("again")), std::logic_error);
 
-  // A request may outlive the service; nobody gets a response then.
+  // A request may outlive the service; then it gets no response.
   const auto third = client.send(ask(true));
   CHECK(third != second);
   CHECK(pending.reaches([](const auto& all) { return all.size() == 3; }));

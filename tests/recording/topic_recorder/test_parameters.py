@@ -28,7 +28,7 @@ from tests.support.ros import begin
 
 pytestmark = pytest.mark.anyio
 
-SHORT_PATIENCE = 500_000_000
+SHORT_TIMEOUT = 500_000_000
 """Nanoseconds; only for those that do not answer."""
 EVERY_TYPE = {
     "flag": True,
@@ -166,7 +166,7 @@ async def test_a_node_that_never_answers_holds_up_nobody(
     complete = program.recorder_argv
 
     def hasty(*given: Any) -> tuple[str, ...]:
-        return (*complete(*given), "--patience", str(SHORT_PATIENCE))
+        return (*complete(*given), "--answer-timeout", str(SHORT_TIMEOUT))
 
     monkeypatch.setattr(program, "recorder_argv", hasty)
     path = tmp_path / "x.mcap"

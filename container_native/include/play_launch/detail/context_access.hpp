@@ -16,14 +16,14 @@ class StopFlag;
 
 /// What the container and the rest of the SDK do with contexts. Any thread.
 struct ContextAccess {
-  /// Uses a context that somebody else initialised and will finalise; it must outlive the result
+  /// Uses a context that the caller initialised and will finalise; it must outlive the result
   /// and every node made with it. Logging is left as the owner configured it. Its shutdown() stops
   /// executors and leaves the context valid. Throws RclError.
   static std::shared_ptr<Context> borrow(rcl_context_t* context);
 
   /// For the owner of a context that nodes share: decides on their calls of shutdown(). It is given
   /// the address that the call returns to, and answers whether the context is shut down. Before
-  /// the first node; none: nobody decides.
+  /// the first node; none: no decision is made.
   using ShutdownGuard = std::function<bool(const void* caller)>;
   static void guard_shutdown(Context& context, ShutdownGuard guard);
   /// Asks the guard, for a shutdown that does not come through shutdown().

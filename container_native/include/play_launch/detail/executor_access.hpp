@@ -13,7 +13,7 @@ namespace play_launch::detail {
 
 class StopFlag;
 
-/// What the container does with executors, and nobody else.
+/// The container's access to executors; not for components.
 struct ExecutorAccess {
   /// Executors that stop as well when `stop` is set. `threads` as for MultiThreadedExecutor.
   static std::unique_ptr<Executor> single_threaded(std::shared_ptr<StopFlag> stop);
@@ -21,7 +21,7 @@ struct ExecutorAccess {
                                                   std::shared_ptr<StopFlag> stop);
 
   /// Before spin(): notes the time (nanoseconds of the steady clock) in `beat` whenever a thread of
-  /// the executor looks for work, which one of them does once a second when there is none. Only
+  /// the executor looks for work, which one of them does once a second while idle. Only
   /// with all threads in callbacks, `beat` stands still. It must outlive spin().
   static void beat_into(Executor& executor, std::atomic<std::int64_t>& beat) noexcept;
 

@@ -64,7 +64,7 @@ class TypedInbox final : public IntraProcessInbox {
   void put(std::shared_ptr<const M> message) { put(Item{std::move(message), nullptr}); }
   void put(std::unique_ptr<M> message) { put(Item{nullptr, std::move(message)}); }
 
-  /// The oldest message; false when there is none.
+  /// The oldest message; false if the buffer is empty.
   bool take(Item& item) {
     const std::lock_guard lock(mutex_);
     if (items_.empty()) return false;
@@ -169,7 +169,7 @@ class IntraProcessHub {
       const std::string& topic, std::type_index type, const rmw_qos_profile_t& qos,
       std::shared_ptr<IntraProcessInbox> inbox, const rcl_node_t& node);
 
-  /// For a node that nobody can destroy, as its process died in the constructor: ends its
+  /// For a node that cannot be destroyed, as its process died in the constructor: ends its
   /// registrations. Left alone, they would be counted as subscriptions that need no message through
   /// the middleware, which then does not reach others; and their inboxes would stay full.
   void remove_all_of(const rcl_node_t& node);

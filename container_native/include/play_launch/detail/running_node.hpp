@@ -28,7 +28,7 @@ class RunningNode {
   static void log_uncaught_exception() noexcept;
 
  protected:
-  /// For a node whose name is only looked for when somebody asks: in the marked thread.
+  /// For a node whose name is looked up on request only: in the marked thread.
   RunningNode() noexcept : RunningNode(nullptr, nullptr) {}
   /// Full name; empty: not known.
   virtual std::string name() const;

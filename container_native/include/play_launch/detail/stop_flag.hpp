@@ -5,9 +5,9 @@
 
 namespace play_launch::detail {
 
-/// The request to an executor to stop, final once made. It belongs to whoever may make the request,
-/// and the executor is given a share in it: the request can be made at any time, also before the
-/// executor exists and after it was destroyed, and nobody has to wait for anybody.
+/// The request to an executor to stop, final once made. It belongs to the code that may make the
+/// request, and the executor is given a share in it: the request can be made at any time, also
+/// before the executor exists and after it was destroyed, and neither side waits for the other.
 class StopFlag {
  public:
   /// Makes the request. Any thread; async-signal-safe.

@@ -38,7 +38,7 @@ class Work {
   std::unique_ptr<Callable> callable_;
 };
 
-/// Base of all that an executor runs callbacks for. Whoever has data for it (a thread of the
+/// Base of all that an executor runs callbacks for. A producer of data for it (a thread of the
 /// middleware, a publisher of the same process) calls notify(), which costs a few atomic
 /// operations; the executor then calls take().
 class Waitable {

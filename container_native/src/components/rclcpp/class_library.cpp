@@ -41,7 +41,7 @@ ClassLibrary::ClassLibrary(const std::string& path) : path_(path) {
 
 void ClassLibrary::check_complete() const {
   if (!missing_.empty()) {
-    throw LoadError("cannot load library " + path_ + ": nobody has " + missing_.front() +
+    throw LoadError("cannot load library " + path_ + ": no library defines " + missing_.front() +
                     (missing_.size() > 1
                          ? " and " + std::to_string(missing_.size() - 1) + " more functions"
                          : "") +

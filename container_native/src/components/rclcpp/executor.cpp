@@ -25,7 +25,7 @@ std::shared_ptr<T> unshared(const std::shared_ptr<T>& owner) {
 }
 
 /// rclcpp does not note whose callback it is. All nodes are looked through for that, so only when
-/// somebody asks.
+/// requested.
 class RunningCallback final : public detail::RunningNode {
  public:
   RunningCallback(const NodeExecutor& executor, const rclcpp::CallbackGroup::SharedPtr& group)
@@ -49,7 +49,8 @@ NodeExecutor::NodeExecutor(std::size_t threads, std::shared_ptr<detail::StopFlag
         stop_->wait();
         interrupt_guard_condition_->trigger();
       }) {
-  // What is added before spin() is then collected by spin(), and not meanwhile by who adds it.
+  // What is added before spin() is then collected by spin(), and not meanwhile by the thread that
+  // adds it.
   spinning = true;
 }
 
@@ -83,7 +84,7 @@ void NodeExecutor::beat_into(container::Beat& beat) {
 /// Notes that a thread looks for work; how long it may then wait for it.
 std::chrono::nanoseconds NodeExecutor::note_beat() {
   if (beat_ == nullptr) {
-    return std::chrono::nanoseconds(-1);  // for ever
+    return std::chrono::nanoseconds(-1);  // without limit
   }
   const std::chrono::nanoseconds now = std::chrono::steady_clock::now().time_since_epoch();
   beat_->store(now.count(), std::memory_order_relaxed);
@@ -183,7 +184,7 @@ void NodeExecutor::remove(container::Component& component) {
       interrupt_guard_condition_->trigger();
     }
     const std::lock_guard lock(take_mutex_);
-    // Who died waiting cannot be woken: the C library would wait for it to wake up.
+    // A thread that died waiting cannot be woken: the C library would wait for it to wake up.
     remove_node(node, !abandoned_);
     // What was found ready may be this node's; the rest is found ready again.
     wait_result_.reset();

@@ -20,7 +20,7 @@ namespace play_launch::rclcpp_backend {
 /// rclcpp's executor, with what its own ones lack for nodes that are unloaded while it spins, or
 /// die in a callback: remove() waits for running callbacks, it may be stopped by a signal handler
 /// and before spin(), and what a callback holds is kept here instead of on the stack of its thread,
-/// so that it can be let go of when that thread is no more.
+/// so that it can be released when that thread has exited.
 ///
 /// With one thread callbacks run in the one that calls spin(), else in that one and others, by the
 /// rules of callback groups.
@@ -28,7 +28,7 @@ class NodeExecutor final : public rclcpp::Executor, public container::ComponentE
  public:
   using Node = rclcpp::node_interfaces::NodeBaseInterface;
 
-  /// `stop` is the request to stop; rclcpp can be woken by who is no signal handler only, so a
+  /// `stop` is the request to stop; rclcpp cannot be woken from a signal handler, so a
   /// thread of the executor waits for the request.
   NodeExecutor(std::size_t threads, std::shared_ptr<detail::StopFlag> stop);
   ~NodeExecutor() override;

@@ -11,12 +11,13 @@ namespace play_launch::rclcpp_backend {
 class ContextIsShared : public std::runtime_error {
  public:
   ContextIsShared()
-      : std::runtime_error("the ROS context is everybody's in a container: this node ends alone") {}
+      : std::runtime_error("all nodes of a container share the ROS context: this node ends alone") {
+  }
 };
 
 /// Initialises rclcpp for this process, with the default context that components expect to find,
 /// and returns that context for the SDK: both kinds of nodes share one participant. Signals stay
-/// the container's. The last one to let go of the result shuts rclcpp down.
+/// the container's. The last owner that releases the result shuts rclcpp down.
 ///
 /// `argv` is the command line; what follows `--ros-args` are the global arguments. Throws
 /// std::exception. Once per process.

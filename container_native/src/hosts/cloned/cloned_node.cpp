@@ -26,7 +26,7 @@ std::string process_name(const LoadRequest& request) {
   return name.substr(colon == std::string::npos ? 0 : colon + 2).substr(0, kThreadNameLength);
 }
 
-/// The innermost frames, for those who get no more than a text.
+/// The innermost frames, for readers that get a text only.
 std::string innermost(const std::vector<std::string>& backtrace) {
   constexpr std::size_t kMost = 6;
   std::string text;
@@ -62,7 +62,7 @@ NodeLife ClonedNode::look() {
     domain_->set_name(program_.full_name());
   }
   if (domain_ && has_any(life, NodeLife::ended | NodeLife::died)) {
-    domain_->end();  // before anybody hears of it, and loads the next one
+    domain_->end();  // before it is reported and the next one is loaded
   }
   if (has_any(life, NodeLife::constructing) && !constructing_since_) {
     constructing_since_ = std::chrono::steady_clock::now();

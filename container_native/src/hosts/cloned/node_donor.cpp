@@ -16,8 +16,8 @@
 namespace play_launch::container {
 namespace {
 
-/// For cleaning up after a dead node. Mostly of CPU time: who is killed while it waits for a
-/// processor may be amidst the middleware.
+/// For cleaning up after a dead node. Mostly of CPU time: a process that is killed while it waits
+/// for a processor may be amidst the middleware.
 constexpr std::chrono::milliseconds kBurialCpuLimit{1000};
 constexpr std::chrono::milliseconds kBurialLimit{3000};
 /// The burial does not depend on the report, and the monitor may be busy with other nodes.
@@ -44,7 +44,7 @@ NodeDonor::NodeDonor(std::uint64_t unique_id, NodeProgram& program, std::string 
 
 void NodeDonor::donate() noexcept {
   Urgency urgency;
-  do {  // it may be raised right now, by somebody who was faster than we are
+  do {  // it may be raised right now, by a faster thread
     urgency = watch_urgency_;
     assume(0, urgency);
   } while (urgency != watch_urgency_.load());

@@ -35,7 +35,7 @@ class NodeDonor {
   bool signal(int number) { return isolation::send_signal(slot_, number); }
   void rise(Urgency urgency) noexcept { thread_.rise(urgency); }
   /// The death is reported. Until then, for a short time, the donor leaves the processor to those
-  /// who report it: people wait for the report, nobody for the burial.
+  /// that report it: users wait for the report, not for the cleanup.
   void begin_burial() noexcept;
   void end_burial() { isolation::send_signal(burial_slot_, SIGKILL); }
 

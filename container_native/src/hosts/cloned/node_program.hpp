@@ -32,7 +32,7 @@ class NodeProgram final : public isolation::ChildProgram {
   bool prepare(std::uint64_t unique_id) noexcept;
   /// On the donor, when there is no child to be had.
   void fail(std::string reason) noexcept;
-  /// In the child, or on the donor when there is none: this has happened. Rings.
+  /// In the child, or on the donor without a child: this has happened. Notifies.
   void reach(NodeLife part) noexcept;
 
   int run() override;

@@ -45,7 +45,7 @@ void IsolatedHost::load(std::uint64_t unique_id, LoadRequest request) {
   ring(doorbell_.get());
 }
 
-/// A node that never leaves its processor must not keep those waiting who report on it and on the
+/// A node that never leaves its processor must not hold up the threads that report on it and on the
 /// others, and bury them.
 void IsolatedHost::rise_above(Urgency node) {
   if (!is_more_urgent(node, urgency_)) {

@@ -41,7 +41,7 @@ class IsolatedHost : public NodeHost {
   /// All nodes must have ended; waits for what is left of their processes.
   ~IsolatedHost() override;
 
-  /// Starts the process. Throws std::exception when there is none to be had.
+  /// Starts the process. Throws std::exception if it cannot be started.
   virtual std::shared_ptr<IsolatedNode> start(std::uint64_t unique_id, LoadRequest request,
                                               NodeResources resources, int doorbell) = 0;
   const BackendList& backends() const { return backends_; }

@@ -63,7 +63,7 @@ IsolatedNode::Time IsolatedNode::press(Time now, Time end) {
     abandon();
     return Time::max();
   }
-  // When all must end, so must a node that nobody can ask yet, because it constructs.
+  // When all must end, so must a node that cannot take requests yet, because it constructs.
   if (leaving_ || end != Time::max()) {
     pressure_.begin(now);
   }

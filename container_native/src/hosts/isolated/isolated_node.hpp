@@ -47,7 +47,7 @@ class IsolatedNode {
   /// Has the container's threads that belong to this node alone run that urgently. Any thread.
   virtual void rise(Urgency urgency) noexcept { static_cast<void>(urgency); }
 
-  /// Becomes readable when follow() should be called, besides the doorbell; -1: there is none.
+  /// Becomes readable when follow() should be called, besides the doorbell; -1 without one.
   virtual int watched_fd() const { return -1; }
 
  protected:
@@ -60,7 +60,7 @@ class IsolatedNode {
   virtual std::string full_name() const = 0;
   /// Why loading failed; with NodeLife::failed.
   virtual std::string failure() const = 0;
-  /// Why it left, if it was by itself; with NodeLife::left.
+  /// Why it left, if that was not requested; with NodeLife::left.
   virtual std::string why_it_left() const = 0;
   /// Once, with NodeLife::died.
   virtual NodeDeath death() = 0;

@@ -17,7 +17,7 @@ enum class NodeLife : std::uint32_t {
   left = 1 << 3,          // it was to leave, and what there was of it is destroyed
   ended = 1 << 4,         // no process is left, as it failed or left in order
   died = 1 << 5,          // no process is left, and it ended in another way
-  buried = 1 << 6,        // what can be cleaned up after it is, and nobody works on it any more
+  buried = 1 << 6,        // what can be cleaned up after it is, and no thread works on it
 };
 
 constexpr NodeLife operator|(NodeLife one, NodeLife other) {
@@ -37,7 +37,7 @@ constexpr NodeLife ending(NodeLife so_far, bool clean) {
                                                                      : NodeLife::died;
 }
 
-/// Where a life is written by those who live it and read by others. What goes with a part, such as
+/// Where a life is written by the node's threads and read by others. What goes with a part, such as
 /// a name, is written before the part is added. Async-signal-safe.
 class LifeRecord {
  public:
@@ -63,7 +63,7 @@ enum class LifeCall : std::uint8_t {
 /// are the same.
 class LifeCalls {
  public:
-  /// The next one, which then counts as made; nothing: there is none.
+  /// The next one, which then counts as made; nothing without one.
   std::optional<LifeCall> next(NodeLife life);
 
  private:

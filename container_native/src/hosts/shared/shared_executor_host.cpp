@@ -81,7 +81,7 @@ void SharedExecutorHost::construct(std::uint64_t unique_id, const LoadRequest& r
   }
   const std::string full_name = node.component->full_name();
   {
-    // In the map before anybody can ask to unload it.
+    // In the map before an unload can be requested.
     const std::lock_guard lock(mutex_);
     nodes_.emplace(unique_id, std::move(node));
   }

@@ -30,7 +30,7 @@ void TaskGroup::run(const std::string& name, std::function<void()> task) {
   std::thread thread([this, number, name, task = std::move(task)]() mutable {
     ::pthread_setname_np(::pthread_self(), name.c_str());
     task();
-    task = nullptr;  // what it holds goes in this thread, before anybody learns that it is done
+    task = nullptr;  // what it holds is freed in this thread, before it counts as done
     finish(number);
   });
   running_.emplace(number, std::move(thread));

@@ -9,7 +9,7 @@
 
 namespace play_launch::container {
 
-/// Short-lived threads that nobody waits for one by one, all joined at the end.
+/// Short-lived threads that are joined together at the end.
 ///
 /// A finished thread is joined by the next one that finishes, so that at most one of them is left
 /// over however many have run.

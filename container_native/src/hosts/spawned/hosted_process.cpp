@@ -93,7 +93,7 @@ HostedProcess::HostedProcess(const std::vector<std::string>& arguments,
   fd_.reset(static_cast<int>(::syscall(SYS_pidfd_open, pid, 0)));
   if (!fd_) {
     const int error = errno;
-    ::kill(pid, SIGKILL);  // nobody has reaped it, so the pid is still its own
+    ::kill(pid, SIGKILL);  // it is not reaped, so the pid is still its own
     ::waitpid(pid, nullptr, 0);
     fail(error, "pidfd_open");
   }

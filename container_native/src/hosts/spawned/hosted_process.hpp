@@ -14,7 +14,7 @@ struct ProcessEnd {
   int signal = 0;  // 0: it exited
 };
 
-/// A container of one node that this container started, as a process. It ends by itself when the
+/// A container of one node that this container started, as a process. It exits when the
 /// other end of its control channel is closed, so with this container at the latest.
 class HostedProcess {
  public:

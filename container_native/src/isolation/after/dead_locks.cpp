@@ -193,7 +193,7 @@ std::size_t DeadLockSearch::look(std::span<DeadLock> found) noexcept {
       }
       const pid_t holder = holder_of(*wait);
       const std::optional<Grave> grave = holder != 0 ? find_grave(holder) : std::nullopt;
-      // Whoever took the lock did so before it was asked who lives.
+      // The owner locked it before the living threads were listed.
       if (grave && !is_alive(holder) && holder_of(*wait) == holder) {
         found[count++] = {pids[i], thread, name_of(pids[i], thread), wait->address, *grave};
       }

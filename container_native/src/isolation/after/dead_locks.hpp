@@ -14,7 +14,7 @@
 namespace play_launch::isolation {
 
 /// A thread of the container, or of a child that matters, that waits without a time limit for a
-/// lock which a dead child's thread holds: it will wait for ever.
+/// lock which a dead child's thread holds: it will never wake up.
 struct DeadLock {
   pid_t process = 0;
   pid_t thread = 0;
@@ -28,7 +28,7 @@ struct DeadLock {
   }
 };
 
-/// For people: who waits, and for whom.
+/// For users: waiter and owner.
 std::string describe(const DeadLock& lock);
 
 /// Finds them, from outside of the threads: what the kernel shows of the system call that a thread
@@ -36,7 +36,7 @@ std::string describe(const DeadLock& lock);
 /// only locks whose holder is known to have died with its child and has no living namesake: mutexes
 /// of the C library (also std::mutex, std::recursive_mutex), and its read-write locks when a writer
 /// held them (std::shared_mutex). Not seen: locks held by readers, spin locks, and conditions that
-/// nobody will signal any more.
+/// will never be signalled.
 class DeadLockSearch {
  public:
   /// Throws std::system_error.

@@ -4,7 +4,7 @@ namespace play_launch::isolation {
 
 using ThreadDone = void (*)();
 
-/// mimalloc's function that gives the calling thread's memory to those who live on; null with
+/// mimalloc's function that leaves the calling thread's memory to the surviving threads; null with
 /// another allocator. Async-signal-safe.
 ThreadDone allocator_thread_done();
 

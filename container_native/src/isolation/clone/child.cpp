@@ -81,7 +81,7 @@ void enter(const Launch& launch) noexcept {
       if (!apply_or_complain(setting)) {
         slot.report.kept_out = true;
         ::_exit(kExitKeptOut);
-      }  // of the others, who asked for them looks what holds
+      }  // of the others, the supervisor checks what is in force
     }
   }
   if (record.options.group != nullptr) {
@@ -196,7 +196,7 @@ ChildEnd run_in_child(ChildProgram& program, CrashSlot& slot,
 }
 
 bool send_signal(CrashSlot& slot, int signal) noexcept {
-  // The donor does not reap the child while somebody is between these two.
+  // The donor does not reap the child while a thread is between these two.
   ++slot.senders;
   const bool sent = slot.alive && ::kill(slot.pid, signal) == 0;
   --slot.senders;

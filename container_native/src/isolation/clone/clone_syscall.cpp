@@ -3,8 +3,8 @@
 //
 // CLONE_VFORK would keep the parent away from the stack as well, but in a sleep that nothing
 // interrupts: it counts into the load average, and neither debuggers nor a stop (Ctrl-Z) get to the
-// thread. So the parent waits by itself, in registers only. waitid() gives 0 when the child is dead
-// with all its threads, and ECHILD when somebody else has reaped it. Whatever else it gives, the
+// thread. So the parent waits in registers only. waitid() gives 0 when the child is dead
+// with all its threads, and ECHILD when it was reaped elsewhere. Whatever else it gives, the
 // child may live, and the parent must not go on.
 
 #include "isolation/clone/clone_syscall.hpp"

@@ -54,7 +54,7 @@ bool set_rseq(std::uint32_t length, int flags) noexcept {
 bool register_rseq() noexcept { return set_rseq(rseq_length, 0); }
 bool unregister_rseq() noexcept { return set_rseq(rseq_length, RSEQ_FLAG_UNREGISTER); }
 
-/// A dead child's critical section is none of this thread's.
+/// A dead child's critical section does not belong to this thread.
 void leave_critical_section() noexcept {
   *reinterpret_cast<volatile std::uint64_t*>(rseq_area() + kRseqCriticalSection) = 0;
 }

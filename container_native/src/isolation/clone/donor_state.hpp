@@ -10,7 +10,7 @@
 namespace play_launch::isolation {
 
 /// What the C and C++ libraries keep for the thread that becomes a donor, so that a child which
-/// died anywhere leaves it as it was. While it exists, all signals are blocked, and nobody can
+/// died anywhere leaves it as it was. While it exists, all signals are blocked, and no thread can
 /// cancel the thread: that would unwind into its first frames, in the child. Async-signal-safe.
 class DonorState {
  public:
@@ -26,7 +26,7 @@ class DonorState {
   void adopt() const noexcept;
 
   /// Finds out where the C library keeps the id of a thread, and how it registered its restartable
-  /// sequences. Null, or a text that says what could not be found. Not async-signal-safe.
+  /// sequences. Null, or a text with what could not be found. Not async-signal-safe.
   static const char* prepare();
 
  private:

@@ -24,7 +24,7 @@ std::optional<MechanismChoice> parse_mechanism_choice(std::string_view text);
 /// "shared_memory" or "process".
 std::string_view mechanism_name(Mechanism mechanism);
 
-/// The mechanism that was asked for cannot work here; the text says why and what to do.
+/// The mechanism that was asked for cannot work here; the text has the cause and the fix.
 class MechanismUnavailable : public std::runtime_error {
  public:
   using std::runtime_error::runtime_error;

@@ -10,7 +10,7 @@ namespace play_launch::isolation {
 /// forgets their values of pthread_key_create()'s keys: the C library gives the stack of a joined
 /// thread, with these, to another one, whose end would give the same heap back once more. Done in a
 /// child of its own with a time limit, which speaks for one dead thread after the other; before
-/// anybody frees the threads' stacks, in which the C library keeps their thread-local storage.
+/// the threads' stacks are freed, in which the C library keeps their thread-local storage.
 /// True: all that could be was given back. Neither allocates nor takes a lock.
 bool give_back_heaps(const CrashSlot& slot) noexcept;
 

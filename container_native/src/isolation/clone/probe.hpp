@@ -2,7 +2,7 @@
 
 namespace play_launch::isolation {
 
-/// What became of a process that was made to try the following out.
+/// Result of a process that was made to try the following out.
 struct Probe {
   /// It made a child that shares its memory, and waited for its end.
   bool shares_memory = false;

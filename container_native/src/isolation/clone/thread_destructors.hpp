@@ -27,8 +27,8 @@ class ThreadDestructors {
   static ThreadDestructors* of_donor() noexcept;
 
   /// In the child's first thread: runs them all, those that others register or set meanwhile, too.
-  /// Values that come back for ever are dropped after PTHREAD_DESTRUCTOR_ITERATIONS rounds, as at
-  /// the end of any thread. What a destructor throws ends in std::terminate().
+  /// Values that are set again each time are dropped after PTHREAD_DESTRUCTOR_ITERATIONS rounds, as
+  /// at the end of any thread. What a destructor throws ends in std::terminate().
   void run() noexcept;
 
   /// Finds out how to do that, the first time: before the first child, and not in one.

@@ -22,7 +22,7 @@ namespace {
 // By clone() and not by clone3(), which container runtimes' filters often forbid, but for a child
 // that is born in another control group, which clone() cannot do.
 //
-// No signal at its death: whoever has to know waits already, and it is out of reach
+// No signal at its death: its parent waits already, and it is out of reach
 // for a wait() that some library in the container calls for any child. No CLONE_FS: a node's
 // working directory and umask are its own.
 constexpr unsigned long kFlags = CLONE_VM | CLONE_FILES;

@@ -37,10 +37,10 @@ namespace {
 
 using namespace std::string_view_literals;
 
-/// What instructions cause, and what the kernel sends who exceeds a limit.
+/// What instructions cause, and what the kernel sends when a limit is exceeded.
 constexpr std::array kFaults{SIGSEGV, SIGBUS, SIGFPE,  SIGILL, SIGABRT,
                              SIGTRAP, SIGSYS, SIGXCPU, SIGXFSZ};
-/// What ends a process that has no handler for it, and says nothing about the process.
+/// What ends a process that has no handler for it, and tells nothing about the process.
 constexpr std::array kRequests{SIGTERM, SIGINT,  SIGHUP,    SIGQUIT, SIGUSR1, SIGUSR2,
                                SIGALRM, SIGPROF, SIGVTALRM, SIGIO,   SIGPWR};
 
@@ -200,7 +200,7 @@ void claim_own_end() noexcept {
 void crash_of_all(CrashSlot& slot, int signal, const siginfo_t& info, void* context) noexcept {
   describe(slot, signal, info, context);
   trace(slot, context);
-  slot.report.inside = false;  // nobody is left whom that could harm
+  slot.report.inside = false;  // no thread is left that this could harm
   own_described();
 }
 
@@ -261,7 +261,7 @@ void note_exception(CrashSlot& slot) {
 iovec piece(const char* text) { return {const_cast<char*>(text), std::strlen(text)}; }
 
 /// Instead of the C++ library's handler, which remembers in the memory that all share that it has
-/// been called, and from the second death on says nothing else.
+/// been called, and from the second death on reports nothing else.
 [[noreturn]] void on_terminate() {
   ChildRecord* const child = current_child();
   if (CrashSlot* const own = own_slot; child == nullptr && own != nullptr) {
@@ -335,9 +335,9 @@ SurvivalOfReports::~SurvivalOfReports() {
 }
 
 void claim_end(ChildRecord& child) noexcept {
-  pid_t nobody = 0;
+  pid_t none = 0;
   const pid_t self = ::gettid();
-  if (!child.ender.compare_exchange_strong(nobody, self) && nobody != self) {
+  if (!child.ender.compare_exchange_strong(none, self) && none != self) {
     park(child, false);
   }
 }

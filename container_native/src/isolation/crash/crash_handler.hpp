@@ -19,8 +19,8 @@ void prepare_crash_handling();
 /// caused itself: the slot gets time, signal, address and program counter, then return addresses as
 /// far as the stack is sound, the other threads are quiesced, and the child dies of that very
 /// signal in the place where it happened, dumping core where that is on. A fault in the course of
-/// this is survived. Any of these signals from another process, and from anybody other signals that
-/// end a process (SIGTERM, SIGINT, SIGHUP, SIGQUIT, SIGUSR1, SIGUSR2, SIGPWR, SIGIO, those of
+/// this is survived. Any of these signals from another process, and from any process other signals
+/// that end a process (SIGTERM, SIGINT, SIGHUP, SIGQUIT, SIGUSR1, SIGUSR2, SIGPWR, SIGIO, those of
 /// timers), are a request: ChildProgram::cancel() is called, and the child dies of the signal when
 /// run() returned or ChildOptions::leave_limit is over. Signals that the container ignores stay
 /// ignored.

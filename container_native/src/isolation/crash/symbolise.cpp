@@ -197,7 +197,7 @@ std::vector<std::string> symbolise(const CrashSlot& slot, LookUpEnd end) {
   }
   static Memory memory;
   const SurvivalOfReports survival;
-  // How the C++ library gets from a throw to the end of the process says nothing.
+  // How the C++ library gets from a throw to the end of the process is of no interest.
   const std::size_t first = slot.report.thrower;
   std::vector<Memory::Description> found(slot.report.frame_count);
   // What takes little time first.

@@ -7,12 +7,12 @@
 
 namespace play_launch::isolation {
 
-/// Who has which protection key. There are 15 at most, fewer where other code uses some: when all
-/// are held, more than one holder has the same. Keys that were had once are kept. One thread at a
-/// time.
+/// Which domain has which protection key. There are 15 at most, fewer where other code uses some:
+/// when all are held, more than one holder has the same. Keys that were had once are kept. One
+/// thread at a time.
 class KeyTable {
  public:
-  /// One that nobody holds, else one that `more` gives (-1: there is none), else, unless `alone`,
+  /// A free one, else one that `more` gives (-1: none), else, unless `alone`,
   /// one that fewest hold. -1: none.
   int take(const std::function<int()>& more, bool alone);
   void give_back(int key);

@@ -22,7 +22,7 @@ constexpr std::size_t kStep = std::size_t{1} << 20;
 /// Larger pieces are blocks of their own.
 constexpr std::size_t kLargestPooled = kUnit / 4;
 
-/// Where there is some, for those who may not look into it. More of them are not listed.
+/// Where some is mapped, for threads that may not read it. More of them are not listed.
 struct Place {
   std::atomic<std::uintptr_t> begin{0};  // 0: nothing
   std::atomic<std::uintptr_t> end{0};
@@ -121,7 +121,7 @@ void PrivateMemory::Release::operator()(PrivateMemory* memory) const noexcept {
 }
 
 void PrivateMemory::begin_burial() noexcept {
-  new (&mutex_) std::mutex;  // who held the other one is dead
+  new (&mutex_) std::mutex;  // the holder of the other one is dead
   is_buried_ = true;
 }
 

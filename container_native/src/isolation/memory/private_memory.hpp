@@ -13,7 +13,7 @@
 namespace play_launch::isolation {
 
 /// The private memory of one node, behind play_launch::private_memory(): a range of addresses with
-/// the node's protection key. The object itself lies in it, with its lock and its lists: whoever
+/// the node's protection key. The object itself lies in it, with its lock and its lists: code that
 /// may not write there faults before it has taken or changed anything. Any thread.
 class PrivateMemory final : public std::pmr::memory_resource {
  public:
@@ -34,15 +34,15 @@ class PrivateMemory final : public std::pmr::memory_resource {
   static Owner create(int key, std::size_t reserve = kReserve) noexcept;
 
   /// The node is dead, and may have died amidst something: nothing is given back any more, and what
-  /// is still allocated is ordinary memory. Whoever destroys what the node left can do so then.
+  /// is still allocated is ordinary memory. What the node left can be destroyed then.
   void begin_burial() noexcept;
 
-  /// Leaves it where it is, under no key, for those who may still come to it. For one whose owner
+  /// Leaves it where it is, under no key, for threads that may still use it. For one whose owner
   /// could not be destroyed.
   static void keep(Owner memory) noexcept;
 
   bool contains(std::uintptr_t address) const noexcept;
-  /// Whether it is in anybody's. Any process that shares the memory; async-signal-safe.
+  /// Whether it is in any domain. Any process that shares the memory; async-signal-safe.
   static bool is_any(std::uintptr_t address) noexcept;
 
  private:
@@ -78,7 +78,7 @@ class PrivateMemory final : public std::pmr::memory_resource {
   char* begin() const noexcept { return reinterpret_cast<char*>(const_cast<PrivateMemory*>(this)); }
 
   const std::size_t size_;
-  /// Written before the lock is taken, by whoever comes.
+  /// Written before the lock is taken, by each thread.
   std::atomic<bool> is_entered_{false};
   bool is_buried_ = false;
   std::mutex mutex_;  // guards what follows

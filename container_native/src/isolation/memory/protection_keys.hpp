@@ -7,7 +7,7 @@ namespace play_launch::isolation {
 
 /// What a thread may do with memory that has a protection key, as the register PKRU of x86 has it:
 /// two bits a key, from the lowest on: no access, no writing. Each thread has its own; new threads
-/// and processes begin with that of who made them. Signal handlers begin with the kernel's default,
+/// and processes begin with that of their creator. Signal handlers begin with the kernel's default,
 /// which allows key 0 only, and the interrupted rights come back when they return.
 using KeyRights = std::uint32_t;
 
@@ -41,11 +41,11 @@ void allow_all_keys() noexcept;
 /// Of the calling thread. Only where has_protection_keys(). Async-signal-safe.
 void assume_rights(KeyRights rights) noexcept;
 
-/// A key that nobody has; -1: there is none left. Only the calling thread may use it then, unless
+/// A free key; -1: all are in use. Only the calling thread may use it then, unless
 /// others allow all keys.
 int new_protection_key() noexcept;
 
-/// Makes the pages readable and writable for those who may use the key. An error number, or 0.
+/// Makes the pages readable and writable for threads that may use the key. An error number, or 0.
 int protect_pages(void* begin, std::size_t size, int key) noexcept;
 
 /// In a handler of SIGSEGV: the fault came of the rights that signal handlers begin with, and

@@ -48,7 +48,7 @@ bool is_code(std::uintptr_t address) noexcept {
 }
 
 /// The return address right after a call, when nothing else is known about the stack; 0 if what is
-/// in its place is none. Faults when there is no stack.
+/// in its place is not an address. Faults without a stack.
 std::uintptr_t caller_of(const mcontext_t& registers) noexcept {
 #if defined(__x86_64__)
   const std::uintptr_t caller = *reinterpret_cast<const std::uintptr_t*>(registers.gregs[REG_RSP]);

@@ -30,7 +30,7 @@ std::uintptr_t interrupted_place(void* context) noexcept;
 
 /// From the handler of such a signal, as far as it can be followed: where the stack is damaged, or
 /// leads to code without unwind information, it ends. At least one frame. `jumped_to_no_code`: the
-/// interrupted place is no code; the frames go on with who called it, if it was called.
+/// interrupted place is no code; the frames go on with its caller, if it was called.
 /// Async-signal-safe once prepare_call_stack() has run.
 CallStack interrupted_call_stack(void* context, bool jumped_to_no_code = false) noexcept;
 

@@ -20,7 +20,7 @@ namespace {
 using namespace std::string_view_literals;
 
 enum class Place {
-  neutral,   // decided by who called it
+  neutral,   // decided by its caller
   header,    // likewise: from the C++ library's headers
   unnamed,   // a function of a node or of this program that is not exported
   harmless,  // no lock of others is held here
@@ -48,12 +48,12 @@ constexpr std::array kCLibrary{"libc.so"sv, "libc-"sv, "libpthread"sv};
 constexpr std::array kLocks{"pthread_mutex_"sv, "pthread_once"sv, "__cxa_guard_"sv,
                             "_ZN11play_launch12NextFunction"sv};
 
-/// Functions that templates of the middleware become in somebody's library; while they run they may
+/// Functions that templates of the middleware become in a user's library; while they run they may
 /// hold the locks of delivery by pointer.
 constexpr std::array kTemplates{"_ZN6rclcpp"sv, "_ZNK6rclcpp"sv, "_ZN11play_launch"sv,
                                 "_ZNK11play_launch"sv};
 
-/// Functions from the C++ library's headers that were not merged into who called them, such as
+/// Functions from the C++ library's headers that were not merged into their callers, such as
 /// those of locks and containers: that one decides.
 constexpr std::array kCppHeaders{"_ZSt"sv, "_ZNSt"sv, "_ZNKSt"sv, "_ZN9__gnu_cxx"sv,
                                  "_ZNK9__gnu_cxx"sv};
@@ -200,7 +200,7 @@ Place in_c_library(std::uintptr_t address, bool innermost, bool wakes_others, Ca
   }
   if (innermost && wakes_others && before_system_call(address)) {
     // The kernel never asks for a wake a second time, so this one is still to come. What the
-    // thread held is free by now, but who waits for it would sleep for ever.
+    // thread held is free by now, but its waiter would never wake up.
     return Place::inside;
   }
   const bool running = innermost && !at_system_call(address);

@@ -11,14 +11,14 @@ namespace play_launch::isolation {
 /// How to judge a thread of which too little can be seen: one that runs in the C library, where a
 /// function may hold one of many short locks, and one in a function without an exported name.
 enum class Caution {
-  careful,  // look again, it is soon done; ask who called the function
+  careful,  // check again, it is soon done; the caller decides
   lenient,  // take it as harmless, but for the allocator, stdio and what starts threads
 };
 
 struct Judgement {
   /// The thread holds nothing, as far as can be seen, that others wait for.
   bool harmless = true;
-  /// If it is not: the first frame where it would be; the number of frames when there is none.
+  /// If it is not: the first frame where it would be; the number of frames without one.
   std::size_t way_out = 0;
 };
 
@@ -33,13 +33,13 @@ std::vector<std::string> find_landmarks();
 /// Decided by the innermost frame that is neither in the C nor the C++ library: whether it is in a
 /// library that was there before the first node, see note_early_code(), which has locks that all
 /// nodes share; in a message library; or in a template of rclcpp or of this SDK that was compiled
-/// into somebody's library. (Outer frames always are the middleware's: it calls the
+/// into a user's library. (Outer frames always are the middleware's: it calls the
 /// callbacks, without holding a lock.) A thread that waits for another one to end is harmless
 /// anywhere. Frames before `first` do not count. Async-signal-safe.
 Judgement judge(const CallStack& stack, Caution caution, std::size_t first = 0) noexcept;
 
 /// Which frame threw the exception that was caught nowhere, so that no function has left the stack.
-/// The frames before it are the C++ library's and ours. 0 when there is none. Async-signal-safe.
+/// The frames before it are the C++ library's and ours. 0 without one. Async-signal-safe.
 std::size_t thrower_in(const CallStack& stack) noexcept;
 
 }  // namespace play_launch::isolation

@@ -9,9 +9,9 @@ namespace play_launch::isolation {
 
 /// In a child whose end has been decided, in the thread that ends it: cancels the program and
 /// brings every other thread to a place where its death takes no lock along, within
-/// ChildOptions::quiesce_limit. A thread may end by itself, come to park_if_dying(), or is
+/// ChildOptions::quiesce_limit. A thread may exit, come to park_if_dying(), or is
 /// interrupted: when its innermost frames are neither in the middleware, nor in the allocator, the
-/// loader or stdio, it is parked there, else let go on until it comes out. Writes the counts
+/// loader or stdio, it is parked there, else continued until it comes out. Writes the counts
 /// into the slot. Async-signal-safe.
 void quiesce(ChildRecord& child) noexcept;
 

@@ -21,7 +21,7 @@ class AlternateStack {
   /// The calling thread has none any more.
   static void stop_using() noexcept;
 
-  /// Leaves it to somebody else, who calls give_back().
+  /// Leaves it to another thread, which calls give_back().
   void* release() noexcept;
   static void give_back(void* released) noexcept;
 

@@ -42,7 +42,7 @@ class ChildProgram {
   virtual void cancel() noexcept = 0;
 
   /// Called in a signal handler of the child when the slot reports its crash (CrashSlot::traced is
-  /// set), some time before the death: whoever wants to look the backtrace up can begin.
+  /// set), some time before the death: looking up the backtrace can begin.
   virtual void crashed() noexcept {}
 
   /// Called in the child, in any of its threads, when the slot reports something else that is
@@ -81,14 +81,14 @@ struct ChildOptions {
   /// What else it asks of the kernel for itself, before run(). Must outlive the child.
   std::span<const ResourceSetting> resources = {};
   /// The control group that it is born in, which is one of the resources; closed as soon as it is
-  /// there. Null, or none: it enters by itself. Must outlive the child.
+  /// there. Null, or none: it enters unaided. Must outlive the child.
   UniqueFd* group = nullptr;
   /// What it may do with memory that has protection keys, see isolation/memory/; 0: it has what its
   /// donor has. Also in its signal handlers, as far as they are ours.
   std::uint32_t key_rights = 0;
   /// What play_launch::private_memory() is in it; null: ordinary memory.
   std::pmr::memory_resource* private_memory = nullptr;
-  /// Nobody minds should it hang until its time limit: living_children() leaves it out.
+  /// It may hang until its time limit: living_children() leaves it out.
   bool expendable = false;
 };
 

@@ -44,8 +44,8 @@ ChildThreads::Entry::Entry(ChildThreads& threads) noexcept : threads_(threads), 
   const pid_t self = ::gettid();
   rise(self);
   for (; index_ < kMost; ++index_) {
-    pid_t nobody = 0;
-    if (threads_.places_[index_].thread.compare_exchange_strong(nobody, self)) {
+    pid_t none = 0;
+    if (threads_.places_[index_].thread.compare_exchange_strong(none, self)) {
       break;
     }
   }
@@ -68,7 +68,7 @@ ChildThreads::Entry::~Entry() {
   }
   Place& place = threads_.places_[index_];
   AlternateStack::stop_using();
-  // Killed between the two, the thread leaves the stack behind; the other way round somebody
+  // Killed between the two, the thread leaves the stack behind; the other way round another thread
   // else's memory could be given back in its place.
   give_back(place.handler_stack.exchange(nullptr));
   place.thread = 0;

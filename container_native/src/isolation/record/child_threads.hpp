@@ -77,7 +77,7 @@ class ChildThreads {
   void rest() noexcept;
 
   /// When no thread of the child is left: gives back their stacks, and calls visit(thread, pointer)
-  /// for each that was killed instead of ending by itself; `pointer` is its thread pointer if it
+  /// for each that was killed instead of returning; `pointer` is its thread pointer if it
   /// was at rest, else 0.
   template <class Visit>
   void bury(Visit visit) noexcept {

@@ -10,7 +10,7 @@
 
 namespace play_launch::isolation {
 
-/// How far a child is. Only the child moves it on; after its death it says how far it came.
+/// How far a child is. Only the child moves it on; after its death it tells how far it came.
 enum class ChildPhase : std::uint32_t {
   none,      // did not run yet
   running,   // in its program
@@ -41,7 +41,7 @@ struct CrashReport {
   std::array<std::uintptr_t, kMaxFrames> frames{};
   std::uint32_t frame_count = 0;
 
-  /// What an exception that nobody caught was: its type, and what().
+  /// An uncaught exception: its type, and what().
   std::array<char, 128> exception_type{};
   std::array<char, 256> exception_text{};
   /// Which of the frames threw it, or threw it on; 0: that is not known, or there is no exception.

@@ -22,7 +22,7 @@ void bury(pid_t thread, pid_t process, std::string_view process_name) noexcept;
 /// The id belongs to a living thread again.
 void rise(pid_t thread) noexcept;
 
-/// Who that was, if it is among the dead.
+/// The node of that process, if it is among the dead.
 std::optional<Grave> find_grave(pid_t thread) noexcept;
 
 }  // namespace play_launch::isolation

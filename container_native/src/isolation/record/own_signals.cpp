@@ -57,7 +57,7 @@ void die_of(int signal) noexcept {
   ::sigaction(signal, &action, nullptr);
   ::syscall(SYS_tgkill, ::getpid(), ::gettid(), signal);
   unblock_all_signals();
-  constexpr int kExitSignalled = 128;  // as shells say it; for a signal that ends nobody
+  constexpr int kExitSignalled = 128;  // as shells report it; for a signal that ends no process
   ::_exit(kExitSignalled + signal);
 }
 

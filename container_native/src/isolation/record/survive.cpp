@@ -8,7 +8,7 @@
 namespace play_launch::isolation {
 namespace {
 
-/// What a thread can cause by itself in the midst of a function.
+/// What a thread can cause in the midst of a function.
 constexpr std::array kCaused{SIGSEGV, SIGBUS, SIGFPE, SIGILL, SIGABRT, SIGTRAP, SIGSYS};
 
 struct Attempt {
