@@ -64,9 +64,9 @@ class Watch:
 
     def settle(self) -> None:
         """Wait until every node hears another one."""
-        everybody = range(correspondence.NODES)
+        every_node = range(correspondence.NODES)
         deadline = time.monotonic() + TIMEOUT
-        while min(each.heard for each in noticed(self._figures, everybody).values()) < HEARD:
+        while min(each.heard for each in noticed(self._figures, every_node).values()) < HEARD:
             if time.monotonic() > deadline:
                 raise SystemExit("not all nodes hear another one")
             time.sleep(0.1)

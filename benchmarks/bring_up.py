@@ -33,7 +33,7 @@ ENVIRONMENT = {
     "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
     "ROS_DOMAIN_ID": os.environ.get("ROS_DOMAIN_ID", "97"),
 }
-# With it, Python would compile every module of ours in each run, which nobody's installation does.
+# With it, Python would compile every module of ours in each run, which no installation does.
 ENVIRONMENT.pop("PYTHONDONTWRITEBYTECODE", None)
 # LOCALHOST finds at most 32 participants.
 MOST_CONTAINERS = 30

@@ -24,7 +24,7 @@ SWITCHES = (
     *("--headless", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-extensions"),
     *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
     *("--hide-scrollbars", "--force-device-scale-factor=1", "--disable-dev-shm-usage"),
-    # In a container there is nobody who may make a sandbox; the pages are our own.
+    # A container may not make a sandbox; the pages are our own.
     "--no-sandbox",
 )
 
@@ -175,7 +175,7 @@ class Browser:
         self.run("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
 
     def press(self, key: str, text: str | None = None) -> None:
-        """Press and let go of a key."""
+        """Press and release a key."""
         written = key if len(key) == 1 else ""
         typed = written if text is None else text
         down = {"type": "keyDown", "key": key, "text": typed} if typed else {"type": "rawKeyDown"}
@@ -184,7 +184,7 @@ class Browser:
         self.drawn()
 
     def mouse(self, kind: str, x: float, y: float, **more: Any) -> None:
-        """Move (``mouseMoved``), press, let go or turn the wheel at a place of the view."""
+        """Move (``mouseMoved``), press, release or turn the wheel at a place of the view."""
         self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **more)
 
     def click(self, x: float, y: float) -> None:

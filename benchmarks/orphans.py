@@ -51,7 +51,7 @@ FORKS = "(setsid sleep 600 &); (env -i setsid sleep 600 &); exec sleep 600"
 
 
 class Trial(NamedTuple):
-    """What came of one."""
+    """Result of one trial."""
 
     phase: str
     moment: float
@@ -65,7 +65,7 @@ class Trial(NamedTuple):
     empty: float
     """Seconds until nothing of it was in /dev/shm any more."""
     files: list[str]
-    """What was there at the limit, with the command of whoever had its lock before the kill."""
+    """What was there at the limit, with the command of the owner of its lock before the kill."""
     load: float
     """Of the machine, for each processor."""
 

@@ -1,4 +1,4 @@
-"""Where a long measurement is, for whoever waits for it."""
+"""Progress of a long measurement."""
 
 from __future__ import annotations
 

@@ -3,7 +3,7 @@
     python -m benchmarks.publish [--note TEXT] crash.json intra_process.json graph_daemon.json
 
 Each file is what a benchmark's --json has written. On the page, what stands between
-`<!-- crash -->` and `<!-- /crash -->` is replaced. The note stands above the figures, and says what
+`<!-- crash -->` and `<!-- /crash -->` is replaced. The note stands above the figures, and has what
 else there is to know about the run.
 """
 

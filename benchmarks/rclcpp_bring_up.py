@@ -6,7 +6,7 @@ network namespace of its own keeps other ROS systems of the machine out of it:
     unshare -n sh -c 'ip link set lo up && python -m benchmarks.rclcpp_bring_up [--runs N]'
 
 CPU is what the whole tree has used when the last node is told to be loaded. Memory is looked at two
-seconds later: RSS counts shared pages once per process, PSS divides them among those who share
+seconds later: RSS counts shared pages once per process, PSS divides them among processes that share
 them. Processes of isolated nodes share their container's memory, and are counted with it.
 """
 

@@ -1,4 +1,4 @@
-"""What recording topics of ROS takes: messages and bytes a second, drops, CPU of who takes part.
+"""What recording topics of ROS takes: messages and bytes a second, drops, CPU of those involved.
 
     python -m benchmarks.recorder [--seconds N] [--cases NAME...] [--json]
 

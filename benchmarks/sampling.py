@@ -22,7 +22,7 @@ from benchmarks.statistics import header, row
 from play_launch.doctor.gather_kernel import own_group
 
 RATE = 0.001
-"""Of the talkers, in Hz: they say nothing while they are measured."""
+"""Of the talkers, in Hz: they publish nothing while they are measured."""
 LOADING = "composable_node_loading:\n"
 
 

@@ -1,4 +1,4 @@
-"""Crash nodes by the thousand and see what becomes of the rest.
+"""Crash nodes by the thousand and observe the others.
 
     python -m benchmarks.crash [--count N] [--modes isolated,isolated_mt] [--kinds 'segv/*,…']
                                [--unquiesced …] [--json FILE] [--plot FILE] [--quick]

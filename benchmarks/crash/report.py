@@ -90,7 +90,7 @@ def line(row: Row) -> str:
 
 
 def remarks(row: Row) -> list[str]:
-    """What somebody who reads only these lines has to know."""
+    """The summary."""
     said = [
         (row["mechanism"] == "process", "isolated by ordinary processes, without shared memory"),
         (not row["complete"], f"ended early, after {row['seconds']:.0f} s"),

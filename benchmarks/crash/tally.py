@@ -55,11 +55,11 @@ class Tally:
     """Why containers died and cleaning up failed."""
 
     _died_at: int = 0
-    """0: that death is none to be measured."""
+    """0: that death is not measured."""
     _last_death: int = 0
     _is_alive: bool = False
     _coming_back: int = 0
-    """Restarts after which not everybody was there again yet."""
+    """Restarts after which not all nodes are loaded yet."""
     _loaded: set[str] = field(default_factory=set)
 
     @property
@@ -105,12 +105,12 @@ class Tally:
         self._coming_back += 1
         self._loaded.clear()
 
-    def node_loaded(self, name: str, everybody: set[str], now: int) -> None:
+    def node_loaded(self, name: str, every_node: set[str], now: int) -> None:
         """Any node, the victim too (after victim_loaded)."""
         if not self._coming_back:
             return
         self._loaded.add(name)
-        if self._loaded >= everybody:
+        if self._loaded >= every_node:
             self.recovered += self._coming_back
             self._coming_back = 0
             if self._last_death:

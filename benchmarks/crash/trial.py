@@ -48,7 +48,7 @@ FIGURES: Final = 24
 _DELAY, _SPREAD = 0.005, 0.02
 """Seconds from being loaded to death: at least, and a random part."""
 _QUIET_WINDOW: Final = 0.03
-"""Seconds between two looks at the neighbours where nobody dies."""
+"""Seconds between two checks of the neighbours where no node dies."""
 STUCK_AFTER: Final = 12.0
 """Seconds without any progress after which we help; the supervisor should in 5."""
 _SILENT: Final = 0.2
@@ -154,9 +154,9 @@ class Trial:
             return
         why = ""
         if self._case.kind.is_crash and now - self.progress_at > STUCK_AFTER * SECOND:
-            why = "the node that crashes has not moved, and nobody cared"
+            why = "the node that crashes has not moved, and no restart followed"
         elif self._loaded >= set(NEIGHBOURS) and self._silence(now) > STUCK_AFTER * SECOND:
-            why = "a neighbour was silent, and nobody cared"
+            why = "a neighbour was silent, and no restart followed"
         if why:
             self._helped = why
             self._send(self.container_pid, signal.SIGKILL)
@@ -173,7 +173,7 @@ class Trial:
         return now - min(self._figures[place + _LAST_BEAT] for place in _METRONOMES)
 
     def _is_done(self, now: int) -> bool:
-        """Everybody is there and well after the last crash.
+        """All nodes are loaded and well after the last crash.
 
         A neighbour that is stuck is given time to be found.
         """
@@ -221,7 +221,7 @@ class Trial:
         self._take_footprint()
 
     def _go_on(self, now: int) -> None:
-        """Everybody is loaded (again)."""
+        """All nodes are loaded (again)."""
         kind = self._case.kind
         if self._is_done(now):
             self.end()
@@ -249,7 +249,7 @@ class Trial:
         self._timer = asyncio.get_running_loop().call_later(_QUIET_WINDOW, self._wait_in_peace)
 
     def _look_at_neighbours(self, now: int) -> None:
-        # Who is stuck has no gap yet, only a long silence.
+        # A stuck node has no gap yet, only a long silence.
         longest = self._silence(now) if self._loaded >= set(NEIGHBOURS) else 0
         for place in _METRONOMES:
             longest = max(longest, self._figures[place + _LONGEST_GAP])

@@ -63,7 +63,7 @@ def _may_be_real_time() -> bool:
 
 
 def groups_problem() -> str:
-    """Say why there are no control groups with limits; empty: there are."""
+    """Give the reason why there are no control groups with limits; empty if there are."""
     group = own_group()
     if group.problem:
         return group.problem.partition(";")[0]

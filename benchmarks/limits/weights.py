@@ -179,7 +179,7 @@ def main(words: Sequence[str] | None = None) -> None:
         raise SystemExit(f"not measured: {why}")
     keep_to_this_machine()
     windows, seconds = arguments.windows, arguments.seconds
-    # Whoever runs a virtual machine may have no time for it: far more than the windows take.
+    # A host may have no time for a virtual machine: far more than the windows take.
     room = round((windows * len(BEATS) * (seconds + _SETTLE) * 4 + 2 * _PATIENCE) * _RATE)
     beats = {"figures": 0, "samples": room, "rate": _RATE}
     print(f"{windows} x {seconds:g} s of each, load {os.getloadavg()[0]:.0f}")

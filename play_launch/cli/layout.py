@@ -11,7 +11,7 @@ from play_launch.cli.sum_up import DAMAGED, report_damage
 from play_launch.postmortem.bag_reader import NotARecordingError
 from play_launch.postmortem.export.foxglove import foxglove_layout
 from play_launch.postmortem.export.plotjuggler import plotjuggler_layout
-from play_launch.postmortem.export.subjects import NOBODY, chosen
+from play_launch.postmortem.export.subjects import NO_SUBJECT, chosen
 from play_launch.postmortem.session import PastSession
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ def show_layout(tool: str, file: Path | None) -> int:
     """Print a layout; with a recording, one for its nodes; return the exit code."""
     if tool not in TOOLS:
         fail(f"there is no layout for {tool}: use {' or '.join(TOOLS)}")
-    subjects, code = NOBODY, 0
+    subjects, code = NO_SUBJECT, 0
     if file is not None:
         session = PastSession(file)
         try:

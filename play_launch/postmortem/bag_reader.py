@@ -61,7 +61,7 @@ _LISTED: Final = 100
 
 
 class NotARecordingError(Exception):
-    """The file cannot be read, or holds something else; the text names it and says why."""
+    """The file cannot be read, or holds something else; the text has its path and the cause."""
 
 
 class Damage(NamedTuple):
@@ -174,7 +174,7 @@ class BagReader:
         """Give the messages of these topics (None: all) in the order of the file.
 
         Raises:
-            NotARecordingError: At once, when it is none.
+            NotARecordingError: At once, for another kind of file.
         """
         parts = _parts(self.path)
         self.files = tuple(part.path.name for part in parts)

@@ -1,4 +1,4 @@
-"""What a recording's configuration says about those who are in it."""
+"""What a recording's configuration declares about nodes and processes."""
 
 from __future__ import annotations
 

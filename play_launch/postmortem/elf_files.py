@@ -38,7 +38,7 @@ class ElfFile(NamedTuple):
 
 
 def read_elf(path: Path) -> ElfFile | None:
-    """Read the headers of a file; None when there is none, or it is something else."""
+    """Read the headers of a file; None without one, or if it is something else."""
     try:
         # The path may be a recording's; what is there on this machine may be anything.
         with os.fdopen(open_regular(path, follow=True), "rb") as file:

@@ -108,7 +108,7 @@ def _group_sample(message: Message) -> RunEvent:
 def _subject_kind(word: str, key: str) -> SubjectKind:
     kind = SubjectKind[word.upper()]
     if kind is SubjectKind.NODE:
-        NodeKey.parsed(key)  # whoever reads it may rely on that
+        NodeKey.parsed(key)  # readers rely on that
     return kind
 
 

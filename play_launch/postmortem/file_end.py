@@ -34,7 +34,7 @@ def problem_at_the_end(
     channels: Mapping[int, Channel],
     schemas: Mapping[int, Schema],
 ) -> str | None:
-    """Say what is wrong with what follows the data; None when nothing is.
+    """Describe what is wrong with what follows the data; None if it is right.
 
     Args:
         file: It is left anywhere.

@@ -18,7 +18,7 @@ class Kind(StrEnum):
     CRASHED = "crashed"
     """A composable node died alone."""
     DIED = "died"
-    """A container or an ordinary process ended by itself, and not with status 0."""
+    """A container or an ordinary process exited unrequested, and not with status 0."""
     LOAD_FAILED = "load_failed"
     KILLED = "killed"
     """The supervisor killed a container: it was frozen, or waited for the dead."""
@@ -108,7 +108,7 @@ class Place(Struct, frozen=True, kw_only=True):
 
 
 class Away(Struct, frozen=True):
-    """How long somebody was not there."""
+    """Downtime of a node or process."""
 
     who: str
     ns: int | None
@@ -130,7 +130,7 @@ class Finding(Struct, frozen=True, kw_only=True):
     place: Place = Place()
     frames: tuple[Frame, ...] = ()
     lines: tuple[SourceLine | None, ...] = ()
-    """Of each frame; empty as long as nobody looked."""
+    """Of each frame; empty before they are looked up."""
     modules: tuple[Module, ...] = ()
     signature: Signature | None = None
     state: str = ""

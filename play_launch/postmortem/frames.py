@@ -53,7 +53,7 @@ class Frame(Struct, frozen=True):
 
     @property
     def is_own(self) -> bool:
-        """Whether it is in code of the user's, as far as the library's name says so."""
+        """Whether it is in code of the user's, judged by the library's name."""
         return bool(self.library) and not self.is_runtime and not _FRAMEWORK.match(self.library)
 
 
@@ -63,7 +63,7 @@ class Signature(Struct, frozen=True, order=True):
     what: str
     """``SIGSEGV``, an exception's type, ``exit status 3``."""
     frames: tuple[str, ...]
-    """``demo::Talker::tick (libdemo.so)``, innermost first; or who it was, without a backtrace."""
+    """``demo::Talker::tick (libdemo.so)``, innermost first; or the node's name."""
 
     @property
     def id(self) -> str:
@@ -94,7 +94,7 @@ def blamed(frames: Sequence[Frame]) -> int | None:
 
 
 def ending(signal: int, exit_code: int, reason: str) -> str:
-    """Say in a word how it ended: the type of the exception that nobody caught says most."""
+    """Name how it ended: the type of an uncaught exception tells most."""
     if found := _EXCEPTION.search(reason):
         return found[1].strip()
     if signal:

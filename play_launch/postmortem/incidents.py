@@ -1,7 +1,7 @@
-"""What happens to the members of a session, event by event: who fails, who is hit, who comes back.
+"""What happens to the members of a session, event by event: failures, members hit, restarts.
 
 A finding begins as an incident, which takes what follows from it: the same failure once more, what
-the supervisor does, who is away and for how long.
+the supervisor does, and downtimes.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _KILLED: Final = "killed: "
 _DEAF: Final = re.compile(r"SIG[A-Z]+ \(it did not leave in time after the signal\)")
 """How a container's words begin where a node was ended by its own deadline."""
 _SEQUELS: Final = ("it is loaded again", "it stays away", "everything is stopped")
-"""How the supervisor says what follows from a crash."""
+"""How the supervisor words what follows from a crash."""
 _PROCESS: Final = re.compile(r"\bprocess (\d+)\b")
 _MOST_TIMES: Final = 10_000
 """Moments of one finding that are kept."""
@@ -174,7 +174,7 @@ class Incidents:
                     subject.incident.done[event.message.rsplit("; ", 1)[-1]] = None
 
     def end(self) -> None:
-        """The recording is over: who is away by now stays away; who never came is missing."""
+        """The recording is over: members that are down stay down; those never up are missing."""
         for name, subject in self._subjects.items():
             if subject.away_since and subject.incident is not None:
                 node = self._nodes.get(name)

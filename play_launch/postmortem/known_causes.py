@@ -1,4 +1,4 @@
-"""Causes that are recognised by what programs say about them, whoever it is that says it."""
+"""Causes that are recognised by lines of output, of any program."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ class Said(NamedTuple):
 def known_by(cause: str, last_lines: Sequence[str]) -> Said | None:
     """Find the known cause that the reason names, else the latest line that names one.
 
-    Lines explain how a program ended by itself. A SIGKILL comes from somebody else, whatever the
+    Lines explain how a program failed. A SIGKILL comes from another process, whatever the
     program complained about before.
     """
     lines = () if _KILLED in cause else reversed(last_lines)

@@ -1,4 +1,4 @@
-"""The latest lines that everybody wrote, kept as they were recorded until somebody asks for them.
+"""The latest lines of each logger, kept as they were recorded until they are requested.
 
 An hour of a large system has millions of lines, of which a few dozen are read.
 """
@@ -73,7 +73,7 @@ class LastLines:
 
 
 def _forget_quiet(rings: dict[bytes, deque[Message]]) -> None:
-    """Let go of the half of the loggers that have not written for longest."""
+    """Drop the half of the loggers that have not written for longest."""
     for logger in sorted(rings, key=lambda each: rings[each][-1].log_time)[: len(rings) // 2]:
         del rings[logger]
 

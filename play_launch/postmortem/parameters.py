@@ -97,7 +97,7 @@ class Said(NamedTuple):
 
 
 class Parameters:
-    """Takes the messages of a recording one after the other; `nodes` is what they say so far."""
+    """Takes the messages of a recording one after the other; `nodes` is the result so far."""
 
     def __init__(self) -> None:
         """Know nothing yet."""

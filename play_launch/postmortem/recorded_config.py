@@ -1,7 +1,7 @@
 """The configuration that a session was started with, from its recording.
 
 The YAML and the parameter files as they were given are read once more, rather than their resolved
-form: docs/decisions/replay-a-recording.md.
+form.
 """
 
 from __future__ import annotations

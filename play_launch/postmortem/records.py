@@ -29,7 +29,7 @@ _LARGEST: Final[dict[int, int]] = {
 _LARGEST_OTHER: Final = 1 << 24
 """Bytes of a record that describes something."""
 _HEAD: Final = 1 << 14
-"""Bytes of a record in which the numbers stand that say how long it is."""
+"""Bytes of a record in which its length stands."""
 _INDEX: Final = struct.Struct("<HI")
 """Channel and length of the entries, which follow."""
 INDEX_HEAD: Final = _INDEX.size

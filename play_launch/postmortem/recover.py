@@ -23,11 +23,11 @@ if TYPE_CHECKING:
 
 
 class RecoverError(Exception):
-    """Nothing was written; the text says why, and the fix."""
+    """Nothing was written; the text has the cause and the fix."""
 
 
 class Recovered(NamedTuple):
-    """What came of it; ``reader`` knows what could not be read."""
+    """The result; ``reader`` knows what could not be read."""
 
     path: Path
     messages: int
@@ -77,7 +77,7 @@ def recover(path: Path, output: Path) -> Recovered:
 
 
 def write_whole(path: Path, output: Path) -> Recovered:
-    """Do the same, and leave it to the caller that nobody else has to do with the files.
+    """Do the same; the caller makes sure that no other process uses the files.
 
     Raises:
         NotARecordingError: When the file is no recording.

@@ -21,7 +21,7 @@ _OVERLAP: Final = _BEFORE + max(map(len, _NAMES))
 
 
 def next_chunk(file: IO[bytes], begin: int, size: int) -> int | None:
-    """Find the first chunk at or behind `begin` that fits into the file; None when there is none.
+    """Find the first chunk at or behind `begin` that fits into the file; None without one.
 
     Args:
         file: It is left anywhere.

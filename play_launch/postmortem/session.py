@@ -50,7 +50,7 @@ class PastSession:
         """Give the events of these topics (None: all) in the order in which they were received.
 
         Raises:
-            NotARecordingError: At once, when it is none.
+            NotARecordingError: At once, for another kind of file.
         """
         for message in self.reader.messages(topics):
             happened = self.take(message)
@@ -58,7 +58,7 @@ class PastSession:
                 yield happened
 
     def take(self, message: Message) -> Happened | None:
-        """Give the event of a message, for those who read others as well; None without one."""
+        """Give the event of a message, for callers that read others as well; None without one."""
         try:
             event = event_of(message)
         except UnreadableEventError as error:
@@ -70,5 +70,5 @@ class PastSession:
         return Happened(message.log_time, event, before, self.view)
 
     def note_damage(self, message: Message, error: Exception) -> None:
-        """Remember a message that cannot be read; whoever else finds that out adds nothing."""
+        """Remember a message that cannot be read; each counts once."""
         self.reader.note(Damage(message.offset, str(error), self.reader.file))

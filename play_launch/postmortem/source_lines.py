@@ -1,7 +1,7 @@
 """Source lines of a backtrace, looked up afterwards in the files of this machine.
 
-The system's ``addr2line`` reads them; why it and no library is said in
-docs/decisions/source-lines.md. A line is given only when the file is the very build that crashed.
+The system's ``addr2line`` reads them: it follows separate debug files and inlining. A line is given
+only when the file is the very build that crashed.
 """
 
 from __future__ import annotations
@@ -134,12 +134,12 @@ def _lines_in(
 
 
 def _file_of(module: Module, debug_folders: tuple[Path, ...]) -> Path | str:
-    """Find the file with the lines of a module, or say why there is none."""
+    """Find the file with the lines of a module, or give the reason why not."""
     elf = read_elf(Path(module.path))
     if elf is None:
         return f"{module.path} is not on this machine"
     if not module.build_id or not elf.build_id:
-        return f"{module.path} has no build id, so that nobody can say whether it is what crashed"
+        return f"{module.path} has no build id, so it may not be the file that crashed"
     if elf.build_id != module.build_id:
         return (
             f"{module.path} is another build now ({elf.build_id[:12]}, "

@@ -94,7 +94,7 @@ def read_story(path: Path, *, only_failures: bool = False) -> Story:
     With ``only_failures``, what was written and measured is left out, which is faster.
 
     Raises:
-        NotARecordingError: When it is none.
+        NotARecordingError: For another kind of file.
     """
     session = PastSession(path)
     telling = Telling(session)
@@ -104,7 +104,7 @@ def read_story(path: Path, *, only_failures: bool = False) -> Story:
 
 
 class Telling:
-    """The state of a pass, for those who need the messages as well."""
+    """The state of a pass, for callers that need the messages as well."""
 
     def __init__(self, session: PastSession) -> None:
         """Take nothing yet."""

@@ -1,4 +1,4 @@
-"""What the samples of a session say about a failure: what grew before it, and who starved whom.
+"""What the samples of a session tell about a failure: growth before it, and starvation.
 
 Samples are kept as they were recorded; of hundreds of thousands, a few are read.
 """
@@ -62,7 +62,7 @@ _MOST_BUSY: Final = 1000
 _HOG: Final = 40.0
 """Percent of one core: two that want the same one get half of it each."""
 _PREEMPTED: Final = 10.0
-"""How often per second somebody who is starved loses its core, at least."""
+"""Involuntary context switches per second of a starved unit, at least."""
 _MOST_HIT: Final = 3
 
 
@@ -206,7 +206,7 @@ class Samples:
                     yield key, trend
 
     def starvations(self) -> Iterator[Starvation]:
-        """Give who used a core while others waited, for each time in which the machine was busy."""
+        """Give the units that used a core while others waited, for each busy time."""
         for begin_ns, end_ns, pressure in self._busy.times():
             rates = sorted(self._rates(begin_ns, end_ns), key=lambda rate: -rate.cpu)
             if not rates or rates[0].cpu < _HOG:
@@ -223,7 +223,7 @@ class Samples:
                 yield Starvation(hog.key, tuple(one.key for one in hit), tuple(trends), begin_ns)
 
     def disk_free_at_the_end(self) -> Trend | None:
-        """Give how the room on the disk of the recording went; None: nobody looked."""
+        """Give how the free space on the disk of the recording went; None if not measured."""
         ends = [_system(data) for _, data in (self._system[:1] + self._system[-1:])]
         if not ends or ends[0] is None or ends[-1] is None:
             return None
@@ -306,7 +306,7 @@ def _grown(
         return
     times = (series.times[begin], series.times[last])
     for quantity, growth in limits.items():
-        # What is the container's says nothing about a node.
+        # A container's figure tells nothing about a node.
         if quantity is Quantity.MEMORY and new.memory_kind == MemoryKind.SHARED:
             continue
         before, after = _value(old, quantity), _value(new, quantity)

@@ -105,14 +105,14 @@ class AppendingFile:
         return os.fstat(self._descriptor).st_nlink == 0
 
     def forget_held(self) -> None:
-        """Let go of what is held back."""
+        """Release what is held back."""
         self._held.clear()
         self.size = self.committed
         with contextlib.suppress(OSError):
             self._end_after_commit()
 
     def close(self) -> None:
-        """Let go of the file and of its lock; further calls do nothing."""
+        """Close the file and its lock; further calls do nothing."""
         descriptor, self._descriptor = self._descriptor, -1
         if descriptor >= 0:
             os.close(descriptor)

@@ -80,7 +80,7 @@ class BagWriter(Protocol):
         """
 
     def latest(self, channel: int, key: str) -> bytes | None:
-        """Give the latest message with a key, or of a node; None: there is none. In any thread."""
+        """Give the latest message with a key, or of a node; None without one. In any thread."""
 
     def attach(self, name: str, media_type: str, data: bytes, *, time: int) -> None:
         """Put a file of its own into the bag."""
@@ -98,7 +98,7 @@ class BagWriter(Protocol):
         """Complete the file, make it durable and give it its final name."""
 
     def abandon(self) -> None:
-        """Let go of the file as it is; what was flushed stays readable. Never raises."""
+        """Close the file as it is; what was flushed stays readable. Never raises."""
 
 
 class Rotation(Struct, frozen=True):
@@ -240,7 +240,7 @@ class McapBagWriter:
         self._disk.close()
 
     def abandon(self) -> None:
-        """Cut the file after the last complete record and let go of it."""
+        """Cut the file after the last complete record and close it."""
         self._disk.do(self._part, self._part.abandon)
         with contextlib.suppress(WriteFailedError):
             self._disk.close()
@@ -272,7 +272,7 @@ class McapBagWriter:
                 part.metadata(PART_METADATA, {"number": str(number)})
             for channel, topic in self._topics.items():
                 part.register(channel, topic, self._definitions[topic.type_name])
-            # They arrived before; but who plays the file back begins with its earliest log time.
+            # They arrived before; but playback begins with the file's earliest log time.
             now = time.time_ns()
             for channel, data, publish_time in self._latched:
                 part.write(

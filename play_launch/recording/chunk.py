@@ -41,7 +41,7 @@ class TopicChunk(Struct, frozen=True):
     """
 
     descriptor: int
-    """Of the file; who takes the chunk closes it."""
+    """Of the file; the receiver of the chunk closes it."""
     length: int
     """Of everything."""
     chunk_length: int

@@ -1,4 +1,4 @@
-"""What can go wrong with a recording; each message says what to do about it."""
+"""What can go wrong with a recording; each message has the fix."""
 
 from __future__ import annotations
 

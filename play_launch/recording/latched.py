@@ -79,7 +79,7 @@ class Latched:
 
 
 def is_latched(offered_qos_profiles: str) -> bool:
-    """Whether all publishers keep their messages for those that come later, and for ever."""
+    """Whether all publishers keep their messages for late subscribers, without limit."""
     profiles = offered_qos_profiles.count("durability:")
     return (
         profiles > 0

@@ -36,8 +36,8 @@ _python_log = logging.getLogger("python")
 def log_published(publish: Callable[[LogRecord], None]) -> Iterator[None]:
     """Publish all that is logged, and print none of it.
 
-    Our own log comes in full and in the thread that logs; everybody else's from WARN on (asyncio's,
-    Python's warnings, exceptions that nobody can catch) and from a thread of its own. ``publish``
+    Our own log comes in full and in the thread that logs; that of others from WARN on (asyncio's,
+    Python's warnings, uncaught exceptions) and from a thread of its own. ``publish``
     must be callable from any thread.
     """
     handler = EventLogHandler(publish)

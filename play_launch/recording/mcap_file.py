@@ -1,7 +1,7 @@
 """The records of an MCAP file, in their order: data, then the summary that indexes it.
 
 The package ``mcap`` encodes them. Its writer puts them in order as well, but it owns the stream and
-the index: a chunk that somebody else made has no way in, and each chunk of a long recording would
+the index: a finished chunk has no way in, and each chunk of a long recording would
 stay in memory as an object of its own.
 """
 
@@ -168,7 +168,7 @@ class McapFile:
         self._chunk = bytearray()
 
     def append_chunk(self, chunk: TopicChunk) -> None:
-        """Write a chunk that somebody else has made; what is before it is to be written already."""
+        """Write a finished chunk; what is before it is to be written already."""
         start = self._sink.size
         self._sink.append_file(chunk.descriptor, chunk.length)
         self._index_chunk(

@@ -149,7 +149,7 @@ class Part:
         self.committed_messages = self._messages
 
     def finish(self) -> PartSummary:
-        """Hand over the rest and the summary; :meth:`complete` is to follow.
+        """Write the rest and the summary; :meth:`complete` is to follow.
 
         When there is no room for the summary, the file goes on without it.
         """
@@ -167,7 +167,7 @@ class Part:
         """Force to the disk what the kernel has got; in any thread.
 
         Raises:
-            FileNotFoundError: When somebody has removed the file.
+            FileNotFoundError: When the file was removed.
             OSError: When it cannot be done.
         """
         self.file.sync()
@@ -179,7 +179,7 @@ class Part:
             self._name_is_durable = True
 
     def complete(self) -> None:
-        """Make the file durable, give it its final name and let go of it; in any thread."""
+        """Make the file durable, give it its final name and close it; in any thread."""
         try:
             self.file.sync()
             self.path.rename(self._final_path)
@@ -190,7 +190,7 @@ class Part:
         sync_folder(self.path.parent)
 
     def abandon(self) -> None:
-        """Cut the file after the last complete record and let go of it. Never raises."""
+        """Cut the file after the last complete record and close it. Never raises."""
         self.file.forget_held()
         with contextlib.suppress(OSError):
             self.file.close()

@@ -46,7 +46,7 @@ class RecorderLimits(Struct, frozen=True):
     """Characters of output waiting to be written."""
     other_events: int = 10_000
     """Room for other events when ``lines`` is used up: a flood of output must not drive out the
-    events that say what happened."""
+    state events."""
     batch: float = 0.05
     """Seconds to gather events before they are written together."""
     flush: float = 0.05
@@ -63,7 +63,7 @@ class RecorderLimits(Struct, frozen=True):
 
 
 class RecordingSummary(Struct, frozen=True):
-    """What became of a recording."""
+    """Result of a recording."""
 
     path: Path
     """The file; it still ends in ``.active`` when it could not be completed. With several files
@@ -154,7 +154,7 @@ class Recorder:
             self._wake.set()
 
     def close(self) -> RecordingSummary:
-        """Write what is waiting, complete the file and return what became of it.
+        """Write what is waiting, complete the file and return the result.
 
         Blocks for at most ``limits.close`` seconds. Further calls return the same summary.
         """

@@ -85,7 +85,7 @@ def open_session(
     """Start recording a session and return it.
 
     ``log_folder`` is where the session's folder is made, by default
-    :func:`default_log_folder`; ``record`` says how it is recorded. Raises
+    :func:`default_log_folder`; ``record`` has the settings. Raises
     :class:`RecordingError` when it cannot even begin.
     """
     record = record or RecordConfig()
@@ -197,7 +197,7 @@ class SessionFolder(Struct, frozen=True):
 
 
 def default_log_folder(environ: Mapping[str, str] = os.environ) -> Path:
-    """Where sessions go when nobody says otherwise.
+    """Where sessions go by default.
 
     ``$PLAY_LAUNCH_LOG_DIR``, else ``$ROS_LOG_DIR/play_launch``, else ``~/.ros/play_launch``.
     """

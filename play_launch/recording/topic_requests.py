@@ -41,7 +41,7 @@ class _Request(NamedTuple):
 class TopicRequests:
     """Requests, taken in any thread and never waiting, carried out by the recorder's thread.
 
-    Who asks has a bound to what is under way, see ``topic_recorder/outbox.hpp``.
+    The requester bounds what is under way, see ``topic_recorder/outbox.hpp``.
     """
 
     def __init__(self, on_request: Callable[[], None]) -> None:

@@ -1,7 +1,7 @@
 """The topics of a session recording.
 
 They live in a namespace of their own, so that playing a recording back cannot disturb a running
-system: nothing subscribes to ``/play_launch`` but people who look at recordings.
+system: nothing subscribes to ``/play_launch`` but readers of recordings.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Versions of what is installed, by the names of the folders that describe it.
 
 ``importlib.metadata`` opens these and reads them as mail, which takes 20 ms of a start in which
-everybody waits. The names of the folders say the same: ``<name>-<version>.dist-info`` (binary
+everything waits. The names of the folders tell the same: ``<name>-<version>.dist-info`` (binary
 distribution format of the Python packaging guide), and ``<name>-<version>-py3.12.egg-info`` where
 ROS was built from source.
 """

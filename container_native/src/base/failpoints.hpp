@@ -32,8 +32,7 @@ class FailpointError : public std::runtime_error {
 };
 
 /// Reads "name=action;name=action", the value of the option --failpoints. Nothing else arms them,
-/// in particular no variable of the environment, which reaches every program below: see
-/// docs/decisions/failpoints.md. Actions:
+/// in particular no variable of the environment, which reaches every program below. Actions:
 ///   hang       the calling thread stops here forever
 ///   abort      the process dies of SIGABRT
 ///   kill       the process dies of SIGKILL

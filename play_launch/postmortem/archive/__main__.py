@@ -34,7 +34,7 @@ def main() -> int:
     remove(arguments.folder, keep, errors)
     complete(arguments.folder, errors)
     for error in errors:
-        print(f"warning: {error}")  # noqa: T201 - for who started it
+        print(f"warning: {error}")  # noqa: T201 - read by the supervisor
     return 1 if errors else 0
 
 
@@ -88,7 +88,7 @@ def _sessions(count: int) -> str:
 
 
 def _be_humble() -> None:
-    """Leave processor and disk to everybody else."""
+    """Take the lowest priority for processor and disk."""
     import psutil  # noqa: PLC0415 - takes a while
 
     os.nice(19)

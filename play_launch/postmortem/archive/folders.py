@@ -53,7 +53,7 @@ class SessionEntry(Struct, frozen=True):
 
     @property
     def is_pinned(self) -> bool:
-        """Whether somebody keeps something in it."""
+        """Whether it holds files of other programs."""
         return bool(self.others)
 
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class Completed(NamedTuple):
-    """What became of a file."""
+    """Result for a file."""
 
     path: Path
     messages: int

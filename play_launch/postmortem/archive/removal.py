@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 def remove_session(folder: Path) -> bool:
     """Remove a session that neither runs nor is pinned; return whether it is gone.
 
-    The folder gets another name first: whoever looks finds all of it or nothing, and a removal that
+    The folder gets another name first: readers find all of it or nothing, and a removal that
     was killed is finished by `finish_removals`. No link is followed. May raise ``OSError``.
     """
     entry = session_entry(folder)
@@ -25,7 +25,7 @@ def remove_session(folder: Path) -> bool:
     folder.rename(going)
     if _empty(going):
         return True
-    # Somebody has put something there in the meantime.
+    # A file was added there in the meantime.
     going.rename(folder)
     return False
 

@@ -50,14 +50,14 @@ class Subjects(NamedTuple):
     """Those of both that have memory of their own."""
 
 
-NOBODY: Final = Subjects((), (), ())
+NO_SUBJECT: Final = Subjects((), (), ())
 
 
 def chosen(session: PastSession) -> Subjects:
     """Read a session and choose.
 
     Raises:
-        NotARecordingError: At once, when it is none.
+        NotARecordingError: At once, for another kind of file.
     """
     used: dict[Subject, float] = {}
     sharing: set[Subject] = set()

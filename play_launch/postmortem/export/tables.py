@@ -53,7 +53,7 @@ def rows(session: PastSession) -> Iterator[Row]:
     """Give the rows of all tables while a session is read; ``time_s`` is seconds since its start.
 
     Raises:
-        NotARecordingError: At once, when it is none.
+        NotARecordingError: At once, for another kind of file.
     """
     for happened in session.events():
         made = _row(happened.event)

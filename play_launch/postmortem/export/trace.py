@@ -268,7 +268,7 @@ def trace_events(session: PastSession) -> Iterator[TraceEvent]:
     """Give the trace of a session while it is read.
 
     Raises:
-        NotARecordingError: At once, when it is none.
+        NotARecordingError: At once, for another kind of file.
     """
     maker: TraceMaker | None = None
     for happened in session.events():

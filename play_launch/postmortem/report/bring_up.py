@@ -1,4 +1,4 @@
-"""How the system came up, and what everybody waited for."""
+"""How the system came up, and what took longest."""
 
 from __future__ import annotations
 

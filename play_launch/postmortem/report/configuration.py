@@ -37,7 +37,7 @@ class Configuration(Struct, frozen=True):
     files: tuple[File, ...]
     """The configuration and its parameter files."""
     before: str
-    """Folder of the session before; empty: there is none that can be read."""
+    """Folder of the session before; empty if none can be read."""
     difference: tuple[str, ...]
     """Lines of a unified diff from that to this; empty: no difference."""
 
@@ -86,7 +86,7 @@ def _before(path: Path) -> tuple[str, tuple[File, ...]] | None:
     path = path.resolve()  # `latest` is a link
     folder = path if path.is_dir() else path.parent
     if folder is not path and part_file(path) is None:
-        return None  # a file that somebody has put elsewhere
+        return None  # a file that was moved
     try:
         others = [each.name for each in folder.parent.iterdir() if each.name != LATEST]
     except OSError:

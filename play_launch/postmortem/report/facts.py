@@ -192,7 +192,7 @@ def _notices(reader: BagReader, gathered: Gathered) -> tuple[str, ...]:
 
 
 def unread(reader: BagReader) -> list[str]:
-    """Say what cannot be read of a recording; nothing when it is whole."""
+    """Describe what cannot be read of a recording; empty if it is whole."""
     notices = [f"{damage}" for damage in reader.damages]
     if notices:
         notices.insert(0, "Not everything could be read of the recording:")

@@ -57,7 +57,7 @@ OF_PROCESS: Final = {
     ProcessEventKind.WAITING: Shown.AWAY,
     ProcessEventKind.STOPPED: Shown.AWAY,
 }
-"""Of one that is nobody's container."""
+"""Of a process that is not a container of the session."""
 
 
 class Lanes(Struct):

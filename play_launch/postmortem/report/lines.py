@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct, field
 
-from play_launch.postmortem.report.rows import NOBODY, Rows
+from play_launch.postmortem.report.rows import NO_ROW, Rows
 from play_launch.postmortem.report.text import shown
 from play_launch.recording.console_format import WARN, line_level
 
@@ -47,7 +47,7 @@ class Lines(Struct):
 
     def output(self, at: float, event: OutputLine, rows: Rows) -> None:
         """Take a line of output; its head is left out where the columns say the same."""
-        text, row = event.text, NOBODY
+        text, row = event.text, NO_ROW
         head = _HEAD.match(text)
         if head:
             row = rows.of_logger(event.process, head[1])
@@ -60,7 +60,7 @@ class Lines(Struct):
 
     def log(self, at: float, event: LogRecord) -> None:
         """Take a record of the supervisor's log."""
-        self.add(at, NOBODY, event.level, event.message)
+        self.add(at, NO_ROW, event.level, event.message)
 
     def failure(self, at: float) -> None:
         """Keep what is written around this moment."""

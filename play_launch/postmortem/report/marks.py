@@ -61,7 +61,7 @@ class Marks(Struct):
         return self._failed(row, at, event.reason, self._incidents.latest)
 
     def process(self, row: int, at: float, event: ProcessEvent) -> Mark | None:
-        """Give the mark that a step of a process means, if any; a wanted end is none."""
+        """Give the mark that a step of a process means, if any; a wanted end has no mark."""
         self._incidents.process(event, 0)
         if event.kind is ProcessEventKind.GAVE_UP:
             return self._add(Mark(row, at, "gave up", shown(event.message)))

@@ -11,8 +11,8 @@ from play_launch.supervisor.events import SubjectKind
 
 MOST: Final = 60_000
 """Rows that a page has; a number of 16 bits names one."""
-NOBODY: Final = 0xFFFF
-"""In the place of a row: the supervisor itself, or somebody beyond `MOST`."""
+NO_ROW: Final = 0xFFFF
+"""In the place of a row: the supervisor itself, or a unit beyond `MOST`."""
 
 
 class Row(Struct, frozen=True):
@@ -68,7 +68,7 @@ class Rows:
     def _add(self, kind: SubjectKind, key: str) -> int:
         number = len(self.rows)
         if number >= MOST:
-            return NOBODY
+            return NO_ROW
         container, name = "", key
         if kind is SubjectKind.NODE:
             container, _, name = key.partition(":")

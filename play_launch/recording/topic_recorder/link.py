@@ -46,7 +46,7 @@ class RecorderLink:
             self._send()
 
     def close(self) -> None:
-        """Let go of the socket; on the loop. Further calls do nothing."""
+        """Close the socket; on the loop. Further calls do nothing."""
         with self._lock:
             was_open, self._is_open = self._is_open, False
         if was_open:

@@ -70,7 +70,7 @@ class Warned(Struct, frozen=True):
 
 
 class HandedOver(Struct, frozen=True):
-    """What was held was handed over, in chunks before or after this packet."""
+    """What was held was passed on, in chunks before or after this packet."""
 
     number: int
     messages: int
@@ -82,7 +82,7 @@ Packet: TypeAlias = ChannelWanted | ChunkMade | Drops | Warned | HandedOver
 
 
 class PacketError(ValueError):
-    """A packet that nobody understands: the program is of another version."""
+    """An unknown packet: the program is of another version."""
 
 
 def decode(data: bytes | memoryview, descriptor: int = -1) -> Packet:

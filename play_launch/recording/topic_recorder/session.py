@@ -36,7 +36,7 @@ async def record_topics(
     """Record until this is cancelled.
 
     Args:
-        config: Says what is recorded.
+        config: Selects what is recorded.
         sink: Takes it.
         snapshots: Where they are asked for.
         on_begin: Gets what is to see the events of the run, where topics are held.

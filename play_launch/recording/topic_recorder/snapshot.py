@@ -21,11 +21,11 @@ class Snapshot(Struct, frozen=True):
 
 
 class SnapshotError(Exception):
-    """Nothing was written; the text says why and what to do."""
+    """Nothing was written; the text has the cause and the fix."""
 
 
 class Snapshots:
-    """Whoever asks for a snapshot asks here, whether anything is held or not."""
+    """The place to request a snapshot, whether anything is held or not."""
 
     def __init__(self) -> None:
         self._take: Callable[[], Awaitable[Snapshot]] | None = None

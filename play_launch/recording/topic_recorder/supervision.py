@@ -54,7 +54,7 @@ class TopicSink(Protocol):
 
 _RESTARTS: Final = RestartLimits(max_restarts=3, within=60.0, initial=0.5, maximum=8.0)
 _LONGEST_END: Final = 6.0
-"""Seconds it has at the end to hand over the rest; it takes at most 5 itself."""
+"""Seconds it has at the end to pass on the rest; it takes at most 5 itself."""
 _LONGEST_SNAPSHOT: Final = 25.0
 """Seconds in which what is held has to be written."""
 _log = logging.getLogger(__name__)
@@ -78,7 +78,7 @@ class TopicRecording:
         self._awaited: dict[int, asyncio.Future[Snapshot]] = {}
 
     async def run(self) -> None:
-        """Record until it is cancelled; then the rest is handed over, and nothing is left running.
+        """Record until it is cancelled; then the rest is passed on, and nothing is left running.
 
         What fails is logged as a warning. Returns when it cannot go on.
         """

@@ -17,7 +17,7 @@ from play_launch.postmortem.report.gather import Gathered
 from play_launch.postmortem.report.lanes import Lanes, Shown
 from play_launch.postmortem.report.lines import Lines
 from play_launch.postmortem.report.rates import PARTS, Rates
-from play_launch.postmortem.report.rows import NOBODY, Rows
+from play_launch.postmortem.report.rows import NO_ROW, Rows
 from play_launch.postmortem.report.usage import Usage
 from play_launch.supervisor.events import (
     ComponentEvent,
@@ -186,7 +186,7 @@ def test_lines_belong_to_the_node_whose_logger_wrote_them() -> None:
 
 def test_texts_of_several_lines_are_lines() -> None:
     found = Lines()
-    found.add(1.0, NOBODY, 40, "one\ntwo\x1b[0m\n")
+    found.add(1.0, NO_ROW, 40, "one\ntwo\x1b[0m\n")
     assert found.texts == ["one", "two", ""]
     assert list(found.times) == [1.0] * 3
 
@@ -205,7 +205,7 @@ def test_too_many_lines_leave_what_matters(
     now = 0.0
     for number, (pause, level) in enumerate(written):
         now += pause
-        found.add(now, NOBODY, level, str(number))
+        found.add(now, NO_ROW, level, str(number))
     found.prune()
     assert len(found.texts) <= most
     assert len(found.texts) + found.left_out == len(written)
@@ -228,7 +228,7 @@ def test_lines_far_from_failures_go_first() -> None:
         (90_000, 20),
         (120_000, 20),
     ):
-        found.add(float(at), NOBODY, level, f"at {at}")
+        found.add(float(at), NO_ROW, level, f"at {at}")
     found.prune()
     assert found.texts == ["at 1000", "at 45000", "at 120000"]
 

@@ -36,7 +36,7 @@ function lowerTexts() {
   return lines.lower;
 }
 
-// Numbers of the last lines of a row up to a moment, the earliest first. What nobody in a container
+// Numbers of the last lines of a row up to a moment, the earliest first. What no node of a container
 // has put a name to may be any of its nodes'.
 function lastLines(row, at, most) {
   const { rows, times, texts } = data.lines;

@@ -36,7 +36,7 @@ function wallClock(ms) {
   return `${date.getFullYear()}-${pad(date.getMonth() + 1)}-${pad(date.getDate())} ${pad(date.getHours())}:${pad(date.getMinutes())}:${pad(date.getSeconds())}`;
 }
 
-// The time that somebody types: 75, 1:15, 1:02:03.5 or 75s; null for anything else.
+// A time as typed: 75, 1:15, 1:02:03.5 or 75s; null for anything else.
 function parseClock(text) {
   const match = /^\s*(?:(?:(\d+):)?(\d+):)?(\d+(?:\.\d+)?)\s*s?\s*$/.exec(text);
   if (!match) return null;

@@ -186,7 +186,7 @@ function showParameters() {
     const counts = [counted(each.values.length, "parameter")];
     if (each.changes.length) counts.push(counted(each.changes.length, "change"));
     const item = make("details", {}, make("summary", { text: `${each.node} (${counts.join(", ")})`, dir: "auto" }));
-    // Rows of all nodes would be thousands of elements that hardly anybody looks at.
+    // Rows of all nodes would be thousands of elements that are hardly ever read.
     const fill = () => fillParameters(item, each);
     item.addEventListener("toggle", fill, { once: true });
     place.append(item);
