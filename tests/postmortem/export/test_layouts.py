@@ -13,7 +13,7 @@ from play_launch.cli.layout import show_layout
 from play_launch.container.cdr.messages import PROCESS_STATS, STATE_EVENT, SYSTEM_STATS
 from play_launch.postmortem.export.foxglove import foxglove_layout
 from play_launch.postmortem.export.plotjuggler import plotjuggler_layout
-from play_launch.postmortem.export.subjects import MOST, NOBODY, chosen
+from play_launch.postmortem.export.subjects import MOST, NO_SUBJECT, chosen
 from play_launch.postmortem.session import PastSession
 from play_launch.supervisor.events import MemoryKind, NodeState, RunEvent, SubjectKind, SystemSample
 from tests.postmortem.export.test_trace import KEY, node, sample
@@ -90,7 +90,7 @@ def test_foxglove_finds_every_path_in_the_recording(
 
 def test_panels_have_titles_in_both_viewers_and_legends_hide_no_curve() -> None:
     titles = set()
-    for kind, config in foxglove_layout(NOBODY)["configById"].items():
+    for kind, config in foxglove_layout(NO_SUBJECT)["configById"].items():
         assert config["foxglovePanelTitle"] == config["lichtblickPanelTitle"]
         titles.add(config["foxglovePanelTitle"])
         if kind.startswith("Plot!"):
@@ -116,10 +116,10 @@ def test_plotjuggler_finds_every_curve_in_the_recording(
 
 
 def test_without_a_recording_the_machine_and_the_log_are_shown() -> None:
-    text = json.dumps(foxglove_layout(NOBODY))
+    text = json.dumps(foxglove_layout(NO_SUBJECT))
     assert "/play_launch/system.cpu_percent" in text
     assert "/play_launch/output" in text
-    tabs = ET.fromstring(plotjuggler_layout(NOBODY).encode()).iter("Tab")
+    tabs = ET.fromstring(plotjuggler_layout(NO_SUBJECT).encode()).iter("Tab")
     assert [tab.attrib["tab_name"] for tab in tabs] == ["machine"]
 
 
