@@ -275,8 +275,8 @@ def _confirmation(node: Node, stamp_ns: int) -> ComponentEvent:
 
 
 def _goal(old: Goal | None, new: Goal, stamp_ns: int) -> Iterator[RunEvent]:
-    is_news = old is not None and old.state is not new.state
-    if is_news and new.config.autostart is not None:
+    before = ManagedState.ABSENT if old is None else old.state
+    if new.state is not before and new.config.autostart is not None:
         yield ManagedNodeChanged(
             stamp_ns=stamp_ns,
             unit=new.unit,

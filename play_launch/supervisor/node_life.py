@@ -225,6 +225,8 @@ TABLE: Final[Mapping[State, Mapping[NodeFact, NodeCell]]] = {
             Fact.CONTAINER_LOST: (State.UNLOADED,),
             Fact.UNLOAD_REJECTED: (State.UNLOADING, Do.QUERY),
             Fact.SILENT: (State.UNLOADING, Do.QUERY),
+            # Whether the load was accepted may not have been known before.
+            Fact.STATUS_QUEUED: (State.UNLOADING, Do.CANCEL),
             Fact.STATUS_CONSTRUCTING: (State.UNLOADING, Do.CANCEL),
             Fact.STATUS_LOADED: (State.UNLOADING, Do.UNLOAD),
             Fact.STATUS_UNKNOWN: (State.UNLOADED,),
@@ -237,7 +239,6 @@ TABLE: Final[Mapping[State, Mapping[NodeFact, NodeCell]]] = {
             Fact.GIVEN_UP,
             Fact.LOADING,
             Fact.STATUS_UNLOADING,
-            Fact.STATUS_QUEUED,
         },
     ),
     State.LOAD_FAILED: _row(

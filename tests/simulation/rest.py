@@ -163,7 +163,7 @@ class RestChecks:
         live, there = machine.live(key.container), machine.nodes.of(key)
         state = machine.view.containers[key.container].nodes[key].state
         if seen.is_dismissed(unit):
-            hangs = any(each.hangs for each in live)
+            hangs = any(each.hangs or each.ignores_kill for each in live)
             if (there and not hangs) or state is not NodeState.UNLOADED:
                 raise BrokenError(STOPPED, f"{key}: {state}", (unit,))
             return
@@ -174,7 +174,7 @@ class RestChecks:
             return
         if not seen.is_wanted(unit) or not seen.is_wanted(key.container):
             return
-        hangs = any(each.hangs for each in live)
+        hangs = any(each.hangs or each.ignores_kill for each in live)
         if unit in seen.anew and seen.attempts.get(key) == seen.anew[unit][1] and not hangs:
             raise BrokenError("what is asked for is done", unit, (unit,))
         node = machine.world.nodes[key]

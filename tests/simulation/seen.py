@@ -160,10 +160,12 @@ class Seen:
     def _recall(self, unit: str) -> None:
         self.dismissed.discard(unit)
         self.unsure.discard(unit)
+        starts = self.starts[unit]
+        if starts.start and starts.ending is None and not starts.was_stopped:
+            return  # it runs, so nothing is started
         self.requested.add(unit)
         self.gave_up.discard(unit)
-        if ":/" not in unit:
-            self.starts[unit].restarts.clear()
+        starts.restarts.clear()
 
     def _change(self, one: said.ChangeRequested) -> None:
         self.has_changed = self.is_changing = True
