@@ -59,24 +59,19 @@ def add_arguments(parser: ArgumentParser, verb: str) -> None:
 
 
 def run(client: ControlClient, options: Namespace) -> int:
-    """Compare or change, and print what differs and what was done."""
-    config = {"config": _bundled(options)}
-    compared = client.ask("diff", config)
-    plan, applying = compared["plan"], compared.get("applying")
-    is_diff = options.verb == "diff" or options.dry_run
-    if is_diff or not options.json:
-        _print_plan(plan, applying, options)
-    if is_diff:
-        differs = plan["steps"] or applying is not None
+    """Compare or change, and print the plan and the result of each step."""
+    request: dict[str, Any] = {"config": _bundled(options)}
+    if options.verb == "diff" or options.dry_run:
+        compared = client.ask("apply", {**request, "dry_run": True})
+        _print_plan(compared["plan"], compared["applying"], options)
+        differs = compared["plan"]["steps"] or compared["applying"] is not None
         return DIFFERS if differs and options.verb == "diff" else OK
-    request = {
-        **config,
-        "timeout": options.timeout,
-        "rollback_on_failure": options.rollback_on_failure,
-    }
+    request |= {"timeout": options.timeout, "rollback_on_failure": options.rollback_on_failure}
     try:
         for message in client.stream("apply", request):
-            if "step" in message:
+            if "plan" in message and not options.json:
+                _print_plan(message["plan"], None, options)
+            elif "step" in message:
                 _print_outcome(message["step"], options)
             elif "result" in message:
                 _print_json(message["result"]["applied"], options)

@@ -15,8 +15,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Final, Protocol, cast
 
 from play_launch.cli.session_verbs import SESSION_VERBS
-from play_launch.control.place import CONTROL_SOCKET
 from play_launch.control.protocol import Code, ControlError
+from play_launch.control.registration import CONTROL_SOCKET
 from play_launch.control.sessions import (
     AmbiguousSessionError,
     NoSessionError,

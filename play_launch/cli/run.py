@@ -24,8 +24,8 @@ from play_launch.cli.show.json_style import JsonStyle, encode
 from play_launch.cli.show.terminal import is_terminal, surviving_the_loss_of_stdout, wants_colour
 from play_launch.cli.show.text_styles import LiveStyle, PlainStyle
 from play_launch.cli.signals import RunSignals
-from play_launch.control.door import Door
 from play_launch.control.feed import Feed
+from play_launch.control.registration import ControlSocket
 from play_launch.process import open_files
 from play_launch.process.time_slice import ask_for_short_turns, run_ahead
 from play_launch.recording.decisions import DecisionLog
@@ -149,14 +149,14 @@ def run(config: ReplayConfig, options: RunOptions) -> int:
             record=config.record,
         )
         # Before it is announced, so that who reads of it can connect.
-        door = Door(str(session.folder.path))
-        opened.callback(door.close)
+        control = ControlSocket(str(session.folder.path))
+        opened.callback(control.close)
         _announce(config, session, options)
         display = Display(_style(options))
         sink = RunSink(session.recorder, display, config)
         try:
             with log_published(sink.publish_log):
-                work = _until_the_end(config, session, sink, signals, options, door=door)
+                work = _until_the_end(config, session, sink, signals, options, control=control)
                 outcome = asyncio.run(work)
         finally:
             opened.close()
@@ -173,7 +173,7 @@ async def _until_the_end(
     signals: RunSignals,
     options: RunOptions,
     *,
-    door: Door,
+    control: ControlSocket,
 ) -> Outcome:
     from play_launch.runtime.publisher import Publisher, StopRequests  # noqa: PLC0415
     from play_launch.runtime.run import run_system  # noqa: PLC0415
@@ -211,7 +211,7 @@ async def _until_the_end(
                     session,
                     system,
                     operable,
-                    door=door,
+                    control=control,
                     publisher=publisher,
                     sink=sink,
                     snapshots=snapshots,
@@ -290,7 +290,7 @@ async def _serve_control(
     system: asyncio.Future[System],
     operable: asyncio.Future[None],
     *,
-    door: Door,
+    control: ControlSocket,
     publisher: Publisher,
     sink: RunSink,
     snapshots: Snapshots,
@@ -305,7 +305,7 @@ async def _serve_control(
             config,
             session,
             operated,
-            door=door,
+            control=control,
             publisher=publisher,
             feed=sink.feed,
             snapshots=snapshots,
@@ -318,7 +318,7 @@ async def _serve_control(
     finally:
         if not operable.done():
             operable.set_result(None)  # nobody waits for what does not come
-        await asyncio.to_thread(door.close)
+        await asyncio.to_thread(control.close)
 
 
 async def _look_after_sessions(

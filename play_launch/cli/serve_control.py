@@ -1,4 +1,4 @@
-"""Has a running session operated from outside, by the commands and by other programs."""
+"""Serves the control socket of the running session."""
 
 from __future__ import annotations
 
@@ -10,13 +10,11 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from play_launch.cli.applied_config import as_started, attach_applied
-from play_launch.control.changes import Changes
 from play_launch.control.client import own_command
-from play_launch.control.operations import Operations
-from play_launch.control.parameter_names import ParameterNames
-from play_launch.control.place import Peer
+from play_launch.control.messages import Caller, Hello
+from play_launch.control.operations import Changes, Operations
 from play_launch.control.protocol import ControlError
-from play_launch.control.server import About, serving
+from play_launch.control.server import serving
 from play_launch.recording import topics
 from play_launch.recording.versions import OURSELVES, installed_versions
 
@@ -25,8 +23,8 @@ if TYPE_CHECKING:
 
     from play_launch.cli.watch import Watched
     from play_launch.config.model import ReplayConfig
-    from play_launch.control.door import Door
     from play_launch.control.feed import Feed
+    from play_launch.control.registration import ControlSocket
     from play_launch.recording.session import Session
     from play_launch.recording.topic_recorder.snapshot import Snapshots
     from play_launch.runtime.publisher import Publisher
@@ -40,7 +38,7 @@ async def serve_control(
     session: Session,
     system: System,
     *,
-    door: Door,
+    control: ControlSocket,
     publisher: Publisher,
     feed: Feed,
     snapshots: Snapshots,
@@ -50,20 +48,13 @@ async def serve_control(
     watched: Watched | None,
     operable: asyncio.Future[None],
 ) -> None:
-    """Answer until this is cancelled; the run goes on whatever fails here.
+    """Serve clients until this is cancelled; the run continues whatever fails here.
 
-    ``hide_secrets`` hears of each configuration before it is applied; ``adopt`` of what the system
-    is configured as, each time that this has changed;
-    ``keeps_duration`` is whether the command line said it; ``watched`` is applied when it changes;
-    ``operable`` becomes done as soon as commands are answered.
+    ``hide_secrets`` is called with each configuration before it is applied, ``adopt`` with the
+    configuration of the system after each change; ``keeps_duration`` is whether the duration comes
+    from the command line; ``watched`` is applied when it changes; ``operable`` is set as soon as
+    requests are served.
     """
-    operations = Operations(
-        system,
-        publisher,
-        feed,
-        snapshots=snapshots,
-        environment={**os.environ, **config.environment},
-    )
 
     def begin(target: ReplayConfig, number: int) -> None:
         hide_secrets(target)
@@ -71,32 +62,37 @@ async def serve_control(
 
     changes = Changes(
         system,
-        operations.records,
-        as_started=partial(as_started, config, keeps_duration=keeps_duration),
+        publisher,
+        with_command_line=partial(as_started, config, keeps_duration=keeps_duration),
         on_begin=begin,
         on_end=adopt,
     )
-    names = ParameterNames(
-        system, operations.chosen, partial(session.recorder.latest, topics.PARAMETERS)
+    operations = Operations(
+        system,
+        publisher,
+        feed,
+        snapshots=snapshots,
+        environment={**os.environ, **config.environment},
+        parameters_of=partial(session.recorder.latest, topics.PARAMETERS),
+        changes=changes,
     )
-    operations.add("parameters", names.give)
-    operations.add("diff", changes.diff)
-    operations.add("apply", changes.apply)
     versions = await asyncio.to_thread(installed_versions, [OURSELVES])
-    about = About(
+    hello = Hello(
+        version=versions.get(OURSELVES, ""),
+        pid=os.getpid(),
         name=config.name,
         session=session.id,
-        version=versions.get(OURSELVES, ""),
+        folder=control.folder,
         started_ns=time.time_ns(),
     )
     try:
-        async with serving(door, about, operations):
+        async with serving(control, hello, operations):
             operable.set_result(None)
             if watched is not None:
                 await _watch(watched, config, changes)
             await asyncio.Event().wait()
     except Exception:  # noqa: BLE001 - it is logged, and the run goes on
-        _log.exception("the session cannot be controlled any more")
+        _log.exception("the session can no longer be controlled")
 
 
 async def _watch(watched: Watched, config: ReplayConfig, changes: Changes) -> None:
@@ -105,12 +101,13 @@ async def _watch(watched: Watched, config: ReplayConfig, changes: Changes) -> No
     try:
         await watch(watched, config, partial(_apply, changes))
     except Exception:  # noqa: BLE001 - as above
-        _log.exception("%s is not watched any more", watched.path)
+        _log.exception("%s is no longer watched", watched.path)
 
 
 async def _apply(changes: Changes, target: ReplayConfig) -> None:
     try:
-        us = Peer(os.getpid(), os.getuid(), os.getgid(), own_command())
-        await changes.apply_own(target, us)
+        await changes.apply_own(target, Caller(os.getpid(), os.getuid(), own_command()))
     except ControlError as error:
-        _log.warning("%s is not applied: %s; it is when it changes again", target.source, error)
+        _log.warning(
+            "%s is not applied: %s; it is applied at its next change", target.source, error
+        )

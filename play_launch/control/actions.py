@@ -1,126 +1,180 @@
-"""Has members and nodes of a running system started, stopped, loaded; and says when that is done.
-
-An action is an input of the member or node that it is about, like all else that happens to it. What
-became of it is read from the state.
-"""
+"""Actions on members and nodes of a running system: begun as inputs, and judged by their state."""
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import signal
-from functools import partial
-from typing import TYPE_CHECKING, Any, Final
+from enum import StrEnum
+from itertools import count
+from typing import TYPE_CHECKING, Final
 
 import anyio
 
 from play_launch.config.node_key import NodeKey
 from play_launch.config.policies import Autostart
-from play_launch.control.outcome import (
-    FOR_MEMBERS,
-    FOR_NODES,
-    Action,
-    Verdict,
-    managed_is_active,
-    member_is_up,
-    node_is_loaded,
-    of_member,
-    of_node,
-    of_stop,
-)
-from play_launch.control.protocol import Code, ControlError, names_argument, seconds_argument
-from play_launch.control.targets import chosen, full_name, members_of, nodes_of
-from play_launch.control.waiting import changes_of_state, until_all_are, until_judged
+from play_launch.control.messages import ActionResult, Results, SignalRequest
+from play_launch.control.protocol import COMMAND_LIMIT, Code, ControlError
+from play_launch.control.units import chosen, full_name, members_of, nodes_of
 from play_launch.process.identity import NoSuchProcessError, ProcessHandle, ProcessIdentity
-from play_launch.supervisor.events import ContainerState
+from play_launch.recording.resolved_form import redacted_arguments
+from play_launch.supervisor.events import (
+    ActionEvent,
+    ActionPhase,
+    ContainerState,
+    ManagedNodeChanged,
+    NodeState,
+    StateEvent,
+    Withdrawn,
+)
+from play_launch.supervisor.goal_life import ManagedState
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Coroutine, Mapping, Sequence
+    from collections.abc import AsyncIterator, Awaitable, Iterator, Mapping, Sequence
 
-    from play_launch.control.action_record import ActionRecords
-    from play_launch.control.connection import Stream
     from play_launch.control.feed import Feed
-    from play_launch.control.place import Peer
-    from play_launch.control.targets import Target
+    from play_launch.control.messages import ActionRequest, Caller, WaitRequest
+    from play_launch.control.units import Target
     from play_launch.runtime.publisher import Publisher
     from play_launch.runtime.system import System
-    from play_launch.supervisor.events import NodeState
+    from play_launch.supervisor.events import RunEvent
 
-USUAL_LIMIT: Final = 60.0
-"""Seconds that an action may take where nobody says otherwise."""
-_MOST_NAMED: Final = 10
-_IN_STATE: Final = frozenset({ContainerState.STOPPED, ContainerState.GAVE_UP})
+    Outcomes = dict[Target, str]
 
-_TAKEN_OUT: Final = Verdict(is_done=False, reason="it was taken out of the system")
+
+class Action(StrEnum):
+    """An operator's action on units."""
+
+    START = "start"
+    STOP = "stop"
+    RESTART = "restart"
+    LOAD = "load"
+    UNLOAD = "unload"
+    RELOAD = "reload"
+    SIGNAL = "signal"
+
+
+FOR_MEMBERS: Final = frozenset({Action.START, Action.STOP, Action.RESTART})
+FOR_NODES: Final = frozenset({Action.LOAD, Action.UNLOAD, Action.RELOAD})
+DONE: Final = ""
+"""Outcome of an action on one unit; any other text is the reason why it failed."""
+_REMOVED: Final = "it was taken out of the system"
 """By a configuration that was applied meanwhile."""
-_BEING_STOPPED: Final = Verdict(is_done=False, reason="the session is being stopped")
+_STOPPING: Final = "the session is being stopped"
+_REASON: Final = "a person asked for it"
+_LISTED: Final = 10
+_INACTIVE: Final = frozenset({ContainerState.STOPPED, ContainerState.GAVE_UP})
+_LEFT: Final = frozenset(
+    {
+        NodeState.PENDING,
+        NodeState.UNLOADED,
+        NodeState.CRASHED,
+        NodeState.GAVE_UP,
+        NodeState.LOAD_FAILED,
+        NodeState.LOST,
+    }
+)
+_NOT_LOADED: Final = frozenset({NodeState.LOAD_FAILED, NodeState.GAVE_UP, NodeState.UNLOADED})
+
+
+class ActionLog:
+    """Publishes the actions of a session, numbered."""
+
+    def __init__(self, publisher: Publisher) -> None:
+        self._publisher = publisher
+        self._numbers = count(1)
+
+    @contextlib.asynccontextmanager
+    async def recorded(
+        self, action: str, targets: Sequence[str], caller: Caller, details: str = ""
+    ) -> AsyncIterator[None]:
+        """Publish the request, and its result when the block ends; an exception is a failure.
+
+        ``targets`` are full names of members and keys of nodes.
+        """
+        number, failure = next(self._numbers), ""
+
+        def publish(phase: ActionPhase, reason: str) -> None:
+            event = ActionEvent(
+                stamp_ns=self._publisher.stamp_ns(),
+                number=number,
+                action=action,
+                phase=phase,
+                targets=tuple(targets),
+                uid=caller.uid,
+                pid=caller.pid,
+                command=_one_line(caller.command),
+                reason=reason,
+            )
+            self._publisher.publish(event)
+
+        publish(ActionPhase.REQUESTED, details)
+        try:
+            yield
+        except asyncio.CancelledError:
+            failure = "the client disconnected first, or the session ended"
+            raise
+        except Exception as error:
+            failure = str(error)
+            raise
+        finally:
+            publish(ActionPhase.FAILED if failure else ActionPhase.DONE, failure)
 
 
 class Actions:
-    """What can be done to one session. It belongs to the thread of the event loop."""
+    """Carries out actions, and waits for states. Belongs to the thread of the event loop."""
 
-    def __init__(
-        self, system: System, publisher: Publisher, feed: Feed, records: ActionRecords
-    ) -> None:
-        """Act on a system; its states come from publisher and feed."""
+    def __init__(self, system: System, publisher: Publisher, feed: Feed, log: ActionLog) -> None:
         self._system = system
         self._publisher = publisher
         self._feed = feed
-        self._records = records
+        self._log = log
 
-    async def act(
-        self, action: Action, arguments: dict[str, Any], peer: Peer, _stream: Stream
-    ) -> object:
+    async def act(self, action: Action, request: ActionRequest, caller: Caller) -> Results:
         """Carry an action out; raises ControlError."""
-        limit = seconds_argument(arguments, "timeout", USUAL_LIMIT)
-        targets = self._targets(action, names_argument(arguments))
+        targets = self._targets(action, request.names)
         self._refuse_if_stopping()
-        number = signal_argument(arguments) if action is Action.SIGNAL else None
-        self._refuse_if_senseless(action, targets)
-        besides = "" if number is None else number.name
+        number = _signal(request.signal) if isinstance(request, SignalRequest) else None
+        if action in {Action.LOAD, Action.RELOAD}:
+            self._refuse_if_container_is_stopped(targets)
         names = [str(target) for target in targets]
-        verdicts: dict[Target, Verdict] = {}
-        async with self._records.recorded(action.value, names, peer, besides) as recorded:
+        outcomes: Outcomes = {}
+        details = number.name if number else ""
+        async with self._log.recorded(action.value, names, caller, details):
             if number is not None:
-                verdicts = {target: self._signal(target, number) for target in targets}
+                outcomes = {target: self._send_signal(target, number) for target in targets}
             else:
-                await within(limit, self._carry_out(action, targets, verdicts), targets, verdicts)
-            recorded.failure = failure_of(verdicts)
-        return results_or_failure(targets, verdicts)
+                carried_out = self._carry_out(action, targets, outcomes)
+                await _within(request.timeout, carried_out, targets, outcomes)
+            return _results_or_failure(targets, outcomes)
 
-    async def wait(self, arguments: dict[str, Any], _peer: Peer, _stream: Stream) -> object:
-        """Wait until members run and nodes are loaded, or active as well; raises ControlError."""
-        match arguments.get("for", "loaded"):
-            case "loaded":
-                judge = self._is_up
-            case "active":
-                judge = self._is_active
-            case other:
-                raise ControlError(
-                    Code.BAD_ARGUMENTS, f"for is loaded or active, not {other!r:.80}"
-                )
-        limit = seconds_argument(arguments, "timeout", USUAL_LIMIT)
-        names = names_argument(arguments)
-        named = self._targets(None, names) if names else []
-        targets = named or self._expected()
+    async def wait(self, request: WaitRequest, _caller: Caller) -> Results:
+        """Wait until all units are up at the same moment; raises ControlError when one fails."""
+        named = self._targets(None, request.names) if request.names else []
         self._refuse_if_stopping()
-        verdicts: dict[Target, Verdict] = {}
+        targets = named or self._expected()
+        outcomes: Outcomes = {}
 
-        def judged(target: Target) -> Verdict | None:
-            verdict = judge(target)
-            is_up = verdict is not None and verdict.is_done
-            return _BEING_STOPPED if self._system.is_stopping and not is_up else verdict
+        async def until_up() -> None:
+            with self._state_changes() as changed:
+                while True:
+                    # Until then, members are stopped that will be replaced or removed.
+                    await self._system.until_applied()
+                    changed.clear()
+                    targets[:] = named or self._expected()
+                    outcomes.clear()
+                    for target in targets:
+                        outcome = self._is_up(target, activated=request.condition == "active")
+                        if outcome != DONE and self._system.is_stopping:
+                            outcome = _STOPPING
+                        if outcome is not None:
+                            outcomes[target] = outcome
+                    if any(outcomes.values()) or len(outcomes) == len(targets):
+                        return
+                    await changed.wait()
 
-        with changes_of_state(self._feed) as changed:
-            waiting = until_all_are(
-                lambda: named or self._expected(),
-                judged,
-                targets=targets,
-                verdicts=verdicts,
-                changed=changed,
-                until_applied=self._system.until_applied,
-            )
-            await within(limit, waiting, targets, verdicts)
-        return results_or_failure(targets, verdicts)
+        await _within(request.timeout, until_up(), targets, outcomes)
+        return _results_or_failure(targets, outcomes)
 
     def _expected(self) -> list[Target]:
         view = self._publisher.view
@@ -128,69 +182,77 @@ class Actions:
         processes = [each for each in self._system.processes if each not in view.dismissed]
         return [*members_of(expected, processes), *nodes_of(expected)]
 
-    def _refuse_if_stopping(self) -> None:
-        if self._system.is_stopping:
-            raise ControlError(Code.REFUSED, _BEING_STOPPED.reason)
-
     def _targets(self, action: Action | None, names: Sequence[str]) -> list[Target]:
-        if not names:
-            raise ControlError(Code.BAD_ARGUMENTS, f"{action} needs names or patterns")
         members = members_of(self._publisher.view, self._system.processes)
         nodes = nodes_of(self._publisher.view)
         if action in FOR_MEMBERS:
             hint = "is a composable node; use load, unload or reload"
             return chosen(names, members, nodes, hint)
         if action in FOR_NODES:
-            hint = "is no composable node; use start, stop or restart"
+            hint = "is not a composable node; use start, stop or restart"
             return chosen(names, nodes, members, hint)
         return chosen(names, [*members, *nodes])
 
-    def _refuse_if_senseless(self, action: Action, targets: Sequence[Target]) -> None:
-        if action not in {Action.LOAD, Action.RELOAD}:
-            return
+    def _refuse_if_stopping(self) -> None:
+        if self._system.is_stopping:
+            raise ControlError(Code.REFUSED, _STOPPING)
+
+    def _refuse_if_container_is_stopped(self, targets: Sequence[Target]) -> None:
         for node in targets:
             assert isinstance(node, NodeKey)
-            if self._system.state_of(node.container) in _IN_STATE:
+            if self._system.state_of(node.container) in _INACTIVE:
                 raise ControlError(
                     Code.REFUSED,
-                    f"{node.container} does not run, so {node.name} cannot be loaded; "
+                    f"{node.name} cannot be loaded: {node.container} does not run; "
                     f"start {node.container} first",
                     name=node.name,
                 )
 
+    @contextlib.contextmanager
+    def _state_changes(self) -> Iterator[asyncio.Event]:
+        """Set an event whenever a state changes, while the block runs."""
+        changed = asyncio.Event()
+
+        def see(event: RunEvent) -> None:
+            if isinstance(event, StateEvent | ManagedNodeChanged | Withdrawn):
+                changed.set()
+
+        with self._feed.followed_by(see):
+            yield changed
+
     async def _carry_out(
-        self, action: Action, targets: Sequence[Target], verdicts: dict[Target, Verdict]
+        self, action: Action, targets: Sequence[Target], outcomes: Outcomes
     ) -> None:
-        """Begin it for all, and note what becomes of each; cancelled when it takes too long."""
-        had_given_up: set[Target] = {
-            target
-            for target in targets
-            if isinstance(target, str)
-            and self._is_member(target)
-            and self._system.state_of(target) is ContainerState.GAVE_UP
-        }
-        with changes_of_state(self._feed) as changed:
+        """Begin it for all units, and wait for the outcome of each; cancelled at the timeout."""
+        gave_up = {each for each in targets if self._state(each) is ContainerState.GAVE_UP}
+        with self._state_changes() as changed:
             for target in targets:
                 try:
                     self._begin(action, target)
-                except KeyError:  # since it was chosen, a configuration was applied without it
-                    verdicts[target] = _TAKEN_OUT
+                except KeyError:  # a configuration without it was applied since it was chosen
+                    outcomes[target] = _REMOVED
             if action is Action.STOP:
-                async with anyio.create_task_group() as ends:
+                async with anyio.create_task_group() as tasks:
                     for target in targets:
-                        ends.start_soon(self._see_end_of, target, had_given_up, verdicts)
-            judge = partial(self._judge, action)
-            await until_judged(targets, judge, verdicts, changed)
+                        tasks.start_soon(self._until_stopped, target, target in gave_up, outcomes)
+            while True:
+                for target in targets:
+                    outcome = self._outcome(action, target)
+                    if target not in outcomes and outcome is not None:
+                        outcomes[target] = outcome
+                if len(outcomes) == len(targets):
+                    return
+                await changed.wait()
+                changed.clear()
 
     def _begin(self, action: Action, target: Target) -> None:
-        reason = "a person asked for it"
         match action, target:
             case Action.START, str():
                 self._system.start(target)
             case Action.STOP, str():
-                self._system.stop(target, reason)
+                self._system.stop(target, _REASON)
             case Action.RESTART, str():
-                self._system.restart(target, reason)
+                self._system.restart(target, _REASON)
             case Action.LOAD, NodeKey():
                 self._system.load(target)
             case Action.UNLOAD, NodeKey():
@@ -200,60 +262,83 @@ class Actions:
             case _:
                 raise AssertionError(action, target)
 
-    def _judge(self, action: Action, target: Target) -> Verdict | None:
-        if isinstance(target, NodeKey):
-            return self._of_node(target, partial(of_node, action))
-        if not self._is_member(target):
-            return _TAKEN_OUT
-        return of_member(self._system.state_of(target), reason=self._reason(target))
+    async def _until_stopped(self, target: Target, gave_up: bool, outcomes: Outcomes) -> None:
+        """Wait until nothing is left of a member.
 
-    async def _see_end_of(
-        self, target: Target, had_given_up: set[Target], verdicts: dict[Target, Verdict]
-    ) -> None:
-        """Judge a stop when nothing of it is left.
-
-        That is no event, and a configuration may put another one into its place at once.
+        That is not an event, and a change of the configuration may replace the member at once.
         """
-        member, verdict = full_name(target), _TAKEN_OUT
-        if self._is_member(member):
+        member, outcome = full_name(target), _REMOVED
+        if self._state(member) is not None:
             state = await self._system.until_at_rest(member)
-            reason = "" if target in had_given_up else self._reason(member)
-            verdict = of_stop(state, reason=reason)
-        verdicts[target] = verdict
+            reason = "" if gave_up else self._reason(member)
+            if state is None:
+                outcome = "it was started again meanwhile"
+            else:
+                outcome = DONE if state is ContainerState.STOPPED else reason
+        outcomes[target] = outcome
 
-    def _is_up(self, target: Target) -> Verdict | None:
+    # Outcomes, from states alone: None while an action is under way.
+
+    def _outcome(self, action: Action, target: Target) -> str | None:
+        if isinstance(target, str):
+            return self._of_member(target)
+        if action is Action.UNLOAD:
+            state = self._node_state(target)
+            return _REMOVED if state is None else DONE if state in _LEFT else None
+        return self._of_node(target, _NOT_LOADED | {NodeState.CRASHED})
+
+    def _is_up(self, target: Target, *, activated: bool) -> str | None:
         if isinstance(target, NodeKey):
-            return self._of_node(target, node_is_loaded)
-        if not self._is_member(target):
-            return _TAKEN_OUT
-        process = self._publisher.view.processes.get(target)
-        return member_is_up(
-            self._system.state_of(target),
-            ended_well=process is not None and process.ended_well,
-            reason=self._reason(target),
-        )
-
-    def _is_active(self, target: Target) -> Verdict | None:
-        """Judge whether it is up and, if it is to be brought there, active."""
-        verdict, managed = self._is_up(target), self._system.config.managed.get(str(target))
-        if verdict is None or not verdict.is_done or managed is None:
-            return verdict
+            # A crashed node may be reloaded; if not, its state is GAVE_UP.
+            outcome = self._of_node(target, _NOT_LOADED)
+        else:
+            process = self._publisher.view.processes.get(target)
+            has_ended_well = process is not None and process.ended_well
+            is_stopped = self._state(target) is ContainerState.STOPPED
+            outcome = DONE if has_ended_well and is_stopped else self._of_member(target)
+        managed = self._system.config.managed.get(str(target))
+        if not activated or outcome != DONE or managed is None:
+            return outcome
         if managed.autostart is not Autostart.ACTIVATE:
-            return verdict
+            return outcome
         known = self._publisher.view.managed.get(str(target))
-        return managed_is_active(known.state, known.reason) if known else None
+        if known is not None and known.state in {ManagedState.FAILED, ManagedState.FINALIZED}:
+            return known.reason or f"it is {known.state}"
+        return DONE if known is not None and known.state is ManagedState.ACTIVE else None
 
-    def _of_node(
-        self, key: NodeKey, judge: Callable[[NodeState, ContainerState, str], Verdict | None]
-    ) -> Verdict | None:
+    def _of_member(self, member: str) -> str | None:
+        state = self._state(member)
+        if state is None:
+            return _REMOVED
+        if state in _INACTIVE:
+            return self._reason(member) or f"it has {_ended(state)}"
+        return DONE if state is ContainerState.RUNNING else None
+
+    def _of_node(self, key: NodeKey, failed: frozenset[NodeState]) -> str | None:
         container = self._publisher.view.containers.get(key.container)
         node = None if container is None else container.nodes.get(key)
         if container is None or node is None:
-            return _TAKEN_OUT
-        return judge(node.state, container.state, node.reason)
+            return _REMOVED
+        if node.state is NodeState.LOADED:
+            return DONE
+        if container.state in _INACTIVE:
+            return f"its container has {_ended(container.state)}"
+        # Until its container is ready, its state is that of its last load.
+        if container.state is ContainerState.RUNNING and node.state in failed:
+            return node.reason or f"it is {node.state}"
+        return None
 
-    def _is_member(self, name: str) -> bool:
-        return name in {*members_of(self._publisher.view, self._system.processes)}
+    def _state(self, target: Target) -> ContainerState | None:
+        """State of a member; None for a node, and for a member that was removed."""
+        try:
+            return self._system.state_of(target) if isinstance(target, str) else None
+        except KeyError:
+            return None
+
+    def _node_state(self, key: NodeKey) -> NodeState | None:
+        container = self._publisher.view.containers.get(key.container)
+        node = None if container is None else container.nodes.get(key)
+        return node.state if node else None
 
     def _reason(self, member: str) -> str:
         view = self._publisher.view
@@ -262,107 +347,91 @@ class Actions:
         process = view.processes.get(member)
         return process.message if process else ""
 
-    def _signal(self, target: Target, number: signal.Signals) -> Verdict:
-        found = self._process_of(target)
-        if found is None:
-            return _TAKEN_OUT
-        pid, start_time = found
-        if not pid:
-            return Verdict(is_done=False, reason="it has no process of its own that runs")
-        if not start_time:
-            return Verdict(is_done=False, reason=f"its process {pid} is not ours")
-        try:
-            with ProcessHandle.open(ProcessIdentity(pid, start_time)) as handle:
-                is_sent = handle.send_signal(number)
-        except (NoSuchProcessError, OSError) as error:
-            return Verdict(is_done=False, reason=str(error))
-        return Verdict(is_sent, "" if is_sent else "it has just ended")
-
-    def _process_of(self, target: Target) -> tuple[int, int] | None:
-        """Give pid and start time, 0 where it has none; None: it is not there any more."""
+    def _send_signal(self, target: Target, number: signal.Signals) -> str:
         view = self._publisher.view
-        if not isinstance(target, NodeKey) and not self._is_member(target):
-            return None
         if isinstance(target, NodeKey):
             container = view.containers.get(target.container)
             node = None if container is None else container.nodes.get(target)
             if container is None or node is None:
-                return None
+                return _REMOVED
             is_own = container.process.pid and node.pid != container.process.pid
-            return (node.pid, node.start_time) if is_own else (0, 0)
-        member = view.containers.get(target)
-        process = view.processes.get(target) if member is None else member.process
-        return (process.pid, process.start_time) if process else (0, 0)
+            pid, start_time = (node.pid, node.start_time) if is_own else (0, 0)
+        else:
+            if self._state(target) is None:
+                return _REMOVED
+            member = view.containers.get(target)
+            process = member.process if member else view.processes.get(target)
+            pid, start_time = (process.pid, process.start_time) if process else (0, 0)
+        if not pid:
+            return "it is not running as a separate process"
+        if not start_time:
+            return f"process {pid} is managed elsewhere (attached container)"
+        try:
+            with ProcessHandle.open(ProcessIdentity(pid, start_time)) as handle:
+                is_sent = handle.send_signal(number)
+        except (NoSuchProcessError, OSError) as error:
+            return str(error)
+        return DONE if is_sent else "it has just exited"
 
 
-async def within(
-    limit: float,
-    work: Coroutine[Any, Any, None],
-    targets: Sequence[Target],
-    verdicts: Mapping[Target, Verdict],
+async def _within(
+    limit: float, work: Awaitable[None], targets: Sequence[Target], outcomes: Outcomes
 ) -> None:
-    """Do something in so many seconds; ControlError names what is not done by then."""
+    """Await something for so many seconds; the ControlError names the units not done by then."""
     try:
         async with asyncio.timeout(limit):
             await work
     except TimeoutError:
-        left = [full_name(target) for target in targets if target not in verdicts]
-        named = ", ".join(left[:_MOST_NAMED])
-        more = f" and {len(left) - _MOST_NAMED} more" if len(left) > _MOST_NAMED else ""
+        left = [full_name(target) for target in targets if target not in outcomes]
+        named = ", ".join(left[:_LISTED])
+        more = f" and {len(left) - _LISTED} more" if len(left) > _LISTED else ""
         raise ControlError(
             Code.TIMEOUT,
             f"not done within {limit:.3g} s: {named}{more}",
-            results=results(targets, verdicts),
+            results=_results(targets, outcomes).results,
         ) from None
 
 
-def failure_of(verdicts: Mapping[Target, Verdict]) -> str:
-    """Say what failed, and why; empty: nothing."""
-    return "; ".join(
-        f"{full_name(target)}: {verdict.reason}"
-        for target, verdict in verdicts.items()
-        if not verdict.is_done
+def _results_or_failure(targets: Sequence[Target], outcomes: Outcomes) -> Results:
+    failed = [f"{full_name(each)}: {reason}" for each, reason in outcomes.items() if reason]
+    found = _results(targets, outcomes)
+    if failed:
+        raise ControlError(Code.FAILED, "; ".join(failed), results=found.results)
+    return found
+
+
+def _results(targets: Sequence[Target], outcomes: Mapping[Target, str]) -> Results:
+    return Results(
+        tuple(
+            ActionResult(
+                name=full_name(target),
+                container=target.container if isinstance(target, NodeKey) else None,
+                done=outcomes[target] == DONE,
+                reason=outcomes[target],
+            )
+            for target in targets
+            if target in outcomes
+        )
     )
 
 
-def results_or_failure(
-    targets: Sequence[Target], verdicts: Mapping[Target, Verdict]
-) -> dict[str, object]:
-    """Give the result of an operation; ControlError when something failed."""
-    if failure := failure_of(verdicts):
-        raise ControlError(Code.FAILED, failure, results=results(targets, verdicts))
-    return {"results": results(targets, verdicts)}
+def _ended(state: ContainerState) -> str:
+    return "given up" if state is ContainerState.GAVE_UP else "stopped"
 
 
-def results(
-    targets: Sequence[Target], verdicts: Mapping[Target, Verdict]
-) -> list[dict[str, object]]:
-    """What became of each, in the order of the targets, for an answer."""
-    return [
-        {
-            "name": full_name(target),
-            "container": target.container if isinstance(target, NodeKey) else None,
-            "done": verdicts[target].is_done,
-            "reason": verdicts[target].reason,
-        }
-        for target in targets
-        if target in verdicts
-    ]
-
-
-def signal_argument(arguments: dict[str, Any]) -> signal.Signals:
-    """Read ``signal``: ``SIGUSR1``, ``usr1`` or a number; raises ControlError."""
-    found = arguments.get("signal")
+def _signal(found: str | int) -> signal.Signals:
+    """Read ``SIGUSR1``, ``usr1`` or a number; raises ControlError."""
     try:
-        if isinstance(found, int) and not isinstance(found, bool):
-            return signal.Signals(found)
-        if isinstance(found, str) and found.isdecimal():
+        if isinstance(found, int) or found.isdecimal():
             return signal.Signals(int(found))
-        if isinstance(found, str):
-            name = found.upper()
-            return signal.Signals[name if name.startswith("SIG") else f"SIG{name}"]
+        name = found.upper()
+        return signal.Signals[name if name.startswith("SIG") else f"SIG{name}"]
     except (KeyError, ValueError):
-        pass
-    raise ControlError(
-        Code.BAD_ARGUMENTS, f"{found!r:.80} is no signal; write a name such as SIGUSR1, or a number"
-    )
+        text = f"unknown signal {found!r:.80}; use a name such as SIGUSR1, or a number"
+        raise ControlError(Code.BAD_ARGUMENTS, text) from None
+
+
+def _one_line(command: Sequence[str]) -> str:
+    """Write a command line as one line of text that can be recorded."""
+    text = " ".join(" ".join(redacted_arguments(command)).split())
+    return text[:COMMAND_LIMIT].encode("utf-8", "replace").decode()

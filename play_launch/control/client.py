@@ -1,45 +1,44 @@
-"""Talks to a running session; blocks. Imports nothing that takes time: commands are to be quick."""
+"""Blocking client of a running session; imports next to nothing, so that commands are quick."""
 
 from __future__ import annotations
 
 import os
+import select
 import socket
 import sys
 import time
 from itertools import count
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
 
-from play_launch.control.place import peer_of
 from play_launch.control.protocol import (
-    LONGEST_ANSWER,
-    LONGEST_COMMAND,
+    ANSWER_LIMIT,
+    COMMAND_LIMIT,
     PROTOCOL,
+    REQUEST_LIMIT,
     Code,
     ControlError,
-    LineSplitter,
-    Request,
     decode,
-    request_line,
+    encode,
 )
+from play_launch.control.registration import address_of, peer_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from play_launch.control.place import Peer
+    from play_launch.control.registration import Peer
 
-ANSWER_LIMIT: Final = 10.0
-"""Seconds for an answer that needs no work; a supervisor that is stopped answers never."""
-
-_AT_ONCE: Final = 256 * 1024
+TIMEOUT: Final = 10.0
+"""Seconds for an answer that needs no work."""
+_PIECE: Final = 256 * 1024
 """Bytes that are read at once."""
 
 
 class Hello(NamedTuple):
-    """What a session says about itself."""
+    """First message of a session."""
 
     pid: int
     name: str
-    """As its configuration calls it."""
+    """Of its configuration."""
     session: str
     folder: str
     version: str
@@ -51,13 +50,29 @@ class Hello(NamedTuple):
 class ControlClient:
     """A connection to one session."""
 
-    def __init__(self, connection: socket.socket, hello: Hello) -> None:
-        """Take a connection on which the session has greeted."""
-        self.hello = hello
-        self._connection = connection
+    def __init__(self, folder: str, timeout: float = TIMEOUT) -> None:
+        """Connect to the session in a folder and read its hello.
+
+        Raises:
+            OSError: When the connection fails, TimeoutError included.
+            ControlError: When something else listens, or the session refuses.
+        """
+        deadline = time.monotonic() + timeout
+        self._connection = socket.socket(socket.AF_UNIX)
         self._lines: list[bytes] = []
-        self._splitter = LineSplitter(LONGEST_ANSWER)
+        self._rest = bytearray()
         self._numbers = count(1)
+        try:
+            with address_of(folder) as address:
+                _connect(self._connection, address, deadline)
+            listener = self.peer().uid
+            if os.geteuid() not in {0, listener} and listener != 0:
+                raise PermissionError(None, f"it belongs to user {listener}")  # noqa: TRY301
+            self._fill(deadline)
+            self.hello = _hello(decode(self._lines.pop(0)))
+        except BaseException:
+            self._connection.close()
+            raise
 
     def __enter__(self) -> Self:
         return self
@@ -66,15 +81,15 @@ class ControlClient:
         self.close()
 
     def close(self) -> None:
-        """End the connection, and with it what streams."""
+        """Close the connection, which ends what streams."""
         self._connection.close()
 
     def fileno(self) -> int:
-        """The descriptor: readable when something was said."""
+        """Descriptor that is readable when messages have arrived."""
         return self._connection.fileno()
 
     def peer(self) -> Peer:
-        """Tell the user and process that listen at the other end, as the kernel says."""
+        """Return user and process that listen at the other end."""
         return peer_of(self._connection)
 
     def ask(
@@ -82,17 +97,12 @@ class ControlClient:
         operation: str,
         arguments: dict[str, Any] | None = None,
         *,
-        limit: float = ANSWER_LIMIT,
+        limit: float = TIMEOUT,
     ) -> Any:
-        """Have something done and return the result.
-
-        Args:
-            operation: As docs/control.md names it.
-            arguments: What it takes.
-            limit: Seconds to wait for the answer.
+        """Request an operation of docs/control.md and return its result.
 
         Raises:
-            ControlError: When the session refuses, or does not answer in time.
+            ControlError: When the session refuses, or does not answer within ``limit`` seconds.
         """
         for message in self.stream(operation, arguments, limit=limit):
             if "result" in message:
@@ -108,56 +118,62 @@ class ControlClient:
     ) -> Iterator[dict[str, Any]]:
         """Yield the messages that answer a request, up to the one with its result.
 
-        The end of the session ends it without a result. ``limit`` is in seconds, for all of it.
+        When the session ends, there is no result. ``limit`` is in seconds, for all of it.
 
         Raises:
-            ControlError: When the session refuses, or the time is over.
+            ControlError: When the session refuses, or at the time limit.
         """
-        number = next(self._numbers)
-        line = request_line(Request(number, operation, arguments or {}, own_command()))
         deadline = None if limit is None else time.monotonic() + limit
-        try:
-            self._connection.settimeout(ANSWER_LIMIT)
-            self._connection.sendall(line)
-            while True:
-                left = None if deadline is None else max(deadline - time.monotonic(), 0.001)
-                self._connection.settimeout(left)
-                message = self._read()
-                if message.get("id") not in {number, None}:
-                    continue
-                if "error" in message:
-                    raise ControlError.of(message["error"])
-                yield message
-                if "result" in message:
-                    return
-        except TimeoutError:
-            raise ControlError(Code.TIMEOUT, f"{self._named()} did not answer in time") from None
-        except EOFError:
-            return
-        except OSError as error:
-            raise _broken(error) from None
+        number = self.request(operation, arguments, limit=TIMEOUT)
+        while True:
+            try:
+                self._fill(deadline)
+            except TimeoutError:
+                text = f"{self.hello.name} (pid {self.hello.pid}) did not answer in time"
+                raise ControlError(Code.TIMEOUT, text) from None
+            except EOFError:
+                return
+            message = decode(self._lines.pop(0))
+            if message.get("id") not in {number, None}:
+                continue
+            if "error" in message:
+                raise ControlError.of(message["error"])
+            yield message
+            if "result" in message:
+                return
 
-    def request(self, operation: str, arguments: dict[str, Any] | None = None) -> int:
-        """Ask without waiting for the answer, which `arrived` gives; return its number.
-
-        From the first use of this or of `arrived` on, `ask` and `stream` are not for this client.
+    def request(
+        self, operation: str, arguments: dict[str, Any] | None = None, *, limit: float = 0.0
+    ) -> int:
+        """Send a request and return its number; `arrived` returns the answers.
 
         Raises:
-            ControlError: When the session takes no more, because it reads nothing.
+            ControlError: When the session does not read it within ``limit`` seconds.
         """
         number = next(self._numbers)
-        line = request_line(Request(number, operation, arguments or {}, own_command()))
-        self._connection.setblocking(False)
+        line = encode(
+            {
+                "id": number,
+                "op": operation,
+                "protocol": PROTOCOL,
+                "arguments": arguments or {},
+                "command": own_command(),
+            }
+        )
+        if len(line) > REQUEST_LIMIT + 1:
+            text = f"a request of {len(line)} bytes; the limit is {REQUEST_LIMIT}"
+            raise ControlError(Code.TOO_LONG, text)
+        self._connection.settimeout(limit)
         try:
-            sent = self._connection.send(line)
-        except BlockingIOError:
-            raise ControlError(Code.TIMEOUT, f"{self._named()} reads nothing") from None
-        except OSError as error:
-            raise _broken(error) from None
-        if sent < len(line):
-            # Half a request cannot be taken back, and nothing can follow it.
+            self._connection.sendall(line)
+        except (BlockingIOError, TimeoutError):
+            # A part of the request may be sent, and nothing can follow it.
             self._connection.shutdown(socket.SHUT_RDWR)
-            raise ControlError(Code.TIMEOUT, f"{self._named()} reads nothing")
+            text = f"{self.hello.name} (pid {self.hello.pid}) does not read requests"
+            raise ControlError(Code.TIMEOUT, text) from None
+        except OSError as error:
+            text = f"the connection was closed: {error.strerror or error}"
+            raise ControlError(Code.INTERNAL, text) from None
         return number
 
     def arrived(self) -> list[dict[str, Any]]:
@@ -165,39 +181,41 @@ class ControlClient:
 
         Raises:
             EOFError: When the session has ended, or the connection.
-            ControlError: When it says what is no protocol.
+            ControlError: When a message is malformed.
         """
-        self._connection.setblocking(False)
-        lines, self._lines = self._lines[::-1], []
         try:
-            data = self._connection.recv(_AT_ONCE)
-        except BlockingIOError:
-            data = None
-        except OSError as error:
-            raise EOFError(str(error)) from None
-        if data:
-            lines += self._splitter.feed(data)
-        elif data is not None and not lines:
-            raise EOFError
+            self._fill(0.0)
+        except TimeoutError:
+            return []
+        lines, self._lines = self._lines, []
         return [decode(line) for line in lines]
 
-    def _named(self) -> str:
-        return f"{self.hello.name} (pid {self.hello.pid})"
-
-    def _read(self) -> dict[str, Any]:
+    def _fill(self, deadline: float | None) -> None:
+        """Read until there is a line; raises EOFError, TimeoutError, ControlError."""
         while not self._lines:
-            data = self._connection.recv(_AT_ONCE)
+            left = None if deadline is None else max(deadline - time.monotonic(), 0.0) * 1e3
+            poll = select.poll()
+            poll.register(self._connection, select.POLLIN)
+            if not poll.poll(left):
+                raise TimeoutError
+            try:
+                data = self._connection.recv(_PIECE)
+            except OSError as error:
+                raise EOFError(str(error)) from None
             if not data:
                 raise EOFError
-            self._lines = self._splitter.feed(data)
-            self._lines.reverse()
-        return decode(self._lines.pop())
+            self._rest += data
+            if len(self._rest) > ANSWER_LIMIT + _PIECE:
+                raise ControlError(Code.TOO_LONG, f"a line is longer than {ANSWER_LIMIT} bytes")
+            if b"\n" in data:
+                *self._lines, rest = bytes(self._rest).split(b"\n")
+                self._rest = bytearray(rest)
 
 
 def own_command() -> tuple[str, ...]:
-    """Give the command line of this process, for the record of what it asks for."""
+    """Return the command line of this process, for the record of its actions."""
     program, *words = sys.argv
-    command, left = [], LONGEST_COMMAND
+    command, left = [], COMMAND_LIMIT
     for word in (os.path.basename(program), *words):  # noqa: PTH119 - pathlib is slow to import
         command.append(word[:left])
         left -= len(word)
@@ -206,31 +224,40 @@ def own_command() -> tuple[str, ...]:
     return tuple(command)
 
 
-def _broken(error: OSError) -> ControlError:
-    return ControlError(Code.INTERNAL, f"the connection ended: {error.strerror or error}")
+def _connect(connection: socket.socket, address: str, deadline: float) -> None:
+    connection.setblocking(False)
+    while True:
+        try:
+            return connection.connect(address)
+        except BlockingIOError:  # its queue of connections is full
+            if time.monotonic() > deadline:
+                raise TimeoutError from None
+            time.sleep(0.01)
 
 
-def hello_of(message: dict[str, Any]) -> Hello:
-    """Read a greeting; raises ControlError."""
+def _hello(message: dict[str, Any]) -> Hello:
     if "error" in message:
         raise ControlError.of(message["error"])
     found = message.get("hello")
     if not isinstance(found, dict):
-        raise ControlError(Code.PROTOCOL, "what listens there is no session of play-launch")
+        raise ControlError(Code.PROTOCOL, "not a session of play-launch")
     if found.get("protocol") != PROTOCOL:
         raise ControlError(
             Code.PROTOCOL,
-            f"play-launch {found.get('version')} speaks protocol {found.get('protocol')} and this "
-            f"command {PROTOCOL}; use the command of the version that runs",
+            f"play-launch {found.get('version')} uses protocol {found.get('protocol')} and this "
+            f"command {PROTOCOL}; use the command of the session's version",
         )
     try:
-        return Hello(
-            pid=int(found["pid"]),
-            name=str(found["name"]),
-            session=str(found["session"]),
-            folder=str(found["folder"]),
-            version=str(found["version"]),
-            started_ns=int(found["started_ns"]),
-        )
+        return Hello(*(kind(found[name]) for name, kind in _FIELDS.items()))
     except (KeyError, TypeError, ValueError) as error:
-        raise ControlError(Code.PROTOCOL, f"a greeting without {error}") from None
+        raise ControlError(Code.PROTOCOL, f"the hello lacks {error}") from None
+
+
+_FIELDS: Final = {
+    "pid": int,
+    "name": str,
+    "session": str,
+    "folder": str,
+    "version": str,
+    "started_ns": int,
+}

@@ -1,67 +1,79 @@
-"""What has happened lately, and whoever follows what happens."""
+"""Recent events of a run, and the clients that follow them."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import re
 from collections import deque
 from typing import TYPE_CHECKING, Final
 
+from msgspec import Struct
+
+from play_launch.config.node_key import NodeKey
+from play_launch.supervisor.event_object import EVENT_TYPES, event_object, names_of
 from play_launch.supervisor.events import LogRecord, OutputLine, RunEvent, Sample
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Awaitable, Callable, Iterable, Iterator, Sequence
 
     from play_launch.supervisor.view import SystemView
 
-MOST_EVENTS: Final = 2000
+    Send = Callable[[str, object], Awaitable[None]]
+
+KINDS: Final = frozenset(EVENT_TYPES.values())
+USUAL_KINDS: Final = KINDS - {"output", "process_sample", "group_sample", "system_sample"}
+CONSOLE_FORMAT: Final = re.compile(r"^\S*\[[A-Z ]+\](?: \[[^\]]*\])? \[([^\]]+)\]: ")
+"""ROS's console format: severity, time, and the logger as the only group."""
+EVENTS_LIMIT: Final = 2000
 """Events other than output that are kept; the recording has all."""
-MOST_LINES: Final = 300
+LINES_LIMIT: Final = 300
 """Lines of output that are kept of each process."""
-MOST_TEXT: Final = 64 * 1024
+TEXT_LIMIT: Final = 64 * 1024
 """Characters of these lines."""
+QUEUE_LIMIT: Final = 5000
+"""Events that wait for one client; further ones are dropped and counted."""
 
 
 class Feed:
-    """Sees all events of a run from its start. It belongs to the thread of the event loop."""
+    """Sink that keeps recent events. Belongs to the thread of the event loop."""
 
     def __init__(self) -> None:
-        self._events: deque[RunEvent] = deque(maxlen=MOST_EVENTS)
+        self._events: deque[RunEvent] = deque(maxlen=EVENTS_LIMIT)
         self._lines: dict[str, _Lines] = {}
         self._followers: list[Callable[[RunEvent], None]] = []
         self._loop: asyncio.AbstractEventLoop | None = None
 
     def begin(self) -> None:
-        """Know the loop: records of the log come from any thread."""
+        """Use the running loop: log records come from any thread."""
         self._loop = asyncio.get_running_loop()
 
     def publish(self, event: RunEvent, before: SystemView, after: SystemView) -> None:  # noqa: ARG002 - a sink
-        """See an event."""
-        self._take(event)
+        self._append(event)
 
     def publish_log(self, event: LogRecord) -> None:
-        """See a record of the log, in any thread."""
+        """Keep a log record; may be called in any thread."""
         if self._loop is None:
             self._events.append(event)
             return
-        with contextlib.suppress(RuntimeError):  # the loop has ended, and so have all who follow
-            self._loop.call_soon_threadsafe(self._take, event)
+        with contextlib.suppress(RuntimeError):  # the loop is closed
+            self._loop.call_soon_threadsafe(self._append, event)
 
     def recent(self) -> list[RunEvent]:
-        """What is kept, in the order of time."""
+        """Return the kept events in the order of time."""
         lines = (line for each in self._lines.values() for line in each.lines)
         return sorted([*self._events, *lines], key=lambda event: event.stamp_ns)
 
     @contextlib.contextmanager
     def followed_by(self, follower: Callable[[RunEvent], None]) -> Iterator[None]:
-        """Hand every event to somebody while the block runs, samples included."""
+        """Call ``follower`` with every event while the block runs, samples included."""
         self._followers.append(follower)
         try:
             yield
         finally:
             self._followers.remove(follower)
 
-    def _take(self, event: RunEvent) -> None:
+    def _append(self, event: RunEvent) -> None:
         if isinstance(event, OutputLine):
             lines = self._lines.get(event.process)
             if lines is None:
@@ -83,5 +95,73 @@ class _Lines:
     def append(self, line: OutputLine) -> None:
         self.lines.append(line)
         self._text += len(line.text)
-        while len(self.lines) > MOST_LINES or (self._text > MOST_TEXT and len(self.lines) > 1):
+        while len(self.lines) > LINES_LIMIT or (self._text > TEXT_LIMIT and len(self.lines) > 1):
             self._text -= len(self.lines.popleft().text)
+
+
+class Selection(Struct, frozen=True):
+    """Kinds of events, and the units that they are about."""
+
+    kinds: frozenset[str] = USUAL_KINDS
+    names: frozenset[str] | None = None
+    """Full names of containers, nodes and processes; None: all events."""
+    loggers: frozenset[str] = frozenset()
+    """Of the nodes among them, whose output comes through their container."""
+
+    def wants(self, event: RunEvent) -> bool:
+        """Whether an event is selected."""
+        if EVENT_TYPES[type(event)] not in self.kinds:
+            return False
+        if self.names is None or not self.names.isdisjoint(names_of(event)):
+            return True
+        if not self.loggers or not isinstance(event, OutputLine):
+            return False
+        found = CONSOLE_FORMAT.match(event.text)
+        return found is not None and any(
+            found[1] == each or found[1].startswith(f"{each}.") for each in self.loggers
+        )
+
+
+def selection_of(kinds: Iterable[str], targets: Sequence[NodeKey | str] | None) -> Selection:
+    """Select events by kinds (none: the usual ones) and units (None: all)."""
+    chosen = frozenset(kinds) or USUAL_KINDS
+    if targets is None:
+        return Selection(chosen)
+    nodes = [each.name for each in targets if isinstance(each, NodeKey)]
+    members = [each for each in targets if isinstance(each, str)]
+    return Selection(chosen, frozenset([*nodes, *members]), frozenset(map(logger_of, nodes)))
+
+
+def logger_of(node: str) -> str:
+    """Return the name of a node's logger in ROS."""
+    return node.lstrip("/").replace("/", ".")
+
+
+class Follower:
+    """Queue of the events for one client, which may read slowly or never."""
+
+    def __init__(self, selection: Selection) -> None:
+        self._selection = selection
+        self._queue: asyncio.Queue[RunEvent] = asyncio.Queue(QUEUE_LIMIT)
+        self._missed = 0
+
+    def append(self, event: RunEvent) -> None:
+        """Queue an event, or drop and count it."""
+        if self._selection.wants(event):
+            try:
+                self._queue.put_nowait(event)
+            except asyncio.QueueFull:
+                self._missed += 1
+
+    async def send_all(self, events: Iterable[RunEvent], send: Send) -> None:
+        """Send those of the events that are selected."""
+        for event in filter(self._selection.wants, events):
+            await send("event", event_object(event))
+
+    async def follow(self, send: Send) -> None:
+        """Send queued events until this is cancelled, and how many were dropped."""
+        while True:
+            await send("event", event_object(await self._queue.get()))
+            if self._missed and self._queue.empty():
+                missed, self._missed = self._missed, 0
+                await send("missed", missed)

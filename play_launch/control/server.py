@@ -1,4 +1,4 @@
-"""Listens on the control socket of a session while it runs."""
+"""Server on the control socket of a session; the event loop's thread only."""
 
 from __future__ import annotations
 
@@ -7,117 +7,161 @@ import contextlib
 import logging
 import os
 import sys
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
-from msgspec import Struct
+import msgspec
 
-from play_launch.control.connection import Connection, Room
-from play_launch.control.protocol import PROTOCOL, encode
+from play_launch.control.messages import Caller, Hello, Request, read_request
+from play_launch.control.protocol import ANSWER_LIMIT, REQUEST_LIMIT, Code, ControlError, encode
+from play_launch.control.registration import peer_of
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Coroutine
+    from collections.abc import AsyncIterator, Awaitable, Callable
 
-    from play_launch.control.connection import Operate
-    from play_launch.control.door import Door
-    from play_launch.control.place import Peer
+    from play_launch.control.registration import ControlSocket
 
-MOST_CLIENTS: Final = 128
-"""Connections at once; whoever comes then is refused."""
-MOST_RECEIVED: Final = 16 * 1024 * 1024
-"""Bytes of long requests in memory, of all clients: read in part, waiting or under way. What is
-made of them can take twenty times as much."""
+    Operate = Callable[[Request, Caller], Awaitable[object]]
+    """Carries a request out and returns its result; raises ControlError."""
+
+CLIENTS_LIMIT: Final = 128
+"""Connections at the same time; further ones are refused."""
+REQUESTS_LIMIT: Final = 16
+"""Requests of one client that are under way; further ones wait in its socket."""
+_UNREAD_LIMIT: Final = 1024 * 1024
+"""Bytes that wait for a client to read them; then its requests and streams wait."""
 _log = logging.getLogger(__name__)
 
 
-class About(Struct, frozen=True, kw_only=True):
-    """What a session says about itself."""
-
-    name: str
-    """As its configuration calls it."""
-    session: str
-    """The id of its recording."""
-    version: str
-    """Of play-launch."""
-    started_ns: int
-    """Nanoseconds since the epoch."""
-
-
 @contextlib.asynccontextmanager
-async def serving(door: Door, about: About, operate: Operate) -> AsyncIterator[None]:
-    """Answer who comes to the door while the block runs; it runs in any case."""
-    for problem in door.problems:
+async def serving(socket: ControlSocket, hello: Hello, operate: Operate) -> AsyncIterator[None]:
+    """Serve clients while the block runs; it runs in any case."""
+    for problem in socket.problems:
         _log.warning("%s", problem)
-    if door.socket is None:
+    if socket.socket is None:
         yield
         return
-    server = Server(door.folder, about, operate)
-    loop = asyncio.get_running_loop()
     # The path of the socket goes by a descriptor that may be another file's by now.
-    keep_path: dict[str, Any] = {"cleanup_socket": False} if sys.version_info >= (3, 13) else {}
-    listener = await loop.create_unix_server(server.connection, sock=door.socket, **keep_path)
-    try:
-        yield
-    finally:
-        await asyncio.to_thread(door.withdraw)
-        listener.close()
-        await server.close()
+    options: dict[str, Any] = {"cleanup_socket": False} if sys.version_info >= (3, 13) else {}
+    server = Server(hello, operate)
+    async with asyncio.TaskGroup() as tasks:
+        listener = await asyncio.start_unix_server(
+            lambda reader, writer: server.accept(tasks, reader, writer),
+            sock=socket.socket,
+            limit=REQUEST_LIMIT,
+            **options,
+        )
+        try:
+            yield
+        finally:
+            await asyncio.to_thread(socket.withdraw)
+            listener.close()
+            await server.close()
 
 
 class Server:
-    """The clients of a session. It belongs to the thread of the event loop."""
+    """Serves the clients of a session."""
 
-    def __init__(self, folder: str, about: About, operate: Operate) -> None:
-        """Know what to answer."""
+    def __init__(self, hello: Hello, operate: Operate) -> None:
+        self._hello = encode({"hello": msgspec.to_builtins(hello)})
         self._operate = operate
-        self._room = Room(MOST_RECEIVED)
-        self._clients: set[Connection] = set()
-        self._tasks: set[asyncio.Task[None]] = set()
-        self._greeting = encode(
-            {
-                "hello": {
-                    "protocol": PROTOCOL,
-                    "version": about.version,
-                    "pid": os.getpid(),
-                    "name": about.name,
-                    "session": about.session,
-                    "folder": folder,
-                    "started_ns": about.started_ns,
-                }
-            }
-        )
+        self._clients: dict[asyncio.Task[None], asyncio.StreamWriter] = {}
 
-    def connection(self) -> Connection:
-        """Make what serves the next client."""
-        return Connection(
-            greeting=self._greeting,
-            operate=self._operate,
-            room=self._room,
-            admits=self._admits,
-            spawn=self._spawn,
-            on_end=self._clients.discard,
-        )
+    def accept(
+        self,
+        tasks: asyncio.TaskGroup,
+        reader: asyncio.StreamReader,
+        writer: asyncio.StreamWriter,
+    ) -> None:
+        """Serve a client in a task."""
+        task = tasks.create_task(self._serve(reader, writer))
+        self._clients[task] = writer
+        task.add_done_callback(self._clients.pop)
 
     async def close(self) -> None:
-        """End all conversations."""
-        for client in tuple(self._clients):
-            client.close()
-        tasks = tuple(self._tasks)
+        """Disconnect all clients; answers that are written are still sent."""
+        writers = tuple(self._clients.values())
+        tasks = tuple(self._clients)
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
-        for client in tuple(self._clients):
-            client.abort()  # it does not read, and nobody waits for it
+        for writer in writers:
+            writer.transport.abort()  # one that does not read
 
-    def _admits(self, client: Connection, peer: Peer) -> str:
-        if peer.uid not in {0, os.geteuid()}:
-            return f"this session is of user {os.geteuid()}, and you are user {peer.uid}"
-        if len(self._clients) >= MOST_CLIENTS:
-            return f"{MOST_CLIENTS} others are connected already"
-        self._clients.add(client)
-        return ""
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        writer.transport.set_write_buffer_limits(high=_UNREAD_LIMIT)
+        slots = asyncio.Semaphore(REQUESTS_LIMIT)
+        try:
+            pid, uid, _ = peer_of(writer.get_extra_info("socket"))
+            self._refuse_others(uid)
+            writer.write(self._hello)
+            async with asyncio.TaskGroup() as tasks:
+                while line := await _line(reader):
+                    request = read_request(line)
+                    await slots.acquire()
+                    caller = Caller(pid, uid, request.command, partial(_send, writer, request.id))
+                    task = tasks.create_task(self._carry_out(request, caller, writer))
+                    task.add_done_callback(lambda _: slots.release())
+                raise ConnectionResetError  # ends its requests
+        except* ControlError as refused:
+            error = refused.exceptions[0]
+            assert isinstance(error, ControlError)
+            writer.write(encode({"id": None, "error": error.as_object()}))
+        except* ConnectionError:
+            pass
+        finally:
+            writer.close()
 
-    def _spawn(self, work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
-        task = asyncio.get_running_loop().create_task(work)
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
-        return task
+    def _refuse_others(self, uid: int) -> None:
+        if uid not in {0, os.geteuid()}:
+            text = f"this session is of user {os.geteuid()}, and you are user {uid}"
+            raise ControlError(Code.NOT_ALLOWED, text)
+        if len(self._clients) > CLIENTS_LIMIT:
+            text = f"{CLIENTS_LIMIT} clients are connected already"
+            raise ControlError(Code.NOT_ALLOWED, text)
+
+    async def _carry_out(
+        self, request: Request, caller: Caller, writer: asyncio.StreamWriter
+    ) -> None:
+        try:
+            result = await self._operate(request, caller)
+            line = encode({"id": request.id, "result": result}, msgspec.to_builtins)
+            if len(line) > ANSWER_LIMIT:
+                raise ControlError(Code.TOO_LONG, "the answer is too long; name fewer units")  # noqa: TRY301
+        except ControlError as error:
+            line = _error(request, error)
+        except ConnectionError:
+            raise
+        except Exception as error:  # noqa: BLE001 - it is logged, and the run goes on
+            _log.exception("the control request %r failed", request.op)
+            line = _error(request, ControlError(Code.INTERNAL, f"{type(error).__name__}: {error}"))
+        await _write(writer, line)
+
+
+async def _line(reader: asyncio.StreamReader) -> bytes:
+    """Read a line; empty at the end of the connection. Raises ControlError."""
+    while True:
+        try:
+            line = await reader.readline()
+        except ValueError:
+            text = f"a line is longer than {REQUEST_LIMIT} bytes"
+            raise ControlError(Code.TOO_LONG, text) from None
+        if not line.endswith(b"\n"):
+            return b""
+        if line.strip():
+            return line
+
+
+async def _send(writer: asyncio.StreamWriter, number: int, kind: str, value: object) -> None:
+    await _write(writer, encode({"id": number, kind: value}, msgspec.to_builtins))
+
+
+async def _write(writer: asyncio.StreamWriter, line: bytes) -> None:
+    """Write a line when the client has read most of the earlier ones; raises ConnectionError."""
+    writer.write(line)
+    await writer.drain()
+    await asyncio.sleep(0)  # other tasks run, also when a lot is sent
+
+
+def _error(request: Request, error: ControlError) -> bytes:
+    return encode({"id": request.id, "error": error.as_object()}, msgspec.to_builtins)

@@ -1,61 +1,46 @@
-"""Finds the sessions that are registered, and chooses the one that a command is meant for.
+"""Finds the registered sessions, and chooses the one that a command is meant for.
 
-All are asked at once. Choosing goes by what is registered and alive, never by which sessions
-answer: a command must not reach another robot because the one that is meant hangs.
+All are queried at once. The choice depends on what is registered and alive, never on which sessions
+answer: a command must not reach another robot because the right one hangs.
 """
 
 from __future__ import annotations
 
 import os
 import re
-import select
-import socket
 import time
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from play_launch.control.client import ANSWER_LIMIT, ControlClient, Hello, hello_of
-from play_launch.control.place import (
+from play_launch.control.client import TIMEOUT, ControlClient
+from play_launch.control.protocol import Code, ControlError
+from play_launch.control.registration import (
     CONTROL_SOCKET,
     Link,
-    Registrant,
-    address_of,
     forget,
+    is_alive,
+    is_local,
     is_registered,
-    peer_of,
     registered,
     registered_by_others,
-    registrant_of,
-)
-from play_launch.control.protocol import (
-    LONGEST_ANSWER,
-    Code,
-    ControlError,
-    LineSplitter,
-    Request,
-    decode,
-    request_line,
 )
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-COMPLETION_LIMIT: Final = 0.15
+COMPLETION_TIMEOUT: Final = 0.15
 """Seconds for the answers that a shell waits for after a key was pressed."""
-_LISTING_LIMIT: Final = 1.0
+_LISTING_TIMEOUT: Final = 1.0
 """Seconds for the names of sessions in an error that lists them."""
-_MOST_OF_OTHERS: Final = 20
+_OTHERS_LIMIT: Final = 20
 """Sessions of other users that are listed."""
-_BUSY: Final = 0.01
-"""Seconds between two tries to connect where many do."""
-_PIECE: Final = 256 * 1024
 _STAMP: Final = re.compile(r"\d{4}(-\d\d){5}-")
-"""What the names of folders of sessions begin with; the name of the session follows."""
-_LONGEST_NAME: Final = 100
+"""Prefix of the folders of sessions; the name of the session follows."""
+_FOLDER_NAME_LIMIT: Final = 100
 """Characters of it."""
 
 
 class NoSessionError(Exception):
-    """There is no session to talk to, or it is not clear which one; the text names the fix."""
+    """There is no such session; the text has the fix."""
 
 
 class AmbiguousSessionError(NoSessionError):
@@ -63,26 +48,23 @@ class AmbiguousSessionError(NoSessionError):
 
 
 class Found(NamedTuple):
-    """What was found where a session is registered, or is said to be."""
+    """A registered session and its answer."""
 
     link: Link
     client: ControlClient | None
-    """The connection, where the session has greeted."""
+    """The connection, if the session has sent its hello."""
     answer: Any
-    """The result of what was asked; None: there is none."""
+    """Result of the request; None if there is none."""
     problem: NoSessionError | ControlError | None
     """Why there is no client."""
-    registrant: Registrant
-    """Whether the session is alive, be it one that does not answer."""
-
-    @property
-    def is_alive(self) -> bool:
-        """Whether there is a session as far as can be seen from here."""
-        return self.registrant is Registrant.ALIVE
+    is_alive: bool
+    """Whether the session runs, also without an answer."""
+    has_exited: bool
+    """Whether it is known that it does not run; neither holds in another PID namespace."""
 
 
 class Seen(NamedTuple):
-    """A session: its pid, its folder, its name and the rows that it answered with."""
+    """A session and the rows that it answered with."""
 
     pid: int
     folder: str
@@ -90,16 +72,16 @@ class Seen(NamedTuple):
     rows: list[dict[str, Any]]
 
 
-def connect(session: str | None = None, *, limit: float = ANSWER_LIMIT) -> ControlClient:
-    """Connect to the running session, or to the one that is named.
+def connect(session: str | None = None, *, limit: float = TIMEOUT) -> ControlClient:
+    """Connect to the running session, or to the named one.
 
     Args:
-        session: Folder, pid or name of a session; None where only one runs.
-        limit: Seconds for its greeting.
+        session: Folder, pid or name of a session; None if only one runs.
+        limit: Seconds for its hello.
 
     Raises:
         NoSessionError: When there is none, or more than one.
-        ControlError: When it does not let us in.
+        ControlError: When it refuses, or does not answer.
     """
     if session is not None and _is_folder(session):
         return connect_to(session, limit=limit)
@@ -108,16 +90,16 @@ def connect(session: str | None = None, *, limit: float = ANSWER_LIMIT) -> Contr
     is_pid = session is not None and bool(meant)
     if session is not None and not meant:
         meant = [link for link in links if _may_be_called(link, session)]
-    # Two that are alive are too many, whatever they say; then only their names are waited for.
+    # Two live sessions are ambiguous whatever they answer; only their names are waited for.
     is_decided = session is None and len(meant) > 1
-    found = find(meant, min(limit, _LISTING_LIMIT) if is_decided else limit)
+    found = find(meant, min(limit, _LISTING_TIMEOUT) if is_decided else limit)
     chosen: Found | None = None
     try:
         chosen = choose(found, session, is_pid=is_pid)
     except AmbiguousSessionError:
         raise
     except NoSessionError as error:
-        others = find([link for link in links if link not in meant], min(limit, _LISTING_LIMIT))
+        others = find([link for link in links if link not in meant], min(limit, _LISTING_TIMEOUT))
         close(others)
         known = [each for each in (*found, *others) if each.is_alive]
         text = str(error)
@@ -128,26 +110,20 @@ def connect(session: str | None = None, *, limit: float = ANSWER_LIMIT) -> Contr
         close(each for each in found if each is not chosen)
     if is_decided and isinstance(chosen.problem, ControlError):
         return connect_to(chosen.link.folder, limit=limit)  # the others have ended
-    return _opened(chosen)
+    return _client_of(chosen)
 
 
-def connect_to(folder: str, *, limit: float = ANSWER_LIMIT) -> ControlClient:
-    """Connect to the session in a folder.
-
-    Raises:
-        NoSessionError: When none runs there, with what is left of one.
-        ControlError: When it does not let us in.
-    """
-    (found,) = find([Link(0, folder, 0, 0)], limit)
-    return _opened(found)
+def connect_to(folder: str, *, limit: float = TIMEOUT) -> ControlClient:
+    """Connect to the session in a folder; raises NoSessionError, ControlError."""
+    return _client_of(_found(Link(0, folder, 0, 0), limit))
 
 
 def choose(found: Sequence[Found], session: str | None, *, is_pid: bool = False) -> Found:
-    """Choose from what may be meant.
+    """Choose one session.
 
     Args:
-        found: What is registered: all, or what bears that pid, or may bear that name.
-        session: Name or pid of the session; None: there is only one.
+        found: What is registered: all, or those with that pid, or those that may have that name.
+        session: Name or pid of the session; None: the only one.
         is_pid: Whether it is a pid.
 
     Raises:
@@ -165,7 +141,7 @@ def choose(found: Sequence[Found], session: str | None, *, is_pid: bool = False)
             may_be = "are" if all(each.client for each in alive) else "are, or may be,"
             text = f"{may_be} called {session}; name the folder{' or the pid' if is_name else ''}"
         raise AmbiguousSessionError(f"{len(alive)} sessions {text}:\n{_listed(alive)}")
-    reasons = [str(each.problem) for each in found if is_pid or each.registrant is Registrant.GONE]
+    reasons = [str(each.problem) for each in found if is_pid or each.has_exited]
     if is_name:
         reasons.insert(
             0,
@@ -178,14 +154,13 @@ def choose(found: Sequence[Found], session: str | None, *, is_pid: bool = False)
 
 
 def glance(
-    operation: str = "ps", names: Sequence[str] = (), *, limit: float = COMPLETION_LIMIT
+    operation: str = "ps", names: Sequence[str] = (), *, limit: float = COMPLETION_TIMEOUT
 ) -> list[Seen]:
-    """Ask all sessions of this user for the rows of ``ps``, or of another operation on names.
+    """Request the rows of an operation on names from all sessions of the user.
 
-    Those that do not answer within the seconds are left out, as is one with which anything goes
-    wrong.
+    Sessions that do not answer in time are left out.
     """
-    found = find(registered(), limit, Request(1, operation, {"names": list(names)}))
+    found = find(registered(), limit, operation, names)
     close(found)
     return [
         Seen(each.link.pid, each.link.folder, each.client.hello.name, each.answer)
@@ -194,32 +169,29 @@ def glance(
     ]
 
 
-def find(links: Sequence[Link], limit: float, request: Request | None = None) -> list[Found]:
-    """Connect to all of them at once, and ask them something; the links of dead ones are removed.
+def find(
+    links: Sequence[Link], limit: float, operation: str = "", names: Sequence[str] = ()
+) -> list[Found]:
+    """Connect to all of them at once, with a request if given; links of exited ones are removed.
 
     The caller closes the clients. A session that does not answer within ``limit`` seconds is
-    alive nevertheless.
+    alive all the same.
     """
-    asked = [_Asked(link, b"" if request is None else request_line(request)) for link in links]
-    deadline = time.monotonic() + limit
-    poll = select.poll()
-    coming = {each.connection.fileno(): each for each in asked}
-    waiting: dict[int, _Asked] = {}
-    while True:
-        for number, each in tuple(coming.items()):
-            if each.connects():
-                del coming[number]
-                waiting[number] = each
-                poll.register(number, select.POLLIN)
-        for number in [number for number, each in waiting.items() if each.is_done]:
-            poll.unregister(number)
-            del waiting[number]
-        left = deadline - time.monotonic()
-        if left <= 0 or not (coming or waiting):
-            break
-        for number, _ in poll.poll((min(left, _BUSY) if coming else left) * 1e3):
-            waiting[number].hear()
-    return [each.found() for each in asked]
+    if len(links) <= 1:
+        return [_found(link, limit, operation, names) for link in links]
+    from threading import Thread  # noqa: PLC0415 - for several sessions only
+
+    found: dict[Link, Found] = {}
+
+    def query(link: Link) -> None:
+        found[link] = _found(link, limit, operation, names)
+
+    threads = [Thread(target=query, args=(link,), daemon=True) for link in links]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    return [found[link] for link in links]
 
 
 def close(found: Iterable[Found]) -> None:
@@ -229,109 +201,58 @@ def close(found: Iterable[Found]) -> None:
             each.client.close()
 
 
-class _Asked:
-    """A session that is asked, and what it has said so far."""
-
-    def __init__(self, link: Link, line: bytes) -> None:
-        self.connection = socket.socket(socket.AF_UNIX)
-        self.connection.setblocking(False)
-        self._link = link
-        self._line = line
-        self._splitter = LineSplitter(LONGEST_ANSWER)
-        self._hello: Hello | None = None
-        self._answer: Any = None
-        self._problem: NoSessionError | ControlError | None = None
-        self.is_done = False
-
-    def connects(self) -> bool:
-        """Connect, and ask; False: others do at this moment, so that it is to be tried again."""
+def _found(link: Link, limit: float, operation: str = "", names: Sequence[str] = ()) -> Found:
+    deadline = time.monotonic() + limit
+    try:
+        client = ControlClient(link.folder, limit)
+    except ControlError as error:  # something listens
+        return Found(link, None, None, error, is_alive=True, has_exited=False)
+    except TimeoutError:
+        problem = ControlError(Code.TIMEOUT, f"the session in {link.folder} does not answer")
+        return Found(link, None, None, problem, is_alive=True, has_exited=False)
+    except (OSError, EOFError) as error:
+        return _without_session(link, _explained(link.folder, error))
+    answer = None
+    if operation:
         try:
-            with address_of(self._link.folder) as address:
-                self.connection.connect(address)
-            if self._line:
-                self.connection.sendall(self._line)
-            listening = peer_of(self.connection).uid
-        except BlockingIOError:
-            return False
-        except OSError as error:
-            self._give_up(_explained(self._link.folder, error))
-            return True
-        if os.geteuid() != 0 and listening not in {0, os.geteuid()}:
-            text = f"the socket in {self._link.folder} is that of user {listening}"
-            self._give_up(NoSessionError(text))
-        return True
-
-    def hear(self) -> None:
-        """Read what is there."""
-        try:
-            data = self.connection.recv(_PIECE)
-            for message in map(decode, self._splitter.feed(data)):
-                if self._hello is None:
-                    self._hello = hello_of(message)
-                    self.is_done = not self._line
-                else:
-                    self._answer = message.get("result")
-                    self.is_done = True
-        except BlockingIOError:
-            return
-        except OSError as error:
-            self._give_up(_explained(self._link.folder, error))
-        except ControlError as error:
-            self._give_up(error)
-        else:
-            if not data:
-                self._give_up(_explained(self._link.folder, ConnectionResetError()))
-
-    def found(self) -> Found:
-        """Say what there is."""
-        if self._hello is not None:
-            client = ControlClient(self.connection, self._hello)
-            return Found(self._link, client, self._answer, None, Registrant.ALIVE)
-        self.connection.close()
-        problem = self._problem or _explained(self._link.folder, TimeoutError())
-        if isinstance(problem, ControlError):  # something listens
-            return Found(self._link, None, None, problem, Registrant.ALIVE)
-        problem, registrant = _without_session(self._link, problem)
-        return Found(self._link, None, None, problem, registrant)
-
-    def _give_up(self, problem: NoSessionError | ControlError) -> None:
-        self._problem = problem
-        self.is_done = True
+            left = max(deadline - time.monotonic(), 0.0)
+            answer = client.ask(operation, {"names": list(names)}, limit=left)
+        except ControlError:
+            pass
+    return Found(link, client, answer, None, is_alive=True, has_exited=False)
 
 
-def _opened(found: Found) -> ControlClient:
+def _client_of(found: Found) -> ControlClient:
     if found.client is None:
         assert found.problem is not None
         raise found.problem
     return found.client
 
 
-def _without_session(link: Link, error: NoSessionError) -> tuple[NoSessionError, Registrant]:
-    """Say what there is in place of a registered session, and whether it is alive."""
-    if not is_registered(link):
-        return error, Registrant.GONE  # it has ended meanwhile
-    registrant = registrant_of(link)
-    match registrant:
-        case Registrant.GONE:
-            forget(link)
-        case Registrant.ALIVE:
-            error = NoSessionError(
-                f"{error}; process {link.pid}, which registered it, still runs: its folder was "
-                f"moved or removed; kill -INT {link.pid} ends it in order"
-            )
-    return error, registrant
+def _without_session(link: Link, error: NoSessionError) -> Found:
+    """Return what there is in place of a registered session."""
+    lives = is_registered(link) and is_alive(link)
+    has_exited = not is_registered(link) or (is_local(link) and not lives)
+    if lives:
+        error = NoSessionError(
+            f"{error}; process {link.pid}, which registered it, still runs: its folder was "
+            f"moved or removed; kill -INT {link.pid} ends it in order"
+        )
+    elif has_exited:
+        forget(link)
+    return Found(link, None, None, error, is_alive=lives, has_exited=has_exited)
 
 
 def _is_folder(session: str) -> bool:
-    """Whether a folder is meant, not a name or pid that a folder here happens to have as well."""
+    """Whether it means a folder, not a name or pid that a folder here happens to have as well."""
     return "/" in session or os.path.lexists(f"{session}/{CONTROL_SOCKET}")
 
 
 def _may_be_called(link: Link, session: str) -> bool:
-    """Whether a session may have that name, as far as its folder says."""
+    """Whether a session may have that name, as far as its folder shows."""
     name = os.path.basename(link.folder.rstrip("/"))  # noqa: PTH119 - pathlib is slow to import
     stamp = _STAMP.match(name)
-    if stamp is None or _in_utf8(name) == _in_utf8(session):
+    if stamp is None or name == session:
         return True
     name = name[stamp.end() :]
     # Other characters are replaced there, a number may follow, and long names are cut off.
@@ -340,24 +261,12 @@ def _may_be_called(link: Link, session: str) -> bool:
         plain == wanted
         or plain.removeprefix(wanted).isdecimal()
         or not wanted
-        or len(name) >= _LONGEST_NAME
+        or len(name) >= _FOLDER_NAME_LIMIT
     )
 
 
 def _is_called(client: ControlClient, session: str) -> bool:
-    names = (client.hello.name, os.path.basename(client.hello.folder))  # noqa: PTH119
-    return _in_utf8(session) in {_in_utf8(name) for name in names}
-
-
-def _in_utf8(text: str) -> str:
-    """Read what came from a command line or path as UTF-8, whatever the locale is.
-
-    In a locale without UTF-8, Python gives each byte from 128 on as a surrogate.
-    """
-    try:
-        return os.fsencode(text).decode("utf-8", "surrogateescape")
-    except UnicodeEncodeError:  # it came from a message, as the character that it is
-        return text
+    return session in {client.hello.name, os.path.basename(client.hello.folder)}  # noqa: PTH119
 
 
 def _listed(found: Iterable[Found]) -> str:
@@ -380,20 +289,19 @@ def _of_others() -> str:
     import pwd  # noqa: PLC0415 - rarely needed
 
     lines = ["\nsessions of other users, to be named with --session FOLDER:"]
-    for user, link in found[:_MOST_OF_OTHERS]:
+    for user, link in found[:_OTHERS_LIMIT]:
         try:
             name = pwd.getpwuid(user).pw_name
         except KeyError:
             name = str(user)
         folder = link.folder if link.folder.isprintable() else repr(link.folder)
         lines.append(f"{link.pid:>8}  user {name}  {folder}")
-    if len(found) > _MOST_OF_OTHERS:
-        lines.append(f"{'':>8}  and {len(found) - _MOST_OF_OTHERS} more")
+    if len(found) > _OTHERS_LIMIT:
+        lines.append(f"{'':>8}  and {len(found) - _OTHERS_LIMIT} more")
     return "\n  ".join(lines)
 
 
-def _explained(folder: str, error: OSError) -> NoSessionError | ControlError:
-    """Say what an error on the way to a session means."""
+def _explained(folder: str, error: OSError | EOFError) -> NoSessionError:
     if isinstance(error, FileNotFoundError | NotADirectoryError):
         return NoSessionError(f"no session is running in {folder}")
     if isinstance(error, ConnectionRefusedError):
@@ -403,8 +311,6 @@ def _explained(folder: str, error: OSError) -> NoSessionError | ControlError:
         )
     if isinstance(error, PermissionError):
         return NoSessionError(f"the session in {folder} is another user's: {error.strerror}")
-    if isinstance(error, TimeoutError):
-        return ControlError(Code.TIMEOUT, f"the session in {folder} does not answer")
-    if isinstance(error, ConnectionResetError | BrokenPipeError):
+    if isinstance(error, EOFError | ConnectionResetError | BrokenPipeError):
         return NoSessionError(f"the session in {folder} has just ended")
     return NoSessionError(f"the session in {folder} does not answer: {error.strerror or error}")

@@ -7,7 +7,7 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 from play_launch.cli.ps import table
-from play_launch.control.place import LINKS
+from play_launch.control.registration import LINKS
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from play_launch.control.place import Link
+from play_launch.control.registration import Link
 from play_launch.process.identity import read_stat
 
 

@@ -18,9 +18,9 @@ from typing import Any
 import psutil
 import pytest
 
-from play_launch.control.place import LINKS, address_of
-from play_launch.control.protocol import LONGEST_REQUEST, encode
-from play_launch.control.sessions import connect_to
+from play_launch.control.protocol import REQUEST_LIMIT, encode
+from play_launch.control.registration import LINKS, address_of
+from play_launch.control.sessions import connect, connect_to
 from play_launch.postmortem.session import PastSession
 from play_launch.recording import topics
 from tests.support.mounts import disk_of
@@ -177,13 +177,13 @@ def test_what_cannot_be_done_is_refused_with_the_reason(config: Path, tmp_path: 
     with running(config, tmp_path / "logs"):
         for arguments, code, words in (
             (("stop", "/talker"), 2, "is a composable node; use load, unload or reload"),
-            (("reload", "/chat"), 2, "is no composable node"),
-            (("stop", "nobody"), 2, "nothing is called nobody"),
-            (("stop", "no\x1b[2Jbody"), 2, "nothing is called nobody"),
-            (("stop", "x" * 1001), 2, "at most 2000 strings of 1000 characters"),
-            (("ps", *["/chat"] * 2001), 2, "at most 2000 strings"),
-            (("signal", "NONSENSE", "/chat"), 2, "is no signal"),
-            (("signal", "USR1", "/camera"), 1, "no process of its own"),
+            (("reload", "/chat"), 2, "is not a composable node"),
+            (("stop", "nobody"), 2, "no node or process named 'nobody'"),
+            (("stop", "no\x1b[2Jbody"), 2, "no node or process named 'nobody'"),
+            (("stop", "x" * 1001), 2, "names[0]: expected `str` of length <= 1000"),
+            (("ps", *["/chat"] * 2001), 2, "names: expected `array` of length <= 2000"),
+            (("signal", "NONSENSE", "/chat"), 2, "unknown signal"),
+            (("signal", "USR1", "/camera"), 1, "not running as a separate process"),
             (("events", "--kind", "nonsense"), 2, "there are no events 'nonsense'"),
             (("start", "/chat", "--timeout", "-1"), 2, "more than 0"),
             (("wait", "--timeout", "nan"), 2, "more than 0"),
@@ -208,6 +208,17 @@ def test_a_process_that_is_deaf_to_signals_is_stopped_all_the_same(
         assert ask("stop", "deaf") == "/deaf: stopped\n"
         assert not alive([found])
         assert rows("/deaf")["/deaf"]["signal"] == signal.SIGKILL
+        with connect() as client:
+            deaf, talker = client.ask("status", {"names": ["/deaf", "/talker"]})[::-1]
+        assert (deaf["state"], deaf["wanted"], deaf["command"][0]) == (
+            "exited",
+            False,
+            sys.executable,
+        )
+        assert "SIGKILL" in deaf["last_restarts"][-1]["cause"]
+        assert deaf["output"][-1]["text"] == "deaf now"
+        assert (talker["state"], talker["wanted"], talker["waits_for"]) == ("loaded", True, "")
+        assert talker["declared"] == f"{config}:9"
 
 
 @pytest.mark.parametrize(
@@ -346,7 +357,7 @@ def test_bad_clients_do_not_affect_the_run(config: Path, tmp_path: Path) -> None
         for _ in range(50):
             open_ones.enter_context(connect_to(folder))._connection.sendall(follow)
         half = b'{"id": 1, "op": "diff", "arguments": {"config": "'
-        half += b"x" * (LONGEST_REQUEST - len(half))
+        half += b"x" * (REQUEST_LIMIT - len(half))
         for sent in [os.urandom(1000) + b"\n"] * 10 + [half] * 10 + [half + b"xx"] * 10:
             plain = open_ones.enter_context(socket.socket(socket.AF_UNIX))
             with address_of(folder) as address:
@@ -379,10 +390,6 @@ def test_of_two_sessions_one_is_chosen(
             assert "/sleeper" in ask("ps", "--session", session)
             assert "/chat" not in ask("ps", "--session", session)
         assert "/chat" in ask("ps", "--session", str(first.pid))
-        # Where Python decodes the command line as ASCII.
-        monkeypatch.setenv("LC_ALL", "C")
-        monkeypatch.setenv("PYTHONUTF8", "0")
-        assert "/sleeper" in ask("ps", "--session", "zweitös")
         (tmp_path / "b").rename(tmp_path / "moved")
         assert "still runs" in ask("ps", "--session", str(second.pid), code=1)
         # The one that can be reached is not the one that is meant.

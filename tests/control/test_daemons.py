@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from play_launch.control.place import LINKS
+from play_launch.control.registration import LINKS
 from tests.support.replay import COMMAND, Replay, alive, replaying
 from tests.support.waiting import until
 

@@ -18,10 +18,10 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from play_launch.cli.operate import report_end
-from play_launch.control import place
+from play_launch.control import registration
 from play_launch.control.client import Hello
-from play_launch.control.place import CONTROL_SOCKET, LINKS, address_of, registered
 from play_launch.control.protocol import PROTOCOL, Code, ControlError, encode
+from play_launch.control.registration import CONTROL_SOCKET, LINKS, address_of, registered
 from play_launch.control.sessions import AmbiguousSessionError, NoSessionError, connect
 from tests.control.links import put_link
 from tests.support.replay import COMMAND, replaying
@@ -42,7 +42,7 @@ os.setresuid(54321, 54321, 54321)
 listening.listen()
 print("listens", flush=True)
 client, _ = listening.accept()
-hello = dict(protocol=1, version="1", pid=1, name="robot", session="x", folder="/", started_ns=0)
+hello = dict(protocol=2, version="1", pid=1, name="robot", session="x", folder="/", started_ns=0)
 client.sendall(json.dumps({"hello": hello}).encode() + b"\\n")
 request = json.loads(client.recv(9999))
 assert request["op"] == "environment"
@@ -178,7 +178,7 @@ def test_a_session_is_not_chosen_because_another_one_does_not_answer(
     with pytest.raises(AmbiguousSessionError, match="2 sessions are running") as refused:
         connect()
     assert f"  base  {base}" in str(refused.value)
-    reason = "does not answer" if protocol == 0 else f"speaks protocol {protocol}"
+    reason = "does not answer" if protocol == 0 else f"uses protocol {protocol}"
     assert re.search(f"{re.escape(str(arm))}.* {reason}", str(refused.value))
 
 
@@ -245,7 +245,7 @@ def test_root_is_told_whose_sessions_there_are(
     (tmp_path / "play_launch-99999").symlink_to(links)
     os.chown(links, user, -1)
     monkeypatch.delenv(LINKS)
-    monkeypatch.setattr(place, "SHARED_MEMORY", str(tmp_path))
+    monkeypatch.setattr(registration, "SHARED_MEMORY", str(tmp_path))
     monkeypatch.setattr(os, "geteuid", lambda: 0)
     theirs = f"""
 sessions of other users, to be named with --session FOLDER:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import fcntl
+import json
 import os
 import select
 import socket
@@ -14,23 +15,28 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from play_launch.control.connection import MOST_AT_ONCE
-from play_launch.control.door import Door
-from play_launch.control.place import CONTROL_SOCKET, LINKS, registered
-from play_launch.control.protocol import LONGEST_REQUEST, Code, ControlError, decode, encode
-from play_launch.control.server import MOST_CLIENTS, MOST_RECEIVED, About, serving
+from play_launch.control.messages import Hello
+from play_launch.control.protocol import REQUEST_LIMIT, Code, ControlError, decode, encode
+from play_launch.control.registration import CONTROL_SOCKET, LINKS, ControlSocket, registered
+from play_launch.control.server import CLIENTS_LIMIT, REQUESTS_LIMIT, serving
 from play_launch.control.sessions import NoSessionError, connect, connect_to
 from tests.control.links import put_link
-from tests.support.waiting import until
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable
 
-    from play_launch.control.connection import Stream
-    from play_launch.control.place import Peer
-    from play_launch.control.protocol import Request
+    from play_launch.control.messages import Caller, Request
 
-ABOUT = About(name="robot", session="6c1f", version="0.1.0", started_ns=7)
+
+def hello(folder: Path) -> Hello:
+    return Hello(
+        version="0.1.0",
+        pid=os.getpid(),
+        name="robot",
+        session="6c1f",
+        folder=str(folder),
+        started_ns=7,
+    )
 
 
 class Session:
@@ -39,28 +45,29 @@ class Session:
     def __init__(self) -> None:
         self.under_way = 0
         self.most = 0
-        self.peers: list[Peer] = []
+        self.callers: list[Caller] = []
 
-    async def __call__(self, request: Request, peer: Peer, stream: Stream) -> object:
+    async def __call__(self, request: Request, caller: Caller) -> object:
         self.under_way += 1
         self.most = max(self.most, self.under_way)
-        self.peers.append(peer)
+        self.callers.append(caller)
         try:
-            return await self._do(request, stream)
+            return await self._do(request, caller)
         finally:
             self.under_way -= 1
 
-    async def _do(self, request: Request, stream: Stream) -> object:
-        match request.operation:
+    async def _do(self, request: Request, caller: Caller) -> object:
+        arguments = json.loads(bytes(request.arguments))
+        match request.op:
             case "echo":
-                return dict(request.arguments)
+                return arguments
             case "count":
-                for number in range(request.arguments["to"]):
-                    await stream.send("event", number)
+                for number in range(arguments["to"]):
+                    await caller.send("event", number)
                 return "counted"
             case "flood":
                 while True:
-                    await stream.send("event", "x" * 1000)
+                    await caller.send("event", "x" * 1000)
                     await asyncio.sleep(0)
             case "wait":
                 await asyncio.Event().wait()
@@ -82,8 +89,8 @@ def links(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 async def served(folder: Path) -> AsyncIterator[Session]:
     folder.mkdir(parents=True, exist_ok=True)
     session = Session()
-    with contextlib.closing(await asyncio.to_thread(Door, str(folder))) as door:
-        async with serving(door, ABOUT, session):
+    with contextlib.closing(await asyncio.to_thread(ControlSocket, str(folder))) as door:
+        async with serving(door, hello(folder), session):
             yield session
 
 
@@ -97,20 +104,20 @@ def with_server(folder: Path, work: Callable[[Session], Any]) -> Any:
     return asyncio.run(main())
 
 
-def until_somebody_is_at(door: Door) -> None:
+def until_queued(door: ControlSocket) -> None:
     assert door.socket is not None
     waiting = select.poll()
     waiting.register(door.socket, select.POLLIN)
     assert waiting.poll(60_000)
 
 
-def test_who_comes_before_somebody_answers_waits_for_it(tmp_path: Path) -> None:
+def test_an_early_client_waits_until_the_server_accepts(tmp_path: Path) -> None:
     async def main() -> None:
-        with contextlib.closing(await asyncio.to_thread(Door, str(tmp_path))) as door:
+        with contextlib.closing(await asyncio.to_thread(ControlSocket, str(tmp_path))) as door:
             early = asyncio.create_task(asyncio.to_thread(connect))
-            await asyncio.to_thread(until_somebody_is_at, door)
+            await asyncio.to_thread(until_queued, door)
             assert not early.done()
-            async with serving(door, ABOUT, Session()), asyncio.timeout(60):
+            async with serving(door, hello(tmp_path), Session()), asyncio.timeout(60):
                 with await early as client:
                     assert await asyncio.to_thread(client.ask, "echo", {"a": 1}) == {"a": 1}
 
@@ -121,13 +128,16 @@ def test_it_answers_where_the_descriptor_of_its_address_leads_elsewhere_by_now(
     tmp_path: Path,
 ) -> None:
     async def main() -> None:
-        with Path(os.devnull).open() as other, contextlib.closing(Door(str(tmp_path))) as door:
+        with (
+            Path(os.devnull).open() as other,
+            contextlib.closing(ControlSocket(str(tmp_path))) as door,
+        ):
             assert door.socket is not None
             used = int(door.socket.getsockname().split("/")[4])
             reused = fcntl.fcntl(other, fcntl.F_DUPFD_CLOEXEC, used)
             try:
                 assert reused == used
-                async with serving(door, ABOUT, Session()), asyncio.timeout(60):
+                async with serving(door, hello(tmp_path), Session()), asyncio.timeout(60):
                     with await asyncio.to_thread(connect) as client:
                         assert await asyncio.to_thread(client.ask, "echo", {"a": 1}) == {"a": 1}
             finally:
@@ -136,13 +146,11 @@ def test_it_answers_where_the_descriptor_of_its_address_leads_elsewhere_by_now(
     asyncio.run(main())
 
 
-def test_who_comes_to_a_run_that_ends_before_it_answers_hears_of_that(
-    tmp_path: Path, links: Path
-) -> None:
+def test_a_client_of_a_run_that_ends_before_it_answers_is_told(tmp_path: Path, links: Path) -> None:
     with ThreadPoolExecutor(1) as pool:
-        with contextlib.closing(Door(str(tmp_path))) as door:
+        with contextlib.closing(ControlSocket(str(tmp_path))) as door:
             early = pool.submit(connect)
-            until_somebody_is_at(door)
+            until_queued(door)
         with pytest.raises(NoSessionError, match="has just ended"):
             early.result(60)
     assert not list(tmp_path.glob("*.sock"))
@@ -155,7 +163,7 @@ def test_it_greets_answers_and_is_gone_at_its_end(tmp_path: Path, links: Path) -
             assert (client.hello.name, client.hello.folder) == ("robot", str(tmp_path))
             assert client.hello.pid == os.getpid()
             assert client.ask("echo", {"names": ["ä", 1.5]}) == {"names": ["ä", 1.5]}
-            assert session.peers[0][:2] == (os.getpid(), os.geteuid())
+            assert session.callers[0][:2] == (os.getpid(), os.geteuid())
             counted = [
                 message["event"]
                 for message in client.stream("count", {"to": 3})
@@ -194,7 +202,7 @@ def test_errors_are_errors_and_the_connection_goes_on(tmp_path: Path) -> None:
     [
         (b"GET / HTTP/1.1\r\n\r\n", Code.MALFORMED),
         (b"\0\xff" * 500 + b"\n", Code.MALFORMED),
-        (b"x" * (LONGEST_REQUEST + 1), Code.TOO_LONG),
+        (b"x" * (REQUEST_LIMIT + 1), Code.TOO_LONG),
         (b'{"id": 1, "op": "ps", "protocol": 99}\n', Code.PROTOCOL),
     ],
 )
@@ -234,7 +242,7 @@ def test_fifty_clients_at_once(tmp_path: Path) -> None:
 
 def test_more_clients_than_there_may_be_are_refused_and_the_rest_served(tmp_path: Path) -> None:
     def talk(_: Session) -> None:
-        clients = [connect_to(str(tmp_path)) for _ in range(MOST_CLIENTS)]
+        clients = [connect_to(str(tmp_path)) for _ in range(CLIENTS_LIMIT)]
         with pytest.raises(ControlError) as refused:
             connect_to(str(tmp_path))
         assert refused.value.code == Code.NOT_ALLOWED
@@ -245,37 +253,6 @@ def test_more_clients_than_there_may_be_are_refused_and_the_rest_served(tmp_path
             assert client.ask("echo") == {}
 
     with_server(tmp_path, talk)
-
-
-def test_half_lines_of_many_take_no_more_memory_than_there_is_for_all(tmp_path: Path) -> None:
-    half, clients = b"x" * LONGEST_REQUEST, 20
-    fitting = MOST_RECEIVED // LONGEST_REQUEST
-
-    def talk(_: Session) -> None:
-        with contextlib.ExitStack() as opened:
-            found = [opened.enter_context(connected(tmp_path)) for _ in range(clients)]
-            for plain in found:
-                assert plain.recv(10_000).endswith(b"\n")
-                with contextlib.suppress(BrokenPipeError, ConnectionResetError):
-                    plain.sendall(half)
-            # Only who is refused is answered: to the others their line has not ended.
-            until(lambda: len(readable(found)) >= clients - fitting, "refusals")
-            for plain in readable(found):
-                answer = decode(plain.recv(10_000))
-                assert (answer["id"], answer["error"]["code"]) == (None, Code.TOO_MANY)
-            with connect() as client:
-                short = {"x": "y" * 1000}
-                assert client.ask("echo", short) == short
-        long = {"x": "y" * (LONGEST_REQUEST - 1000)}
-        for _number in range(2 * fitting):
-            with connect() as client:
-                assert client.ask("echo", long) == long
-
-    with_server(tmp_path, talk)
-
-
-def readable(found: list[socket.socket]) -> list[socket.socket]:
-    return select.select(found, [], [], 0)[0]
 
 
 def test_a_client_that_never_reads_makes_nothing_grow(tmp_path: Path) -> None:
@@ -290,7 +267,7 @@ def test_a_client_that_never_reads_makes_nothing_grow(tmp_path: Path) -> None:
                         encode({"id": number, "op": "echo", "arguments": {"x": "y" * 500}})
                     )
                 pytest.fail("all of it was read")
-            assert session.most <= MOST_AT_ONCE + 1
+            assert session.most <= REQUESTS_LIMIT + 1
             with connect() as client:
                 assert client.ask("echo", {"a": 1}) == {"a": 1}
 
@@ -371,7 +348,7 @@ def test_another_user_is_refused_even_where_the_file_lets_everybody_in(tmp_path:
         answer = decode(ask_as_nobody(path).strip())
         assert answer["error"]["code"] == Code.NOT_ALLOWED
         assert "you are user 65534" in answer["error"]["message"]
-        assert not session.peers
+        assert not session.callers
 
     with_server(tmp_path, talk)
 

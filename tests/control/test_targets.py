@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from play_launch.config.node_key import NodeKey
 from play_launch.control.protocol import Code, ControlError
-from play_launch.control.targets import Target, chosen, full_name
+from play_launch.control.units import Target, chosen, full_name
 
 MEMBERS: list[Target] = ["/sensing/box", "/chat", "/monitor"]
 NODES: list[Target] = [
@@ -61,7 +61,7 @@ def test_each_is_found_once_in_the_order_of_declaration() -> None:
         ("chat:*", Code.UNKNOWN_NAME, "'*/chat:*'"),
         ("/nothing/*", Code.UNKNOWN_NAME, "ps lists"),
         ("/monitor", Code.BAD_ARGUMENTS, "/monitor is no node"),
-        ("", Code.UNKNOWN_NAME, "called"),
+        ("", Code.UNKNOWN_NAME, "named"),
     ],
 )
 def test_what_is_wrong_is_said(word: str, code: str, words: str) -> None:

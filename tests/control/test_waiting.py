@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 import signal
 import socket
@@ -12,16 +11,14 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 import pytest
 
 from play_launch.cli.wait import _Managed
-from play_launch.control.outcome import Verdict
-from play_launch.control.place import LINKS, address_of
 from play_launch.control.protocol import PROTOCOL, ControlError, decode, encode
+from play_launch.control.registration import LINKS, address_of
 from play_launch.control.sessions import connect_to
-from play_launch.control.waiting import until_all_are
 from play_launch.ros.node_services import NodeServices
 from tests.control.links import put_link
 from tests.support.replay import COMMAND, replaying
@@ -72,35 +69,6 @@ def test_what_is_applied_meanwhile_is_what_is_waited_for(tmp_path: Path) -> None
             said, _ = waiting.communicate(timeout=60)
         assert waiting.returncode == 0
         assert json.loads(said)["names"] == ["/kept", "/new"]
-
-
-def test_all_are_done_at_the_same_moment() -> None:
-    done, changed = {"a"}, asyncio.Event()
-
-    async def main() -> list[str]:
-        verdicts: dict[Any, Verdict] = {}
-        waiting = asyncio.create_task(
-            until_all_are(
-                lambda: ["a", "b"],
-                lambda target: Verdict(is_done=True) if target in done else None,
-                targets=[],
-                verdicts=verdicts,
-                changed=changed,
-                until_applied=lambda: asyncio.sleep(0),
-            )
-        )
-        rounds = []
-        for now in ({"a"}, {"b"}, {"a", "b"}):
-            done.clear()
-            done.update(now)
-            changed.set()
-            for _ in range(5):
-                await asyncio.sleep(0)
-            rounds.append(waiting.done())
-        assert rounds == [False, False, True]
-        return sorted(verdicts)
-
-    assert asyncio.run(main()) == ["a", "b"]
 
 
 def test_the_time_until_a_session_begins_counts(

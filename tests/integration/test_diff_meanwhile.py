@@ -85,7 +85,7 @@ def test_of_two_that_are_asked_for_at_once_one_is_applied(tmp_path: Path) -> Non
             [*command, str(files[2])], check=False, stderr=subprocess.PIPE, text=True, timeout=60
         )
         assert second.returncode == 1
-        assert "another configuration is being applied; wait for its end" in second.stderr
+        assert "another configuration is being applied; try again" in second.stderr
         assert json.loads(diff(files[2], *session, "--json")[1])["applying"] == str(files[1])
         os.kill(deaf["pid"], signal.SIGKILL)
         assert first.wait(60) == 0

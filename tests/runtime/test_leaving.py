@@ -6,16 +6,15 @@ import asyncio
 import contextlib
 import os
 from collections.abc import AsyncIterator
-from typing import Any, cast
+from typing import Any
 
 import pytest
 
 from play_launch.config.node_key import NodeKey
-from play_launch.control.action_record import ActionRecord, ActionRecords
-from play_launch.control.actions import Actions
+from play_launch.control.actions import Action as Asked
+from play_launch.control.actions import ActionLog, Actions
 from play_launch.control.feed import Feed
-from play_launch.control.outcome import Action as Asked
-from play_launch.control.place import Peer
+from play_launch.control.messages import ActionRequest, Caller, SignalRequest
 from play_launch.control.protocol import ControlError
 from play_launch.supervisor.steps import Action
 
@@ -80,7 +79,7 @@ def test_a_node_on_its_way_out_is_not_loaded_again_by_hand() -> None:
     run(main())
 
 
-class Late(ActionRecords):
+class Late(ActionLog):
     """Has all of it taken out between the choice of names and the action."""
 
     def __init__(self, sys: Running) -> None:
@@ -88,10 +87,10 @@ class Late(ActionRecords):
         self._sys = sys
 
     @contextlib.asynccontextmanager
-    async def recorded(self, *asked: Any) -> AsyncIterator[ActionRecord]:
+    async def recorded(self, *asked: Any) -> AsyncIterator[None]:
         await self._sys.operated.applying.apply(system(process("other")))
-        async with super().recorded(*asked) as record:
-            yield record
+        async with super().recorded(*asked):
+            yield
 
 
 @pytest.mark.parametrize("action", list(Asked))
@@ -106,9 +105,10 @@ def test_what_is_taken_out_meanwhile_is_reported_as_such(action: Asked, name: st
         async with running(BEFORE, FakeLauncher()) as sys:
             await sys.until_loaded(2)
             actions = Actions(sys.operated, sys.publisher, Feed(), Late(sys))
-            arguments: dict[str, Any] = {"names": [name], "signal": "USR1"}
-            peer, stream = Peer(os.getpid(), 0, 0), cast("Any", None)
+            request = ActionRequest(names=(name,))
+            if action is Asked.SIGNAL:
+                request = SignalRequest(names=(name,), signal="USR1")
             with pytest.raises(ControlError, match="taken out of the system"):
-                await actions.act(action, arguments, peer, stream)
+                await actions.act(action, request, Caller(os.getpid(), 0))
 
     run(main())

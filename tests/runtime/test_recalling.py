@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 from types import MappingProxyType
-from typing import Any, cast
+from typing import Any
 
 import pytest
 from msgspec.structs import replace
@@ -13,11 +13,9 @@ from msgspec.structs import replace
 from play_launch.config.dependency import Condition, Dependency, StartRule
 from play_launch.config.model import ReplayConfig
 from play_launch.config.policies import OnExit
-from play_launch.control.action_record import ActionRecords
-from play_launch.control.actions import Actions
+from play_launch.control.actions import Action, ActionLog, Actions
 from play_launch.control.feed import Feed
-from play_launch.control.outcome import Action
-from play_launch.control.place import Peer
+from play_launch.control.messages import ActionRequest, ActionResult, Caller, Results
 from play_launch.control.protocol import ControlError
 from play_launch.process.exit import Exit
 from play_launch.runtime.ports import StartError
@@ -44,10 +42,10 @@ def slow(sys: Running) -> None:
         each.lingers = SLOW
 
 
-async def stop(sys: Running, *names: str, **arguments: object) -> object:
-    actions = Actions(sys.operated, sys.publisher, Feed(), ActionRecords(sys.publisher))
-    peer, stream = Peer(os.getpid(), 0, 0), cast("Any", None)
-    return await actions.act(Action.STOP, {"names": [*names], **arguments}, peer, stream)
+async def stop(sys: Running, *names: str, timeout: float = 60.0) -> Results:
+    actions = Actions(sys.operated, sys.publisher, Feed(), ActionLog(sys.publisher))
+    request = ActionRequest(names=names, timeout=timeout)
+    return await actions.act(Action.STOP, request, Caller(os.getpid(), 0))
 
 
 def test_a_stop_ends_when_somebody_starts_it_again() -> None:
@@ -73,9 +71,7 @@ def test_a_stop_is_done_although_a_configuration_replaces_it_at_that_moment() ->
             applying = asyncio.create_task(sys.operated.applying.apply(CHANGED))
             await asyncio.sleep(1)
             stopped = await stop(sys, "/p")
-            assert stopped == {
-                "results": [{"name": "/p", "container": None, "done": True, "reason": ""}]
-            }
+            assert stopped == Results((ActionResult("/p", None, done=True, reason=""),))
             assert (await applying).succeeded
             assert len(sys.launcher.processes["/p"]) == 1
             assert sys.operated.config.nodes == CHANGED.nodes
@@ -109,7 +105,7 @@ def test_a_stop_that_takes_too_long_names_only_what_still_runs() -> None:
             sys.launcher.processes["/p"][0].lingers = SLOW
             with pytest.raises(ControlError, match=r"not done within 5 s: /p$") as late:
                 await stop(sys, "/p", "/other", timeout=5)
-            assert [each["name"] for each in late.value.details["results"]] == ["/other"]  # type: ignore[attr-defined]
+            assert [each.name for each in late.value.details["results"]] == ["/other"]  # type: ignore[attr-defined]
 
     run(main())
 

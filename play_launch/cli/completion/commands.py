@@ -130,9 +130,11 @@ def _known_words(metavar: str | None) -> tuple[str, ...]:
     """Give the words that can stand where help has this one; none where anything can."""
     match metavar:
         case "KIND":
-            from play_launch.control.selection import KINDS  # noqa: PLC0415 - only for this
+            from play_launch.supervisor.event_object import (  # noqa: PLC0415 - only for this
+                EVENT_TYPES,
+            )
 
-            return tuple(sorted(KINDS))
+            return tuple(sorted(EVENT_TYPES.values()))
         case "LEVEL":
             from play_launch.cli.logs import LEVELS  # noqa: PLC0415 - as above
 

@@ -15,7 +15,7 @@ from msgspec import Struct
 
 from play_launch.cli.top.cells import clean, wrapped
 from play_launch.cli.top.rows import COMPONENT, Row, Subject
-from play_launch.control.selection import CONSOLE_FORMAT, logger_of
+from play_launch.control.feed import CONSOLE_FORMAT, logger_of
 from play_launch.recording.console_format import line_level
 from play_launch.supervisor.events import OutputLine, Stream
 

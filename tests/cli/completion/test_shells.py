@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from play_launch.control.place import LINKS
+from play_launch.control.registration import LINKS
 from play_launch.control.sessions import connect_to
 from tests.support.replay import COMMAND, Replay, replaying
 from tests.support.waiting import LIMIT, until

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import json
 from collections.abc import AsyncIterator, Callable, Coroutine
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,21 +15,19 @@ from blockbuster import blockbuster_ctx
 from play_launch.cli.top.app import End, TopApp
 from play_launch.cli.top.link import MOST_UNDER_WAY
 from play_launch.cli.top.panes import Pane, Question
-from play_launch.control.door import Door
-from play_launch.control.place import LINKS
+from play_launch.control.messages import Hello
 from play_launch.control.protocol import Code, ControlError
-from play_launch.control.server import About, serving
+from play_launch.control.registration import LINKS, ControlSocket
+from play_launch.control.server import serving
 from play_launch.control.sessions import connect_to
 from tests.support.waiting import LIMIT
 
 if TYPE_CHECKING:
     from textual.pilot import Pilot
 
-    from play_launch.control.connection import Stream
-    from play_launch.control.place import Peer
-    from play_launch.control.protocol import Request
+    from play_launch.control.messages import Caller, Request
 
-ABOUT = About(name="robot", session="6c1f", version="0.1.0", started_ns=7)
+ABOUT = Hello(version="0.1.0", pid=1, name="robot", session="6c1f", folder="/robot", started_ns=7)
 
 
 def row(name: str, state: str = "running", kind: str = "process", **fields: Any) -> dict[str, Any]:
@@ -47,19 +46,19 @@ class Session:
         self.asked = 0
         self.operations: list[tuple[str, dict[str, Any]]] = []
         self.answer: Callable[[], Coroutine[Any, Any, object]] = self._done
-        self.stream: Stream | None = None
+        self.caller: Caller | None = None
         self.is_followed = asyncio.Event()
 
-    async def __call__(self, request: Request, peer: Peer, stream: Stream) -> object:
-        match request.operation:
+    async def __call__(self, request: Request, caller: Caller) -> object:
+        match request.op:
             case "ps":
                 self.asked += 1
                 return self.rows
             case "events":
-                self.stream = stream
+                self.caller = caller
                 self.is_followed.set()
                 await asyncio.Event().wait()
-        self.operations.append((request.operation, dict(request.arguments)))
+        self.operations.append((request.op, json.loads(bytes(request.arguments))))
         return await self.answer()
 
     async def _done(self) -> object:
@@ -68,9 +67,9 @@ class Session:
     async def say(self, *events: dict[str, Any]) -> None:
         async with asyncio.timeout(LIMIT):
             await self.is_followed.wait()
-        assert self.stream is not None
+        assert self.caller is not None
         for event in events:
-            await self.stream.send("event", event)
+            await self.caller.send("event", event)
 
 
 class Scene:
@@ -119,7 +118,7 @@ def links(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 async def shown(folder: Path, size: tuple[int, int] = (80, 24)) -> AsyncIterator[Scene]:
     session = Session()
     async with contextlib.AsyncExitStack() as opened:
-        door = await asyncio.to_thread(Door, str(folder))
+        door = await asyncio.to_thread(ControlSocket, str(folder))
         opened.callback(door.close)
         await opened.enter_async_context(serving(door, ABOUT, session))
         client = opened.enter_context(await asyncio.to_thread(connect_to, str(folder)))

@@ -16,7 +16,7 @@ from typing import Any
 import psutil
 import pytest
 
-from play_launch.control.place import LINKS
+from play_launch.control.registration import LINKS
 from tests.support.replay import COMMAND, Replay, replaying
 from tests.support.scenes import TALKER_AND_SLEEPER
 from tests.support.terminal import Terminal, on_terminal

@@ -5,7 +5,7 @@ from hypothesis import given, settings
 
 from play_launch.cli.top.operations import Proposal, Refusal, Wish, offered, proposal
 from play_launch.cli.top.rows import Row, Subject
-from play_launch.control.outcome import FOR_MEMBERS, FOR_NODES
+from play_launch.control.actions import FOR_MEMBERS, FOR_NODES
 from tests.cli.top.rows import node, row, systems
 
 AGAIN, HALT, GO = Wish

@@ -1,0 +1,241 @@
+"""Sockets of running sessions, and the links by which commands find them.
+
+The links are in one folder for each user, ``/dev/shm/play_launch-<uid>``; the reasons are in
+docs/decisions/control.md. A session runs if its socket accepts connections. The name of a link is
+``<pid>-<start time>-<PID namespace>`` of the supervisor: a pid may be reused, and containers may
+share ``/dev/shm``.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+import struct
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+CONTROL_SOCKET: Final = "control.sock"
+"""In the folder of a session; a killed supervisor leaves it behind."""
+LINKS: Final = "PLAY_LAUNCH_SESSIONS_DIR"
+"""Environment variable: another folder for the links, for systems that are to be kept apart."""
+SHARED_MEMORY: Final = "/dev/shm"  # noqa: S108 - see `_is_of`
+_PREFIX: Final = "play_launch-"
+_NUMBERS: Final = 3
+_START_TIME: Final = 19
+"""Index of the start time behind the program's name in /proc/<pid>/stat."""
+_EXITED: Final = (b"Z", b"X")
+"""States of a process that exited and was not reaped yet."""
+_CREDENTIALS: Final = struct.Struct("3i")
+_BACKLOG: Final = 128
+
+
+class Peer(NamedTuple):
+    """Credentials of the process at the other end of a socket."""
+
+    pid: int
+    """When it connected; it may be reused since."""
+    uid: int
+    gid: int
+
+
+class Link(NamedTuple):
+    """A registered session; its supervisor may have been killed since."""
+
+    pid: int
+    folder: str
+    start_time: int
+    """In clock ticks after boot."""
+    namespace: int
+    """Inode of the PID namespace that the pid belongs to."""
+
+    @property
+    def name(self) -> str:
+        """File name of the link."""
+        return f"{self.pid}-{self.start_time}-{self.namespace}"
+
+
+class ControlSocket:
+    """Listening socket in the folder of a session, and its registration, until it is closed.
+
+    It listens before anything is started: early clients queue until the server accepts.
+
+    Attributes:
+        folder: Of the session, absolute: commands have other working directories.
+        socket: None if listening is not possible.
+        problems: What is not possible, a sentence each.
+    """
+
+    def __init__(self, folder: str) -> None:
+        """Listen, and register the session; errors become problems: the run matters more."""
+        self.folder = os.path.abspath(folder)  # noqa: PTH100 - pathlib is slow to import
+        self.socket: socket.socket | None = None
+        self.problems: list[str] = []
+        self._made: list[str] = []
+        try:
+            self.socket = _listening(self.folder)
+        except OSError as error:
+            self.problems.append(
+                f"the session cannot be controlled: no socket in {self.folder}: {error}"
+            )
+            return
+        self._made.append(f"{self.folder}/{CONTROL_SOCKET}")
+        try:
+            self._made.append(register(self.folder))
+        except OSError as error:
+            self.problems.append(
+                f"commands find this session by --session {self.folder} only: "
+                f"it is not registered: {error}"
+            )
+
+    def close(self) -> None:
+        """Withdraw, and stop listening."""
+        self.withdraw()
+        if self.socket is not None:
+            self.socket.close()
+
+    def withdraw(self) -> None:
+        """Remove socket file and link; to be called before the socket is closed."""
+        while self._made:
+            with contextlib.suppress(OSError):
+                os.unlink(self._made.pop())  # noqa: PTH108 - as above
+
+
+def _listening(folder: str) -> socket.socket:
+    listening = socket.socket(socket.AF_UNIX)
+    try:
+        listening.setblocking(False)
+        with address_of(folder) as address:
+            # Before it is bound, so that no other user can connect.
+            os.fchmod(listening.fileno(), 0o600)
+            listening.bind(address)
+        os.chmod(f"{folder}/{CONTROL_SOCKET}", 0o600)  # noqa: PTH101 - as above
+        listening.listen(_BACKLOG)
+    except BaseException:
+        listening.close()
+        raise
+    return listening
+
+
+def links_folder() -> str:
+    """Return the folder of this user's links, which may not exist yet."""
+    return os.environ.get(LINKS) or f"{SHARED_MEMORY}/{_PREFIX}{os.geteuid()}"
+
+
+def register(folder: str) -> str:
+    """Link this process to the folder of its session and return the link; raises OSError."""
+    links = links_folder()
+    os.makedirs(links, mode=0o700, exist_ok=True)  # noqa: PTH103 - pathlib is slow to import
+    if not _is_of(os.geteuid(), links):
+        raise PermissionError(f"{links} belongs to another user")
+    path = f"{links}/{Link(os.getpid(), folder, _stat('self')[1], _namespace()).name}"
+    with contextlib.suppress(FileNotFoundError):
+        os.unlink(path)  # noqa: PTH108 - of an earlier session of this process
+    os.symlink(folder, path)  # noqa: PTH211
+    return path
+
+
+def registered() -> list[Link]:
+    """List the registered sessions, the oldest link first."""
+    return _links_in(links_folder(), os.geteuid())
+
+
+def registered_by_others() -> list[tuple[int, Link]]:
+    """List live sessions of other users, each with the uid; for root only."""
+    if os.geteuid() != 0 or os.environ.get(LINKS):
+        return []
+    with contextlib.suppress(OSError):
+        names = sorted(os.listdir(SHARED_MEMORY))  # noqa: PTH208
+        users = [name.removeprefix(_PREFIX) for name in names if name.startswith(_PREFIX)]
+        return [
+            (int(user), link)
+            for user in users
+            if user.isdecimal() and int(user) != os.geteuid()
+            for link in _links_in(f"{SHARED_MEMORY}/{_PREFIX}{user}", int(user))
+            if is_alive(link)
+        ]
+    return []
+
+
+def is_registered(link: Link) -> bool:
+    """Whether the link still exists: a session that ends removes it first."""
+    return os.path.lexists(f"{links_folder()}/{link.name}")
+
+
+def is_alive(link: Link) -> bool:
+    """Whether the process that registered the session runs, in this PID namespace."""
+    if not is_local(link):
+        return False
+    try:
+        state, start_time = _stat(link.pid)
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+    return start_time == link.start_time and state not in _EXITED
+
+
+def is_local(link: Link) -> bool:
+    """Whether the pid of a link belongs to the PID namespace of this process."""
+    return link.namespace == _namespace()
+
+
+def forget(link: Link) -> None:
+    """Remove the link of a process that exited."""
+    with contextlib.suppress(OSError):
+        os.unlink(f"{links_folder()}/{link.name}")  # noqa: PTH108
+
+
+def peer_of(connection: socket.socket) -> Peer:
+    """Return the credentials of the other end; of a listener, those at its ``listen``."""
+    data = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
+    return Peer(*_CREDENTIALS.unpack(data))
+
+
+@contextlib.contextmanager
+def address_of(folder: str) -> Iterator[str]:
+    """Yield an address of the socket in a folder, valid while the block runs.
+
+    An address has at most 107 bytes, and a path 4,095: it goes by a descriptor of the folder.
+    Raises ``OSError`` when there is no such folder.
+    """
+    descriptor = os.open(folder, os.O_PATH | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        yield f"/proc/self/fd/{descriptor}/{CONTROL_SOCKET}"
+    finally:
+        os.close(descriptor)
+
+
+def _links_in(links: str, user: int) -> list[Link]:
+    found: list[tuple[int, Link]] = []
+    if not _is_of(user, links):
+        return []
+    for name in os.listdir(links):  # noqa: PTH208
+        numbers = name.split("-")
+        if len(numbers) != _NUMBERS or not all(number.isdecimal() for number in numbers):
+            continue
+        pid, start_time, namespace = map(int, numbers)
+        with contextlib.suppress(OSError):
+            made = os.lstat(f"{links}/{name}").st_mtime_ns
+            folder = os.readlink(f"{links}/{name}")  # noqa: PTH115
+            found.append((made, Link(pid, folder, start_time, namespace)))
+    return [link for _, link in sorted(found)]
+
+
+def _is_of(user: int, folder: str) -> bool:
+    """Whether a path is a folder, not a link, and belongs to that user."""
+    try:
+        status = os.lstat(folder)
+    except OSError:
+        return False
+    return status.st_uid == user and (status.st_mode & 0o170000) == 0o040000
+
+
+def _stat(pid: int | Literal["self"]) -> tuple[bytes, int]:
+    with open(f"/proc/{pid}/stat", "rb") as file:  # noqa: PTH123
+        fields = file.read().rpartition(b")")[2].split()
+    return fields[0], int(fields[_START_TIME])
+
+
+def _namespace() -> int:
+    return os.stat("/proc/self/ns/pid").st_ino  # noqa: PTH116

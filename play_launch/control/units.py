@@ -1,0 +1,314 @@
+"""Containers, processes and composable nodes: chosen by name, and described for clients."""
+
+from __future__ import annotations
+
+import os
+import time
+from fnmatch import fnmatchcase
+from typing import TYPE_CHECKING, Any, Final
+
+from msgspec.structs import replace
+
+from play_launch.config.node_key import NodeKey
+from play_launch.control.messages import Managed, Row, Status
+from play_launch.control.protocol import Code, ControlError
+from play_launch.process.cgroups.usage import group_of, usage_of
+from play_launch.process.exit import UNKNOWN_STATUS
+from play_launch.supervisor.events import (
+    MemoryKind,
+    NodeState,
+    ProcessEventKind,
+    ProcessSample,
+    SubjectKind,
+)
+from play_launch.supervisor.world import Process, is_wanted
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+
+    from play_launch.control.messages import LastLine, Restart
+    from play_launch.supervisor.view import ContainerView, NodeView, ProcessView, SystemView
+    from play_launch.supervisor.world import Node, World
+
+Target = NodeKey | str
+"""A composable node, or the full name of a container or ordinary process."""
+Samples = dict[tuple[SubjectKind, str], ProcessSample]
+"""The latest sample of each subject."""
+
+_LISTED: Final = 10
+"""Names in an error."""
+_WILD: Final = frozenset("*?[")
+_STATE_OF_PROCESS: Final = {
+    ProcessEventKind.STARTED: "running",
+    ProcessEventKind.READY: "running",
+    ProcessEventKind.EXITED: "exited",
+    ProcessEventKind.RESTARTING: "backoff",
+    ProcessEventKind.GAVE_UP: "gave up",
+    ProcessEventKind.STOPPING: "stopping",
+    ProcessEventKind.WAITING: "waiting",
+    ProcessEventKind.STOPPED: "stopped",
+}
+_ENDED: Final = frozenset(
+    {ProcessEventKind.EXITED, ProcessEventKind.RESTARTING, ProcessEventKind.GAVE_UP}
+)
+_HAS_PROCESS: Final = frozenset({NodeState.LOADED, NodeState.LOADING, NodeState.UNLOADING})
+_TICKS: Final = os.sysconf("SC_CLK_TCK")
+_SAMPLE_AGE_LIMIT_NS: Final = 30_000_000_000
+"""Older samples are not shown."""
+
+
+def members_of(view: SystemView, processes: Iterable[str]) -> list[Target]:
+    """List the containers and ordinary processes, as declared."""
+    return list(dict.fromkeys([*view.containers, *processes, *view.processes]))
+
+
+def nodes_of(view: SystemView) -> list[Target]:
+    """List the composable nodes, as declared."""
+    return [key for container in view.containers.values() for key in container.nodes]
+
+
+def full_name(target: Target) -> str:
+    """Name in the graph; the label of a node without a name."""
+    return target if isinstance(target, str) else target.name
+
+
+def chosen(
+    wanted: Sequence[str],
+    candidates: Sequence[Target],
+    others: Sequence[Target] = (),
+    hint: str = "",
+) -> list[Target]:
+    """Find the units that names and patterns mean, in the order of the candidates, each once.
+
+    Args:
+        wanted: Full names, names without their namespace where only one has it, or patterns (``*``,
+            ``?`` and ``[]`` as in a shell, over the full name). A composable node can also be
+            written with its container, ``/container:/node``.
+        candidates: Units of the operation.
+        others: Units that the operation is not for.
+        hint: What to use for one of those.
+
+    Raises:
+        ControlError: When one of them matches nothing, or a name several units.
+    """
+    found: set[Target] = set()
+    for word in wanted:
+        named = _named(word, candidates)
+        meant = named or _matching(word, candidates)
+        if not meant:
+            if elsewhere := _named(word, others) or _matching(word, others):
+                raise ControlError(
+                    Code.BAD_ARGUMENTS, f"{full_name(elsewhere[0])} {hint}", name=word
+                )
+            raise ControlError(
+                Code.UNKNOWN_NAME,
+                f"no node or process named '{word}'{_proposal(word, candidates)}",
+                name=word,
+            )
+        if len(named) > 1:
+            listed = ", ".join(map(str, named[:_LISTED]))
+            raise ControlError(Code.AMBIGUOUS_NAME, f"'{word}' is ambiguous: {listed}", name=word)
+        found.update(meant)
+    return [each for each in candidates if each in found]
+
+
+def _named(word: str, candidates: Sequence[Target]) -> list[Target]:
+    """Find the units with that full name, or else with that last part."""
+    exact = [each for each in candidates if word in {full_name(each), str(each)}]
+    return exact or [each for each in candidates if full_name(each).endswith(f"/{word}")]
+
+
+def _matching(word: str, candidates: Sequence[Target]) -> list[Target]:
+    written = str if ":" in word else full_name
+    return [each for each in candidates if fnmatchcase(written(each), word)]
+
+
+def _proposal(word: str, candidates: Sequence[Target]) -> str:
+    if _matching(full := f"*/{word}", candidates) and set(word) & _WILD:
+        return f"; patterns are over full names: '{full}'"
+    from difflib import get_close_matches  # noqa: PLC0415 - for mistakes only
+
+    names = [full_name(each) for each in candidates]
+    if similar := get_close_matches(word, names, 1, 0.5):
+        return f"; did you mean {similar[0]}?"
+    tails = {name.rpartition("/")[2]: name for name in names}
+    if similar := get_close_matches(word.rpartition("/")[2], tails, 1, 0.5):
+        return f"; did you mean {tails[similar[0]]}?"
+    return "; play-launch ps lists all names"
+
+
+# Rows.
+
+
+class Clock:
+    """A moment, on the clocks that times of processes and events are in."""
+
+    def __init__(self, now_ns: int | None = None, boot_s: float | None = None) -> None:
+        """Take nanoseconds since the epoch and seconds since the boot; None: now."""
+        self.now_ns = time.time_ns() if now_ns is None else now_ns
+        self.boot_s = time.clock_gettime(time.CLOCK_BOOTTIME) if boot_s is None else boot_s
+
+    def age(self, start_time: int) -> float | None:
+        """Seconds since a number of clock ticks after the boot; None for 0."""
+        return round(max(self.boot_s - start_time / _TICKS, 0.0), 3) if start_time else None
+
+    def since(self, stamp_ns: int) -> float:
+        """Seconds since a wall-clock time."""
+        return round(max((self.now_ns - stamp_ns) / 1e9, 0.0), 3)
+
+
+def rows_of(
+    view: SystemView, processes: Iterable[str], samples: Samples, clock: Clock
+) -> list[Row]:
+    """Make the rows: each container before its nodes, as declared; then the processes.
+
+    ``processes`` are the names of all ordinary processes that are declared: one that was never
+    started is in no event.
+    """
+    rows: list[Row] = []
+    for container in view.containers.values():
+        rows += _of_container(container, view, samples, clock)
+    names = dict.fromkeys([*processes, *view.processes])
+    return rows + [_of_process(name, view, samples, clock) for name in names]
+
+
+def with_groups(rows: Iterable[Row]) -> list[Row]:
+    """Add the usage of the control group of each row's process; reads files of the kernel."""
+    pids = {row.name: row.pid for row in rows if row.container is None}
+    found = []
+    for row in rows:
+        is_own = row.pid is not None and (
+            row.container is None or row.pid != pids.get(row.container)
+        )
+        group = group_of(row.pid) if is_own and row.pid else None
+        found.append(replace(row, cgroup=None if group is None else usage_of(group)))
+    return found
+
+
+def key_of(row: Row) -> str:
+    """Return the text of the unit's key: ``/container:/node`` for a composable node."""
+    return f"{row.container}:{row.name}" if row.container else row.name
+
+
+def status_of(
+    row: Row,
+    world: World,
+    view: SystemView,
+    restarts: tuple[Restart, ...],
+    output: tuple[LastLine, ...],
+) -> Status | None:
+    """Add to a row all that is known of its unit; None: it was removed."""
+    unit: Process | Node | None
+    seen: ContainerView | ProcessView | NodeView | None
+    if row.container is None:
+        unit = world.processes.get(row.name)
+        seen = view.containers.get(row.name) or view.processes.get(row.name)
+    else:
+        key = NodeKey(row.container, row.name)
+        unit = world.nodes.get(key)
+        container = view.containers.get(row.container)
+        seen = container.nodes.get(key) if container else None
+    if unit is None:
+        return None
+    return Status(
+        **{name: getattr(row, name) for name in Row.__struct_fields__},
+        since_ns=seen.since_ns or None if seen else None,
+        last_restarts=restarts,
+        waits_for=unit.wait.text if unit.wait else "",
+        wanted=is_wanted(world, unit),
+        command=unit.argv if isinstance(unit, Process) else (),
+        resources=unit.config.resources.described(),
+        declared=f"{unit.config.file}:{unit.config.line}" if unit.config.file else "",
+        output=output,
+    )
+
+
+def _of_container(
+    container: ContainerView, view: SystemView, samples: Samples, clock: Clock
+) -> Iterator[Row]:
+    process = container.process
+    sample = samples.get((SubjectKind.CONTAINER, container.name))
+    yield Row(
+        name=container.name,
+        kind="container",
+        container=None,
+        state=container.state.value,
+        reason=container.reason,
+        managed=None,
+        crashes=container.crashes,
+        **_of_life(process, clock),
+        **_usage(sample, process.pid, clock),
+    )
+    for node in container.nodes.values():
+        yield _of_node(node, container, view, samples, clock)
+
+
+def _of_node(
+    node: NodeView, container: ContainerView, view: SystemView, samples: Samples, clock: Clock
+) -> Row:
+    pid = node.pid if node.state in _HAS_PROCESS and container.process.pid else 0
+    # Without a process of its own, its usage is in the numbers of its container.
+    is_own = pid not in {0, container.process.pid}
+    sample = samples.get((SubjectKind.NODE, str(node.key))) if is_own else None
+    return Row(
+        name=node.node,
+        kind="component",
+        container=node.container,
+        state=node.state.value,
+        reason=node.reason,
+        managed=_managed(view, str(node.key)),
+        pid=pid or None,
+        restarts=node.reloads,
+        uptime_s=clock.since(node.since_ns) if node.state is NodeState.LOADED else None,
+        exit_code=None,
+        signal=None,
+        crashes=node.crashes,
+        **_usage(sample, pid, clock),
+    )
+
+
+def _of_process(name: str, view: SystemView, samples: Samples, clock: Clock) -> Row:
+    process = view.processes.get(name)
+    life: dict[str, Any] = dict.fromkeys(("pid", "uptime_s", "exit_code", "signal")) | {
+        "restarts": 0
+    }
+    return Row(
+        name=name,
+        kind="process",
+        container=None,
+        state=_STATE_OF_PROCESS[process.kind] if process else "pending",
+        reason=process.message if process else "",
+        managed=_managed(view, name),
+        crashes=0,
+        **_of_life(process, clock) if process else life,
+        **_usage(samples.get((SubjectKind.PROCESS, name)), process.pid if process else 0, clock),
+    )
+
+
+def _managed(view: SystemView, unit: str) -> Managed | None:
+    found = view.managed.get(unit)
+    return Managed(found.state.value, found.reason) if found else None
+
+
+def _of_life(process: ProcessView, clock: Clock) -> dict[str, Any]:
+    has_ended = process.kind in _ENDED
+    is_known = process.exit_code != UNKNOWN_STATUS
+    return {
+        "pid": process.pid or None,
+        "restarts": process.restarts,
+        "uptime_s": clock.age(process.start_time) if process.pid else None,
+        "exit_code": process.exit_code if has_ended and is_known else None,
+        "signal": process.signal or None if has_ended else None,
+    }
+
+
+def _usage(sample: ProcessSample | None, pid: int, clock: Clock) -> dict[str, Any]:
+    if sample is None or sample.pid != pid or clock.now_ns - sample.stamp_ns > _SAMPLE_AGE_LIMIT_NS:
+        return {"cpu_percent": None, "memory_bytes": None, "memory_kind": None}
+    # Memory that is shared with the container is not the node's own.
+    is_shared = sample.memory_kind is MemoryKind.SHARED
+    return {
+        "cpu_percent": round(sample.cpu_percent, 2),
+        "memory_bytes": None if is_shared else sample.memory_bytes,
+        "memory_kind": sample.memory_kind.name.lower(),
+    }
