@@ -64,7 +64,7 @@ def _typer_of(verb: str) -> typer.Typer:
 
             callback = getattr(past_sessions, verb)
         case "import":
-            from play_launch.cli.import_system import import_system as callback  # noqa: PLC0415
+            from play_launch.cli.import_ import import_system as callback  # noqa: PLC0415
         case "systemd-unit":
             from play_launch.cli.systemd_unit import systemd_unit as callback  # noqa: PLC0415
         case "init":

@@ -1,13 +1,122 @@
-"""``play-launch check``, as typer sees it; `find_mistakes` does it."""
+"""What ``play-launch check`` does: finds mistakes in a configuration without starting anything."""
 
 from __future__ import annotations
 
-from typing import Annotated
+import json
+from enum import StrEnum
+from pathlib import Path  # noqa: TC003 - typer evaluates the annotations
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from msgspec.structs import asdict
 
 from play_launch.cli import shared_options as options  # noqa: TC001 - typer evaluates them
-from play_launch.cli.find_mistakes import GraphForm, find_mistakes
+from play_launch.cli.failure import fail, report
+from play_launch.cli.show.terminal import say
+from play_launch.supervisor.exit_code import ExitCode
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from play_launch.config.model import ReplayConfig
+
+
+class GraphForm(StrEnum):
+    """How ``check --graph`` writes the graph."""
+
+    TEXT = "text"
+    MERMAID = "mermaid"
+
+
+def find_mistakes(
+    config: Path,
+    *,
+    arguments: Sequence[str] = (),
+    as_json: bool = False,
+    graph: GraphForm | None = None,
+    explain: bool = False,
+) -> int:
+    """Report every mistake in a configuration and return the exit code."""
+    from play_launch.config.load import load_config  # noqa: PLC0415
+    from play_launch.config.problems import ConfigError  # noqa: PLC0415
+    from play_launch.config.sources.surroundings import (  # noqa: PLC0415
+        Surroundings,
+        parse_arguments,
+    )
+
+    if explain and graph is not None and not as_json:
+        fail("--graph and --explain: only --json prints both")
+    try:
+        given = parse_arguments(arguments)
+    except ValueError as error:
+        fail(str(error))
+    try:
+        loaded = load_config(config, Surroundings(arguments=given))
+    except ConfigError as error:
+        if as_json:
+            problems = [asdict(problem) for problem in error.problems]
+            say(json.dumps({"valid": False, "problems": problems}, ensure_ascii=False))
+        else:
+            report(f"{config} cannot be used\n{error.for_people()}")
+        return ExitCode.USAGE
+    started = _started(loaded) if explain else []
+    if as_json:
+        values: dict[str, object] = {"valid": True, "problems": [], "config": _resolved(loaded)}
+        if graph is not None:
+            from play_launch.cli.draw_graph import as_values  # noqa: PLC0415
+
+            values["graph"] = as_values(loaded)
+        if explain:
+            from play_launch.cli.explain_start import helpers  # noqa: PLC0415
+
+            values["processes"] = started
+            values["helpers"] = helpers(loaded)
+        say(json.dumps(values, ensure_ascii=False))
+    elif graph is not None:
+        from play_launch.cli.draw_graph import as_mermaid, as_text  # noqa: PLC0415
+
+        say((as_text if graph is GraphForm.TEXT else as_mermaid)(loaded))
+    elif explain:
+        from play_launch.cli.explain_start import as_text as commands  # noqa: PLC0415
+        from play_launch.cli.explain_start import helpers  # noqa: PLC0415
+
+        say(commands(_resolved(loaded), started, helpers(loaded)))
+    else:
+        say(f"{config}: {describe(loaded)}")
+    problems = [each for each in started if each["problem"]]
+    for each in problems:
+        report(f"{each['name']} ({each['place']}) cannot be started: {each['problem']}")
+    return ExitCode.NODE_FAILED if problems else ExitCode.OK
+
+
+def _resolved(config: ReplayConfig) -> dict[str, object]:
+    from play_launch.recording.resolved_form import resolved_form  # noqa: PLC0415
+
+    return resolved_form(config)
+
+
+def _started(config: ReplayConfig) -> list[dict[str, Any]]:
+    from play_launch.cli.explain_start import processes  # noqa: PLC0415
+
+    return processes(config)
+
+
+def describe(config: ReplayConfig) -> str:
+    """Say how big a system is: ``2 containers with 7 nodes, 1 process``."""
+    nodes = sum(len(container.composable_nodes) for container in config.containers)
+    parts = []
+    if config.containers or not config.nodes:
+        containers = counted(len(config.containers), "container")
+        parts.append(f"{containers} with {counted(nodes, 'node')}")
+    if config.nodes:
+        parts.append(counted(len(config.nodes), "process"))
+    return ", ".join(parts)
+
+
+def counted(number: int, noun: str) -> str:
+    """``1 node``, ``2 nodes``, ``3 processes``."""
+    plural = f"{noun}es" if noun.endswith("s") else f"{noun}s"
+    return f"{number} {noun if number == 1 else plural}"
 
 
 def check(  # noqa: PLR0917 - typer calls it by keywords

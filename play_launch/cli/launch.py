@@ -1,15 +1,91 @@
-"""``play-launch launch``, as typer sees it; `bring_up_launch_file` does it."""
+"""What ``play-launch launch`` does: a launch file is evaluated and brought up."""
 
 from __future__ import annotations
 
-from typing import Annotated
+import os
+import shlex
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from play_launch.cli import shared_options as options  # noqa: TC001 - typer evaluates them
-from play_launch.cli.bring_up_launch_file import bring_up_launch_file
-from play_launch.cli.target import USUAL_LIMIT
-from play_launch.launch_files.configuration.options import Containers
+from play_launch.cli.failure import fail
+from play_launch.cli.target import (
+    USUAL_LIMIT,
+    complain,
+    evaluated,
+    report_losses,
+    say_arguments,
+    sizes,
+    target_of,
+)
+from play_launch.deploy.notification import claim
+from play_launch.launch_files.configuration.options import Containers, Options
+from play_launch.supervisor.exit_code import ExitCode
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+
+def bring_up_launch_file(
+    target: Sequence[str],
+    *,
+    container_type: Containers = Containers.SAME,
+    dry_run: bool = False,
+    strict: bool = False,
+    show_args: bool = False,
+    launch_prefix: str = "",
+    launch_prefix_filter: str = "",
+    show_all: bool = False,
+    timeout: str = USUAL_LIMIT,
+    log_dir: Path | None = None,
+    duration: str | None = None,
+    quiet: bool = False,
+    as_json: bool = False,
+) -> int:
+    """Evaluate a launch file, bring up what it describes, and return the exit code."""
+    # What the launch file starts while it is evaluated is no service either.
+    manager = claim(os.environ)
+    found = target_of(
+        target, launch_prefix=launch_prefix, launch_prefix_filter=launch_prefix_filter
+    )
+    description = evaluated(found, timeout, only_arguments=show_args)
+    if show_args:
+        say_arguments(description.arguments)
+        return ExitCode.OK
+    from play_launch.launch_files.configuration.write import written  # noqa: PLC0415
+
+    with tempfile.TemporaryDirectory(prefix="play-launch-") as name:
+        folder = Path(name)
+        chosen = Options(
+            containers=container_type, show_all=show_all, folder=folder, files=folder / "files"
+        )
+        made = written(
+            description, chosen, f"From {shlex.join(found.words)}, by play-launch launch."
+        )
+        report_losses(made)
+        complain(sizes(made))
+        if made.problems:
+            fail(
+                "the launch file describes something that cannot be brought up; nothing was started"
+            )
+        if strict and made.lost:
+            fail("something gets lost; nothing was started")
+        config = folder / f"{found.name}.yaml"
+        config.write_text(made.text, encoding="utf-8")
+        for path, content in made.files.items():
+            path.parent.mkdir(exist_ok=True)
+            path.write_bytes(content)
+        if dry_run:
+            from play_launch.cli.check import find_mistakes  # noqa: PLC0415
+
+            # What cannot be started is reported; a dry run starts nothing in any case.
+            return find_mistakes(config, explain=True, as_json=as_json)
+        from play_launch.cli.replay import bring_up  # noqa: PLC0415
+
+        return bring_up(config, log_dir, duration, quiet=quiet, as_json=as_json, manager=manager)
 
 
 def launch(  # noqa: PLR0917 - typer calls it by keywords

@@ -6,8 +6,8 @@ import json
 from typing import TYPE_CHECKING, Final
 
 from play_launch.cli.failure import fail
+from play_launch.cli.info import DAMAGED, report_damage
 from play_launch.cli.show.terminal import say
-from play_launch.cli.sum_up import DAMAGED, report_damage
 from play_launch.postmortem.bag_reader import NotARecordingError
 from play_launch.postmortem.export.foxglove import foxglove_layout
 from play_launch.postmortem.export.plotjuggler import plotjuggler_layout

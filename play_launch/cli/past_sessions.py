@@ -25,7 +25,7 @@ def info(
     It reads damaged and unfinished recordings (.active) as far as that is possible, and then exits
     with 3; with 2 when the file is not a recording, else with 0.
     """
-    from play_launch.cli.sum_up import sum_up  # noqa: PLC0415 - slow, and not for --help
+    from play_launch.cli.info import sum_up  # noqa: PLC0415 - slow, and not for --help
 
     raise typer.Exit(sum_up(file, as_json=as_json))
 
@@ -73,7 +73,7 @@ def inspect(  # noqa: PLR0917 - options, by name
     Times are seconds after the start. It reads damaged and unfinished recordings (.active) as far
     as that is possible, and then exits with 3; with 2 when the file is not a recording, else 0.
     """
-    from play_launch.cli.timeline import Filter, show_timeline  # noqa: PLC0415 - as above
+    from play_launch.cli.inspect import Filter, show_timeline  # noqa: PLC0415 - as above
 
     chosen = Filter(tuple(node or ()), level, since, until, around)
     raise typer.Exit(show_timeline(file, chosen, as_json=as_json))
@@ -99,7 +99,7 @@ def report(
     page, and then exits with 3; with 2 when the file is not a recording, with 1 when the page
     cannot be written, else with 0.
     """
-    from play_launch.cli.write_page import write_report  # noqa: PLC0415 - as above
+    from play_launch.cli.report import write_report  # noqa: PLC0415 - as above
 
     raise typer.Exit(write_report(file, output))
 
@@ -133,7 +133,7 @@ def crashes(
     A signature is the signal or exception and the innermost functions of your own code, without
     addresses. Exits with 0, with 2 when there is no recording, with 3 when not all could be read.
     """
-    from play_launch.cli.crash_list import list_crashes  # noqa: PLC0415 - as above
+    from play_launch.cli.crashes import list_crashes  # noqa: PLC0415 - as above
 
     raise typer.Exit(list_crashes(folder, as_json=as_json))
 
@@ -164,7 +164,7 @@ def compare(
     64 MB) or CPU (and 10 % of a core). 2 and 3 as of explain; 1 also when the page cannot be
     written.
     """
-    from play_launch.cli.compare_sessions import compare_sessions  # noqa: PLC0415 - as above
+    from play_launch.cli.compare import compare_sessions  # noqa: PLC0415 - as above
 
     raise typer.Exit(compare_sessions(first, second, output, as_json=as_json))
 
@@ -223,7 +223,7 @@ def recover(
     lost, with 3 when something could not be read, with 1 when nothing was written. A recording that
     is being written is refused.
     """
-    from play_launch.cli.write_anew import write_anew  # noqa: PLC0415 - as above
+    from play_launch.cli.recover import write_anew  # noqa: PLC0415 - as above
 
     raise typer.Exit(write_anew(file, output))
 

@@ -1,14 +1,191 @@
-"""``play-launch replay``, as typer sees it; `bring_up` does it."""
+"""What ``play-launch replay`` does: checks what the system needs, and runs it."""
 
 from __future__ import annotations
 
+import contextlib
+import os
+from datetime import datetime
 from pathlib import Path  # noqa: TC003 - typer evaluates the annotations
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+from msgspec.structs import replace
 
 from play_launch.cli import shared_options as options  # noqa: TC001 - typer evaluates them
-from play_launch.cli.bring_up import bring_up
+from play_launch.cli.failure import fail
+from play_launch.deploy.notification import claim
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from play_launch.config.model import ReplayConfig
+    from play_launch.control.config_watch import Watched
+    from play_launch.deploy.notification import ServiceManager
+
+
+def bring_up(
+    config: Path,
+    log_dir: Path | None = None,
+    duration: str | None = None,
+    *,
+    arguments: Sequence[str] = (),
+    quiet: bool = False,
+    as_json: bool = False,
+    watch: bool = False,
+    manager: ServiceManager | None = None,
+) -> int:
+    """Run a system until its end and return the exit code; mistakes end the process.
+
+    ``manager`` is who started us as a service, if the environment does not name it any more.
+    """
+    manager = manager or claim(os.environ)
+    if watch and is_recording(config):
+        fail(f"--watch: {config} is a recording, which nobody edits; leave --watch out")
+    loaded = _load(config, duration, arguments)
+    _require_machine()
+    _require_ros()
+    _require_log_folder(loaded)
+    _require_time_zone()
+    from play_launch.cli.run import RunOptions, run  # noqa: PLC0415
+    from play_launch.container.ros import NotInstalledError  # noqa: PLC0415
+    from play_launch.process.cgroups.base import GroupError  # noqa: PLC0415
+    from play_launch.recording.errors import RecordingError  # noqa: PLC0415
+
+    try:
+        return run(
+            loaded,
+            RunOptions(
+                log_folder=log_dir,
+                as_json=as_json,
+                quiet=quiet,
+                keeps_duration=duration is not None,
+                watched=_watched(config, arguments) if watch else None,
+                manager=manager,
+            ),
+        )
+    except (RecordingError, NotInstalledError, GroupError) as error:
+        fail(str(error))
+
+
+def _load(path: Path, duration: str | None, arguments: Sequence[str]) -> ReplayConfig:
+    from play_launch.config.load import load_config  # noqa: PLC0415
+    from play_launch.config.problems import ConfigError  # noqa: PLC0415
+    from play_launch.config.sources.surroundings import (  # noqa: PLC0415
+        Surroundings,
+        parse_arguments,
+    )
+    from play_launch.config.values import parse_positive_duration  # noqa: PLC0415
+
+    try:
+        seconds = None if duration is None else parse_positive_duration(duration)
+    except ValueError as error:
+        fail(f"--duration: {error}")
+    try:
+        given = parse_arguments(arguments)
+    except ValueError as error:
+        fail(str(error))
+    try:
+        if is_recording(path):
+            from play_launch.cli.recorded_system import load_recorded  # noqa: PLC0415
+
+            loaded = load_recorded(path, given)
+        else:
+            loaded = load_config(path, Surroundings(arguments=given))
+    except ConfigError as error:
+        fail(f"{path} cannot be used, nothing was started\n{error.for_people()}")
+    return loaded if seconds is None else replace(loaded, duration=seconds)
+
+
+def _watched(path: Path, arguments: Sequence[str]) -> Watched:
+    from play_launch.config.sources.surroundings import parse_arguments  # noqa: PLC0415
+    from play_launch.control.config_watch import Watched  # noqa: PLC0415
+
+    return Watched(path, parse_arguments(arguments))
+
+
+def is_recording(path: Path) -> bool:
+    """Whether the name is that of a recording; others are configurations."""
+    return path.name.endswith((".mcap", ".mcap.active"))
+
+
+def _require_log_folder(config: ReplayConfig) -> None:
+    from play_launch.config.values import log_folder_problem  # noqa: PLC0415
+
+    for container in config.containers:
+        problem = log_folder_problem({**os.environ, **container.environment})
+        if problem is not None and not container.attach:
+            fail(f"{container.full_name} cannot run: {problem}; nothing was started")
+
+
+def _require_time_zone() -> None:
+    try:
+        datetime.now().astimezone()
+    except ValueError:
+        fail(f"TZ={os.environ.get('TZ', '')} is no time zone: it is a day or more away from UTC")
+
+
+def _require_machine() -> None:
+    from play_launch.process.machine import (  # noqa: PLC0415
+        ADDRESS_SPACE_FIX,
+        PROC_FIX,
+        SHARED_MEMORY_FIX,
+        address_space,
+        address_space_problem,
+        full_shared_memory,
+        proc_problem,
+        shared_memory_room,
+    )
+
+    if problem := proc_problem():
+        fail(f"{problem}; nothing was started; fix: {PROC_FIX}")
+    if problem := address_space_problem(address_space()):
+        fail(f"{problem}; nothing was started; fix: {ADDRESS_SPACE_FIX}")
+    if full_shared_memory(shared_memory_room()):
+        _sweep()
+        if problem := full_shared_memory(shared_memory_room()):
+            fail(f"{problem}; nothing was started; fix: {SHARED_MEMORY_FIX}")
+
+
+def _sweep() -> None:
+    """Remove what dead processes left of Fast DDS, which may be what fills shared memory."""
+    import asyncio  # noqa: PLC0415
+
+    from play_launch.ros.fastdds.shared_memory import sweep_shared_memory  # noqa: PLC0415
+
+    with contextlib.suppress(OSError):
+        asyncio.run(sweep_shared_memory())
+
+
+def _require_ros() -> None:
+    from play_launch.config.values import domain_problem  # noqa: PLC0415
+    from play_launch.container.middleware import middleware_problem  # noqa: PLC0415
+    from play_launch.container.ros import (  # noqa: PLC0415
+        MixedInstallationError,
+        NotInstalledError,
+        component_container,
+        python_packages_problem,
+        ros_installation,
+        spawn_guard,
+    )
+
+    problem = domain_problem(os.environ.get("ROS_DOMAIN_ID", ""))
+    if problem is not None:
+        fail(f"{problem} by the environment; set another one")
+    try:
+        problem = middleware_problem(ros_installation())
+        component_container()
+        spawn_guard()
+    except (NotInstalledError, MixedInstallationError) as error:
+        fail(str(error))
+    if problem is not None:
+        fail(problem)
+    # Imported when the first container runs: it takes as long as a container's start.
+    problem = python_packages_problem()
+    if problem is not None:
+        fail(
+            f"ROS does not work in this Python: {problem}. Source a ROS 2 installation that fits "
+            "this Python, or install the wheels (pip install 'play-launch-py[jazzy]')"
+        )
 
 
 def replay(  # noqa: PLR0917 - typer calls it by keywords

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import msgspec
 
+from play_launch.cli.check import counted
 from play_launch.cli.failure import fail
-from play_launch.cli.find_mistakes import counted
+from play_launch.cli.info import DAMAGED, report_damage
 from play_launch.cli.show.terminal import printable, say
-from play_launch.cli.sum_up import DAMAGED, report_damage
 from play_launch.cli.target import complain
 from play_launch.config.values import parse_duration
 from play_launch.container.cdr.layout import CdrError

@@ -15,15 +15,13 @@ from typing import TYPE_CHECKING, Final
 from msgspec import Struct
 from msgspec.structs import replace
 
-from play_launch.cli.find_mistakes import describe
+from play_launch.cli.check import describe
 from play_launch.cli.library_output import library_output_logged
-from play_launch.cli.running_ahead import run_ahead_of
 from play_launch.cli.show.display import Display, Style
 from play_launch.cli.show.group_totals import GroupTotals
 from play_launch.cli.show.json_style import JsonStyle, encode
 from play_launch.cli.show.terminal import is_terminal, surviving_the_loss_of_stdout, wants_colour
 from play_launch.cli.show.text_styles import LiveStyle, PlainStyle
-from play_launch.cli.signals import RunSignals
 from play_launch.control.feed import Feed
 from play_launch.control.registration import ControlSocket
 from play_launch.process import open_files
@@ -39,6 +37,8 @@ from play_launch.recording.resolved_form import (
 )
 from play_launch.recording.session import Session, SessionDescription, open_session
 from play_launch.recording.topic_recorder.snapshot import Snapshots
+from play_launch.runtime.signals import RunSignals
+from play_launch.runtime.startup_priority import run_ahead_of
 from play_launch.supervisor.events import GroupSample, OutputLine
 
 if TYPE_CHECKING:
@@ -46,8 +46,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from play_launch.cli.show.group_totals import GroupTotal
-    from play_launch.cli.watch import Watched
     from play_launch.config.model import ReplayConfig
+    from play_launch.control.config_watch import Watched
     from play_launch.deploy.notification import ServiceManager
     from play_launch.recording.recorder import Recorder, RecordingSummary
     from play_launch.runtime.publisher import Publisher, StopRequests
@@ -299,7 +299,7 @@ async def _serve_control(
     operated = await system
     await asyncio.sleep(_BEFORE_CONTROL)
     try:
-        from play_launch.cli.serve_control import serve_control  # noqa: PLC0415 - as above
+        from play_launch.control.serve import serve_control  # noqa: PLC0415 - as above
 
         await serve_control(
             config,
@@ -325,8 +325,8 @@ async def _look_after_sessions(
     config: ReplayConfig, publisher: Publisher, log_folder: Path
 ) -> None:
     await asyncio.sleep(_HEAD_START)
-    from play_launch.cli.upkeep import look_after_sessions  # noqa: PLC0415 - as above
     from play_launch.container.ros import spawn_guard  # noqa: PLC0415
+    from play_launch.postmortem.upkeep import look_after_sessions  # noqa: PLC0415 - as above
 
     await look_after_sessions(log_folder, config.record.keep, lambda: publisher.view, spawn_guard())
 

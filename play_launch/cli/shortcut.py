@@ -101,15 +101,15 @@ def run_plainly(arguments: Sequence[str]) -> int | None:
         return None
     match arguments[0]:
         case "check":
-            from play_launch.cli.find_mistakes import find_mistakes  # noqa: PLC0415
+            from play_launch.cli.check import find_mistakes  # noqa: PLC0415
 
             return find_mistakes(**parameters)
         case "dump":
-            from play_launch.cli.dump_launch_file import dump_launch_file  # noqa: PLC0415
+            from play_launch.cli.dump import dump_launch_file  # noqa: PLC0415
 
             return dump_launch_file(**parameters)
         case "launch":
-            from play_launch.cli.bring_up_launch_file import bring_up_launch_file  # noqa: PLC0415
+            from play_launch.cli.launch import bring_up_launch_file  # noqa: PLC0415
 
             return bring_up_launch_file(**parameters)
     from play_launch.deploy.notification import claim  # noqa: PLC0415 - as above
@@ -118,6 +118,6 @@ def run_plainly(arguments: Sequence[str]) -> int | None:
     # Whatever is started from here on has no business with it.
     manager = claim(os.environ)
     head_start.begin(parameters["config"])
-    from play_launch.cli.bring_up import bring_up  # noqa: PLC0415
+    from play_launch.cli.replay import bring_up  # noqa: PLC0415
 
     return bring_up(**parameters, manager=manager)

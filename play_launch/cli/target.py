@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
+from play_launch.cli.check import counted
 from play_launch.cli.failure import fail
-from play_launch.cli.find_mistakes import counted
 from play_launch.cli.show.terminal import printable, say
 
 if TYPE_CHECKING:

@@ -21,12 +21,12 @@ import zstandard
 from mcap.opcode import Opcode
 from msgspec.structs import replace
 
-from play_launch.cli.compare_sessions import compare_sessions
+from play_launch.cli.compare import compare_sessions
 from play_launch.cli.explain import explain
-from play_launch.cli.sum_up import sum_up
-from play_launch.cli.timeline import Filter, show_timeline
-from play_launch.cli.write_anew import write_anew
-from play_launch.cli.write_page import write_report
+from play_launch.cli.info import sum_up
+from play_launch.cli.inspect import Filter, show_timeline
+from play_launch.cli.recover import write_anew
+from play_launch.cli.report import write_report
 from play_launch.container.cdr.messages import PROCESS_STATS
 from play_launch.postmortem.bag_reader import BagReader
 from play_launch.recording import topics

@@ -283,7 +283,8 @@ nodes:
 
 BROKEN = """
 import sys
-from play_launch.cli import entry, {module} as broken
+from play_launch.cli import entry
+import play_launch.{module} as broken
 def fail(*arguments, **options):
     raise OSError(24, "Too many open files")
 broken.{function} = fail
@@ -294,8 +295,8 @@ entry.main()
 @pytest.mark.parametrize(
     ("module", "function", "what"),
     [
-        ("upkeep", "look_after_sessions", "care for earlier recordings"),
-        ("serve_control", "installed_versions", "control by commands"),
+        ("postmortem.upkeep", "look_after_sessions", "care for earlier recordings"),
+        ("control.serve", "installed_versions", "control by commands"),
     ],
 )
 def test_the_system_goes_on_without_what_fails_beside_it_and_reports_that(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING, Any
 
-from play_launch.cli import upkeep
+from play_launch.postmortem import upkeep
 from play_launch.postmortem.bag_reader import BagReader
 from tests.postmortem.archive.scenes import begin_session, cut_off_session, name_of, past_session
 from tests.support.replay import replaying
@@ -16,7 +16,11 @@ if TYPE_CHECKING:
 AT_ONCE = (
     sys.executable,
     "-c",
-    "from play_launch.cli import entry, upkeep; upkeep.REST = 0.0; entry.main()",
+    (
+        "from play_launch.cli import entry\n"
+        "from play_launch.postmortem import upkeep\n"
+        "upkeep.REST = 0.0; entry.main()"
+    ),
 )
 """The command, as installed, but for the rest between the bring-up and the first look."""
 CONFIG = """version: 1

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from play_launch.cli.explain import explain
+from play_launch.cli.info import session_object
+from play_launch.cli.report import write_report
 from play_launch.cli.story_words import headline
-from play_launch.cli.sum_up import session_object
-from play_launch.cli.write_page import write_report
 from play_launch.container.cdr.layout import Layout
 from play_launch.container.cdr.log import log_message
 from play_launch.container.cdr.messages import PROCESS_STATS

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 from rich.console import Group
 from rich.text import Text
 
-from play_launch.cli.find_mistakes import counted
+from play_launch.cli.check import counted
 from play_launch.cli.show.status import container_status, is_complete, process_status
 from play_launch.supervisor.events import ContainerState
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from play_launch.cli.write_page import write_report
+from play_launch.cli.report import write_report
 from play_launch.postmortem.bag_reader import NotARecordingError
 from play_launch.postmortem.whole_file import OutputError
 from play_launch.supervisor.events import LogRecord

@@ -9,7 +9,7 @@ import time
 from functools import partial
 from typing import TYPE_CHECKING
 
-from play_launch.cli.applied_config import as_started, attach_applied
+from play_launch.control.applied_config import as_started, attach_applied
 from play_launch.control.client import own_command
 from play_launch.control.messages import Caller, Hello
 from play_launch.control.operations import Changes, Operations
@@ -21,8 +21,8 @@ from play_launch.recording.versions import OURSELVES, installed_versions
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from play_launch.cli.watch import Watched
     from play_launch.config.model import ReplayConfig
+    from play_launch.control.config_watch import Watched
     from play_launch.control.feed import Feed
     from play_launch.control.registration import ControlSocket
     from play_launch.recording.session import Session
@@ -96,7 +96,7 @@ async def serve_control(
 
 
 async def _watch(watched: Watched, config: ReplayConfig, changes: Changes) -> None:
-    from play_launch.cli.watch import watch  # noqa: PLC0415 - only for this
+    from play_launch.control.config_watch import watch  # noqa: PLC0415 - only for this
 
     try:
         await watch(watched, config, partial(_apply, changes))

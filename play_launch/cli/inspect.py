@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import msgspec
 
 from play_launch.cli.failure import fail
+from play_launch.cli.info import DAMAGED, report_damage
 from play_launch.cli.show.durations import clock_times
 from play_launch.cli.show.json_style import encode
 from play_launch.cli.show.lines import Line, line_of
 from play_launch.cli.show.streams import let_go_of
 from play_launch.cli.show.terminal import printable
 from play_launch.cli.story_words import change
-from play_launch.cli.sum_up import DAMAGED, report_damage
 from play_launch.config.values import parse_duration
 from play_launch.postmortem.bag_reader import BagReader, NotARecordingError
 from play_launch.postmortem.events import UnreadableEventError

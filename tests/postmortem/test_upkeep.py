@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from play_launch.cli.upkeep import look_after_sessions
 from play_launch.config.model import KeepConfig
 from play_launch.container.ros import spawn_guard
+from play_launch.postmortem.upkeep import look_after_sessions
 from play_launch.supervisor.view import SystemView
 from tests.postmortem.archive.scenes import begin_session, cut_off_session, name_of, past_session
 
@@ -31,7 +31,7 @@ async def test_what_was_cut_off_is_completed_and_said_in_one_line(
 ) -> None:
     folder = cut_off_session(tmp_path, 1)
     _, writer = begin_session(tmp_path, 2)
-    with caplog.at_level(logging.INFO, "play_launch.cli.upkeep"):
+    with caplog.at_level(logging.INFO, "play_launch.postmortem.upkeep"):
         await look_after_sessions(tmp_path, KeepConfig(), SystemView, spawn_guard(), rest=0)
     (line,) = caplog.records
     assert line.levelno == logging.WARNING
@@ -45,7 +45,7 @@ async def test_limits_are_kept_until_the_end(
 ) -> None:
     for day in (1, 2, 3):
         past_session(tmp_path, day)
-    caplog.set_level(logging.INFO, "play_launch.cli.upkeep")
+    caplog.set_level(logging.INFO, "play_launch.postmortem.upkeep")
     said = asyncio.Event()
 
     class Said(logging.Handler):
@@ -53,7 +53,7 @@ async def test_limits_are_kept_until_the_end(
             said.set()
 
     handler = Said()
-    logging.getLogger("play_launch.cli.upkeep").addHandler(handler)
+    logging.getLogger("play_launch.postmortem.upkeep").addHandler(handler)
     keep = KeepConfig(sessions=1)
     looking = asyncio.create_task(
         look_after_sessions(tmp_path, keep, SystemView, spawn_guard(), rest=0)
@@ -62,7 +62,7 @@ async def test_limits_are_kept_until_the_end(
     assert not looking.done(), "it goes on, as the running session grows"
     looking.cancel()
     await asyncio.gather(looking, return_exceptions=True)
-    logging.getLogger("play_launch.cli.upkeep").removeHandler(handler)
+    logging.getLogger("play_launch.postmortem.upkeep").removeHandler(handler)
     assert [path.name for path in tmp_path.iterdir()] == [name_of(3)]
 
 

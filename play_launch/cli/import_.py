@@ -9,7 +9,7 @@ import typer
 
 from play_launch.cli import shared_options as options  # noqa: TC001 - typer evaluates them
 from play_launch.cli.failure import fail
-from play_launch.cli.hand_over import hand_over
+from play_launch.cli.write_config import hand_over
 
 
 def import_system(

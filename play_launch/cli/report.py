@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from play_launch.cli.failure import fail
+from play_launch.cli.info import DAMAGED, report_damage
 from play_launch.cli.show.terminal import say
 from play_launch.cli.story_words import details, headline
-from play_launch.cli.sum_up import DAMAGED, report_damage
 from play_launch.postmortem.bag_reader import NotARecordingError
 from play_launch.postmortem.findings import IMPORTANCE
 from play_launch.postmortem.locate import located
