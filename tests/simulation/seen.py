@@ -161,7 +161,8 @@ class Seen:
         self.dismissed.discard(unit)
         self.unsure.discard(unit)
         starts = self.starts[unit]
-        if starts.start and starts.ending is None and not starts.was_stopped:
+        is_ending = starts.was_stopped or starts.was_killed or unit in self.gave_up
+        if starts.start and starts.ending is None and not is_ending:
             return  # it runs, so nothing is started
         self.requested.add(unit)
         self.gave_up.discard(unit)
