@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Final
 from play_launch.supervisor import node_rules
 from play_launch.supervisor.inputs import CancelProbes, Probe
 from play_launch.supervisor.node_life import LOADING
-from play_launch.supervisor.world import Stage
+from play_launch.supervisor.world import Stage, is_wanted
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -122,9 +122,13 @@ def may_load(world: World, node: Node, now: float) -> bool:
     ]
     if any(_is_alone(each) for each in others):
         return False
-    cleared = [each for each in world.nodes_of(node.key.container) if each.stage is Stage.CLEARED]
     if not _is_alone(node):
         return True
+    cleared = [
+        each
+        for each in world.nodes_of(node.key.container)
+        if each.stage is Stage.CLEARED and each.wait is None and is_wanted(world, each)
+    ]
     return not others and all(_is_alone(each) for each in cleared) and cleared[0].key == node.key
 
 

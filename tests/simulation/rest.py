@@ -192,6 +192,8 @@ class RestChecks:
                 # Its constructor hangs, or the whole loader; it is reported again and again.
                 if not there or is_loaded:
                     raise BrokenError(WANTED, f"{key} stays {state}", (unit,))
+            case NodeState.LOST if node.wait is None:
+                raise BrokenError(WANTED, f"{key} stays {state}", (unit,))
             case NodeState.LOST | NodeState.UNLOADED | NodeState.CRASHED:
                 if node.wait is not None:
                     self._waits(unit)
