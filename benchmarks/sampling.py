@@ -19,7 +19,7 @@ from pathlib import Path
 from benchmarks.bring_up import configuration, shares
 from benchmarks.running import running
 from benchmarks.statistics import header, row
-from play_launch.doctor.gather_kernel import own_group
+from play_launch.process.cgroups.base import GroupError, delegated_group
 
 RATE = 0.001
 """Of the talkers, in Hz: they publish nothing while they are measured."""
@@ -70,8 +70,10 @@ def main() -> None:
         "sampled, with groups": (with_groups, "1 s"),
         "not sampled": (text, "never"),
     }
-    if why := own_group().problem:
-        print(f"sampled, with groups: not measured, {why}")
+    try:
+        delegated_group()
+    except GroupError as error:
+        print(f"sampled, with groups: not measured, {error}")
         del ways["sampled, with groups"]
     figures: dict[str, list[Mapping[str, float]]] = {name: [] for name in ways}
     with tempfile.TemporaryDirectory() as folder:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from play_launch.doctor.gather_kernel import own_group
+from play_launch.process.cgroups.base import GroupError, delegated_group
 
 _HIGHEST_NICE: Final = 19
 
@@ -64,8 +64,9 @@ def _may_be_real_time() -> bool:
 
 def groups_problem() -> str:
     """Give the reason why there are no control groups with limits; empty if there are."""
-    group = own_group()
-    if group.problem:
-        return group.problem.partition(";")[0]
-    missing = sorted({"cpu", "cpuset"} - set(group.controllers))
+    try:
+        group = delegated_group()
+    except GroupError as error:
+        return str(error).partition(";")[0]
+    missing = sorted({"cpu", "cpuset"} - set((group / "cgroup.controllers").read_text().split()))
     return f"there are no controllers {', '.join(missing)}" if missing else ""

@@ -25,16 +25,15 @@ _COLOURS: Final = {"ok": "green", "warn": "yellow", "fail": "red"}
 def doctor(
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object, for machines.")] = False,
 ) -> None:
-    """Look at this machine: what works, what does not, its impact, and the fix.
+    """Check this machine: what works, what does not, its impact, and the fix.
 
-    Our container is started once and asked; nothing is changed. Exits with 0 when a system can be
+    Our container is started once; nothing is changed. Exits with 0 when a system can be
     brought up, else with 1.
     """
     from play_launch.doctor.finding import can_run  # noqa: PLC0415
-    from play_launch.doctor.gather import gather  # noqa: PLC0415
-    from play_launch.doctor.judge import judge  # noqa: PLC0415
+    from play_launch.doctor.report import examine  # noqa: PLC0415
 
-    findings = judge(gather())
+    findings = examine()
     runs = can_run(findings)
     if as_json:
         values = {"can_run": runs, "findings": [asdict(finding) for finding in findings]}

@@ -1,4 +1,4 @@
-"""Checks of this machine: what play-launch needs or profits from, and how to get it.
+"""What this machine can do: one function a check, each of which examines and judges its subject.
 
-Changes nothing and knows no configuration.
+Nothing is changed. The container is started once, and stopped again.
 """

@@ -1,4 +1,4 @@
-"""What is found out about one subject, in words."""
+"""Result of one check."""
 
 from __future__ import annotations
 
@@ -9,31 +9,22 @@ from typing import TYPE_CHECKING, Final
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-_MEBIBYTE: Final = 1024**2
 _GIBIBYTE: Final = 1024**3
 
 
 class Level(StrEnum):
-    """How bad it is."""
+    """Severity of a finding."""
 
     OK = "ok"
     WARN = "warn"
-    """It works, but something is lost: the finding says what."""
+    """It works, with a loss: the impact."""
     FAIL = "fail"
-    """No system can be brought up like this."""
+    """No system can be brought up."""
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One line of the report.
-
-    Attributes:
-        subject: What it is about, in a word or two.
-        level: How bad it is.
-        says: What was found.
-        impact: What does not work because of it; empty when nothing is lost.
-        fix: What to do about it; empty when there is nothing to do.
-    """
+    """One row of the report; impact and fix are empty where nothing is lost."""
 
     subject: str
     level: Level
@@ -43,17 +34,15 @@ class Finding:
 
 
 def ok(subject: str, says: str, fix: str = "") -> Finding:
-    """All is well; ``fix`` is how there would be more of it, where that may matter."""
+    """Return a finding without loss; `fix` names what would allow more."""
     return Finding(subject, Level.OK, says, fix=fix)
 
 
 def warn(subject: str, says: str, impact: str, fix: str) -> Finding:
-    """Something is lost."""
     return Finding(subject, Level.WARN, says, impact, fix)
 
 
 def fail(subject: str, says: str, impact: str, fix: str) -> Finding:
-    """Nothing works like this."""
     return Finding(subject, Level.FAIL, says, impact, fix)
 
 
@@ -63,9 +52,9 @@ def can_run(findings: Iterable[Finding]) -> bool:
 
 
 def size_text(size: int | None) -> str:
-    """Write a number of bytes; None is unlimited."""
+    """Format a number of bytes; None is unlimited."""
     if size is None:
         return "unlimited"
     if size >= _GIBIBYTE:
         return f"{size / _GIBIBYTE:.1f} GiB"
-    return f"{size / _MEBIBYTE:.0f} MiB"
+    return f"{size / 1024**2:.0f} MiB"

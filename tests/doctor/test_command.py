@@ -14,9 +14,8 @@ import psutil
 import pytest
 
 from play_launch.cli.doctor import print_findings
-from play_launch.doctor.finding import fail, ok, warn
-from play_launch.doctor.gather import gather
-from play_launch.doctor.judge import judge
+from play_launch.doctor.finding import Level, fail, ok, warn
+from play_launch.doctor.report import examine
 from tests.support.replay import COMMAND
 
 DOCS = Path(__file__).parents[2] / "docs" / "doctor.md"
@@ -71,7 +70,7 @@ def test_two_installations_of_ros_are_seen(tmp_path: Path) -> None:
     assert "installed twice" in found["ROS"]["says"]
 
 
-def test_a_middleware_that_is_not_there_is_named_and_the_rest_still_looked_at() -> None:
+def test_a_middleware_that_is_not_there_is_named_and_the_rest_still_checked() -> None:
     result = run("--json", RMW_IMPLEMENTATION="rmw_of_nobody")
     found = findings(result)
     assert result.returncode == 1
@@ -95,12 +94,11 @@ def test_a_rclpy_that_does_not_load_is_diagnosed(tmp_path: Path) -> None:
 
 def test_a_container_that_does_not_start_is_quoted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("LD_PRELOAD", "/not/there.so")
-    monkeypatch.setattr(
-        "play_launch.doctor.container_probe.component_container", lambda: Path("/bin/false")
-    )
-    container = gather().container
-    assert container.program == "/bin/false"
-    assert "/not/there.so" in container.problem
+    monkeypatch.setattr("play_launch.doctor.ros.component_container", lambda: Path("/bin/false"))
+    container = next(each for each in examine() if each.subject == "container")
+    assert container.level is Level.FAIL
+    assert "/bin/false: " in container.says
+    assert "/not/there.so" in container.says
 
 
 def test_the_table_has_a_line_for_each_and_its_fix() -> None:
@@ -124,5 +122,5 @@ def test_the_result_counts_what_is_lost() -> None:
 
 def test_every_subject_is_documented() -> None:
     documented = set(re.findall(r"^\| ([^|`]+?) \|", DOCS.read_text(), re.MULTILINE))
-    subjects = {finding.subject for finding in judge(gather())}
+    subjects = {finding.subject for finding in examine()}
     assert subjects <= documented

@@ -163,6 +163,15 @@ def own_base(own: Path) -> Path:
     return own.parent if own.name == SUPERVISOR else own
 
 
+def delegated_group() -> Path:
+    """Return the group below which sessions can make theirs; raises GroupError."""
+    found = own_hierarchy()
+    base = own_base(found.own)
+    if why := obstacle(base, facts_of(base, found.mount)):
+        raise GroupError(why)
+    return base
+
+
 def obstacle(group: Path, facts: OwnGroup) -> str:
     """Say why a group that was found by itself cannot be used, and the fix; empty: it can."""
     fix = _ROOT_FIX if facts.is_root_user else SCOPE_FIX

@@ -12,9 +12,7 @@ from play_launch.config.group_limits import NO_LIMITS
 from play_launch.process.cgroups.base import (
     GroupError,
     Hierarchy,
-    facts_of,
-    obstacle,
-    own_base,
+    delegated_group,
     own_hierarchy,
 )
 from play_launch.process.cgroups.deaths import why_killed
@@ -99,9 +97,7 @@ class SessionGroups:
     def _find(self, policy: GroupPolicy) -> None:
         seen = own_hierarchy()
         if policy.base_path is None:
-            self._base = self._top = own_base(seen.own)
-            if why := obstacle(self._base, facts_of(self._base, seen.mount)):
-                raise GroupError(why)
+            self._base = self._top = delegated_group()
         else:
             self._base, self._top = policy.base_path, seen.mount
             _check_base(self._base, seen)

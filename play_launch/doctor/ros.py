@@ -1,0 +1,306 @@
+"""Checks of Python, ROS, and our container."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import shlex
+import subprocess
+import sys
+import sysconfig
+import tempfile
+from typing import TYPE_CHECKING, Final
+
+from play_launch.config.ament_index import ament_prefixes
+from play_launch.container.allocator import FIX, allocating_with, find_allocator
+from play_launch.container.channel import ControlChannel, ControlError, control_pair
+from play_launch.container.command import ExecutableNotFoundError, find_executable
+from play_launch.container.environment import child_environment
+from play_launch.container.messages import Hello, Shutdown
+from play_launch.container.middleware import VARIABLE, middleware_problem
+from play_launch.container.ros import (
+    MixedInstallationError,
+    NotInstalledError,
+    RosInstallation,
+    RosSource,
+    component_container,
+    ros_installation,
+    spawn_guard,
+)
+from play_launch.doctor.finding import Finding, fail, ok, warn
+from play_launch.process.machine import (
+    ADDRESS_SPACE_FIX,
+    SHARED_MEMORY_FIX,
+    address_space,
+    address_space_problem,
+    full_shared_memory,
+    shared_memory_room,
+)
+from play_launch.recording.facts import versions
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from play_launch.container.allocator import Allocator
+
+_OLDEST: Final = (3, 11)
+_NEWEST: Final = (3, 13)
+"""Versions of Python that are tested."""
+_OURSELVES: Final = "play-launch-py"
+_NOTHING_STARTS: Final = "nothing can be started"
+_REINSTALL: Final = "install play-launch-py as a package (pip install .)"
+_IMPORTS: Final = {
+    "rclpy": "import rclpy.utilities as u; print(u.get_rmw_implementation_identifier())",
+    "play_launch_msgs": "import play_launch_msgs.msg",
+    "composition_interfaces": "import composition_interfaces.srv",
+}
+_OPTIONAL: Final = "composition_interfaces"
+_IMPORT_TIMEOUT: Final = 60.0
+_HELLO_TIMEOUT: Final = 20.0
+"""Seconds from the start of the container to its hello message."""
+_EXIT_TIMEOUT: Final = 5.0
+_ALONE: Final = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF", "ROS_DOMAIN_ID": "0"}
+"""A wrong domain is reported by its own check."""
+_NAME: Final = "_play_launch_doctor"
+_OUTPUT_LIMIT: Final = 500
+"""Characters of the container's output that are quoted."""
+
+
+def python(version: tuple[int, ...] = sys.version_info[:3]) -> Finding:
+    says = f"{'.'.join(map(str, version))}, {sys.executable}"
+    oldest, newest = (".".join(map(str, each)) for each in (_OLDEST, _NEWEST))
+    if version[:2] < _OLDEST:
+        return fail("Python", says, _NOTHING_STARTS, f"use Python {oldest} or newer")
+    if version[:2] > _NEWEST:
+        fix = f"use {oldest} to {newest} if in doubt"
+        return warn("Python", says, "this version is not tested", fix)
+    return ok("Python", says)
+
+
+def packages() -> Finding:
+    found = {name: version for name, version in versions().items() if name != "python"}
+    if _OURSELVES not in found:
+        says = "play-launch-py is not installed as a package"
+        return warn("packages", says, "its version is unknown", _REINSTALL)
+    named = ", ".join(f"{name} {version}" for name, version in sorted(found.items()))
+    return ok("packages", named)
+
+
+def ros(environ: Mapping[str, str] = os.environ) -> tuple[str, list[Finding]]:
+    """Return the middleware in use, empty if unknown, and the findings on ROS and container."""
+    try:
+        installation = ros_installation()
+    except (NotInstalledError, MixedInstallationError) as error:
+        return "", [
+            fail("ROS", str(error), _NOTHING_STARTS, "as it says"),
+            fail("container", "cannot be started without ROS", _NOTHING_STARTS, "see ROS"),
+        ]
+    prefixes = ament_prefixes(child_environment(environ, installation))
+    prefix = installation.prefix
+    if installation.source is RosSource.SYSTEM:
+        prefix = next((p for p in prefixes if (p / "share/rcl/package.xml").is_file()), prefix)
+    findings = [ok("ROS", f"{installation.source.value} in {prefix}")]
+    rmw = ""
+    # Either of these ends each process that loads ROS.
+    if address_space_problem(address_space()):
+        obstacle, fix = "the address space is too small", ADDRESS_SPACE_FIX
+    elif full_shared_memory(shared_memory_room()):
+        obstacle, fix = "shared memory is full", SHARED_MEMORY_FIX
+    else:
+        obstacle = fix = ""
+    if obstacle:
+        findings.append(fail("rclpy", f"does not load: {obstacle}", _NOTHING_STARTS, fix))
+    else:
+        errors, rmw = _imports(environ)
+        if "rclpy" in errors and environ.get(VARIABLE):
+            errors, rmw = _imports(_with_default_middleware(environ))
+        for module, problem in errors.items():
+            says = f"does not load: {problem}"
+            if module == _OPTIONAL:
+                loss = "container_type stock cannot be used"
+                findings.append(warn(module, says, loss, _REINSTALL))
+            else:
+                findings.append(fail(module, says, _NOTHING_STARTS, _REINSTALL))
+        findings.append(_middleware(rmw, installation, environ))
+    findings.append(_stock_container(prefixes))
+    findings += _ros2_command(installation, environ)
+    if obstacle:
+        findings.append(fail("container", f"not started: {obstacle}", _NOTHING_STARTS, fix))
+    else:
+        usable = environ if environ.get(VARIABLE) == rmw else _with_default_middleware(environ)
+        findings += container(installation, usable)
+    return rmw, findings
+
+
+def _with_default_middleware(environ: Mapping[str, str]) -> dict[str, str]:
+    return {name: value for name, value in environ.items() if name != VARIABLE}
+
+
+def _imports(environ: Mapping[str, str]) -> tuple[dict[str, str], str]:
+    """Import each module in its own process, which rcl may end; errors by module, and the rmw."""
+    errors: dict[str, str] = {}
+    rmw = ""
+    for module, code in _IMPORTS.items():
+        try:
+            result = subprocess.run(
+                [sys.executable, "-c", code],
+                env=dict(environ),
+                capture_output=True,
+                text=True,
+                timeout=_IMPORT_TIMEOUT,
+                check=False,
+            )
+        except subprocess.TimeoutExpired:
+            errors[module] = f"takes longer than {_IMPORT_TIMEOUT:g} s"
+            continue
+        if result.returncode:
+            lines = result.stderr.strip().splitlines()
+            errors[module] = lines[-1] if lines else f"exited with {result.returncode}"
+        elif module == "rclpy":
+            rmw = result.stdout.split()[-1]
+    return errors, rmw
+
+
+def _middleware(rmw: str, ros: RosInstallation, environ: Mapping[str, str]) -> Finding:
+    in_use, requested = rmw or "unknown", environ.get(VARIABLE, "")
+    if requested in {"", in_use}:
+        return ok("middleware", in_use)
+    problem = middleware_problem(ros, environ)
+    return fail(
+        "middleware",
+        problem or f"{VARIABLE} is {requested}, but {requested} does not load",
+        f"every program with ROS exits at its start; the default is {in_use}",
+        "as it says" if problem else f"unset {VARIABLE}, or install it",
+    )
+
+
+def _stock_container(prefixes: list[Path]) -> Finding:
+    try:
+        program = find_executable("rclcpp_components", "component_container", prefixes)
+    except ExecutableNotFoundError:
+        return warn(
+            "stock containers",
+            "rclcpp_components is not in AMENT_PREFIX_PATH",
+            "container_type stock needs another package and executable, or attach: true",
+            "source a ROS installation that has it (apt install ros-jazzy-rclcpp-components)",
+        )
+    return ok("stock containers", str(program))
+
+
+def _ros2_command(ros: RosInstallation, environ: Mapping[str, str]) -> list[Finding]:
+    """Report how the `ros2` of a sourced ROS finds the packages of our environment."""
+    prefix = ros.prefix
+    is_ours = (prefix / "share" / "play_launch_container").is_dir()
+    if ros.source is RosSource.WHEELS or not is_ours or prefix in ament_prefixes(environ):
+        return []
+    folder, modules = shlex.quote(str(prefix)), shlex.quote(sysconfig.get_path("platlib"))
+    line = (
+        f"export AMENT_PREFIX_PATH={folder}:$AMENT_PREFIX_PATH "
+        f"LD_LIBRARY_PATH={folder}/lib:$LD_LIBRARY_PATH PYTHONPATH=$PYTHONPATH:{modules}"
+    )
+    return [ok("ros2 command", f"finds our container and messages after: {line}")]
+
+
+def container(ros: RosInstallation, environ: Mapping[str, str]) -> list[Finding]:
+    """Start our container once, isolated and without discovery, and judge its hello message."""
+    try:
+        program = component_container()
+        spawn_guard()
+    except NotInstalledError as error:
+        return [fail("container", str(error), _NOTHING_STARTS, _REINSTALL)]
+    allocator = find_allocator()
+    environment = child_environment(environ, ros, _ALONE)
+    if allocator.library is not None:
+        environment = allocating_with(environment, allocator.library)
+    hello = asyncio.run(_hello(program, environment))
+    if isinstance(hello, str):
+        return [fail("container", f"{program}: {hello}", _NOTHING_STARTS, _REINSTALL)]
+    return [
+        _version(program, hello.version),
+        _rclcpp(hello.backends),
+        isolation(hello.mechanism, hello.notes),
+        _allocator(allocator),
+    ]
+
+
+async def _hello(program: Path, environment: Mapping[str, str]) -> Hello | str:
+    """Return the container's hello message, or what went wrong."""
+    with tempfile.TemporaryFile() as output, control_pair() as pair:
+        try:
+            process = subprocess.Popen(  # noqa: ASYNC220 - nothing else runs in this loop
+                [program, "--isolated", "--ros-args", "-r", f"__node:={_NAME}"],
+                env={**environment, **pair.environment},
+                pass_fds=(pair.child_fd,),
+                stdout=output,
+                stderr=subprocess.STDOUT,
+            )
+        except OSError as error:
+            return f"cannot be started: {error.strerror}"
+        pair.close_child_end()
+        try:
+            channel = ControlChannel(pair.ours, container=f"/{_NAME}")
+            try:
+                async with asyncio.timeout(_HELLO_TIMEOUT):
+                    hello = await channel.handshake(Hello(version="doctor"))
+                channel.send(Shutdown(reason="doctor is done"))
+            finally:
+                channel.close()
+        except TimeoutError:
+            return f"sends no hello message for {_HELLO_TIMEOUT:g} s"
+        except ControlError as error:
+            output.seek(0)
+            text = output.read().decode(errors="replace").strip()
+            return f"{error}; {text[-_OUTPUT_LIMIT:] or 'without output'}"
+        finally:
+            try:
+                process.wait(_EXIT_TIMEOUT)  # nothing else runs in this loop
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+    return hello
+
+
+def _version(program: Path, version: str) -> Finding:
+    ours = versions().get(_OURSELVES, "")
+    if version and ours and version != ours:
+        says = f"{program} is version {version}, the supervisor is {ours}"
+        return warn("container", says, "their messages may differ", _REINSTALL)
+    return ok("container", f"{program}, version {version or 'unknown'}")
+
+
+def _rclcpp(backends: tuple[str, ...]) -> Finding:
+    named = ", ".join(backends) or "none"
+    if "rclcpp" in backends:
+        return ok("rclcpp components", f"in; backends: {named}")
+    return warn(
+        "rclcpp components",
+        f"not built with rclcpp support; backends: {named}",
+        "our containers load components of play-launch's own SDK only",
+        "build where rclcpp_components is found (source /opt/ros/jazzy/setup.sh, then pip install "
+        ".), or load them into container_type: stock",
+    )
+
+
+def isolation(mechanism: str, notes: tuple[str, ...]) -> Finding:
+    if mechanism == "shared_memory":
+        says = "by shared memory: messages between nodes go by pointer"
+        return ok("isolation", "; ".join((says, *notes)))
+    return warn(
+        "isolation",
+        f"by {mechanism or 'nothing'}" + (f": {'; '.join(notes)}" if notes else ""),
+        "messages between isolated nodes are copied through the middleware",
+        "use Linux 5.16 or newer, where nothing (seccomp, a container's profile) forbids clone()",
+    )
+
+
+def _allocator(found: Allocator) -> Finding:
+    if found.library is not None:
+        return ok("allocator", str(found.library))
+    return warn(
+        "allocator",
+        "glibc's malloc, whose locks all nodes of a container share",
+        "a node that dies while it allocates can freeze its isolated container, which is then "
+        "restarted",
+        found.problem or FIX,
+    )
