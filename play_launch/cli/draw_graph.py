@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, NamedTuple
 
-from play_launch.config.dependency import Otherwise, StartRule
+from play_launch.config.dependency import OnTimeout, StartRule
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -53,7 +53,7 @@ def as_mermaid(config: ReplayConfig) -> str:
             lines.append(f"  {names[source]}([{_quoted(source)}])")
         label = f"{dependency.condition}: {dependency.subject}" if dependency.unit else ""
         label = label.removesuffix(": ")
-        arrow = "-.->" if dependency.otherwise is Otherwise.START else "-->"
+        arrow = "-.->" if dependency.on_timeout is OnTimeout.START else "-->"
         words = f"|{_quoted(label)}|" if label else ""
         lines.append(f"  {names[source]} {arrow}{words} {names[name]}")
     return "\n".join(lines)
@@ -74,7 +74,7 @@ def as_values(config: ReplayConfig) -> dict[str, object]:
                 "on": dependency.unit or None,
                 "subject": dependency.subject or None,
                 "timeout": dependency.timeout if math.isfinite(dependency.timeout) else None,
-                "otherwise": str(dependency.otherwise),
+                "on_timeout": str(dependency.on_timeout),
             }
             for each in units
             for dependency in each.rule.dependencies
@@ -101,7 +101,7 @@ def _units(config: ReplayConfig) -> Iterator[_Unit]:
 
 def _limit(dependency: Dependency) -> str:
     limit = f", at most {dependency.timeout:g} s" if math.isfinite(dependency.timeout) else ""
-    starts = dependency.otherwise is Otherwise.START
+    starts = dependency.on_timeout is OnTimeout.START
     return f"{limit}, else it starts all the same" if starts else limit
 
 

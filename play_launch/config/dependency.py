@@ -48,7 +48,7 @@ ABOUT_GRAPH: Final = frozenset({Condition.NODE, Condition.TOPIC, Condition.SERVI
 """Conditions that need the ROS graph."""
 
 
-class Otherwise(StrEnum):
+class OnTimeout(StrEnum):
     """What follows when a condition does not hold in time, or cannot hold any more."""
 
     FAIL = "fail"
@@ -65,7 +65,7 @@ class Dependency(Struct, frozen=True, kw_only=True):
     """Name, path or pattern, as the condition says."""
     timeout: float = math.inf
     """Seconds, from when the dependent waits and the unit does not wait itself any more."""
-    otherwise: Otherwise = Otherwise.FAIL
+    on_timeout: OnTimeout = OnTimeout.FAIL
 
     def __str__(self) -> str:
         """Write it so that it fits behind "waits for"."""

@@ -75,7 +75,7 @@ def _start_rule(rule: StartRule) -> dict[str, object]:
                 "unit": each.unit,
                 "subject": each.subject,
                 "timeout": _or_never(each.timeout),
-                "otherwise": str(each.otherwise),
+                "on_timeout": str(each.on_timeout),
             }
             for each in rule.dependencies
         ],

@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from play_launch.config import kinds
-from play_launch.config.dependency import Otherwise, UnitCondition
+from play_launch.config.dependency import OnTimeout, UnitCondition
 from play_launch.config.model import ContainerType, Isolation, MemoryDomains, Output
 from play_launch.config.policies import Autostart, OnCrash, OnExit
 from play_launch.config.resource_values import LIMIT_FORMS
@@ -28,7 +28,7 @@ class DependencySection(Section):
     """One entry of `depends_on`; a string there is the `name`."""
 
     advice: ClassVar[Mapping[str, str]] = {
-        "on_timeout": "otherwise",
+        "otherwise": "on_timeout",
         "regex": "log",
         "matches": "log",
         "path": "file",
@@ -42,7 +42,7 @@ class DependencySection(Section):
     service: str | None = optional(kinds.GRAPH_NAME)
     file: str | None = optional(kinds.FILLED_TEXT)
     timeout: float | None = optional(kinds.POSITIVE_DURATION_OR_NEVER)
-    otherwise: Otherwise | None = optional(kinds.choice(Otherwise))
+    on_timeout: OnTimeout | None = optional(kinds.choice(OnTimeout))
 
 
 class BackoffSection(Section):

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 from msgspec.structs import replace
 
-from play_launch.config.dependency import Condition, Dependency, DependencyGraph, Otherwise
+from play_launch.config.dependency import Condition, Dependency, DependencyGraph, OnTimeout
 from play_launch.config.node_key import NodeKey
 from play_launch.config.policies import Autostart
 from play_launch.supervisor.events import NodeState
@@ -105,7 +105,7 @@ def readiness(world: World, unit: Process | Node, now: float) -> Readiness:
                 continue
             reason = f"not within {dependency.timeout:g} s"
         text = f"it waited for {dependency}: {reason}"
-        if dependency.otherwise is Otherwise.FAIL:
+        if dependency.on_timeout is OnTimeout.FAIL:
             return Readiness(may_start=False, wait=None, failure=text)
         waived.append(text)
     if pending:

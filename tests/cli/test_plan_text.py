@@ -25,7 +25,7 @@ def change(path: str, before: Any, after: Any) -> dict[str, Any]:
 
 
 def waiting(condition: str, subject: str, **more: Any) -> dict[str, Any]:
-    common = {"unit": "", "timeout": "never", "otherwise": "fail"}
+    common = {"unit": "", "timeout": "never", "on_timeout": "fail"}
     return {"condition": condition, "subject": subject, **common, **more}
 
 
@@ -34,7 +34,7 @@ def lines(*steps: dict[str, Any]) -> list[str]:
 
 
 def test_what_something_waits_for_is_put_into_words() -> None:
-    on_file = waiting("file", "/flag", timeout=2.0, otherwise="start")
+    on_file = waiting("file", "/flag", timeout=2.0, on_timeout="start")
     on_driver = waiting("started", "", unit="/driver")
     made = {"delay": 0.5, "dependencies": [on_driver, on_file]}
     assert lines(

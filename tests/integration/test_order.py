@@ -148,9 +148,9 @@ def test_the_node_that_watches_the_graph_leaves_when_nothing_waits(tmp_path: Pat
         until(lambda: not any(name.startswith("dds.ev") for name in threads()), "its end")
 
 
-@pytest.mark.parametrize(("otherwise", "code"), [("fail", 1), ("start", 0)])
-def test_what_never_comes(tmp_path: Path, otherwise: str, code: int) -> None:
-    dependency = {"topic": "/nobody", "timeout": "300 ms", "otherwise": otherwise}
+@pytest.mark.parametrize(("on_timeout", "code"), [("fail", 1), ("start", 0)])
+def test_what_never_comes(tmp_path: Path, on_timeout: str, code: int) -> None:
+    dependency = {"topic": "/nobody", "timeout": "300 ms", "on_timeout": on_timeout}
     nodes = [{"name": "late", "command": ["true"], "depends_on": [dependency]}]
     with replaying(write(tmp_path, nodes=nodes), tmp_path / "logs") as replay:
         replay.read_all()
@@ -185,5 +185,5 @@ def test_the_graph_is_printed(tmp_path: Path) -> None:
         "on": "/c:/talker",
         "subject": None,
         "timeout": None,
-        "otherwise": "fail",
+        "on_timeout": "fail",
     }

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from play_launch.config.dependency import Condition, Otherwise
+from play_launch.config.dependency import Condition, OnTimeout
 from play_launch.config.model import ParameterType, ParameterValue
 from play_launch.config.policies import Autostart, OnExit
 from play_launch.launch_files import records
@@ -196,7 +196,7 @@ def test_what_starts_later(tmp_path: Path) -> None:
     rules = load(made, tmp_path).start_rules
     (exited,) = rules["/a/later"].dependencies
     assert (exited.condition, exited.unit) == (Condition.EXITED, "/[spawner:2]")
-    assert exited.otherwise is Otherwise.START
+    assert exited.on_timeout is OnTimeout.START
     assert rules["/a/later"].delay == 2.5
     assert rules["/a/n5"].dependencies[0].condition is Condition.ACTIVE
 

@@ -11,7 +11,7 @@ from typing import Any, NoReturn
 import pytest
 from msgspec.structs import replace
 
-from play_launch.config.dependency import Condition, Dependency, Otherwise, StartRule
+from play_launch.config.dependency import Condition, Dependency, OnTimeout, StartRule
 from play_launch.config.model import ReplayConfig
 from play_launch.config.node_key import NodeKey
 from play_launch.config.policies import OnExit
@@ -41,10 +41,10 @@ def on(
     unit: str = "",
     subject: str = "",
     timeout: float = math.inf,
-    otherwise: Otherwise = Otherwise.FAIL,
+    on_timeout: OnTimeout = OnTimeout.FAIL,
 ) -> Dependency:
     return Dependency(
-        condition=condition, unit=unit, subject=subject, timeout=timeout, otherwise=otherwise
+        condition=condition, unit=unit, subject=subject, timeout=timeout, on_timeout=on_timeout
     )
 
 
@@ -137,7 +137,7 @@ def test_its_time_runs_out_and_it_fails_or_starts(caplog: pytest.LogCaptureFixtu
         config = rules(
             config,
             fails=on(Condition.EXITED, "/early", timeout=7.0),
-            starts=on(Condition.EXITED, "/early", timeout=9.0, otherwise=Otherwise.START),
+            starts=on(Condition.EXITED, "/early", timeout=9.0, on_timeout=OnTimeout.START),
         )
         async with running(config, fakes) as sys:
             began = asyncio.get_running_loop().time()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from play_launch.config.dependency import Condition, Otherwise
+from play_launch.config.dependency import Condition, OnTimeout
 from play_launch.config.model import ContainerType
 from play_launch.config.node_key import NodeKey
 from play_launch.config.policies import OnExit
@@ -155,7 +155,7 @@ class StartChecks:
             if self.holds(dependency) or (unit, dependency) in self._held:
                 continue
             can_wait = not dependency.unit and waited < dependency.timeout - SLACK
-            if dependency.otherwise is Otherwise.FAIL or can_wait:
+            if dependency.on_timeout is OnTimeout.FAIL or can_wait:
                 raise BrokenError(name, f"{unit} starts without {dependency}", (unit,))
 
     def note_conditions(self) -> None:

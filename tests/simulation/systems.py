@@ -13,7 +13,7 @@ from play_launch.config.dependency import (
     Condition,
     Dependency,
     DependencyGraph,
-    Otherwise,
+    OnTimeout,
     StartRule,
 )
 from play_launch.config.model import (
@@ -95,7 +95,7 @@ def rule(
     for _ in range(chance.randrange(1, 3)):
         unit = chance.choice(others) if others else ""
         timeout = chance.choice((float("inf"), 3.0, 20.0))
-        otherwise = chance.choice(list(Otherwise))
+        on_timeout = chance.choice(list(OnTimeout))
         kinds = [Condition.FILE, Condition.TOPIC]
         if unit in managed:
             kinds += [Condition.ACTIVE]
@@ -118,7 +118,7 @@ def rule(
                 unit="" if is_outside else unit,
                 subject=subject,
                 timeout=timeout,
-                otherwise=otherwise,
+                on_timeout=on_timeout,
             )
         )
     return StartRule(dependencies=tuple(found), delay=chance.choice((0.0, 0.0, 2.0)))

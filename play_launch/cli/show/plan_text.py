@@ -91,7 +91,7 @@ def _awaited(rule: Any) -> str:
             )
         )
         + ("" if each["timeout"] == "never" else f", at most {each['timeout']:g} s")
-        + (", else start" if each["otherwise"] == "start" else "")
+        + (", else start" if each["on_timeout"] == "start" else "")
         for each in found
     ]
     return "; ".join([*words, *([f"{delay:g} s more"] if delay else [])]) or "(none)"

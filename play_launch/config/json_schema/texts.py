@@ -414,7 +414,7 @@ TEXTS: Final[Mapping[str, Mapping[str, About]]] = {
         "service": About("This service is offered.", ("/map_server/load_map",)),
         "file": About("This file exists.", ("/dev/ttyUSB0",)),
         "timeout": About("Duration to wait for it, or never. By default never.", ("10 s",)),
-        "otherwise": About(
+        "on_timeout": About(
             "What follows if it does not come in time: fail or start. By default fail.", ("start",)
         ),
     },

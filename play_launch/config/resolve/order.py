@@ -12,7 +12,7 @@ from play_launch.config.dependency import (
     Condition,
     Dependency,
     DependencyGraph,
-    Otherwise,
+    OnTimeout,
     StartRule,
     UnitCondition,
 )
@@ -126,7 +126,7 @@ class StartRules(Struct):
                     )
         common = _Common(
             NEVER if section.timeout is None else section.timeout,
-            section.otherwise or Otherwise.FAIL,
+            section.on_timeout or OnTimeout.FAIL,
         )
         if section.name is None:
             return self._about_the_world(section, common, at)
@@ -151,7 +151,7 @@ class _Common(NamedTuple):
     """What every kind of dependency can say."""
 
     timeout: float
-    otherwise: Otherwise
+    on_timeout: OnTimeout
 
     def dependency(self, condition: Condition, *, unit: str = "", subject: str = "") -> Dependency:
         return Dependency(
@@ -159,7 +159,7 @@ class _Common(NamedTuple):
             unit=unit,
             subject=subject,
             timeout=self.timeout,
-            otherwise=self.otherwise,
+            on_timeout=self.on_timeout,
         )
 
 

@@ -58,7 +58,7 @@ def _dependency(condition: StartCondition, target: Unit, name: str) -> dict[str,
             if isinstance(target, Process) and target.respawn:
                 return f"{name} is started again whenever it exits"
             # The launch file does not ask for an exit status.
-            return {"name": name, "condition": "exited", "otherwise": "start"}
+            return {"name": name, "condition": "exited", "on_timeout": "start"}
         case Event.LOADED:
             return {"name": name, "condition": "loaded"}
         case Event.STATE if condition.state == _ACTIVE:
