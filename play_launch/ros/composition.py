@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -15,11 +16,11 @@ if TYPE_CHECKING:
     from play_launch.ros.thread import RosThread
 
 
-class ListedNode(NamedTuple):
-    """A node that a container has, by its own account."""
-
-    unique_id: int
-    full_node_name: str
+_LISTS: Final = 8
+"""Requests for a list that may be open: answers get lost, and a late one still counts."""
+_LIST_INTERVALS: Final = (0.25, 3.0)
+"""Seconds from one request for a list to the next: the first interval, which doubles, and the
+longest."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +44,7 @@ class UnloadReply:
 class CompositionClient:
     """Talks to the container of a name; belongs to one event loop.
 
-    Futures of requests stay open as long as no answer comes, which may be for ever: an answer can
+    Futures of requests stay open until there is an answer, possibly without end: an answer can
     be late by minutes and is still worth knowing.
     """
 
@@ -69,13 +70,6 @@ class CompositionClient:
         """Whether the services are available now."""
         return await self._ros.call(self._is_ready)
 
-    async def servers(self) -> frozenset[bytes]:
-        """Identify those who answer ListNodes; empty where the middleware does not report them.
-
-        A dead one is among them until its lease is over, 20 s by default.
-        """
-        return await self._ros.call(self._servers)
-
     async def constructs_in_background(self) -> bool:
         """Whether it is known to answer while a constructor runs.
 
@@ -84,8 +78,29 @@ class CompositionClient:
         topic = f"{self._name}/_container/component_events"
         return await self._ros.call(lambda node: node.count_publishers(topic) > 0)
 
-    def list_nodes(self) -> asyncio.Future[tuple[ListedNode, ...]]:
-        """Ask for all nodes."""
+    async def all_nodes(self) -> dict[int, str]:
+        """Request the full names by unique_id until there is an answer to this call.
+
+        The services of a process that was just killed are still in the graph, and answers are
+        dropped before both sides have discovered each other: so the request is repeated.
+        """
+        requests: deque[asyncio.Future[dict[int, str]]] = deque()
+        interval, longest = _LIST_INTERVALS
+        try:
+            while not (done := [reply for reply in requests if reply.done()]):
+                if len(requests) == _LISTS:
+                    requests.popleft().cancel()
+                requests.append(self.list_nodes())
+                first = asyncio.FIRST_COMPLETED
+                await asyncio.wait(requests, timeout=interval, return_when=first)
+                interval = min(2 * interval, longest)
+            return done[-1].result()
+        finally:
+            for reply in requests:
+                reply.cancel()
+
+    def list_nodes(self) -> asyncio.Future[dict[int, str]]:
+        """Request the full names of all nodes by unique_id, once."""
         return self._request("list_nodes", lambda kind: kind.Request(), _listed)
 
     def load_node(self, request: Any) -> asyncio.Future[LoadReply]:
@@ -151,7 +166,7 @@ class CompositionClient:
         return future
 
     def _hand_over(self, callback: Callable[..., None], *values: Any) -> None:
-        # A loop that has ended in the meantime has nobody who waits.
+        # The loop may have ended in the meantime.
         with suppress(RuntimeError):
             self._loop.call_soon_threadsafe(callback, *values)
 
@@ -178,15 +193,6 @@ class CompositionClient:
             node.destroy_client(client)
         self._clients.clear()
 
-    def _servers(self, node: Node) -> frozenset[bytes]:
-        # How the DDS implementations of ROS name the topic that carries a service's answers.
-        topic = f"rr{self._name}/_container/list_nodesReply"
-        try:
-            found = node.get_publishers_info_by_topic(topic, no_mangle=True)
-        except Exception:  # noqa: BLE001 - rclpy's own type of error is private
-            return frozenset()
-        return frozenset(bytes(each.endpoint_gid) for each in found)
-
 
 _SERVICES: Final = {
     "load_node": "LoadNode",
@@ -196,10 +202,10 @@ _SERVICES: Final = {
 _NEEDED: Final = ("load_node", "list_nodes")
 
 
-def _listed(reply: Any) -> tuple[ListedNode, ...]:
+def _listed(reply: Any) -> dict[int, str]:
     # Of two lists of different lengths no more than the shorter one can be used.
     pairs = zip(reply.unique_ids, reply.full_node_names, strict=False)
-    return tuple(ListedNode(int(unique_id), str(name)) for unique_id, name in pairs)
+    return {int(unique_id): str(name) for unique_id, name in pairs}
 
 
 def _loaded(reply: Any) -> LoadReply:

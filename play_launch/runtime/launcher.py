@@ -72,7 +72,7 @@ if TYPE_CHECKING:
     from play_launch.process.zygote import Zygote
     from play_launch.runtime.commands import Command
     from play_launch.runtime.ports import ControlLink, ManagedProcess
-    from play_launch.runtime.stock.starter import StockContainers
+    from play_launch.runtime.stock_containers import StockContainers
     from play_launch.supervisor.events import GroupSample
 
 _log = logging.getLogger(__name__)
@@ -377,7 +377,7 @@ def _stock_containers(config: ReplayConfig) -> StockContainers | None:
         # the supervisor without a word: no handler reaches the thread that gets it.
         raise NotInstalledError(f"{problem}; nothing was started; fix: {SHARED_MEMORY_FIX}")
     # A quarter of all modules of ours, for one type of container.
-    from play_launch.runtime.stock.starter import StockContainers  # noqa: PLC0415
+    from play_launch.runtime.stock_containers import StockContainers  # noqa: PLC0415
 
     return StockContainers.of(config)
 

@@ -130,7 +130,7 @@ def test_a_node_that_somebody_else_unloads_is_told(tmp_path: Path) -> None:
             service = "/honest/_container/unload_node"
             assert probe.call(UnloadNode, service, request, 60).success
         unloaded = replay.read_until(state("/listener", "unloaded"), "its end")
-        assert "we did not unload it" in unloaded["reason"]
+        assert "another program unloaded it" in unloaded["reason"]
 
 
 def test_a_program_that_is_not_there_is_said_at_once(tmp_path: Path) -> None:
@@ -201,7 +201,7 @@ def test_a_container_of_somebody_else_is_waited_for_and_for_again(
             replay.read_until(state("/one", "loaded"), "the node again")
         replay.read_until(state("/one", "lost"), "the second loss")
         messages = [e["message"] for e in replay.seen if e["event"] == "process"]
-        assert any("services are not in the graph" in message for message in messages)
+        assert any("services left the graph" in message for message in messages)
     assert len(double.journal("construct")) == 2
 
 
@@ -219,7 +219,7 @@ def test_a_container_that_was_killed_and_started_anew_at_once_gets_its_nodes_aga
             replay.read_until(state("/one", "lost"), "the loss")
             replay.read_until(state("/one", "loaded"), "the node again")
             messages = [e["message"] for e in replay.seen if e["event"] == "process"]
-            noticed = ("it was started anew", "it is gone: its services are not in the graph")
+            noticed = ("it was restarted", "it is gone: its services left the graph")
             assert any(message.startswith(noticed) for message in messages)
     assert len(double.journal("construct")) == 2
 

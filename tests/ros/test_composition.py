@@ -16,7 +16,7 @@ from composition_interfaces.srv import LoadNode
 from std_msgs.msg import String
 
 from play_launch.ros import waiting
-from play_launch.ros.composition import CompositionClient, ListedNode
+from play_launch.ros.composition import CompositionClient
 from play_launch.ros.graph_guard import GraphGuard, GraphGuardError
 from play_launch.ros.thread import RosThread, RosThreadError
 from tests.support.container import running_container
@@ -76,14 +76,13 @@ def test_nodes_are_loaded_listed_and_unloaded(ros: RosThread, tmp_path: Path) ->
         assert not await client.is_ready()
         async with container(tmp_path / "log"):
             await client.ready()
-            assert len(await client.servers()) == 1
             assert await client.constructs_in_background()
-            assert await client.list_nodes() == ()
+            assert await client.all_nodes() == {}
             # Whatever is here, all others have to discover; that for unloading is seldom needed.
             assert await ros.call(services_and_clients) == ([], ["load_node", "list_nodes"])
             reply = await client.load_node(talker())
             assert (reply.success, reply.full_node_name) == (True, "/one"), reply
-            assert await client.list_nodes() == (ListedNode(reply.unique_id, "/one"),)
+            assert await client.list_nodes() == {reply.unique_id: "/one"}
             again = await client.load_node(talker())
             assert not again.success
             assert "/one" in again.error_message

@@ -6,9 +6,8 @@ import asyncio
 from typing import TYPE_CHECKING, Any
 
 from play_launch.container.messages import Hello, Incoming, Load, Query, Status
-from play_launch.ros.composition import CompositionClient, ListedNode, LoadReply, UnloadReply
-from play_launch.runtime.stock.conversation import StockLimits
-from play_launch.runtime.stock.link import StockLink
+from play_launch.ros.composition import CompositionClient, LoadReply, UnloadReply
+from play_launch.runtime.stock_link import StockLink
 
 from . import jumping_loop
 
@@ -40,7 +39,7 @@ class Services(CompositionClient):
     def __init__(self) -> None:
         self.nodes: dict[int, str] = {}
         self.is_serial = True
-        self.present: frozenset[bytes] = frozenset({b"one"})
+        self.is_present = True
         self.loads: list[tuple[Any, asyncio.Future[LoadReply]]] = []
         self.unloaded: list[int] = []
         self.lists = 0
@@ -50,31 +49,25 @@ class Services(CompositionClient):
         self.closed = False
         self._changed = asyncio.Event()
 
-    def change(self, servers: frozenset[bytes] | None = None) -> None:
-        if servers is not None:
-            self.present = servers
+    def change(self, *, is_present: bool = True) -> None:
+        self.is_present = is_present
         self._changed.set()
         self._changed = asyncio.Event()
 
     async def ready(self) -> None:
-        while not self.present:
+        while not self.is_present:
             await self._changed.wait()
 
     async def gone(self) -> None:
-        while self.present:
+        while self.is_present:
             await self._changed.wait()
-
-    async def servers(self) -> frozenset[bytes]:
-        return self.present
 
     async def constructs_in_background(self) -> bool:
         return not self.is_serial
 
-    def list_nodes(self) -> asyncio.Future[tuple[ListedNode, ...]]:
+    def list_nodes(self) -> asyncio.Future[dict[int, str]]:
         self.lists += 1
-        return self._reply(
-            self.answers_lists, tuple(ListedNode(*each) for each in self.nodes.items())
-        )
+        return self._reply(self.answers_lists, dict(self.nodes))
 
     def load_node(self, request: Any) -> asyncio.Future[LoadReply]:
         reply: asyncio.Future[LoadReply] = asyncio.get_running_loop().create_future()
@@ -111,8 +104,7 @@ def link_to(
     services: Services,
     *,
     name: str = "/box",
-    places: asyncio.Semaphore | None = None,
-    limits: StockLimits | None = None,
+    slots: asyncio.Semaphore | None = None,
 ) -> StockLink:
     hello = Hello(
         version="",
@@ -124,9 +116,8 @@ def link_to(
     return StockLink(
         hello,
         services,
-        places=places or asyncio.Semaphore(4),
+        slots=slots or asyncio.Semaphore(4),
         loading_timeout=10.0,
-        limits=limits,
     )
 
 

@@ -7,8 +7,8 @@ import asyncio
 import pytest
 
 from play_launch.container.channel import ChannelClosedError
-from play_launch.runtime.stock.link import StockLink
-from play_launch.runtime.stock.starter import AttachedContainer
+from play_launch.runtime.stock_containers import AttachedContainer
+from play_launch.runtime.stock_link import StockLink
 
 from .stock_services import Services, greeted, link_to, load, run, settle
 
@@ -45,13 +45,11 @@ def test_it_ends_when_the_container_is_gone() -> None:
     async def main() -> None:
         services = Services()
         container, link = await attached(services)
-        services.change(frozenset({b"one"}))
-        await settle()
         ending = asyncio.create_task(container.wait())
         await settle()
         assert not ending.done()
-        services.change(frozenset())
-        word = "services are not in the graph any more"
+        services.change(is_present=False)
+        word = "its services left the graph"
         assert word in str(await ending)
         with pytest.raises(ChannelClosedError, match=word):
             await link.receive()
@@ -69,11 +67,10 @@ def test_a_container_started_anew_has_none_of_the_nodes(is_new: bool) -> None:
         if is_new:
             services.nodes.clear()
         ending = asyncio.create_task(container.wait())
-        services.change(frozenset({b"one", b"two"}))
         await asyncio.sleep(6)
         assert ending.done() is is_new
         if is_new:
-            assert "started anew" in str(ending.result())
+            assert "restarted" in str(ending.result())
         container.kill()
         await ending
         link.close()
@@ -155,7 +152,7 @@ def test_a_container_that_refuses_is_not_asked_for_ever() -> None:
 def test_nobody_is_waited_for_without_a_word(caplog: pytest.LogCaptureFixture) -> None:
     async def main() -> None:
         services = Services()
-        services.present = frozenset()
+        services.is_present = False
         link = link_to(services)
         container = AttachedContainer("/box", link, ask=3.0)
         await asyncio.sleep(9)

@@ -17,8 +17,8 @@ from play_launch.config.model import (
 from play_launch.container.codec import EncodeError
 from play_launch.container.messages import Load
 from play_launch.container.ros import NotInstalledError
-from play_launch.runtime.stock.loads import load_node_request
-from play_launch.runtime.stock.starter import StockContainers
+from play_launch.runtime.stock_containers import StockContainers
+from play_launch.runtime.stock_link import load_node_request
 
 from .fakes import container, system
 

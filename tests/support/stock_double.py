@@ -10,16 +10,11 @@ first for the first load of a node of that name, and so on; after its end all is
 ``lose_request``   the request never came: nothing is constructed, nothing answered
 ``lose_answer``    the node is there, the answer is lost
 ``fail``           the constructor throws
-``deny``           the node is there, the answer says that it failed
-``pretend``        the answer says success, the node is not there
-``same_id``        the node is there, the answer gives the unique_id of another one
 ``die``            the process is killed in the middle of the constructor
-``late:S``         with --background: constructed and answered after S seconds
 ``keep``           loads as it should; an unload says that it failed the first time
 =================  ===============================================================================
 
-Options: ``--background`` constructs in threads, ``--mute-lists N`` does not answer the first N
-questions for the list, ``--twice-listed`` lists every node under two ids.
+Option ``--mute-lists N``: the first N requests for the list are not answered.
 """
 
 from __future__ import annotations
@@ -36,7 +31,6 @@ from typing import Any
 
 import rclpy
 from composition_interfaces.srv import ListNodes, LoadNode, UnloadNode
-from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.utilities import ok, remove_ros_args, try_shutdown
@@ -57,17 +51,13 @@ class StockDouble(Node):
         self._is_mute = False
         self._muted_lists = 0
         self._threads = threading.local()
-        # As rclcpp: one group whose callbacks exclude one another, or one in which they do not.
-        group = ReentrantCallbackGroup() if options.background else None
         services = (
             (LoadNode, "load_node", self._load),
             (UnloadNode, "unload_node", self._unload),
             (ListNodes, "list_nodes", self._list),
         )
         for kind, name, callback in services:
-            service = self.create_service(
-                kind, f"~/_container/{name}", callback, callback_group=group
-            )
+            service = self.create_service(kind, f"~/_container/{name}", callback)
             self._answer_unless_mute(service)
 
     def _answer_unless_mute(self, service: Any) -> None:
@@ -112,14 +102,12 @@ class StockDouble(Node):
         time.sleep(seconds)
         unique_id, self._next_id = self._next_id, self._next_id + 1
         response.full_node_name, response.unique_id = full_name, unique_id
-        response.success = fault not in {"fail", "deny"}
-        if not response.success:
-            response.error_message = "Component constructor threw an exception: as told"
-        if fault not in {"fail", "pretend"}:
+        response.success = fault != "fail"
+        if response.success:
             self._nodes[unique_id] = full_name
             self._journal("construct", full_name, unique_id)
-        if fault == "same_id":
-            response.unique_id = min(self._nodes)
+        else:
+            response.error_message = "Component constructor threw an exception: as told"
         if fault == "keep":
             self._kept.add(full_name)
         self._threads.mute = fault == "lose_answer"
@@ -141,17 +129,14 @@ class StockDouble(Node):
             self._muted_lists += 1
             self._threads.mute = True
             return response
-        times = 2 if self._options.twice_listed else 1
-        response.unique_ids = list(self._nodes) * times
-        response.full_node_names = list(self._nodes.values()) * times
+        response.unique_ids = list(self._nodes)
+        response.full_node_names = list(self._nodes.values())
         return response
 
 
 def main() -> None:
     parser = argparse.ArgumentParser()
-    parser.add_argument("--background", action="store_true")
     parser.add_argument("--mute-lists", type=int, default=0)
-    parser.add_argument("--twice-listed", action="store_true")
     options = parser.parse_args(remove_ros_args(sys.argv)[1:])
     rclpy.init()
     # With one thread in the group the callbacks wait for one another all the same.

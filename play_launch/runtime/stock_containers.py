@@ -6,7 +6,7 @@ import asyncio
 import logging
 import os
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import anyio
 
@@ -17,7 +17,7 @@ from play_launch.process.exit import Exit
 from play_launch.ros.composition import CompositionClient
 from play_launch.ros.thread import RosThread
 from play_launch.runtime.sources import first_of
-from play_launch.runtime.stock.link import StockLink
+from play_launch.runtime.stock_link import StockLink
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -27,9 +27,12 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
+_WAITING: Final = 10.0
+"""Seconds after which the absence of a container that something else starts is reported."""
+
 
 @dataclass(frozen=True, slots=True, repr=False)
-class Parting(Exit):
+class Detached(Exit):
     """The end of an attachment; how the process ended, if it did, is not known."""
 
     reason: str = ""
@@ -59,7 +62,7 @@ class AttachedContainer:
     async def wait(self) -> Exit:
         """Wait until it is gone or detached."""
         await self._link.ended.wait()
-        return Parting(reason=self._link.end_reason)
+        return Detached(reason=self._link.end_reason)
 
     gone = wait
 
@@ -79,8 +82,8 @@ class AttachedContainer:
         return True
 
     async def _report_absence(self) -> None:
-        with anyio.move_on_after(self._link.talk.limits.waiting) as waiting:
-            await self._link.talk.services.ready()
+        with anyio.move_on_after(_WAITING) as waiting:
+            await self._link.services.ready()
         if waiting.cancelled_caught:
             _log.warning("waiting for %s: no container of that name is running", self._name)
 
@@ -98,7 +101,7 @@ class StockContainers:
         """Start nothing; ``ask`` is how long an attached container may take to unload nodes."""
         self._threads: dict[int | None, RosThread] = {}
         self._ask = ask
-        self._places: asyncio.Semaphore | None = None
+        self._slots: asyncio.Semaphore | None = None
 
     @classmethod
     def of(cls, config: ReplayConfig) -> StockContainers:
@@ -157,9 +160,9 @@ class StockContainers:
         self._threads = {}
 
     def _link(self, config: ContainerConfig, pid: int = 0, start_time: int = 0) -> StockLink:
-        if self._places is None:
+        if self._slots is None:
             # A load is discovery and a constructor, so CPU time.
-            self._places = asyncio.Semaphore(max(4, 2 * (os.cpu_count() or 1)))
+            self._slots = asyncio.Semaphore(max(4, 2 * (os.cpu_count() or 1)))
         thread = self._threads[_domain(config)]
         hello = Hello(
             version="",
@@ -172,7 +175,7 @@ class StockContainers:
         )
         services = CompositionClient(thread, config.full_name)
         timeout = config.loading_timeout
-        return StockLink(hello, services, places=self._places, loading_timeout=timeout)
+        return StockLink(hello, services, slots=self._slots, loading_timeout=timeout)
 
 
 def _domain(config: ContainerConfig) -> int | None:

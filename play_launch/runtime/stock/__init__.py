@@ -1,1 +1,0 @@
-"""Containers of others, driven by the composition services instead of the control channel."""
