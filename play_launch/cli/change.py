@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from play_launch.cli.failure import fail
 from play_launch.cli.operate import FAILED, OK, seconds
 from play_launch.cli.show.plan_text import outcome_line, plan_lines
 from play_launch.cli.show.terminal import is_terminal, printable, wants_colour
@@ -16,7 +16,6 @@ from play_launch.control.protocol import ControlError
 if TYPE_CHECKING:
     from argparse import ArgumentParser, Namespace
 
-    from play_launch.config.model import ReplayConfig
     from play_launch.control.client import ControlClient
 
 DIFFERS: Final = 1
@@ -60,7 +59,7 @@ def add_arguments(parser: ArgumentParser, verb: str) -> None:
 
 def run(client: ControlClient, options: Namespace) -> int:
     """Compare or change, and print the plan and the result of each step."""
-    request: dict[str, Any] = {"config": _bundled(options)}
+    request = _configuration(options)
     if options.verb == "diff" or options.dry_run:
         compared = client.ask("apply", {**request, "dry_run": True})
         _print_plan(compared["plan"], compared["applying"], options)
@@ -83,17 +82,15 @@ def run(client: ControlClient, options: Namespace) -> int:
     return FAILED
 
 
-def _bundled(options: Namespace) -> dict[str, Any]:
-    """Read the configuration here: environment and working directory are the user's."""
-    from play_launch.config.bundle import bundled  # noqa: PLC0415
-    from play_launch.config.problems import ConfigError  # noqa: PLC0415 - takes its time
-
+def _configuration(options: Namespace) -> dict[str, Any]:
+    """Name the configuration for the session, with environment and directory of this process."""
     named = [each for each in options.target if ":=" not in each]
-    try:
-        return bundled(_evaluated(options) if _is_launch_file(named) else _read(options.target))
-    except ConfigError as error:
-        what = "nothing was changed" if options.verb == "apply" else "nothing was compared"
-        fail(f"{' '.join(named)} cannot be used, {what}\n{error.for_people()}")
+    environment = dict(os.environ)
+    if _is_launch_file(named):
+        path, text = _evaluated(options)
+        return {"path": path, "text": text, "environment": environment}
+    path, *arguments = options.target
+    return {"path": os.path.abspath(path), "arguments": arguments, "environment": environment}  # noqa: PTH100 - without resolving links
 
 
 def _is_launch_file(named: list[str]) -> bool:
@@ -105,29 +102,14 @@ def _is_launch_file(named: list[str]) -> bool:
     return len(named) != 1
 
 
-def _read(words: list[str]) -> ReplayConfig:
-    from play_launch.config.load import load_config  # noqa: PLC0415 - takes its time
-    from play_launch.config.sources.surroundings import (  # noqa: PLC0415
-        Surroundings,
-        parse_arguments,
-    )
-
-    try:
-        given = parse_arguments(words[1:])
-    except ValueError as error:
-        fail(str(error))
-    return load_config(Path(words[0]), Surroundings(arguments=given))
-
-
-def _evaluated(options: Namespace) -> ReplayConfig:
-    """Make a configuration of a launch file as `launch` does, but without files besides."""
+def _evaluated(options: Namespace) -> tuple[str, str]:
+    """Convert a launch file as `launch` does, but without other files; return name and text."""
     from play_launch.cli.target import (  # noqa: PLC0415 - takes its time
         USUAL_LIMIT,
         evaluated,
         report_losses,
         target_of,
     )
-    from play_launch.config.load import parse_config  # noqa: PLC0415
     from play_launch.launch_files.configuration.options import Containers, Options  # noqa: PLC0415
     from play_launch.launch_files.configuration.write import written  # noqa: PLC0415
 
@@ -135,7 +117,7 @@ def _evaluated(options: Namespace) -> ReplayConfig:
     chosen = Options(containers=Containers(options.container_type), folder=_NOWHERE)
     made = written(evaluated(found, USUAL_LIMIT), chosen, "")
     report_losses(made)
-    return parse_config(made.text.encode(), _NOWHERE / f"{found.name}.yaml")
+    return str(_NOWHERE / f"{found.name}.yaml"), made.text
 
 
 def _print_plan(plan: Any, applying: Any, options: Namespace) -> None:

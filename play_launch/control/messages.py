@@ -14,9 +14,8 @@ from typing import Annotated, Literal, NamedTuple, TypeVar
 import msgspec
 from msgspec import UNSET, Meta, Raw, Struct, UnsetType, field
 
-from play_launch.config.bundle import Bundle  # noqa: TC001 - msgspec reads annotations
 from play_launch.control.protocol import PROTOCOL, Code, ControlError
-from play_launch.process.cgroups.usage import GroupUsage  # noqa: TC001 - as above
+from play_launch.process.cgroups.usage import GroupUsage  # noqa: TC001 - msgspec reads annotations
 
 Name = Annotated[str, Meta(max_length=1000)]
 Names = Annotated[tuple[Name, ...], Meta(max_length=2000)]
@@ -101,8 +100,14 @@ class EventsRequest(Selected, frozen=True, kw_only=True):
 class ChangeRequest(Struct, frozen=True, kw_only=True):
     """Arguments of ``apply``."""
 
-    config: Bundle
-    """the configuration with its files"""
+    path: Annotated[str, Meta(pattern="^/", max_length=4095)]
+    """absolute path of the configuration, which the session reads"""
+    text: str | None = None
+    """the configuration itself, if it is not a file; `path` is its name then"""
+    arguments: tuple[str, ...] = ()
+    """`name:=value` each"""
+    environment: dict[str, str] = {}
+    """variables for `${env:...}` and the packages of the configuration"""
     timeout: Seconds = 60.0
     """seconds for each step"""
     rollback_on_failure: bool = False

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import asyncio
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
 from msgspec import Struct
 
-from play_launch.config.bundle import unbundled
+from play_launch.config.load import load_config, parse_config
 from play_launch.config.problems import ConfigError
+from play_launch.config.sources.surroundings import Surroundings, parse_arguments, share_folder
 from play_launch.container.cdr.layout import CdrError
 from play_launch.container.cdr.messages import NODE_PARAMETERS
 from play_launch.control.actions import Action, ActionLog, Actions
@@ -249,9 +251,12 @@ class Changes:
     async def apply(self, request: ChangeRequest, caller: Caller) -> object:
         """Send the plan, and apply it unless it is a dry run; raises ControlError."""
         try:
-            target = await asyncio.to_thread(unbundled, request.config)
+            target = await asyncio.to_thread(_read, request)
         except ConfigError as error:
-            raise ControlError(Code.BAD_ARGUMENTS, error.for_people()) from None
+            text = f"{request.path} cannot be used, nothing was changed\n{error.for_people()}"
+            raise ControlError(Code.BAD_ARGUMENTS, text) from None
+        except ValueError as error:
+            raise ControlError(Code.BAD_ARGUMENTS, str(error)) from None
         target = self._with_command_line(target)
         if request.dry_run:
             applying = self._source if self._is_busy else None
@@ -331,6 +336,19 @@ class Changes:
         # Its failure is published; that the client disconnected first is not worth a log.
         self._task.add_done_callback(lambda task: task.cancelled() or task.exception())
         return self._task
+
+
+def _read(request: ChangeRequest) -> ReplayConfig:
+    """Read a configuration; raises ConfigError, ValueError."""
+    surroundings = Surroundings(
+        arguments=parse_arguments(request.arguments),
+        environ=request.environment,
+        find_share=partial(share_folder, environ=request.environment),
+    )
+    path = Path(request.path)
+    if request.text is None:
+        return load_config(path, surroundings)
+    return parse_config(request.text.encode(), path, surroundings=surroundings)
 
 
 def _failures(applied: Applied) -> str:

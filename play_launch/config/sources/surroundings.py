@@ -23,9 +23,9 @@ MOST_SUBSTITUTED: Final = 4 * 1024 * 1024
 _ARGUMENT: Final = re.compile(r"([A-Za-z_][A-Za-z0-9_]*):=(.*)", re.ASCII | re.DOTALL)
 
 
-def share_folder(package: str) -> Path | None:
+def share_folder(package: str, environ: Mapping[str, str] = os.environ) -> Path | None:
     """Find the share folder of a package as ROS does; our own prefix first."""
-    for prefix in (Path(sys.prefix), *ament_prefixes(os.environ)):
+    for prefix in (Path(sys.prefix), *ament_prefixes(environ)):
         if (prefix / "share/ament_index/resource_index/packages" / package).is_file():
             return prefix / "share" / package
     return None
