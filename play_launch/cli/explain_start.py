@@ -23,10 +23,17 @@ from play_launch.process.program import SpawnError, check_program
 from play_launch.recording.facts import REDACTED, is_secret
 from play_launch.recording.resolved_form import taken_secrets, without
 from play_launch.recording.topic_recorder.program import recorder_argv
-from play_launch.runtime.commands import Command, Machine
-from play_launch.runtime.needs import is_own, shares_memory
+from play_launch.runtime.commands import (
+    DESCRIPTOR,
+    Command,
+    Machine,
+    Start,
+    allocator_for,
+    is_own,
+    shares_memory,
+    survey,
+)
 from play_launch.runtime.prestart import SWITCH
-from play_launch.runtime.survey import DESCRIPTOR, Start, allocator_for, survey
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Mapping

@@ -25,9 +25,10 @@ ANSWER_LIMIT: Final = 3.0
 
 
 class ParameterSetter:
-    """A `ParameterService` with one ROS node for each domain, made when it is first needed.
+    """Sets parameters of running nodes.
 
-    It is kept: DDS takes seconds to introduce others to a second one at the address of the first.
+    One ROS node for each domain is created when it is first needed, and kept: DDS takes seconds to
+    introduce others to a second one at the address of the first.
     Belongs to the event loop's thread.
     """
 

@@ -8,7 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from play_launch.config.node_key import NodeKey
-from play_launch.runtime.ports import StartError
+from play_launch.runtime.commands import StartError
 from play_launch.runtime.sources import Sources
 from play_launch.supervisor.change import declared
 from play_launch.supervisor.inputs import ChangeRequested, ParametersSet, StepEnded
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from play_launch.config.model import ContainerConfig, ProcessConfig, ReplayConfig
-    from play_launch.runtime.ports import ParameterService
+    from play_launch.ros.parameter_setter import ParameterSetter
     from play_launch.runtime.system import System
     from play_launch.supervisor.steps import Plan, Step
 
@@ -41,7 +41,7 @@ def _ignore(outcome: StepOutcome) -> None:
 class Applying:
     """Changes a running system; one change at a time."""
 
-    def __init__(self, system: System, parameters: ParameterService) -> None:
+    def __init__(self, system: System, parameters: ParameterSetter) -> None:
         self._system = system
         self._parameters = parameters
         self._sources = Sources(lambda error: _log.error("%s", error, exc_info=error))

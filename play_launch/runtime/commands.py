@@ -1,4 +1,4 @@
-"""Command line and environment of each process, to start it or to show it.
+"""Command line, environment and parameter file of each process of a system.
 
 Nothing is started here. Programs are looked up in the file system; all else follows from the
 arguments.
@@ -7,6 +7,7 @@ arguments.
 from __future__ import annotations
 
 import shutil
+import tempfile
 from collections.abc import Mapping  # noqa: TC003 - msgspec evaluates the annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -15,10 +16,12 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from play_launch.config.ament_index import ament_prefixes
-from play_launch.config.model import ContainerType
+from play_launch.config.model import ContainerConfig, ContainerType, Isolation, ProcessConfig
 from play_launch.config.resources import NO_RESOURCES, Resources
-from play_launch.container.allocator import for_isolation
+from play_launch.container.allocator import Allocator, find_allocator, for_isolation
+from play_launch.container.channel import CONTROL_FD_VARIABLE
 from play_launch.container.command import (
+    ExecutableNotFoundError,
     container_argv,
     find_executable,
     probe_argv,
@@ -26,12 +29,79 @@ from play_launch.container.command import (
     stock_container_argv,
 )
 from play_launch.container.environment import child_environment, foreign_python_environment
+from play_launch.container.parameter_file import (
+    ParameterFileError,
+    parameter_file_of,
+    write_parameter_file,
+)
 from play_launch.container.preload import with_safe_waits
 from play_launch.container.ros import RosInstallation  # noqa: TC001 - as above
-from play_launch.runtime.needs import shares_memory
+from play_launch.process.kin import MEMBER_VARIABLE, mark_for
+from play_launch.ros.fastdds.middleware import asks_for_fastdds
 
 if TYPE_CHECKING:
-    from play_launch.config.model import ComposableNodeConfig, ContainerConfig, ProcessConfig
+    from collections.abc import Iterable, Iterator
+
+    from play_launch.config.model import (
+        ComposableNodeConfig,
+        ParameterConfig,
+        ParameterSection,
+        ReplayConfig,
+    )
+
+    Config = ContainerConfig | ProcessConfig
+    Key = tuple[str, tuple[ParameterConfig, ...], tuple[ParameterSection, ...]]
+
+
+class StartError(Exception):
+    """A process could not be started.
+
+    Attributes:
+        permanent: Whether the next try would fail in the same way.
+    """
+
+    def __init__(self, reason: str, *, permanent: bool) -> None:
+        super().__init__(reason)
+        self.permanent = permanent
+
+
+def is_own(container: ContainerConfig) -> bool:
+    """Whether it runs our own program."""
+    return not container.attach and container.container_type is not ContainerType.STOCK
+
+
+def shares_memory(container: ContainerConfig) -> bool:
+    """Whether its nodes are processes in its own memory."""
+    return container.container_type.is_isolated and container.isolation is not Isolation.PROCESS
+
+
+def has_stock_containers(config: ReplayConfig) -> bool:
+    """Whether the supervisor needs ROS itself."""
+    return any(each.container_type is ContainerType.STOCK for each in config.containers)
+
+
+def uses_fastdds(config: ReplayConfig, environment: Mapping[str, str]) -> bool:
+    """Whether any process asks for Fast DDS; ``environment`` is what they inherit."""
+    declared = (
+        *(each.environment for each in config.containers),
+        *(each.environment for each in config.nodes),
+    )
+    return any(asks_for_fastdds({**environment, **each}) for each in declared)
+
+
+def participants(config: ReplayConfig) -> int:
+    """Count the participants of DDS, if each process is one.
+
+    A node with memory of its own is one of its own; the others share their container's.
+    """
+    processes = len(config.containers) + len(config.nodes)
+    apart = (
+        each
+        for each in config.containers
+        if each.container_type.is_isolated and not shares_memory(each)
+    )
+    return processes + sum(len(each.composable_nodes) for each in apart)
+
 
 _CONTAINER_SHARE: Final = 0.6
 """Part of the time for asking that the container gives its nodes; the rest is its own."""
@@ -124,3 +194,113 @@ def process_command(
         environment = foreign_python_environment(environment, machine.ros, Path(program))
     environment = with_safe_waits(environment, machine.container)
     return Command(argv, environment, config.cwd, config.emulate_tty, config.resources)
+
+
+class ParameterFiles:
+    """The parameters of containers and ordinary processes, each in a file of its own."""
+
+    def __init__(self, configs: Iterable[Config]) -> None:
+        """Write the files; what cannot be written is reported when the file is asked for."""
+        self._folder: tempfile.TemporaryDirectory[str] | None = None
+        self._paths: dict[Key, Path | StartError] = {}
+        self.write(configs)
+
+    def write(self, configs: Iterable[Config]) -> None:
+        """Write the files that do not exist; old ones stay for restarts of running processes."""
+        for config in configs:
+            if any(_key(config)[1:]) and _key(config) not in self._paths:
+                self._paths[_key(config)] = self._write(config)
+
+    def of(self, config: Config) -> Path | None:
+        """Give the file; None when there are no parameters.
+
+        Raises:
+            StartError: When a file cannot express them, or could not be written.
+        """
+        path = self._paths.get(_key(config))
+        if isinstance(path, StartError):
+            raise path
+        return path
+
+    def remove(self) -> None:
+        """Remove the files; may be called twice."""
+        if self._folder is not None:
+            self._folder.cleanup()
+
+    def _write(self, config: Config) -> Path | StartError:
+        try:
+            text = parameter_file_of(config) or ""
+            if self._folder is None:
+                self._folder = tempfile.TemporaryDirectory(prefix="play-launch-")
+            return write_parameter_file(text, Path(self._folder.name))
+        except ParameterFileError as error:
+            return StartError(str(error), permanent=True)
+        except OSError as error:
+            reason = f"its parameters cannot be written to a temporary file: {error.strerror}"
+            fix = "free some space, or set TMPDIR to another folder"
+            return StartError(f"{reason}; {fix}", permanent=True)
+
+
+def _key(config: Config) -> Key:
+    own = config.parameters if isinstance(config, ProcessConfig) else ()
+    return config.full_name, own, config.process_parameters
+
+
+PARAMETER_FILE: Final = Path("(parameter file)")
+"""Stands in a command line for the file, which is written for each run."""
+DESCRIPTOR: Final = "(descriptor)"
+"""Stands for the number of a descriptor that the process inherits."""
+SUPERVISOR: Final = "(pid)"
+"""Stands for the pid of the supervisor."""
+
+
+class Start(Struct, frozen=True):
+    """A process to be started: its command, or the reason why there is none."""
+
+    config: ContainerConfig | ProcessConfig
+    command: Command | str
+    parameter_file: str | None = None
+    """What is in the file."""
+
+
+def survey(config: ReplayConfig, machine: Machine) -> Iterator[Start]:
+    """Give the containers and processes as declared, without attached ones."""
+    for container in config.containers:
+        if not container.attach:
+            yield _container(container, machine, config.stop.ask)
+    for process in config.nodes:
+        yield _process(process, machine)
+
+
+def allocator_for(config: ReplayConfig) -> Allocator:
+    """Find what the isolated containers of a system preload; searches only if there are any."""
+    needed = any(shares_memory(container) for container in config.containers)
+    return find_allocator() if needed else Allocator(None)
+
+
+def _container(config: ContainerConfig, machine: Machine, ask: float) -> Start:
+    try:
+        text = parameter_file_of(config)
+        command = container_command(config, machine, _file(text), ask=ask)
+    except (ParameterFileError, ExecutableNotFoundError) as error:
+        return Start(config, str(error))
+    if config.container_type is not ContainerType.STOCK:
+        command = command.with_variables({CONTROL_FD_VARIABLE: DESCRIPTOR})
+    return Start(config, _marked(command, config), text)
+
+
+def _process(config: ProcessConfig, machine: Machine) -> Start:
+    try:
+        text = parameter_file_of(config)
+        command = process_command(config, machine, _file(text))
+        return Start(config, _marked(command, config), text)
+    except (ParameterFileError, ExecutableNotFoundError, ValueError) as error:
+        return Start(config, str(error))
+
+
+def _marked(command: Command, config: ContainerConfig | ProcessConfig) -> Command:
+    return command.with_variables({MEMBER_VARIABLE: mark_for(SUPERVISOR, config.full_name)})
+
+
+def _file(text: str | None) -> Path | None:
+    return None if text is None else PARAMETER_FILE

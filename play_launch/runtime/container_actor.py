@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from collections import defaultdict
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
@@ -15,30 +14,30 @@ from play_launch.container.channel import ChannelClosedError, ControlError, Vers
 from play_launch.container.codec import EncodeError
 from play_launch.container.messages import Cancel, Shutdown, Status, Unload
 from play_launch.container.messages import Hello as HelloMessage
+from play_launch.runtime.commands import StartError
 from play_launch.runtime.container_messages import (
+    Asked,
+    Queries,
     description,
     inputs_of,
     isolation_shortfall,
     load_request,
 )
-from play_launch.runtime.ports import StartError
+from play_launch.runtime.probes import probe_nodes
 from play_launch.runtime.process_actor import ProcessActor
 from play_launch.runtime.publisher import report_shortfalls
-from play_launch.runtime.queries import Asked, Queries
 from play_launch.runtime.watch import ContainerWatch
 from play_launch.supervisor.events import ComponentEvent, NodeState
-from play_launch.supervisor.inputs import Faulty, Greeted, HealthReported, NodeReported, Probed
+from play_launch.supervisor.inputs import Faulty, Greeted, HealthReported, NodeReported
 from play_launch.supervisor.node_life import TABLE, NodeFact
 from play_launch.supervisor.world import Hello, Phase, is_wanted
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from play_launch.config.model import ComposableNodeConfig
     from play_launch.config.node_key import NodeKey
     from play_launch.container.messages import Incoming, Outgoing
-    from play_launch.runtime.ports import ControlLink, ManagedProcess
-    from play_launch.runtime.probes import LibraryProbes
+    from play_launch.runtime.launcher import ControlLink, ManagedProcess
     from play_launch.runtime.sources import Source
     from play_launch.runtime.system import System
     from play_launch.supervisor.world import Node
@@ -201,7 +200,7 @@ class ContainerActor(ProcessActor):
         for node in self._system.world.nodes_of(self.name):
             if node.attempt == said.attempt and _is_its_end(node, said.said):
                 why = self._system.launcher.groups.leave(node.key, said.attempt)
-                return _with_reason(said, why) if why else said
+                return replace(said, reason=why) if why else said
         return said
 
     def _check_node(self, said: NodeReported) -> None:
@@ -258,45 +257,17 @@ class ContainerActor(ProcessActor):
             # What reads the channel notices it as well and deals with the container.
             _log.debug("%s: a request was not sent: %s", self.name, error)
 
-    # Scratch processes.
-
     def probe(self, nodes: Sequence[NodeKey]) -> None:
         """Load the libraries of nodes in scratch processes."""
         self._probes = [each for each in self._probes if each.runs]
-        self._probes.append(self._sources.begin(partial(self._probe_all, tuple(nodes))))
+        probe = partial(probe_nodes, self._system, self.config, tuple(nodes))
+        self._probes.append(self._sources.begin(probe))
 
     def cancel_probes(self) -> None:
         """End the scratch processes."""
         for source in self._probes:
             source.cancel()
         self._probes.clear()
-
-    async def _probe_all(self, keys: Sequence[NodeKey]) -> None:
-        probes, world = self._system.probes, self._system.world
-        groups: defaultdict[str, list[ComposableNodeConfig]] = defaultdict(list)
-        for key in keys:
-            if key in world.nodes:
-                node = world.nodes[key].config
-                library = await self._system.launcher.library_of(self.config, node)
-                groups[library or f"{node.package} {node.plugin}"].append(node)
-        async with anyio.create_task_group() as tasks:
-            for group in groups.values():
-                tasks.start_soon(self._probe_library, probes, group)
-
-    async def _probe_library(
-        self, probes: LibraryProbes, group: list[ComposableNodeConfig]
-    ) -> None:
-        """Probe the nodes of one library, in most cases by the first of them."""
-        while group:
-            first = group[0]
-            finding = await probes.probe(self.config, first)
-            is_about_all = finding is None or finding.is_about_library
-            settled = [node for node in group if is_about_all or node.plugin == first.plugin]
-            group = [node for node in group if node not in settled]
-            for node in settled:
-                known = self._system.world.nodes.get(node.key)
-                if known is not None and known.config is node:  # else it was declared anew
-                    self._system.post(Probed(node.key, finding))
 
 
 def _is_its_end(node: Node, fact: NodeFact) -> bool:
@@ -305,8 +276,3 @@ def _is_its_end(node: Node, fact: NodeFact) -> bool:
         fact = NodeFact.STATUS_UNKNOWN_AGAIN
     state = TABLE[node.state][fact].state
     return state is not node.state and state in _ENDED
-
-
-def _with_reason(said: NodeReported, reason: str) -> NodeReported:
-    """Give another reason."""
-    return replace(said, reason=reason)

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 
     from anyio.abc import TaskGroup
 
-    from play_launch.runtime.ports import ManagedNode, RosAccess
+    from play_launch.ros.access import RosAccess
+    from play_launch.ros.managed_node import ManagedNodeClient
     from play_launch.supervisor.inputs import Input
     from play_launch.supervisor.world import Goal, World
 
@@ -147,7 +148,7 @@ class Conversations:
 
 
 async def _next_action(
-    talk: _Conversation, client: ManagedNode, on_state: Callable[[int], None], limit: float
+    talk: _Conversation, client: ManagedNodeClient, on_state: Callable[[int], None], limit: float
 ) -> ManagedAction:
     """Give the next action; check the state of an idle node a few times."""
     for pause in _CHECKS:
@@ -159,7 +160,7 @@ async def _next_action(
 
 
 async def _change(
-    client: ManagedNode, action: ManagedAction, limit: float
+    client: ManagedNodeClient, action: ManagedAction, limit: float
 ) -> tuple[ManagedInput, str]:
     """Request a transition and give it ``limit`` seconds; give its result, and why it failed."""
     transition, leads_to = _TRANSITIONS[action]

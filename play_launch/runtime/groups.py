@@ -8,7 +8,7 @@ import time
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from play_launch.config.model import ContainerConfig
 from play_launch.process.cgroups.base import GroupError
@@ -17,13 +17,13 @@ from play_launch.process.cgroups.names import SessionName
 from play_launch.process.cgroups.session import SessionGroups, needed_controllers
 from play_launch.process.cgroups.usage import usage_of
 from play_launch.process.identity import ProcessIdentity, read_stat
-from play_launch.runtime.needs import group_limits, stalls, wants_groups
-from play_launch.runtime.ports import StartError
+from play_launch.runtime.commands import StartError, shares_memory
 from play_launch.supervisor.events import SubjectKind
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
+    from play_launch.config.group_limits import CpuMax, GroupLimits
     from play_launch.config.model import ComposableNodeConfig, ProcessConfig, ReplayConfig
     from play_launch.config.node_key import NodeKey
     from play_launch.process.guard import SessionGuard
@@ -128,3 +128,57 @@ class Groups:
     def end(self) -> None:
         """Remove them all, with what is left in them; blocks for a moment."""
         self._groups.end()
+
+
+def group_limits(config: ReplayConfig) -> Iterator[GroupLimits]:
+    """Give what control groups are to limit, of all that is started here."""
+    for container in config.containers:
+        yield container.resources.group
+        yield from (node.resources.group for node in container.composable_nodes)
+    yield from (process.resources.group for process in config.nodes)
+
+
+def wants_groups(config: ReplayConfig) -> bool:
+    """Whether processes are to have control groups."""
+    if config.cgroups.enabled is not None:
+        return config.cgroups.enabled
+    return any(group_limits(config))
+
+
+_STALLING_PERCENT: Final = 20
+"""Of a CPU. A node that gets less is held back for most of each period."""
+_STALLING_RATIO: Final = 1000
+"""Of weights. The lighter one gets a slice of some milliseconds every few seconds."""
+_USUAL_WEIGHT: Final = 100
+
+
+def stalls(container: ContainerConfig) -> Iterator[tuple[str, str]]:
+    """Give the nodes that can stall others, each with what happens then and the fix."""
+    if not shares_memory(container):
+        return
+    nodes = container.composable_nodes
+    heaviest = max([_USUAL_WEIGHT, *(node.resources.group.cpu_weight or 0 for node in nodes)])
+    locks = f"keeps the locks that it shares with the other nodes of {container.full_name}"
+    for node in nodes:
+        limit, weight = node.resources.group.cpu_max, node.resources.group.cpu_weight
+        if limit is not None and limit.percent < _STALLING_PERCENT:
+            yield node.declared_full_name, _by_quota(limit, locks)
+        if weight is not None and heaviest >= _STALLING_RATIO * weight:
+            yield node.declared_full_name, _by_weight(weight, heaviest, locks)
+
+
+def _by_quota(limit: CpuMax, locks: str) -> str:
+    return (
+        f"cpu_max gives it {limit.percent:.3g} % of a CPU: while it is held back it {locks} "
+        f"(allocator, middleware), which wait for up to {(limit.period - limit.quota) / 1000:.0f} "
+        'ms; fix: a shorter period such as "1000 10000", cpu_weight instead, or a container of its '
+        "own"
+    )
+
+
+def _by_weight(weight: int, heaviest: int, locks: str) -> str:
+    return (
+        f"cpu_weight {weight} beside {heaviest} lets it wait for seconds where the CPUs are busy: "
+        f"meanwhile it {locks} (allocator, middleware), which may be taken for frozen; fix: "
+        f"cpu_weight {-(-heaviest // 100)} or more, or a container of its own"
+    )

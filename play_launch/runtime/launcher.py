@@ -1,4 +1,4 @@
-"""Real processes and control channels for the actors."""
+"""Starts the processes of a system, with what they need of the machine."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import logging
 import os
 import signal
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Protocol
 
 from msgspec.structs import replace
 
@@ -16,7 +16,6 @@ from play_launch.config.ament_index import ament_prefixes
 from play_launch.config.model import ContainerType
 from play_launch.container.channel import CONTROL_FD_VARIABLE, ControlChannel, control_pair
 from play_launch.container.command import ExecutableNotFoundError
-from play_launch.container.component_index import component_library
 from play_launch.container.messages import Hello
 from play_launch.container.ros import (
     NotInstalledError,
@@ -44,16 +43,20 @@ from play_launch.ros.fastdds.sweep_command import sweep_command
 from play_launch.runtime import prestart as head_start
 from play_launch.runtime.commands import (
     Machine,
+    ParameterFiles,
+    StartError,
+    allocator_for,
     container_command,
     container_environment,
+    has_stock_containers,
+    is_own,
+    participants,
     probe_command,
     process_command,
+    uses_fastdds,
 )
 from play_launch.runtime.groups import Groups
-from play_launch.runtime.needs import has_stock_containers, is_own, participants, uses_fastdds
-from play_launch.runtime.parameter_files import ParameterFiles
-from play_launch.runtime.ports import StartError
-from play_launch.runtime.survey import allocator_for
+from play_launch.runtime.probes import component_library
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -65,13 +68,13 @@ if TYPE_CHECKING:
         ProcessConfig,
         ReplayConfig,
     )
+    from play_launch.container.messages import Incoming, Outgoing
     from play_launch.process.cgroups.group import Group
     from play_launch.process.child import Child
     from play_launch.process.exit import Exit
     from play_launch.process.lines import OutputCallback
     from play_launch.process.zygote import Zygote
     from play_launch.runtime.commands import Command
-    from play_launch.runtime.ports import ControlLink, ManagedProcess
     from play_launch.runtime.stock_containers import StockContainers
     from play_launch.supervisor.events import GroupSample
 
@@ -83,39 +86,57 @@ _PASSING: Final = frozenset(
 """Errors of a start that may not be there the next time."""
 
 
+class ManagedProcess(Protocol):
+    """`NativeProcess`, or the process of a container that another program started."""
+
+    @property
+    def pid(self) -> int: ...
+
+    @property
+    def start_time(self) -> int: ...
+
+    @property
+    def argv(self) -> tuple[str, ...]: ...
+
+    async def wait(self) -> Exit: ...
+
+    async def gone(self) -> Exit: ...
+
+    def kill(self) -> None: ...
+
+    async def stop(self, *, ask: Callable[[], bool] | None, hurry: asyncio.Event) -> bool: ...
+
+
+class ControlLink(Protocol):
+    """`ControlChannel`, or a stock container's services."""
+
+    async def handshake(self, hello: Hello) -> Hello: ...
+
+    async def receive(self) -> Incoming: ...
+
+    def send(self, message: Outgoing) -> None: ...
+
+    def close(self) -> None: ...
+
+
 class NativeProcess:
     """A child and the policy that stops it."""
 
     def __init__(self, child: Child, policy: Callable[[], StopPolicy]) -> None:
-        """Own a child; ``policy`` is asked when it is stopped."""
+        self.pid, self.start_time, self.argv = child.pid, child.start_time, child.argv
         self._child = child
         self._policy = policy
 
-    @property
-    def pid(self) -> int:
-        """Its pid."""
-        return self._child.pid
-
-    @property
-    def start_time(self) -> int:
-        """Clock ticks after boot."""
-        return self._child.start_time
-
-    @property
-    def argv(self) -> tuple[str, ...]:
-        """Its command line."""
-        return self._child.argv
-
     async def wait(self) -> Exit:
-        """Wait until the process itself has ended."""
+        """Wait until the process itself has exited."""
         return await self._child.wait()
 
     async def gone(self) -> Exit:
-        """Wait until nothing of it is left."""
+        """Wait until its descendants have exited and its output is read, too."""
         return await self._child.gone()
 
     def kill(self) -> None:
-        """Kill its group; the rest of its session follows when it has ended."""
+        """Kill its group; the rest of its session follows when it has exited."""
         self._child.signal_group(signal.SIGKILL)
 
     async def stop(self, *, ask: Callable[[], bool] | None, hurry: asyncio.Event) -> bool:

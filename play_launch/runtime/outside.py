@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable
 
     from play_launch.config.dependency import Dependency, StartRule
-    from play_launch.runtime.ports import Graph, RosAccess
+    from play_launch.ros.access import RosAccess
+    from play_launch.ros.graph_source import GraphSource
     from play_launch.supervisor.events import RunEvent
     from play_launch.supervisor.inputs import Input
     from play_launch.supervisor.view import SystemView
@@ -36,7 +37,7 @@ class Outside:
         """``ros`` is called when the graph is needed first."""
         self._post = post
         self._ros = ros
-        self._graph: Graph | None = None
+        self._graph: GraphSource | None = None
         self._dependencies: tuple[Dependency, ...] = ()
         self._watched: frozenset[tuple[Condition, str]] = frozenset()
         self._files: frozenset[str] = frozenset()

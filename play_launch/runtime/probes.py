@@ -1,37 +1,39 @@
-"""Loads the libraries of components in scratch processes, before a container gets them."""
+"""Loads the libraries of components in scratch processes, before a container gets them again."""
 
 from __future__ import annotations
 
 import logging
 import os
-from collections import deque
-from functools import partial
+from collections import defaultdict, deque
 from typing import TYPE_CHECKING, Final
 
 import anyio
-from msgspec import DecodeError, Struct, field
+from msgspec import DecodeError
 from msgspec.json import Decoder
 from msgspec.structs import replace
 
 from play_launch.process.exit import Exit
-from play_launch.runtime.ports import StartError
+from play_launch.runtime.commands import StartError
 from play_launch.supervisor.events import Stream
-from play_launch.supervisor.inputs import ProbeResult
+from play_launch.supervisor.inputs import Probed, ProbeResult
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Iterable, Sequence
+    from pathlib import Path
 
     from play_launch.config.model import ComposableNodeConfig, ContainerConfig
+    from play_launch.config.node_key import NodeKey
     from play_launch.process.lines import Line
-    from play_launch.runtime.ports import Launcher, ManagedProcess
+    from play_launch.runtime.launcher import ManagedProcess, NativeLauncher
     from play_launch.runtime.publisher import Publisher
+    from play_launch.runtime.system import System
 
 _log = logging.getLogger(__name__)
 
 _REPORT_INTERVAL: Final = 10.0
 """Seconds between two reports of a library that is still being loaded."""
-_GONE_LIMIT: Final = 10.0
-"""Seconds from the end of a scratch process to the end of its children and its output."""
+_GONE_TIMEOUT: Final = 10.0
+"""Seconds from the exit of a scratch process to the end of its descendants and its output."""
 _LAST_LINES: Final = 100
 """Lines of its stdout that are kept: the result is the last one, but for what the library's own
 threads and exit handlers write."""
@@ -39,31 +41,49 @@ _UNUSABLE: Final = frozenset({64, 125, 126, 127})
 """Exit codes of a program that did not understand its arguments, or was never executed."""
 _QUOTES: Final = 4
 """Quotation marks up to the end of the last whole entry of a list that was cut."""
+_INDEXES: Final = ("play_launch_components", "rclcpp_components")
+"""Types of the ament resources that list components, a line each: `class;library`."""
 
 
-class _Output(Struct):
-    """What one scratch process writes: its result is on stdout, all else goes to the recording."""
+async def probe_nodes(system: System, container: ContainerConfig, keys: Sequence[NodeKey]) -> None:
+    """Probe the libraries of these nodes, several at a time, and post the results."""
+    groups: defaultdict[str, list[ComposableNodeConfig]] = defaultdict(list)
+    for key in keys:
+        if key in system.world.nodes:
+            node = system.world.nodes[key].config
+            library = await system.launcher.library_of(container, node)
+            groups[library or f"{node.package} {node.plugin}"].append(node)
+    async with anyio.create_task_group() as tasks:
+        for group in groups.values():
+            tasks.start_soon(_probe_library, system, container, group)
 
-    publish: Callable[[Stream, Sequence[Line]], None]
-    result: deque[str] = field(default_factory=partial(deque, maxlen=_LAST_LINES))
 
-    def __call__(self, stream: Stream, lines: Sequence[Line]) -> None:
-        if stream is Stream.STDOUT:
-            self.result.extend(line.text for line in lines)
-        else:
-            self.publish(stream, lines)
+async def _probe_library(
+    system: System, container: ContainerConfig, group: list[ComposableNodeConfig]
+) -> None:
+    """Probe the nodes of one library, in most cases by the first of them."""
+    while group:
+        first = group[0]
+        finding = await system.probes.probe(container, first)
+        is_about_all = finding is None or finding.is_about_library
+        settled = [node for node in group if is_about_all or node.plugin == first.plugin]
+        group = [node for node in group if node not in settled]
+        for node in settled:
+            known = system.world.nodes.get(node.key)
+            if known is not None and known.config is node:  # else it was declared anew
+                system.post(Probed(node.key, finding))
 
 
 class LibraryProbes:
-    """Runs scratch processes, a bounded number at a time; one for all containers of a run."""
+    """Runs scratch processes, a bounded number at a time; one for all containers of a session."""
 
     def __init__(
-        self, launcher: Launcher, publisher: Publisher, *, places: int | None = None
+        self, launcher: NativeLauncher, publisher: Publisher, *, limit: int | None = None
     ) -> None:
-        """Take what starts processes; loading is CPU time and reading, so one a CPU by default."""
+        """``limit`` is one for each CPU by default: loading is CPU time and reading."""
         self._launcher = launcher
         self._publisher = publisher
-        self._places = anyio.Semaphore(places or max(2, os.cpu_count() or 1))
+        self._slots = anyio.Semaphore(limit or max(2, os.cpu_count() or 1))
 
     async def probe(
         self, container: ContainerConfig, node: ComposableNodeConfig
@@ -73,14 +93,18 @@ class LibraryProbes:
         When this is cancelled, the scratch process is killed first.
         """
         name, limit = node.declared_full_name, container.probe_timeout
-        async with self._places:
-            output = _Output(
-                lambda stream, lines: self._publisher.publish_output(
-                    container.full_name, process.pid, stream, lines
-                )
-            )
+        stdout: deque[str] = deque(maxlen=_LAST_LINES)
+
+        def on_output(stream: Stream, lines: Sequence[Line]) -> None:
+            if stream is Stream.STDOUT:
+                stdout.extend(line.text for line in lines)
+            else:
+                owner = container.full_name
+                self._publisher.publish_output(owner, process.pid, stream, lines)
+
+        async with self._slots:
             try:
-                process = await self._launcher.start_probe(container, node, output)
+                process = await self._launcher.start_probe(container, node, on_output)
             except StartError as error:
                 _log.warning("%s: its library is not probed: %s", name, error)
                 return None
@@ -94,7 +118,7 @@ class LibraryProbes:
             late = f"its library was still being loaded after {limit:g} s"
             return ProbeResult(loads=False, error=late)
         exit_ = await process.wait()
-        return read_probe(output.result, exit_code=exit_.code, signal=exit_.signal)
+        return read_probe(stdout, exit_code=exit_.code, signal=exit_.signal)
 
 
 async def _wait(process: ManagedProcess, name: str, limit: float) -> None:
@@ -108,20 +132,20 @@ async def _wait(process: ManagedProcess, name: str, limit: float) -> None:
 
 
 async def _gone(process: ManagedProcess) -> None:
-    with anyio.move_on_after(_GONE_LIMIT, shield=True) as scope:
+    with anyio.move_on_after(_GONE_TIMEOUT, shield=True) as scope:
         await process.gone()
     if scope.cancelled_caught:
-        _log.error("the scratch process %d does not end", process.pid)
+        _log.error("the scratch process %d does not exit", process.pid)
 
 
 _decode: Final = Decoder(ProbeResult).decode
 
 
 def read_probe(lines: Iterable[str], *, exit_code: int = 0, signal: int = 0) -> ProbeResult | None:
-    """Read the end of a scratch process; None when it never was one.
+    """Read the result of a scratch process; None if the program did not run as one.
 
     Args:
-        lines: What it wrote to standard output; a library may write there as well.
+        lines: Its standard output; a library may write there as well.
         exit_code: Its exit status; 0 when a signal ended it.
         signal: The signal that ended it; 0 when none did.
     """
@@ -130,7 +154,7 @@ def read_probe(lines: Iterable[str], *, exit_code: int = 0, signal: int = 0) -> 
         return None
     result = found[-1] if found else ProbeResult()
     number = signal or result.signal
-    # Without a result it did not come to its end, whatever its status: exit() in an initialiser.
+    # Without a result it exited early, whatever its status: exit() in an initialiser.
     loads = bool(found) and exit_code == 0 and number == 0
     error = result.error or f"the process that loaded it {Exit(exit_code, number)}"
     error = "" if loads else error
@@ -148,4 +172,23 @@ def _read(line: str) -> ProbeResult | None:
             text = line[: end + 1] + "]}"
         else:
             return result if result.library else None
+    return None
+
+
+def component_library(package: str, plugin: str, prefixes: Iterable[Path]) -> Path | None:
+    """Find the library of a component in the ament index; None if no index names it.
+
+    Reads files. The first prefix that has the package wins.
+    """
+    for prefix in prefixes:
+        for index in _INDEXES:
+            path = prefix / "share" / "ament_index" / "resource_index" / index / package
+            try:
+                content = path.read_text(encoding="utf-8")
+            except (OSError, ValueError):
+                continue
+            for line in content.splitlines():
+                name, _, library = line.strip().partition(";")
+                if name == plugin and library:
+                    return prefix / library
     return None

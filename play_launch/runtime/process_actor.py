@@ -10,7 +10,7 @@ import anyio
 from msgspec.structs import replace
 
 from play_launch.config.model import ProcessConfig
-from play_launch.runtime.ports import StartError
+from play_launch.runtime.commands import StartError
 from play_launch.runtime.publisher import report_shortfalls
 from play_launch.runtime.sources import Source, Sources
 from play_launch.supervisor.inputs import CleanedUp, Exited, NotStarted, Started, Unkillable
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from play_launch.config.model import ContainerConfig
     from play_launch.process.exit import Exit as ProcessExit
     from play_launch.process.lines import Line
-    from play_launch.runtime.ports import ManagedProcess
+    from play_launch.runtime.launcher import ManagedProcess
     from play_launch.runtime.system import System
     from play_launch.supervisor.events import Stream
 

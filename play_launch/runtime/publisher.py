@@ -8,7 +8,16 @@ import time
 from typing import TYPE_CHECKING
 
 from play_launch.process.resources import held_resources, shortfalls
-from play_launch.supervisor.events import OutputLine
+from play_launch.supervisor.events import (
+    REPORTED_LOGGER,
+    ComponentEvent,
+    ContainerState,
+    NodeState,
+    NodeStateChanged,
+    OutputLine,
+    ProcessEvent,
+    ProcessEventKind,
+)
 from play_launch.supervisor.view import SystemView
 
 if TYPE_CHECKING:
@@ -19,7 +28,9 @@ if TYPE_CHECKING:
     from play_launch.supervisor.events import RunEvent, Stream
     from play_launch.supervisor.view import StateSink
 
+
 _log = logging.getLogger(__name__)
+_reported = logging.getLogger(REPORTED_LOGGER)
 
 
 class Publisher:
@@ -123,3 +134,70 @@ def report_shortfalls(name: str, wanted: Resources, pid: int, publisher: Publish
         text = f"{name}: {shortfall}"
         if publisher.is_news(text):
             _log.warning("%s", text)
+
+
+_AWAITED = frozenset({NodeState.REQUESTED, NodeState.LOADING, NodeState.UNLOADING})
+_UNKNOWN = "the container does not know it"
+
+
+class EventLog:
+    """Logs events; what the display shows as well goes to the logger for that."""
+
+    def __init__(self) -> None:
+        self._has_started: set[str] = set()
+
+    def publish(self, event: RunEvent, before: SystemView, _after: SystemView) -> None:
+        """Log one event, if it is worth a line."""
+        match event:
+            case ProcessEvent():
+                self._process(event)
+            case NodeStateChanged():
+                _node(event, before)
+            case ComponentEvent(confirmed_by="status"):
+                text = "%s is loaded: no event reported it, but %s did when queried"
+                _log.warning(text, event.full_node_name, event.container)
+            case _:
+                pass
+
+    def _process(self, event: ProcessEvent) -> None:
+        match event.kind:
+            case ProcessEventKind.STARTED:
+                self._has_started.add(event.name)
+            case ProcessEventKind.RESTARTING:
+                _reported.warning("%s: %s", event.name, event.message)
+            case ProcessEventKind.GAVE_UP:
+                again = " again" if event.name in self._has_started else ""
+                if not event.message.startswith("internal error"):  # that has its call stack
+                    _reported.error("%s is not started%s: %s", event.name, again, event.message)
+            case ProcessEventKind.STOPPING if event.message.startswith("killed: "):
+                _log.error("%s is %s", event.name, event.message)
+            case _:
+                pass
+
+
+def _node(event: NodeStateChanged, before: SystemView) -> None:
+    name, why, container = event.node, event.reason, before.containers.get(event.container)
+    known = None if container is None else container.nodes.get(event.key)
+    if known is not None and known.state is event.state:
+        if event.state in _AWAITED and why and known.unique_id == event.unique_id:
+            _log.warning("%s: %s", name, why)
+        return
+    runs = container is not None and container.state is ContainerState.RUNNING
+    match event.state:
+        case NodeState.LOAD_FAILED if why == _UNKNOWN:
+            _reported.error("%s: %s no longer knows it", name, event.container)
+        case NodeState.LOST if runs and why == _UNKNOWN:
+            _reported.error("%s: %s no longer knows it", name, event.container)
+        case NodeState.LOAD_FAILED:
+            _reported.error("%s could not be loaded: %s", name, why)
+        case NodeState.CRASHED:
+            # Not as an error: the state that follows is reported as one.
+            _log.info("%s crashed: %s", name, why)
+        case NodeState.GAVE_UP:
+            _reported.error("%s is not loaded again: %s", name, why)
+        case NodeState.UNLOADED if why and known and known.state is not NodeState.UNLOADING:
+            _reported.warning("%s is unloaded: %s", name, why)
+        case NodeState.LOADED | NodeState.UNLOADED | NodeState.LOST:
+            _log.debug("%s is %s", name, event.state)
+        case _:
+            pass

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 
     from play_launch.config.model import ReplayConfig
     from play_launch.recording.decisions import DecisionLog
-    from play_launch.runtime.ports import Launcher, ParameterService, RosAccess
+    from play_launch.ros.access import RosAccess
+    from play_launch.ros.parameter_setter import ParameterSetter
     from play_launch.runtime.publisher import Publisher, StopRequests
     from play_launch.supervisor.view import SystemView
     from play_launch.supervisor.world import Limits
@@ -42,8 +43,8 @@ async def run_system(
     publisher: Publisher,
     stop: StopRequests,
     *,
-    launcher: Launcher | None = None,
-    parameters: ParameterService | None = None,
+    launcher: NativeLauncher | None = None,
+    parameters: ParameterSetter | None = None,
     limits: Limits | None = None,
     starts: int | None = None,
     ros: RosAccess | None = None,

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from play_launch.config.model import ContainerConfig, ReplayConfig
-    from play_launch.runtime.ports import ControlLink, ManagedProcess
+    from play_launch.runtime.launcher import ControlLink, ManagedProcess
 
 _log = logging.getLogger(__name__)
 

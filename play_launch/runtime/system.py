@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Final
 import anyio
 
 from play_launch.runtime.container_actor import ContainerActor
-from play_launch.runtime.event_log import EventLog
 from play_launch.runtime.goals import Conversations
 from play_launch.runtime.outside import Outside
 from play_launch.runtime.probes import LibraryProbes
 from play_launch.runtime.process_actor import ProcessActor
+from play_launch.runtime.publisher import EventLog
 from play_launch.runtime.sources import Sources, failure_reason
 from play_launch.runtime.watch import WATCH_LIMITS
 from play_launch.supervisor.conditions import has_ended, pending_dependencies, pending_units
@@ -62,8 +62,10 @@ if TYPE_CHECKING:
     from play_launch.config.model import ReplayConfig
     from play_launch.config.node_key import NodeKey
     from play_launch.recording.decisions import DecisionLog
+    from play_launch.ros.access import RosAccess
+    from play_launch.ros.parameter_setter import ParameterSetter
     from play_launch.runtime.applying import Applying
-    from play_launch.runtime.ports import Launcher, ParameterService, RosAccess
+    from play_launch.runtime.launcher import NativeLauncher
     from play_launch.runtime.publisher import Publisher, StopRequests
     from play_launch.supervisor.events import ContainerState, RunEvent
     from play_launch.supervisor.inputs import Effect, Input
@@ -86,8 +88,8 @@ class System:
         publisher: Publisher,
         stop: StopRequests,
         *,
-        launcher: Launcher,
-        parameters: ParameterService | None = None,
+        launcher: NativeLauncher,
+        parameters: ParameterSetter | None = None,
         limits: Limits | None = None,
         starts: int = 16,
         ros: RosAccess | None = None,
@@ -98,7 +100,7 @@ class System:
         self.config = config
         self.publisher = publisher
         self.launcher = launcher
-        self._stop = stop
+        self.stop_requests = stop
         self._decisions = decisions
         self._parameters = parameters
         self._loop = asyncio.get_running_loop()
@@ -263,7 +265,7 @@ class System:
                 self.fail(effect.unit, effect.error)
             case End():
                 self._pending_at_end = self.pending
-                self._stop.request(reason=effect.reason)
+                self.stop_requests.request(reason=effect.reason)
                 self.post(StopRequested(effect.reason))
 
     def _actor(self, name: str) -> ProcessActor:
@@ -285,11 +287,7 @@ class System:
             self._ros = RosAccess(self.config.environment)
         return self._ros
 
-    # What can be done to it, and asked.
-
-    @property
-    def stop_requests(self) -> StopRequests:
-        return self._stop
+    # Queries and requests.
 
     @property
     def processes(self) -> tuple[str, ...]:
@@ -314,7 +312,7 @@ class System:
 
     @property
     def is_stopping(self) -> bool:
-        return self._stop.requested.is_set()
+        return self.stop_requests.requested.is_set()
 
     @property
     def is_changing(self) -> bool:
@@ -394,7 +392,7 @@ class System:
         """Have the lines that others depend on looked for."""
         self._outside.expect(config.start_rules.values())
 
-    # Its life.
+    # From start to end.
 
     async def run(self) -> None:
         """Run it to its end, see `play_launch.runtime.run`."""
@@ -402,19 +400,19 @@ class System:
         now, stamp_ns = self._loop.time(), self.publisher.stamp_ns()
         for event in events_between(NOTHING, self.world, now=now, stamp_ns=stamp_ns):
             self.publisher.publish(event)
-        self.publisher.remember_view_before(self._stop)
+        self.publisher.remember_view_before(self.stop_requests)
         try:
             async with anyio.create_task_group() as tasks:
                 self._begin(tasks)
                 with anyio.CancelScope(deadline=math.inf if until is None else until):
-                    await self._stop.requested.wait()
-                if not self._stop.requested.is_set():
+                    await self.stop_requests.requested.wait()
+                if not self.stop_requests.requested.is_set():
                     reason = f"its duration of {self.config.duration:g} s is over"
-                    self._stop.request(reason=reason)
+                    self.stop_requests.request(reason=reason)
                 self._pending_at_end = self.pending
-                _log.info("stopping: %s", self._stop.reason)
+                _log.info("stopping: %s", self.stop_requests.reason)
                 tasks.start_soon(self._hurry)
-                self.post(StopRequested(self._stop.reason, self._stop.signum))
+                self.post(StopRequested(self.stop_requests.reason, self.stop_requests.signum))
                 await self.until(lambda: has_ended(self.world))
                 tasks.cancel_scope.cancel()
         finally:
@@ -427,11 +425,11 @@ class System:
         self.sources.run_in(tasks)
         self.sources.begin(self._outside.run)
         self._conversations.run_in(tasks)
-        if not self._stop.requested.is_set():
+        if not self.stop_requests.requested.is_set():
             self.post(Begun())
 
     async def _hurry(self) -> None:
-        await self._stop.hurry.wait()
+        await self.stop_requests.hurry.wait()
         self.post(Hurried())
 
     def _close(self) -> None:

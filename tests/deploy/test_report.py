@@ -12,7 +12,7 @@ from play_launch.config.model import ReplayConfig
 from play_launch.deploy.notification import ServiceManager
 from play_launch.deploy.report import ServiceReport
 from play_launch.process.exit import Exit
-from play_launch.runtime.ports import StartError
+from play_launch.runtime.commands import StartError
 from play_launch.runtime.system import System
 from play_launch.supervisor.events import ContainerState
 from tests.runtime.fakes import FakeContainer, FakeLauncher, Held, container, process, system

@@ -6,6 +6,8 @@ import asyncio
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from play_launch.ros.parameter_setter import ParameterSetter
+
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
@@ -13,7 +15,7 @@ if TYPE_CHECKING:
 
 
 @dataclass
-class FakeParameters:
+class FakeParameters(ParameterSetter):
     """Sets everything but what is refused, with the reason."""
 
     refusals: dict[str, str] = field(default_factory=dict)

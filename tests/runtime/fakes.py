@@ -41,16 +41,18 @@ from play_launch.container.messages import (
 )
 from play_launch.process.exit import Exit
 from play_launch.process.lines import Line
+from play_launch.runtime.groups import Groups
+from play_launch.runtime.launcher import NativeLauncher, NativeProcess
 from play_launch.supervisor.events import ComponentEvent, ComponentEventKind, Stream
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from play_launch.process.lines import OutputCallback
-    from play_launch.runtime.ports import NodeGroups, StartError
+    from play_launch.runtime.commands import StartError
 
 
-class FakeProcess:
+class FakeProcess(NativeProcess):
     _pids = itertools.count(100)
 
     def __init__(self, argv: tuple[str, ...]) -> None:
@@ -301,8 +303,11 @@ def found_good(name: str, process: FakeProcess, on_output: OutputCallback) -> No
     found(process, on_output)
 
 
-class NoGroups:
+class NoGroups(Groups):
     """Nodes have no control groups."""
+
+    def __init__(self) -> None:
+        pass
 
     def enter(self, config: ComposableNodeConfig, attempt: int) -> tuple[str, ...]:
         return ()
@@ -315,7 +320,7 @@ class NoGroups:
 
 
 @dataclass
-class FakeLauncher:
+class FakeLauncher(NativeLauncher):
     """Starts fakes; the n-th start of a container takes the n-th of its makers, then the last."""
 
     makers: dict[str, list[Callable[[ContainerConfig], FakeContainer]]] = field(
@@ -333,7 +338,7 @@ class FakeLauncher:
     cleaned: int = 0
     cleaned_before_a_start: list[int] = field(default_factory=list)
     closed: bool = False
-    groups: NodeGroups = field(default_factory=NoGroups)
+    groups: Groups = field(default_factory=NoGroups)
 
     def hello(self) -> Hello:
         return Hello(version="1")

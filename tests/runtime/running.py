@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable
 
     from play_launch.config.model import ReplayConfig
-    from play_launch.runtime.ports import RosAccess
+    from play_launch.ros.access import RosAccess
 
     from .fakes import FakeLauncher
 

@@ -25,7 +25,7 @@ from play_launch.config.model import (
 from play_launch.config.policies import OnCrash, RestartLimits
 from play_launch.container.messages import Load, Unload
 from play_launch.runtime.applying import BusyError
-from play_launch.runtime.ports import StartError
+from play_launch.runtime.commands import StartError
 from play_launch.supervisor.events import (
     ComponentEventKind,
     ContainerState,

@@ -21,7 +21,7 @@ from play_launch.config.node_key import NodeKey
 from play_launch.config.policies import Autostart, OnExit
 from play_launch.container.messages import Load
 from play_launch.process.exit import Exit
-from play_launch.runtime.ports import StartError
+from play_launch.runtime.commands import StartError
 from play_launch.supervisor import change
 from play_launch.supervisor.events import ContainerState, NodeState, ProcessEventKind
 

@@ -11,7 +11,7 @@ from play_launch.container.messages import (
     Load,
 )
 from play_launch.process.exit import Exit
-from play_launch.runtime.ports import StartError
+from play_launch.runtime.commands import StartError
 from play_launch.supervisor.events import (
     ComponentEventKind,
     ContainerState,

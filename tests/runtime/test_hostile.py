@@ -14,6 +14,7 @@ from play_launch.config.node_key import NodeKey
 from play_launch.config.policies import OnExit
 from play_launch.container.messages import Load, Rejected
 from play_launch.process.exit import Exit
+from play_launch.ros.access import RosAccess
 from play_launch.supervisor import node_rules, process_rules
 from play_launch.supervisor.events import NodeState, ProcessEventKind
 from play_launch.supervisor.inputs import StopRequested
@@ -85,7 +86,10 @@ def test_a_process_rule_that_raises_for_ever_fails_its_unit_alone(
 
 
 def test_a_graph_that_cannot_be_watched_holds_up_nothing_else() -> None:
-    class Broken:
+    class Broken(RosAccess):
+        def __init__(self) -> None:
+            pass
+
         def watch_graph(self, on_change: object) -> NoReturn:
             raise ImportError("no rclpy")
 

@@ -13,7 +13,9 @@ from msgspec.structs import replace
 from play_launch.config.model import ManagedConfig, ReplayConfig
 from play_launch.config.node_key import NodeKey
 from play_launch.config.policies import Autostart
-from play_launch.runtime.ports import Graph, OnGraphChange
+from play_launch.ros.access import RosAccess
+from play_launch.ros.graph_source import GraphSource, Wanted
+from play_launch.ros.managed_node import ManagedNodeClient
 from play_launch.supervisor.events import ManagedNodeChanged, NodeState
 from play_launch.supervisor.goal_life import ManagedState
 
@@ -25,7 +27,7 @@ State = ManagedState
 WAY = [State.ASKED, State.CONFIGURING, State.ACTIVATING, State.ACTIVE]
 
 
-class FakeNode:
+class FakeNode(ManagedNodeClient):
     """Goes where it is told; `refuses` a transition, `raises` in one, or takes its time for each.
 
     `takes` is in seconds.
@@ -61,12 +63,12 @@ class FakeNode:
         return True
 
 
-class FakeRos:
+class FakeRos(RosAccess):
     def __init__(self, **traits: float) -> None:
         self.traits = traits
         self.nodes: list[FakeNode] = []
 
-    def watch_graph(self, on_change: OnGraphChange) -> Graph:
+    def watch_graph(self, on_change: Callable[[Wanted], None]) -> GraphSource:
         raise AssertionError
 
     @asynccontextmanager

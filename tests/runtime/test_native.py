@@ -53,7 +53,7 @@ if TYPE_CHECKING:
     from play_launch.config.model import ReplayConfig
     from play_launch.container.messages import Incoming
     from play_launch.process.lines import OutputCallback
-    from play_launch.runtime.ports import ControlLink, ManagedProcess
+    from play_launch.runtime.launcher import ControlLink, ManagedProcess
 
 QUICK = RestartLimits(max_restarts=2, within=60.0, initial=0.05, maximum=0.1)
 

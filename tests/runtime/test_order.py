@@ -16,7 +16,9 @@ from play_launch.config.model import ReplayConfig
 from play_launch.config.node_key import NodeKey
 from play_launch.config.policies import OnExit
 from play_launch.process.exit import Exit
-from play_launch.runtime.ports import OnGraphChange, StartError
+from play_launch.ros.access import RosAccess
+from play_launch.ros.graph_source import GraphSource, Wanted
+from play_launch.runtime.commands import StartError
 from play_launch.supervisor import process_rules
 from play_launch.supervisor.conditions import readiness
 from play_launch.supervisor.events import (
@@ -67,8 +69,8 @@ def reasons(sys: Running, name: str) -> list[str]:
     ]
 
 
-class Graph:
-    def __init__(self, on_change: OnGraphChange) -> None:
+class Graph(GraphSource):
+    def __init__(self, on_change: Callable[[Wanted], None]) -> None:
         self.on_change = on_change
         self.watched: list[frozenset[tuple[Condition, str]]] = []
         self.is_closed = False
@@ -292,8 +294,11 @@ def test_lines_and_the_graph() -> None:
         fakes = FakeLauncher()
         graphs: list[Graph] = []
 
-        class Ros:
-            def watch_graph(self, on_change: OnGraphChange) -> Graph:
+        class Ros(RosAccess):
+            def __init__(self) -> None:
+                pass
+
+            def watch_graph(self, on_change: Callable[[Wanted], None]) -> Graph:
                 graphs.append(Graph(on_change))
                 return graphs[-1]
 
@@ -315,13 +320,13 @@ def test_lines_and_the_graph() -> None:
             scan, service = (Condition.TOPIC, "/scan"), (Condition.SERVICE, "/map")
             assert graph.watched[-1] == {scan, service}
             sys.say("/early", "not ready yet")
-            graph.on_change({service})
+            graph.on_change(frozenset({service}))
             await sys.until_loaded(1)
             assert graph.watched[-1] == {scan}
             assert "/line" not in fakes.processes
             sys.say("/early", "ready 5")
             await sys.until(lambda: STARTED in sys.process_events("/line"))
-            graph.on_change({scan})
+            graph.on_change(frozenset({scan}))
             await sys.until(lambda: STARTED in sys.process_events("/graph"))
             assert graph.watched[-1] == frozenset()
         assert graph.is_closed

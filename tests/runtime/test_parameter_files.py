@@ -11,8 +11,7 @@ from pathlib import Path
 import pytest
 
 from play_launch.config.load import load_config
-from play_launch.runtime.parameter_files import ParameterFiles
-from play_launch.runtime.ports import StartError
+from play_launch.runtime.commands import ParameterFiles, StartError
 from tests.support.replay import COMMAND
 
 CONFIG = """

@@ -9,7 +9,7 @@ from play_launch.config.dependency import Condition, Dependency, StartRule
 from play_launch.config.policies import OnExit
 from play_launch.control.units import Clock, rows_of
 from play_launch.process.exit import Exit
-from play_launch.runtime.ports import StartError
+from play_launch.runtime.commands import StartError
 from play_launch.supervisor.events import ProcessEventKind
 
 from .fakes import FakeLauncher, FakeProcess, container, process, system

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from play_launch.config.load import parse_config
 from play_launch.config.model import ContainerConfig
-from play_launch.runtime.needs import stalls
+from play_launch.runtime.groups import stalls
 
 
 def container(*resources: dict[str, Any], **more: str) -> ContainerConfig:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import inspect
 from typing import TYPE_CHECKING
 
 import pytest
@@ -13,7 +14,7 @@ from play_launch.config.node_key import NodeKey
 from play_launch.container.messages import Load, Query
 from play_launch.process.exit import Exit
 from play_launch.process.lines import Line
-from play_launch.runtime.ports import StartError
+from play_launch.runtime.commands import StartError
 from play_launch.runtime.probes import LibraryProbes
 from play_launch.runtime.publisher import Publisher
 from play_launch.supervisor.event_object import event_object
@@ -317,7 +318,7 @@ def test_of_what_a_library_writes_a_bounded_part_is_kept() -> None:
     def chatters(name: str, process: FakeProcess, on_output: OutputCallback) -> None:
         for number in range(1000):
             on_output(Stream.STDOUT, [Line(f"{number} {'x' * 1000}")])
-        lines: list[str] = on_output.result  # type: ignore[attr-defined]
+        lines = inspect.getclosurevars(on_output).nonlocals["stdout"]
         kept.append(sum(map(len, lines)))
         poison(name, process, on_output)
 
@@ -427,7 +428,7 @@ def test_so_many_are_probed_at_the_same_time_and_no_more() -> None:
     async def main() -> None:
         fakes = FakeLauncher(on_probe=slow)
         config = container("c", *"abcdefgh")
-        probes = LibraryProbes(fakes, Publisher(Running()), places=3)
+        probes = LibraryProbes(fakes, Publisher(Running()), limit=3)
         results = await asyncio.gather(
             *(probes.probe(config, node) for node in config.composable_nodes)
         )
