@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from play_launch.config.model import ReplayConfig
-    from play_launch.deploy.environment import Carried
 
 _COMMAND = "play-launch"
 
@@ -47,28 +46,29 @@ def systemd_unit(
         Path | None, typer.Option(help="As of replay.", metavar="DIR", show_default=False)
     ] = None,
 ) -> None:
-    """Write a unit by which systemd starts a system, watches over it and stops it.
+    """Write a unit by which systemd starts, monitors and stops a system.
 
     Run it as the user, in the folder and in the shell in which `play-launch replay CONFIG` works:
-    the unit has this user, this folder, and what the shell says about ROS. Comments in it say why
-    each line is there.
+    the unit has this user, this folder, and the shell's variables of ROS.
     """
     from play_launch.deploy.unit import Service, unit_text  # noqa: PLC0415
 
     loaded = _loaded(config.absolute(), arguments or ())
+    environment, left_out = _environment(loaded)
     service = Service(
         config=loaded,
         program=_program(),
         folder=Path.cwd(),
         user="" if for_user else _user(),
-        environment=_environment(loaded),
+        environment=environment,
+        left_out=left_out,
         arguments=tuple(arguments or ()),
         log_dir=None if log_dir is None else log_dir.absolute(),
     )
     _require_plain(service.program, service.config.source, service.folder)
     text = unit_text(service)
-    for name in (*service.environment.secrets, *service.environment.impossible):
-        complain(f"note: the variable {name} is not in the unit; a comment in there says why")
+    for name in left_out:
+        complain(f"note: the variable {name} is not in the unit, see the comment in it")
     if output is None or is_standard_output(output):
         say(text.rstrip("\n"))
         return
@@ -76,7 +76,7 @@ def systemd_unit(
         output.write_text(text, encoding="utf-8")
     except OSError as error:
         fail(f"{output} cannot be written: {error.strerror}")
-    say(f"{output} is written; the comment at its top says how to install it")
+    say(f"{output} is written; to install it, see the comment at its top")
 
 
 def _loaded(path: Path, arguments: Sequence[str]) -> ReplayConfig:
@@ -114,14 +114,14 @@ def _user() -> str:
         return str(os.getuid())
 
 
-def _environment(config: ReplayConfig) -> Carried:
+def _environment(config: ReplayConfig) -> tuple[dict[str, str], tuple[str, ...]]:
     from play_launch.container.environment import caller_environment  # noqa: PLC0415
     from play_launch.container.ros import (  # noqa: PLC0415
         MixedInstallationError,
         NotInstalledError,
         ros_installation,
     )
-    from play_launch.deploy.environment import carried  # noqa: PLC0415
+    from play_launch.deploy.unit import carried  # noqa: PLC0415
 
     try:
         environ = caller_environment(os.environ, ros_installation())
@@ -131,8 +131,8 @@ def _environment(config: ReplayConfig) -> Carried:
 
 
 def _require_plain(*paths: Path) -> None:
-    from play_launch.deploy.quoting import is_acceptable  # noqa: PLC0415
+    from play_launch.deploy.unit import is_acceptable  # noqa: PLC0415
 
     for path in paths:
         if not is_acceptable(str(path)) or any(each in str(path) for each in "\n\t\\\"'"):
-            fail(f"{str(path)!r}: systemd takes no such path; use one without quotes, backslashes")
+            fail(f"{str(path)!r}: systemd accepts no path with quotes or backslashes")

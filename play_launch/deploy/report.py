@@ -1,4 +1,4 @@
-"""Says to the service manager how the system is, for as long as it runs."""
+"""State and health of the system, reported to the service manager."""
 
 from __future__ import annotations
 
@@ -9,34 +9,33 @@ from typing import TYPE_CHECKING, Final
 
 import anyio
 
-from play_launch.deploy.phase import ANNOUNCED, EXTENDED, Phase, following, status
-from play_launch.supervisor.events import ActionEvent, ManagedNodeChanged, StateEvent
+from play_launch.supervisor.events import (
+    ActionEvent,
+    ContainerState,
+    ManagedNodeChanged,
+    StateEvent,
+)
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from play_launch.deploy.notification import ServiceManager
     from play_launch.runtime.publisher import Publisher, StopRequests
     from play_launch.runtime.system import System
     from play_launch.supervisor.events import RunEvent
     from play_launch.supervisor.view import SystemView
-
 _log = logging.getLogger(__name__)
 
-_PULSE: Final = 10.0
-"""Seconds between two messages where there is no watchdog, or a patient one."""
-_PULSES: Final = 3
-"""In the time that the watchdog allows: one may come late."""
-_AT_ONCE: Final = 0.1
-"""Seconds from a change to its message, so that many changes make few messages."""
-_EXTENSION: Final = 3 * _PULSE
-"""Seconds by which the time for the start is extended with each pulse."""
+_INTERVAL: Final = 10.0  # the watchdog may require less
+_DELAY: Final = 0.1  # so that many changes make few messages
+_EXTENSION: Final = f"EXTEND_TIMEOUT_USEC={3 * _INTERVAL * 1e6:.0f}"
+_NAMES: Final = 3
+_STATUS_LIMIT: Final = 400
+"""Characters."""
 
 
 class ServiceReport:
-    """What the service manager has heard. It belongs to the thread of the event loop.
-
-    The watchdog is fed by a task of the event loop, so only as long as that turns, and only if the
-    system says that all of its members are looked after.
-    """
+    """Reports by a task of the event loop, to the watchdog only without a health problem."""
 
     def __init__(
         self,
@@ -48,108 +47,116 @@ class ServiceReport:
     ) -> None:
         """Report to the manager.
 
-        Args:
-            manager: Who hears it.
-            publisher: Gives the events and the view.
-            stop: Says when the end is asked for, and why.
-            system: The one that runs, as soon as there is one.
-            operable: Done when the commands reach the session, or never will: who is ready can be
-                reloaded, and a manager may do so at once.
+        `operable` is done when commands reach the session, or never will: a manager may request a
+        reload as soon as the service is ready.
         """
         self._manager = manager
         self._publisher = publisher
         self._stop = stop
         self._begun = system
         self._operable = operable
-        self._phase = Phase.STARTING
+        self._state = "starting"
+        """starting, ready, reloading or stopping."""
         self._status = ""
         self._health_problem = ""
         self._changed = asyncio.Event()
         publisher.add_sink(self)
         limit = manager.watchdog
-        self.period = _PULSE if limit is None else min(_PULSE, limit / _PULSES)
-        """Seconds between two pulses."""
+        self._interval = _INTERVAL if limit is None else min(_INTERVAL, limit / 3)
 
     def publish(self, event: RunEvent, before: SystemView, after: SystemView) -> None:  # noqa: ARG002 - a sink
-        """See an event."""
         if isinstance(event, StateEvent | ManagedNodeChanged | ActionEvent):
             self._changed.set()
 
-    @property
-    def _system(self) -> System | None:
-        has_begun = self._begun.done() and not self._begun.cancelled()
-        return self._begun.result() if has_begun else None
-
     async def run(self) -> None:
-        """Report until this is cancelled, and then once more.
-
-        An error of our own ends it: the watchdog then ends the supervisor, if it has one.
-        """
+        """Report until this is cancelled, and then once more."""
         requested = asyncio.ensure_future(self._stop.requested.wait())
         for each in (requested, self._begun, self._operable):
             each.add_done_callback(lambda _: self._changed.set())
         try:
             while True:
-                self._say()
+                self._report()
                 self._changed.clear()
-                with anyio.move_on_after(self.period):
+                with anyio.move_on_after(self._interval):
                     await self._changed.wait()
-                await asyncio.sleep(min(_AT_ONCE, self.period))
+                await asyncio.sleep(min(_DELAY, self._interval))
         except Exception:
-            _log.exception("the service manager hears nothing any more")
+            _log.exception("reports to the service manager end")
             raise
         finally:
             requested.cancel()
-            self._say()
+            self._report()
 
-    def _say(self) -> None:
-        """Send what is new, and that we are well; what is not taken is sent again."""
-        system = self._system
+    def _report(self) -> None:
+        """Send what is new; a message that is not accepted is sent again."""
+        has_begun = self._begun.done() and not self._begun.cancelled()
+        system = self._begun.result() if has_begun else None
         pending = () if system is None else system.pending
         ends = self._stop.requested.is_set()
-        while True:
-            phase = following(
-                self._phase,
-                is_up=system is not None and not pending and (self._operable.done() or ends),
-                changes=system is not None and system.is_changing,
-                ends=ends,
-            )
-            if phase is self._phase or not self._manager.notify(*_announcement(phase)):
-                break
-            self._phase = phase
-        self._examine()
-        said = status(
-            self._phase,
-            self._publisher.view,
-            pending,
-            reason=self._stop.reason,
-            health_problem=self._health_problem,
-        )
-        pulse = [] if self._health_problem else self._pulse()
-        if said != self._status:
-            pulse.append(f"STATUS={said}")
-        if pulse and self._manager.notify(*pulse):
-            self._status = said
+        is_up = system is not None and not pending and (self._operable.done() or ends)
+        is_changing = system is not None and system.is_changing
+        if self._state == "starting" and is_up:  # also if it stops at once
+            self._enter("ready", "READY=1")
+        if self._state != "stopping" and ends:
+            self._enter("stopping", "STOPPING=1")
+        elif self._state == "ready" and is_changing:
+            now = time.clock_gettime_ns(time.CLOCK_MONOTONIC) // 1000
+            self._enter("reloading", "RELOADING=1", f"MONOTONIC_USEC={now}")
+        elif self._state == "reloading" and not is_changing:
+            self._enter("ready", "READY=1")
+        problem = "" if system is None else system.health_problem()
+        if problem and problem != self._health_problem:
+            _log.error("the watchdog of the service manager is not notified: %s", problem)
+        self._health_problem = problem
+        self._send(pending)
 
-    def _pulse(self) -> list[str]:
-        pulse = []
-        if self._manager.watchdog is not None:
-            pulse.append("WATCHDOG=1")
-        if self._phase in EXTENDED:
-            pulse.append(f"EXTEND_TIMEOUT_USEC={_EXTENSION * 1e6:.0f}")
-        return pulse
+    def _enter(self, state: str, *message: str) -> None:
+        if self._manager.notify(*message):
+            self._state = state
 
-    def _examine(self) -> None:
-        system = self._system
-        health_problem = "" if system is None else system.health_problem()
-        if health_problem and health_problem != self._health_problem:
-            _log.error("the watchdog of the service manager is not fed: %s", health_problem)
-        self._health_problem = health_problem
+    def _send(self, pending: Sequence[str]) -> None:
+        words = [] if self._state == "ready" else [self._state]
+        if self._state == "starting" and pending:
+            words = [f"starting, pending: {_named(pending)}"]
+        elif self._state == "stopping" and self._stop.reason:
+            words = [f"stopping: {self._stop.reason}"]
+        status = status_text(words, self._publisher.view, self._health_problem)
+        lines = []
+        if not self._health_problem:
+            lines += ["WATCHDOG=1"] if self._manager.watchdog is not None else []
+            lines += [_EXTENSION] if self._state in {"starting", "reloading"} else []
+        if status != self._status:
+            lines.append(f"STATUS={status}")
+        if lines and self._manager.notify(*lines):
+            self._status = status
 
 
-def _announcement(phase: Phase) -> list[str]:
-    lines = [ANNOUNCED[phase]]
-    if phase is Phase.RELOADING:
-        # As Type=notify-reload wants it; others take no notice.
-        lines.append(f"MONOTONIC_USEC={time.clock_gettime_ns(time.CLOCK_MONOTONIC) // 1000}")
-    return lines
+def status_text(words: Sequence[str], view: SystemView, health_problem: str = "") -> str:
+    """Return the line of `systemctl status`; it begins with `words`."""
+    parts = [f"health problem: {health_problem}"] if health_problem else []
+    parts += words
+    counts = [f"{view.loaded} of {view.total} nodes loaded"] if view.total else []
+    if view.containers:
+        running = sum(e.state is ContainerState.RUNNING for e in view.containers.values())
+        counts.append(f"{running} of {len(view.containers)} containers running")
+    if view.processes:
+        running = sum(each.pid != 0 for each in view.processes.values())
+        counts.append(f"{running} of {len(view.processes)} processes running")
+    if counts:
+        parts.append(", ".join(counts))
+    expected = view.expected
+    failed = [
+        *expected.gave_up,
+        *(each.node for each in expected.failed if each.container not in expected.gave_up),
+        *(each.name for each in expected.failed_processes),
+        *(each.unit.rpartition(":")[2] for each in view.failed_managed),
+    ]
+    if failed:
+        parts.append(f"failed: {_named(failed)}")
+    text = "; ".join(parts)
+    return "".join(each if each.isprintable() else " " for each in text)[:_STATUS_LIMIT]
+
+
+def _named(names: Sequence[str]) -> str:
+    named = ", ".join(names[:_NAMES])
+    return f"{named} and {len(names) - _NAMES} more" if len(names) > _NAMES else named

@@ -1,46 +1,96 @@
-"""The unit of a system, with comments that say why each line is there. Pure."""
+"""Systemd unit of a system: a template, and the values in it."""
 
 from __future__ import annotations
 
-from pathlib import Path  # noqa: TC003 - msgspec evaluates the annotations
+import math
 from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
-from play_launch.config.model import ReplayConfig  # noqa: TC001 - as above
-from play_launch.deploy.environment import Carried  # noqa: TC001 - as above
-from play_launch.deploy.needs import Setting, settings, stop_seconds
-from play_launch.deploy.quoting import argument, quoted, specified
+from play_launch.config.dependency import DependencyGraph
+from play_launch.process.stop import StopPolicy
+from play_launch.recording.facts import is_secret
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Mapping
+    from pathlib import Path
 
-_WATCHDOG: Final = 30
-"""Seconds. Three pulses of the supervisor fit in there."""
-_START: Final = 120
-"""Seconds to the first pulse, each of which extends the time: interpreter, modules, configuration.
+    from play_launch.config.model import ReplayConfig
 
-From a slow disk, and beside everything else that starts at boot, that takes long: six times what it
-took in a machine that is emulated, ten times as slow as others.
+_VARIABLES: Final = frozenset({"LD_LIBRARY_PATH", "PATH", "PYTHONPATH", "TZ"})
+_PREFIXES: Final = (
+    *("AMENT_", "CUDA_", "CYCLONEDDS_", "FASTDDS_", "FASTRTPS_", "GZ_", "OMP_", "PLAY_LAUNCH_"),
+    *("RCL_", "RCUTILS_", "RMW_", "ROS_", "SKIP_DEFAULT_XML", "ZENOH_"),
+)
+"""Of ROS's setup files, the middlewares, and play-launch."""
+_CLOSING_TIME: Final = 10.0
+"""Seconds to clean up and to close the recording."""
+_MAIN_PID: Final = "$MAINPID"
+_ESCAPES: Final = {"\\": "\\\\", '"': '\\"', "\n": "\\n", "\t": "\\t"}
+_PLAIN: Final = frozenset("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789/._-+:=,@")
+
+_UNIT: Final = """\
+# {name}: a system of play-launch. To install the unit:
+#   cp {unit}.service {place}/ && {systemctl} daemon-reload && {systemctl} enable --now {unit}
+# Generate it again when `stop` or `depends_on` of the configuration, or the environment, change.
+# Explanations: docs/service.md.
+
+[Unit]
+Description={description} (play-launch)
+{network}StartLimitIntervalSec=300
+StartLimitBurst=5
+
+[Service]
+Type=notify
+NotifyAccess=main
+{user}WorkingDirectory={folder}
+ExecStart={start}
+ExecReload={reload}
+{environment}# From a cold start to the first WATCHDOG=1; play-launch extends the time from then on.
+TimeoutStartSec=120
+WatchdogSec=30
+# SIGTERM goes to play-launch alone, which stops the rest in order, within this time.
+KillMode=mixed
+TimeoutStopSec={stop}
+# 128+n: stopped by a signal; 2: invalid configuration.
+Restart=on-failure
+RestartSec=2
+SuccessExitStatus=129 130 143
+RestartPreventExitStatus=2
+Delegate=yes
+OOMPolicy=continue
+# Upper bounds of `resources`; a user's manager lowers them to its own (user@.service).
+LimitNOFILE=4096:524288
+LimitNPROC=infinity
+LimitMEMLOCK=infinity
+LimitRTPRIO=99
+LimitNICE=-20
+LimitCORE=infinity
+TasksMax=infinity
+
+[Install]
+WantedBy={target}
 """
-_ON_THIS_MACHINE: Final = frozenset({"LOCALHOST", "OFF"})
-_MAIN: Final = "$MAINPID"
-"""systemd puts the supervisor's pid in its place."""
-_RANGE: Final = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+_LEFT_OUT: Final = """\
+# Left out as secrets, or for their control characters: {names}.
+# Add them to this file as NAME=value, readable by its owner only.
+EnvironmentFile=-{file}
+"""
+_NETWORK: Final = "Wants=network-online.target\nAfter=network-online.target\n"
 
 
 class Service(Struct, frozen=True, kw_only=True):
-    """What a unit is made from."""
+    """Values of the unit."""
 
     config: ReplayConfig
     """Its `source` is absolute."""
     program: Path
-    """The command ``play-launch``."""
     folder: Path
-    """Working directory."""
     user: str
-    """Whose processes they are; empty: the unit is one of a user's own manager."""
-    environment: Carried
+    """Empty for a unit of a user's own manager."""
+    environment: Mapping[str, str]
+    left_out: tuple[str, ...] = ()
+    """Names of variables that must not stand in a unit."""
     arguments: tuple[str, ...] = ()
     """Of the configuration, ``name:=value``."""
     log_dir: Path | None = None
@@ -53,160 +103,95 @@ class Service(Struct, frozen=True, kw_only=True):
 
 
 def unit_text(service: Service) -> str:
-    """Write the unit."""
-    sections = {
-        "Unit": _unit(service),
-        "Service": _service(service),
-        "Install": _install(service),
-    }
-    parts = [_comment(_heading(service))]
-    parts += [f"[{name}]\n{_lines(found)}" for name, found in sections.items()]
-    return "\n".join(parts)
-
-
-def _heading(service: Service) -> str:
-    name = service.name
-    if service.user:
-        place, manager = "/etc/systemd/system", "systemctl"
-    else:
-        place, manager = "~/.config/systemd/user", "systemctl --user"
-    more = "" if service.user else "\n  loginctl enable-linger    (from boot on, without a login)"
-    return (
-        f"{service.config.name}, brought up by play-launch. To install it:\n"
-        f"  cp {name}.service {place}/ && {manager} daemon-reload\n"
-        f"  {manager} enable --now {name}{more}\n"
-        "Write it anew with `play-launch systemd-unit` when `resources`, `stop` or `depends_on` of "
-        "the\nconfiguration have changed, or the environment that it was made in."
+    config, user = service.config, service.user
+    variables = {**service.environment, **config.environment}
+    is_local = variables.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper() in {"LOCALHOST", "OFF"}
+    environment = "".join(
+        f"Environment={quoted(f'{name}={value}')}\n" for name, value in service.environment.items()
     )
-
-
-def _unit(service: Service) -> Iterator[Setting]:
-    description = " ".join(service.config.name.split()) or "robot"
-    yield Setting("", (f"Description={specified(description)} (play-launch)",))
-    if service.user and not _stays_here(service):
-        yield Setting(
-            "DDS uses the network interfaces that are there when a node starts.",
-            ("Wants=network-online.target", "After=network-online.target"),
-        )
-    yield Setting(
-        "What fails five times in five minutes is left alone; `systemctl reset-failed` ends that.",
-        ("StartLimitIntervalSec=300", "StartLimitBurst=5"),
+    if service.left_out:
+        folder = "/etc/play-launch" if user else "%E/play-launch"
+        names = ", ".join(ascii(name)[1:-1] for name in service.left_out)
+        environment += _LEFT_OUT.format(names=names, file=f"{folder}/{service.name}.env")
+    log_dir = () if service.log_dir is None else ("--log-dir", str(service.log_dir))
+    reload = _command(service, "apply", "--session", _MAIN_PID)
+    name = " ".join(config.name.split()) or "robot"
+    return _UNIT.format(
+        name=name,
+        unit=service.name,
+        place="/etc/systemd/system" if user else "~/.config/systemd/user",
+        systemctl="systemctl" if user else "systemctl --user",
+        description=specified(name),
+        network=_NETWORK if user and not is_local else "",
+        user=f"User={user}\n" if user else "",
+        folder=specified(str(service.folder)),
+        start=_command(service, "replay", "--quiet", *log_dir),
+        reload=reload.replace(argument(_MAIN_PID), _MAIN_PID),
+        environment=environment,
+        stop=stop_seconds(config),
+        target="multi-user.target" if user else "default.target",
     )
-
-
-def _stays_here(service: Service) -> bool:
-    everywhere = {**service.environment.values, **service.config.environment}
-    return everywhere.get(_RANGE, "").upper() in _ON_THIS_MACHINE
-
-
-def _service(service: Service) -> Iterator[Setting]:
-    yield Setting(
-        "Started when everything is loaded and runs, or has failed for good: play-launch says so. "
-        "No process\nof the system can say it in its place.",
-        ("Type=notify", "NotifyAccess=main"),
-    )
-    if service.user == "root":
-        yield Setting("A user of its own is better: run systemd-unit as that user.", ("User=root",))
-    elif service.user:
-        yield Setting(
-            "At the end of this user's last login, logind removes their shared memory, that of DDS "
-            "too:\n`loginctl enable-linger` prevents that (not needed for accounts below 1000).",
-            (f"User={service.user}",),
-        )
-    yield Setting(
-        "What nodes print is in the recording and in `play-launch logs`; the journal has what "
-        "happens.",
-        (
-            f"WorkingDirectory={specified(str(service.folder))}",
-            f"ExecStart={_command(service, 'replay', '--quiet', *_log_dir(service))}",
-        ),
-    )
-    # The session is the one that this service runs, whatever else the user runs.
-    reload = _command(service, "apply", "--session", _MAIN).replace(argument(_MAIN), _MAIN)
-    yield Setting(
-        "`systemctl reload` changes what differs from the configuration by now, and nothing else.",
-        (f"ExecReload={reload}",),
-    )
-    yield from _environment(service)
-    yield from _life(service)
-    yield from settings(service.config, for_user=not service.user)
-
-
-def _life(service: Service) -> Iterator[Setting]:
-    yield Setting(
-        "From a cold start to the first sign of life. From then on, while the system starts or "
-        "reloads,\nplay-launch has the time extended as long as it is well.",
-        (f"TimeoutStartSec={_START}",),
-    )
-    yield Setting(
-        "Fed only while the supervisor's event loop turns and all of its members are looked after.",
-        (f"WatchdogSec={_WATCHDOG}",),
-    )
-    yield Setting(
-        "SIGTERM goes to play-launch alone, which stops the rest in order. This is the most that "
-        "`stop`\nand `depends_on` of the configuration can take; then all that is left is killed.",
-        ("KillMode=mixed", f"TimeoutStopSec={stop_seconds(service.config)}"),
-    )
-    yield Setting(
-        "Exit codes: 1 a node failed, 3 nodes were missing, 128+n ended by a signal, which is how "
-        "it is\nstopped; 2 a mistake in the configuration, which a restart does not mend.",
-        (
-            "Restart=on-failure",
-            "RestartSec=2",
-            "SuccessExitStatus=129 130 143",
-            "RestartPreventExitStatus=2",
-        ),
-    )
-    yield Setting(
-        "Control groups of nodes (`resources`) are play-launch's to make.", ("Delegate=yes",)
-    )
-    yield Setting(
-        "A process that the kernel kills for its memory is play-launch's to start again.",
-        ("OOMPolicy=continue",),
-    )
-
-
-def _environment(service: Service) -> Iterator[Setting]:
-    values, secrets, impossible = service.environment
-    if values:
-        yield Setting(
-            "The environment of the shell in which this was made: ROS, its middleware, and what "
-            "the\nconfiguration takes by ${env:...}.",
-            tuple(f"Environment={quoted(f'{name}={value}')}" for name, value in values.items()),
-        )
-    if secrets:
-        place = "/etc/play-launch" if service.user else "%E/play-launch"
-        yield Setting(
-            f"They look like secrets, and everybody can read a unit: {', '.join(secrets)}. Put "
-            "them into this\nfile as NAME=value, readable by its owner only.",
-            (f"EnvironmentFile=-{place}/{service.name}.env",),
-        )
-    if impossible:
-        named = ", ".join(ascii(name)[1:-1] for name in impossible)
-        yield Setting(f"Left out, for systemd takes no control characters: {named}.")
-
-
-def _install(service: Service) -> Iterator[Setting]:
-    target = "multi-user.target" if service.user else "default.target"
-    yield Setting("", (f"WantedBy={target}",))
-
-
-def _log_dir(service: Service) -> tuple[str, ...]:
-    return () if service.log_dir is None else ("--log-dir", str(service.log_dir))
 
 
 def _command(service: Service, *words: str) -> str:
-    source = str(service.config.source)
-    every = (str(service.program), *words, source, *service.arguments)
+    every = (str(service.program), *words, str(service.config.source), *service.arguments)
     return " ".join(map(argument, every))
 
 
-def _lines(found: Iterable[Setting]) -> str:
-    return "".join(
-        _comment(each.why) * bool(each.why) + "".join(f"{line}\n" for line in each.lines)
-        for each in found
-    )
+def stop_seconds(config: ReplayConfig) -> int:
+    """Return the longest time of an orderly stop: units stop after those that depend on them."""
+    limits = config.stop
+    each = limits.ask + limits.sigint + limits.sigterm + StopPolicy().sigkill
+    before = DependencyGraph(config.start_rules, config.units).stopped_after()
+    left, generations = set(before), 0
+    while left:
+        now = {unit for unit in left if not before[unit] & left}
+        left -= now or left
+        generations += 1
+    return math.ceil(max(generations, 1) * each + _CLOSING_TIME)
 
 
-def _comment(text: str) -> str:
-    return "".join(f"# {line}\n" for line in text.splitlines())
+def carried(
+    environ: Mapping[str, str], required: Mapping[str, str | None]
+) -> tuple[dict[str, str], tuple[str, ...]]:
+    """Select the variables of a sourced ROS and of the configuration (`required`).
+
+    Returns them, and the names of secrets and of those that systemd does not accept.
+    """
+    values: dict[str, str] = {}
+    left_out: list[str] = []
+    for name, value in sorted(environ.items()):
+        if name not in _VARIABLES and not name.startswith(_PREFIXES) and required.get(name) is None:
+            continue
+        # CYCLONEDDS_URI may be the configuration itself, which is no secret.
+        text = value.replace("<", " ") if name == "CYCLONEDDS_URI" else value
+        if is_acceptable(f"{name}{value}") and not is_secret(name, text):
+            values[name] = value
+        else:
+            left_out.append(name)
+    return values, tuple(left_out)
+
+
+def specified(text: str) -> str:
+    return text.replace("%", "%%")
+
+
+def quoted(text: str) -> str:
+    """Quote one word of a setting, see "Quoting" in systemd.syntax(7)."""
+    if text and _PLAIN.issuperset(text):
+        return text
+    return '"' + "".join(_ESCAPES.get(each, each) for each in specified(text)) + '"'
+
+
+def argument(text: str) -> str:
+    """Quote one word of a command line, without variables."""
+    return quoted(text.replace("$", "$$"))
+
+
+def is_acceptable(text: str) -> bool:
+    """Whether systemd accepts a text: UTF-8 without control characters but tab and newline."""
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return all(each in "\t\n" or (each >= " " and each != "\x7f") for each in text)

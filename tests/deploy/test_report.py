@@ -10,11 +10,13 @@ from typing import Any
 
 from play_launch.config.model import ReplayConfig
 from play_launch.deploy.notification import ServiceManager
-from play_launch.deploy.report import ServiceReport
+from play_launch.deploy.report import ServiceReport, status_text
 from play_launch.process.exit import Exit
 from play_launch.runtime.commands import StartError
 from play_launch.runtime.system import System
-from play_launch.supervisor.events import ContainerState
+from play_launch.supervisor.events import ContainerState, NodeState, ProcessEventKind
+from play_launch.supervisor.view import SystemView
+from tests.cli import scenes
 from tests.runtime.fakes import FakeContainer, FakeLauncher, Held, container, process, system
 from tests.runtime.jumping_loop import run
 from tests.runtime.running import Running, running
@@ -134,6 +136,29 @@ def test_what_is_over_before_it_can_be_operated_was_ready(tmp_path: Path) -> Non
 
     with closing(Listening.in_folder(tmp_path)) as listening:
         run(main())
+
+
+SYSTEM = scenes.view(
+    scenes.container("/a"),
+    scenes.node("/a", 0, NodeState.LOADED),
+    scenes.node("/a", 1, NodeState.LOADING),
+    scenes.node("/a", 2, NodeState.LOAD_FAILED),
+    scenes.container("/b", ContainerState.GAVE_UP),
+    scenes.node("/b", 0, NodeState.PENDING),
+    scenes.process("/p", ProcessEventKind.STARTED),
+    scenes.process("/q", ProcessEventKind.EXITED, exit_code=3),
+)
+
+
+def test_status() -> None:
+    assert status_text(["starting"], SYSTEM) == (
+        "starting; 1 of 4 nodes loaded, 1 of 2 containers running, 1 of 2 processes running; "
+        "failed: /b, /a/n2, /q"
+    )
+    assert status_text([], SystemView()) == ""
+    text = status_text(["a\nb", "x" * 500], SYSTEM, "c\td")
+    assert text.startswith("health problem: c d; a b; x")
+    assert len(text) == 400
 
 
 def test_what_is_stopped_while_it_starts_was_never_ready(tmp_path: Path) -> None:

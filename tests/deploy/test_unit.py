@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import os
 import subprocess
@@ -14,16 +13,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from play_launch.config.load import parse_config
+from play_launch.config.model import ReplayConfig
 from play_launch.config.problems import ConfigError
-from play_launch.deploy.environment import Carried
-from play_launch.deploy.quoting import is_acceptable
-from play_launch.deploy.unit import Service, unit_text
+from play_launch.deploy.unit import Service, carried, is_acceptable, stop_seconds, unit_text
 from tests.support.replay import COMMAND
 
-from .test_needs import ISOLATED, SLEEP
 from .units import settings_of, verify, words
 
-NOTHING = Carried({}, (), ())
+SLEEP: dict[str, Any] = {"command": ["sleep", "9"]}
 
 
 def service(**more: Any) -> Service:
@@ -34,60 +31,28 @@ def service(**more: Any) -> Service:
         "program": COMMAND,
         "folder": Path("/"),
         "user": "robot",
-        "environment": NOTHING,
+        "environment": {},
         **more,
     }
     return Service(**made)
-
-
-GREEDY = {
-    "containers": [ISOLATED],
-    "nodes": [
-        {
-            **SLEEP,
-            "name": "p",
-            "resources": {
-                "nice": -10,
-                "io_priority": "realtime",
-                "oom_score_adj": -200,
-                "rlimits": {"nofile": 1_000_000, "msgqueue": "1 MiB", "nproc": 9000},
-            },
-        }
-    ],
-}
 
 
 @pytest.mark.parametrize("for_user", [False, True])
 def test_systemd_accepts_it(tmp_path: Path, for_user: bool) -> None:
     config = tmp_path / "100 % of it $HOME.yaml"
     config.write_text("version: 1\nnodes: [{command: ['true']}]\n")
-    environment = Carried({"ROS_DOMAIN_ID": "7", "TEXT": 'a "b" \\ 100%\n$x'}, ("TOKEN",), ("X",))
     text = unit_text(
         service(
-            keys=GREEDY,
             path=config,
             folder=tmp_path,
             user="" if for_user else "root",
-            environment=environment,
+            environment={"ROS_DOMAIN_ID": "7", "TEXT": 'a "b" \\ 100%\n$x'},
+            left_out=("TOKEN", "X"),
             arguments=("text:=a 'b' $c %d \\e;",),
             log_dir=tmp_path,
         )
     )
     verify(text, tmp_path, for_user=for_user)
-
-
-def test_systemd_is_asked_in_earnest(tmp_path: Path) -> None:
-    text = unit_text(service())
-    verify(text, tmp_path)
-    with pytest.raises(AssertionError, match=r"robot\.service:"):
-        verify(text.replace("WatchdogSec=30", "WatchdogSec=soon"), tmp_path)
-
-
-def test_every_choice_has_a_reason() -> None:
-    lines = unit_text(service(keys=GREEDY)).splitlines()
-    for before, line in itertools.pairwise(lines):
-        if line.startswith(("Type=", "ExecReload=", "Watchdog", "KillMode=", "Restart=", "Limit")):
-            assert before.startswith(("# ", "Limit")), line
 
 
 def test_a_slow_machine_has_time_to_start() -> None:
@@ -111,7 +76,7 @@ def test_a_system_service_runs_as_its_user_and_a_user_s_own_does_not_say() -> No
 @pytest.mark.parametrize("where", ["the shell", "the configuration"])
 def test_what_stays_on_this_machine_waits_for_no_network(where: str) -> None:
     variables = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    made = service(environment=Carried(variables, (), ()))
+    made = service(environment=variables)
     if where == "the configuration":
         made = service(keys={"environment": variables, "nodes": [{**SLEEP, "name": "p"}]})
     assert "Unit.Wants" not in settings_of(unit_text(made))
@@ -122,9 +87,7 @@ WORDS = st.text(st.sampled_from("ab %$\\\"';#{}~\n\t")).filter(is_acceptable)
 
 @given(WORDS, WORDS)
 def test_commands_and_variables_are_what_was_given(word: str, value: str) -> None:
-    text = unit_text(
-        service(arguments=(f"a:={word}",), environment=Carried({"NAME": value}, (), ()))
-    )
+    text = unit_text(service(arguments=(f"a:={word}",), environment={"NAME": value}))
     found = settings_of(text)
     (start,) = found["Service.ExecStart"]
     usual = [str(COMMAND), "replay", "--quiet", "/etc/robots/robot.yaml", f"a:={word}"]
@@ -148,6 +111,75 @@ def test_any_name_of_a_system_makes_a_unit(name: str) -> None:
     assert settings_of(text)["Unit.Description"][0].endswith("(play-launch)")
     assert made.name.strip("-") == made.name
     assert made.name
+
+
+def system(**keys: Any) -> ReplayConfig:
+    return parse_config(json.dumps({"version": 1, **keys}).encode(), Path("/etc/robot.yaml"))
+
+
+def test_a_stop_takes_as_long_as_its_levels_and_those_who_wait_for_each_other() -> None:
+    limits = {"ask": "1 s", "sigint": "2 s", "sigterm": "3 s"}
+    # 5 s for SIGKILL, 10 s to close the recording.
+    assert stop_seconds(system(stop=limits, nodes=[{**SLEEP, "name": "a"}])) == 21
+    chain = [
+        {**SLEEP, "name": "a"},
+        {**SLEEP, "name": "b", "depends_on": ["a"]},
+        {**SLEEP, "name": "c", "depends_on": ["b"]},
+        {**SLEEP, "name": "d", "depends_on": ["a"]},
+    ]
+    assert stop_seconds(system(stop=limits, nodes=chain)) == 3 * 11 + 10
+
+
+@given(st.lists(st.integers(0, 5), min_size=1, max_size=6))
+def test_generations_are_the_longest_chain(levels: list[int]) -> None:
+    nodes = []
+    for number, level in enumerate(levels):
+        before = [f"p{other}" for other in range(number) if levels[other] < level]
+        nodes.append({**SLEEP, "name": f"p{number}", "depends_on": before})
+    depth: dict[int, int] = {}
+    for number, level in enumerate(levels):
+        chain = [depth[other] for other in range(number) if levels[other] < level]
+        depth[number] = 1 + max(chain, default=0)
+    stop = {"ask": "1 s", "sigint": "1 s", "sigterm": "1 s"}
+    assert stop_seconds(system(stop=stop, nodes=nodes)) == 8 * max(depth.values()) + 10
+
+
+SHELL = {
+    "PATH": "/opt/ros/jazzy/bin:/usr/bin",
+    "AMENT_PREFIX_PATH": "/opt/ros/jazzy",
+    "ROS_DOMAIN_ID": "7",
+    "RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp",
+    "CYCLONEDDS_URI": "<CycloneDDS><Domain/></CycloneDDS>",
+    "PLAY_LAUNCH_LOG_DIR": "/var/log/robot",
+    "SSH_AUTH_SOCK": "/tmp/agent",
+    "LS_COLORS": "x",
+    "ROBOT": "spot",
+    "HUB_TOKEN": "abc",
+    "ROS_BELL": "\x07",
+}
+
+
+REQUIRED = {"ROBOT": "spot", "HUB_TOKEN": "abc", "UNSET": None, "LS_COLORS": None}
+
+
+def test_ros_and_what_the_configuration_takes_are_carried() -> None:
+    values, left_out = carried(SHELL, REQUIRED)
+    assert set(values) == {
+        "PATH",
+        "AMENT_PREFIX_PATH",
+        "ROS_DOMAIN_ID",
+        "RMW_IMPLEMENTATION",
+        "CYCLONEDDS_URI",
+        "PLAY_LAUNCH_LOG_DIR",
+        "ROBOT",
+    }
+    assert values["CYCLONEDDS_URI"] == SHELL["CYCLONEDDS_URI"]
+    assert left_out == ("HUB_TOKEN", "ROS_BELL")
+
+
+def test_a_password_in_a_configuration_of_a_middleware_is_a_secret() -> None:
+    shell = {"CYCLONEDDS_URI": "<Security password=abc>", "ROS_URL": "http://a:b@c/"}
+    assert carried(shell, {})[1] == ("CYCLONEDDS_URI", "ROS_URL")
 
 
 def unit(*arguments: str | Path, cwd: Path, **variables: str) -> subprocess.CompletedProcess[str]:
@@ -210,4 +242,4 @@ def test_mistakes_are_reported_and_nothing_is_written(tmp_path: Path) -> None:
     folder.mkdir()
     done = unit("../robot.yaml", cwd=folder)
     assert done.returncode == 2
-    assert "systemd takes no such path" in done.stderr
+    assert "systemd accepts no path with quotes" in done.stderr

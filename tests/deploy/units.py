@@ -9,9 +9,26 @@ from pathlib import Path
 
 import pytest
 
-from tests.deploy.test_quoting import read
-
 ANALYZE = shutil.which("systemd-analyze")
+_ESCAPES = {"\\\\": "\\", '\\"': '"', "\\n": "\n", "\\t": "\t"}
+
+
+def read(word: str, *, of_a_command: bool = False) -> str:
+    """As systemd does: quotes, then specifiers, then variables."""
+    if word.startswith('"'):
+        assert word.endswith('"')
+        assert len(word) > 1
+        inner = word[1:-1]
+        assert re.fullmatch(r'([^"\\\n]|\\[\\"nt])*', inner), inner
+        word = re.sub(r"\\.", lambda match: _ESCAPES[match[0]], inner)
+    else:
+        assert re.fullmatch(r"[^\s\"'\\]+", word), word
+    assert re.fullmatch(r"([^%]|%%)*", word), word
+    word = word.replace("%%", "%")
+    if of_a_command:
+        assert re.fullmatch(r"([^$]|\$\$)*", word), word
+        word = word.replace("$$", "$")
+    return word
 
 
 def settings_of(text: str) -> dict[str, list[str]]:

@@ -115,10 +115,10 @@ def test_a_service_lives_as_its_unit_says(tmp_path: Path, kind: str) -> None:
                 environment = Path("/proc", str(each.pid), "environ").read_bytes()
                 for name in (b"NOTIFY_SOCKET", b"WATCHDOG_USEC"):
                     assert name not in environment, (each, name)
-        listening.until("STATUS=1 of 1 nodes loaded, 1 of 1 containers and 1 of 1 processes")
+        listening.until("STATUS=1 of 1 nodes loaded, 1 of 1 containers running, 1 of 1 processes")
         config.write_text(SYSTEM + MORE)
         service.reload()
-        listening.until("STATUS=1 of 1 nodes loaded, 1 of 1 containers and 2 of 2 processes")
+        listening.until("STATUS=1 of 1 nodes loaded, 1 of 1 containers running, 2 of 2 processes")
         status = service.stop()
         listening.until("STOPPING=1")
         assert str(status) in service.unit["Service.SuccessExitStatus"][0].split()
