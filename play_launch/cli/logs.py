@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import time
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from play_launch.cli.event_words import lines_of
 from play_launch.cli.operate import OK, add_names, report_end
@@ -14,7 +14,6 @@ from play_launch.control.protocol import Code, ControlError
 
 if TYPE_CHECKING:
     from argparse import ArgumentParser, Namespace
-    from collections.abc import Callable
 
     from play_launch.control.client import ControlClient
 
@@ -38,14 +37,14 @@ def run(client: ControlClient, options: Namespace) -> int:
     since_ns = since(options.since, time.time()) if options.since else 0
     kinds = ["output"] if options.names else ["output", "log"]
     arguments = {"names": options.names, "kinds": kinds, "follow": options.follow}
-    is_wanted = _by_level(LEVELS[options.level]) if options.level else _anything
+    least = LEVELS[options.level] if options.level else 0
     for message in client.stream("events", arguments):
         if "result" in message:
             return OK
         event = message.get("event")
         if event is None:
             _print_missed(message.get("missed", 0), as_json=options.json)
-        elif event["stamp_ns"] >= since_ns and is_wanted(event):
+        elif event["stamp_ns"] >= since_ns and event["level"] >= least:
             text = json.dumps(event, separators=(",", ":")) if options.json else lines_of(event)
             sys.stdout.write(f"{text}\n")
             sys.stdout.flush()
@@ -62,29 +61,6 @@ def since(text: str, now: float) -> int:
         return int((now - parse_duration(text)) * 1e9)
     except ValueError as error:
         raise ControlError(Code.BAD_ARGUMENTS, f"--since: {error}") from None
-
-
-def _anything(_event: dict[str, Any]) -> bool:
-    return True
-
-
-def _by_level(least: int) -> Callable[[dict[str, Any]], bool]:
-    from play_launch.recording.console_format import line_level  # noqa: PLC0415
-    from play_launch.supervisor.events import OutputLine, Stream  # noqa: PLC0415
-
-    def is_wanted(event: dict[str, Any]) -> bool:
-        if event["event"] == "log":
-            return int(event["level"]) >= least
-        line = OutputLine(
-            stamp_ns=0,
-            process="",
-            pid=0,
-            stream=Stream(event["stream"]),
-            text=event["text"],
-        )
-        return line_level(line) >= least
-
-    return is_wanted
 
 
 def _print_missed(missed: int, *, as_json: bool) -> None:

@@ -1,4 +1,4 @@
-"""``play-launch replay --watch``: a file that was changed is applied."""
+"""Watches the files of a configuration, for ``play-launch replay --watch``."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ if TYPE_CHECKING:
     from play_launch.config.model import ReplayConfig
 
 PERIOD: Final = 0.3
-"""Seconds between two looks. What changed is read when two looks in a row see the same."""
+"""Seconds between two checks; files are read when two checks in a row find the same."""
 _log = logging.getLogger(__name__)
 
 Stamps = tuple[tuple[int, int, int] | None, ...]
 Contents = dict[Path, bytes | Refused]
-"""What was read from each file, or why it was not."""
+"""Content of each file, or why it was not read."""
 
 
 class Watched(Struct, frozen=True):
-    """What was given on the command line."""
+    """Arguments of the command line."""
 
     path: Path
     arguments: Mapping[str, str]
@@ -53,7 +53,7 @@ async def watch(
             continue
         await asyncio.sleep(PERIOD)
         if await asyncio.to_thread(_stamps, contents) != now:
-            continue  # somebody is writing
+            continue  # it is being written
         found, contents = await asyncio.to_thread(_load, watched)
         seen = await asyncio.to_thread(_stamps, contents)
         if not await asyncio.to_thread(_are_the_same, contents):
@@ -72,7 +72,7 @@ def _contents_of(path: Path, config: ReplayConfig) -> Contents:
 def _load(watched: Watched) -> tuple[ReplayConfig | ConfigError, Contents]:
     """Read the configuration; also give all files that were asked for, there or not.
 
-    Whoever mends a mistake may do so in a file that no good configuration has named yet.
+    A mistake may be corrected in a file that no valid configuration has named yet.
     """
     contents: Contents = {}
 
@@ -96,7 +96,7 @@ def _stamp(path: Path) -> tuple[int, int, int] | None:
         status = path.stat()
     except OSError:
         return None  # editors remove a file and write it anew
-    # Not the time of its content: who copies a file in place may keep that.
+    # Not the time of its content, which a copy may keep.
     return status.st_ctime_ns, status.st_size, status.st_ino
 
 

@@ -156,12 +156,19 @@ class Follower:
     async def send_all(self, events: Iterable[RunEvent], send: Send) -> None:
         """Send those of the events that are selected."""
         for event in filter(self._selection.wants, events):
-            await send("event", event_object(event))
+            await send("event", _message(event))
 
     async def follow(self, send: Send) -> None:
         """Send queued events until this is cancelled, and how many were dropped."""
         while True:
-            await send("event", event_object(await self._queue.get()))
+            await send("event", _message(await self._queue.get()))
             if self._missed and self._queue.empty():
                 missed, self._missed = self._missed, 0
                 await send("missed", missed)
+
+
+def _message(event: RunEvent) -> dict[str, object]:
+    """Return the fields of an event, and its words."""
+    from play_launch.control.event_words import words_of  # noqa: PLC0415 - not before the start
+
+    return event_object(event) | words_of(event)._asdict()

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import logging
 import os
 import time
 from functools import partial
 from typing import TYPE_CHECKING
 
-from play_launch.control.applied_config import as_started, attach_applied
+from msgspec.structs import replace
+
+from play_launch.container.cdr.text import text_bytes
 from play_launch.control.client import own_command
 from play_launch.control.messages import Caller, Hello
 from play_launch.control.operations import Changes, Operations
 from play_launch.control.protocol import ControlError
 from play_launch.control.server import serving
 from play_launch.recording import topics
+from play_launch.recording.resolved_form import resolved_form
 from play_launch.recording.versions import OURSELVES, installed_versions
 
 if TYPE_CHECKING:
@@ -27,6 +31,7 @@ if TYPE_CHECKING:
     from play_launch.control.registration import ControlSocket
     from play_launch.recording.session import Session
     from play_launch.recording.topic_recorder.snapshot import Snapshots
+    from play_launch.recording.topic_requests import TopicRequests
     from play_launch.runtime.publisher import Publisher
     from play_launch.runtime.system import System
 
@@ -58,12 +63,12 @@ async def serve_control(
 
     def begin(target: ReplayConfig, number: int) -> None:
         hide_secrets(target)
-        attach_applied(session.recorder.topic_requests, target, number)
+        _attach(session.recorder.topic_requests, target, number)
 
     changes = Changes(
         system,
         publisher,
-        with_command_line=partial(as_started, config, keeps_duration=keeps_duration),
+        with_command_line=partial(_with_command_line, config, keeps_duration=keeps_duration),
         on_begin=begin,
         on_end=adopt,
     )
@@ -111,3 +116,30 @@ async def _apply(changes: Changes, target: ReplayConfig) -> None:
         _log.warning(
             "%s is not applied: %s; it is applied at its next change", target.source, error
         )
+
+
+def _with_command_line(
+    config: ReplayConfig, target: ReplayConfig, *, keeps_duration: bool
+) -> ReplayConfig:
+    """Put into ``target`` what the command line of the session said, as it did into ``config``."""
+    if keeps_duration:
+        target = replace(target, duration=config.duration)
+    folders = config.log_dir, target.log_dir
+    if None not in folders and len({str(each and each.absolute()) for each in folders}) == 1:
+        target = replace(target, log_dir=config.log_dir)  # one of them is a relative path
+    return target
+
+
+def _attach(recording: TopicRequests, config: ReplayConfig, number: int) -> None:
+    """Attach it as ``applied/<number>/...``: as it was given, its files, and resolved."""
+    place = f"applied/{number}"
+    yaml = "application/yaml"
+    recording.attach(f"{place}/config{config.source.suffix or '.yaml'}", yaml, config.text)
+    for kind, files in (
+        ("includes", config.included_files),
+        ("parameters", config.parameter_files),
+    ):
+        for index, file in enumerate(files):
+            recording.attach(f"{place}/{kind}/{index}-{file.path.name}", yaml, file.text)
+    resolved = json.dumps(resolved_form(config), ensure_ascii=False)
+    recording.attach(f"{place}/resolved_config.json", "application/json", text_bytes(resolved))

@@ -54,7 +54,7 @@ class Found(NamedTuple):
     client: ControlClient | None
     """The connection, if the session has sent its hello."""
     answer: Any
-    """Result of the request; None if there is none."""
+    """Result of the request, if any."""
     problem: NoSessionError | ControlError | None
     """Why there is no client."""
     is_alive: bool
@@ -80,7 +80,7 @@ def connect(session: str | None = None, *, limit: float = TIMEOUT) -> ControlCli
         limit: Seconds for its hello.
 
     Raises:
-        NoSessionError: When there is none, or more than one.
+        NoSessionError: When no session runs, or more than one.
         ControlError: When it refuses, or does not answer.
     """
     if session is not None and _is_folder(session):

@@ -178,8 +178,8 @@ def test_what_cannot_be_done_is_refused_with_the_reason(config: Path, tmp_path: 
         for arguments, code, words in (
             (("stop", "/talker"), 2, "is a composable node; use load, unload or reload"),
             (("reload", "/chat"), 2, "is not a composable node"),
-            (("stop", "nobody"), 2, "no node or process named 'nobody'"),
-            (("stop", "no\x1b[2Jbody"), 2, "no node or process named 'nobody'"),
+            (("stop", "unknown"), 2, "no node or process named 'unknown'"),
+            (("stop", "un\x1b[2Jknown"), 2, "no node or process named 'unknown'"),
             (("stop", "x" * 1001), 2, "names[0]: expected `str` of length <= 1000"),
             (("ps", *["/chat"] * 2001), 2, "names: expected `array` of length <= 2000"),
             (("signal", "NONSENSE", "/chat"), 2, "unknown signal"),
@@ -285,7 +285,7 @@ def test_events_and_logs_are_followed(config: Path, tmp_path: Path) -> None:
 
 @contextlib.contextmanager
 def ended(process: subprocess.Popen[str]) -> Iterator[None]:
-    """Leave no process behind that nobody ends, whatever goes wrong in the block."""
+    """End the process when the block raises."""
     with process:
         try:
             yield

@@ -26,7 +26,7 @@ def asked(*arguments: str) -> str:
 
 
 def sleeping(replay: Replay) -> list[int]:
-    """Find what sleeps for the session, whoever its parent is by now."""
+    """Return the pids of the session's sleep processes, whatever their parent is."""
     return [each.pid for each in alive(replay.descendants()) if each.name() == "sleep"]
 
 

@@ -1,4 +1,4 @@
-"""Which session a command goes to, as whom, and what is said of those that do not answer."""
+"""Choice of the session, its user, and errors about sessions that do not answer."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ def test_links_of_another_user_are_not_followed(
 
 @pytest.fixture
 def session(tmp_path: Path, links: Path) -> Iterator[Callable[..., Path]]:
-    """Make sessions that greet, or not (``protocol=0``), and say nothing else."""
+    """Make sessions that send a hello, or not (``protocol=0``), and nothing else."""
     with contextlib.ExitStack() as opened:
 
         def make(name: str, protocol: int = PROTOCOL, folder: str = "") -> Path:
@@ -236,7 +236,7 @@ def test_a_folder_of_that_name_here_is_not_the_session(
 def test_root_is_told_whose_sessions_there_are(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What ``sudo play-launch ps`` is meant for is the session of the user who typed it."""
+    """``sudo play-launch ps`` is meant for the session of the user, not of root."""
     user = os.geteuid() or 54321
     links = tmp_path / f"play_launch-{user}"
     folders = [tmp_path / "robot", tmp_path / "of\nmallory"]

@@ -259,7 +259,7 @@ def test_a_client_that_never_reads_makes_nothing_grow(tmp_path: Path) -> None:
     def talk(session: Session) -> None:
         with connected(tmp_path) as deaf:
             deaf.sendall(encode({"id": 1, "op": "flood"}))
-            # What it may send and nobody takes: the server stops reading in the end.
+            # The server stops reading when its answers are not read.
             deaf.setblocking(False)
             with contextlib.suppress(BlockingIOError):
                 for number in range(100_000):
