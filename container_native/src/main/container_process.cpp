@@ -187,9 +187,15 @@ int ContainerProcess::run() {
     leave_now(status);
   }
   host_.reset();
+  const bool leaked = manager_->totals().leaked > 0;
   manager_.reset();
   context_guard_.reset();
   context_.reset();
+  if (leaked) {
+    // A dead node may hold a lock that exit handlers, such as Fast DDS's, wait for, and the
+    // watchdog is gone by then.
+    leave_now(status);
+  }
   return status;
 }
 
