@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from msgspec.structs import replace
 
 from play_launch.config.model import SourceFile, TakenValues
-from play_launch.config.problems import ConfigError, Place, Problem, Report
+from play_launch.config.problems import ConfigError, Problem, Report
 from play_launch.config.resolve.system import resolve_document
 from play_launch.config.source import Refused, read_bytes
 from play_launch.config.sources.documents import Documents
@@ -52,8 +52,6 @@ def parse_config(
     documents = Documents(report, read, taken)
     root = documents.read(content, source)
     config = None if root is None else resolve_document(root, source, content, report, read)
-    if root is not None:
-        _refuse_unread(taken, source, report)
     report.raise_if_any(str(source))
     assert config is not None
     if not documents.included and not taken.is_touched:
@@ -65,12 +63,3 @@ def parse_config(
     )
     included = tuple(SourceFile(path, text) for path, text in documents.included.items())
     return replace(config, included_files=included, taken=values)
-
-
-def _refuse_unread(taken: Taken, source: Path, report: Report) -> None:
-    """Report arguments that were given and that nothing reads."""
-    known = ", ".join(sorted(taken.known_arguments))
-    what = f"what is read: {known}" if known else "the configuration reads no arguments"
-    for name in taken.unread_arguments:
-        message = f"nothing reads the argument {name}; {what}"
-        report.add(Place(str(source), 1, 1), "(arguments)", message)

@@ -1,379 +1,427 @@
 """The keys of the configuration file: one section for each kind of mapping in it.
 
-Raw keys get the YAML node instead of a value, because what stands there (parameters,
-remappings, environment, nested lists) is looked at elsewhere, with places at hand.
-Absent keys are None here; defaults are filled in when the section is resolved.
+A key is declared once, with what checks it, its description and examples: the JSON Schema and the
+checks follow from that. Raw keys get the YAML node instead of a value: parameters, remappings,
+environment and nested lists are checked where their locations are known. Absent keys are None here;
+defaults are filled in when the section is resolved.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any
 
 from play_launch.config import kinds
 from play_launch.config.dependency import OnTimeout, UnitCondition
 from play_launch.config.model import ContainerType, Isolation, MemoryDomains, Output
 from play_launch.config.policies import Autostart, OnCrash, OnExit
-from play_launch.config.resource_values import LIMIT_FORMS
-from play_launch.config.resources import SchedulerPolicy
+from play_launch.config.resolve.record import RecordSection
+from play_launch.config.resource_schema import CgroupsSection, ResourcesSection
 from play_launch.config.section import Section, merging, nested, optional, raw, required
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from play_launch.config.group_limits import CpuMax
-    from play_launch.config.resources import IoPriority
 
 
 class DependencySection(Section):
     """One entry of `depends_on`; a string there is the `name`."""
 
-    advice: ClassVar[Mapping[str, str]] = {
-        "otherwise": "on_timeout",
-        "regex": "log",
-        "matches": "log",
-        "path": "file",
-    }
-
-    name: str | None = optional(kinds.FILLED_TEXT)
-    condition: UnitCondition | None = optional(kinds.choice(UnitCondition))
-    log: str | None = optional(kinds.PATTERN)
-    node: str | None = optional(kinds.GRAPH_NAME)
-    topic: str | None = optional(kinds.GRAPH_NAME)
-    service: str | None = optional(kinds.GRAPH_NAME)
-    file: str | None = optional(kinds.FILLED_TEXT)
-    timeout: float | None = optional(kinds.POSITIVE_DURATION_OR_NEVER)
-    on_timeout: OnTimeout | None = optional(kinds.choice(OnTimeout))
+    name: str | None = optional(
+        kinds.FILLED_TEXT, "Full name of a container, node or process of this file.", "driver"
+    )
+    condition: UnitCondition | None = optional(
+        kinds.choice(UnitCondition), "With name: started, loaded, active or exited.", "loaded"
+    )
+    log: str | None = optional(
+        kinds.PATTERN,
+        "With name: a line of its output matches this regular expression.",
+        "streaming at",
+    )
+    node: str | None = optional(
+        kinds.GRAPH_NAME, "This node is in the ROS graph, whoever started it.", "/map_server"
+    )
+    topic: str | None = optional(kinds.GRAPH_NAME, "This topic has a publisher.", "/scan")
+    service: str | None = optional(
+        kinds.GRAPH_NAME, "This service is offered.", "/map_server/load_map"
+    )
+    file: str | None = optional(kinds.FILLED_TEXT, "This file exists.", "/dev/ttyUSB0")
+    timeout: float | None = optional(
+        kinds.POSITIVE_DURATION_OR_NEVER,
+        "Duration to wait for it, or never. By default never.",
+        "10 s",
+    )
+    on_timeout: OnTimeout | None = optional(
+        kinds.choice(OnTimeout),
+        "What follows if it does not come in time: fail or start. By default fail.",
+        "start",
+    )
 
 
 class BackoffSection(Section):
     """`backoff`: the pause before a restart grows from `initial` to `maximum`."""
 
-    initial: float | None = optional(kinds.POSITIVE_DURATION)
-    maximum: float | None = optional(kinds.POSITIVE_DURATION)
+    initial: float | None = optional(
+        kinds.POSITIVE_DURATION, "Duration of the first pause. By default 100 ms.", "100 ms"
+    )
+    maximum: float | None = optional(
+        kinds.POSITIVE_DURATION, "Duration of the longest pause. By default 30 s.", "30 s"
+    )
 
 
 class RestartSection(Section):
     """`restart`: at most `max_restarts` times `within` a duration."""
 
-    max_restarts: int | None = optional(kinds.integer(0, 1_000_000))
-    within: float | None = optional(kinds.POSITIVE_DURATION)
-    backoff: BackoffSection | None = nested(BackoffSection)
+    max_restarts: int | None = optional(
+        kinds.integer(0, 1_000_000),
+        "How often it is brought back within the time; 0 is never. By default 5.",
+        5,
+    )
+    within: float | None = optional(
+        kinds.POSITIVE_DURATION, "Duration in which restarts are counted. By default 60 s.", "60 s"
+    )
+    backoff: BackoffSection | None = nested(
+        BackoffSection,
+        "The pause before a restart, which grows.",
+        {"initial": "100 ms", "maximum": "30 s"},
+    )
 
 
 class StopSection(Section):
     """`stop`: how long each step of stopping may take."""
 
-    ask: float | None = optional(kinds.DURATION)
-    sigint: float | None = optional(kinds.DURATION)
-    sigterm: float | None = optional(kinds.DURATION)
+    ask: float | None = optional(
+        kinds.DURATION, "Duration after it was asked, before SIGINT. By default 3 s.", "3 s"
+    )
+    sigint: float | None = optional(
+        kinds.DURATION, "Duration after SIGINT, before SIGTERM. By default 2 s.", "2 s"
+    )
+    sigterm: float | None = optional(
+        kinds.DURATION, "Duration after SIGTERM, before SIGKILL. By default 2 s.", "2 s"
+    )
 
 
-class SchedulerSection(Section):
-    """`resources.scheduler`: the policy of the kernel's scheduler."""
-
-    policy: SchedulerPolicy = required(kinds.choice(SchedulerPolicy))
-    priority: int | None = optional(kinds.integer(1, 99))
-
-
-RlimitsSection: type[Section] = type(
-    "RlimitsSection",
-    (Section,),
-    # One of them is a keyword of Python.
-    {
-        "__doc__": "`resources.rlimits`: limits of setrlimit(2), by their names.",
-        **{name: optional(kinds.resource_limit(name)) for name in LIMIT_FORMS},
-    },
+_CONTAINER_TYPE = optional(
+    kinds.choice(ContainerType),
+    "standard: all nodes in one process, one thread. mt: several threads. isolated, "
+    "isolated_mt: each node a process of its own in shared memory. stock: another program with "
+    "ROS's composition services.",
+    "isolated",
 )
-
-
-class LimitsSection(Section):
-    """Limits of a control group, wherever they stand."""
-
-    advice: ClassVar[Mapping[str, str]] = {
-        "cpu_quota": "cpu_max",
-        "cpu_shares": "cpu_weight",
-        "pids_limit": "pids_max",
-        "memory_limit": "memory_max",
-    }
-
-    cpu_max: CpuMax | None = optional(kinds.CPU_MAX)
-    cpu_weight: int | None = optional(kinds.WEIGHT)
-    cpuset: tuple[int, ...] | None = optional(kinds.CPUS)
-    io_weight: int | None = optional(kinds.WEIGHT)
-    pids_max: float | None = optional(kinds.PIDS_MAX)
-    memory_high: float | None = optional(kinds.MEMORY_LIMIT)
-    memory_max: float | None = optional(kinds.MEMORY_LIMIT)
-
-
-class GroupLimitsSection(LimitsSection):
-    """`defaults` and entries of `per_node` of `cgroups`."""
-
-    advice: ClassVar[Mapping[str, str]] = {**LimitsSection.advice, "cpus": "cpuset"}
-
-    cpuset_cpus: tuple[int, ...] | None = optional(kinds.CPUS)
-
-
-class ResourcesSection(LimitsSection):
-    """`resources`: what a process asks of the kernel for itself."""
-
-    advice: ClassVar[Mapping[str, str]] = {
-        **LimitsSection.advice,
-        "priority": "scheduler",
-        "policy": "scheduler",
-        "cpus": "cpu_affinity",
-        "affinity": "cpu_affinity",
-        "ionice": "io_priority",
-        "mlockall": "lock_memory",
-        "limits": "rlimits",
-        "ulimit": "rlimits",
-        "ulimits": "rlimits",
-        "cpuset_cpus": "cpuset",
-        "memory": "memory_max",
-    }
-
-    nice: int | None = optional(kinds.integer(-20, 19))
-    scheduler: SchedulerSection | None = nested(SchedulerSection)
-    cpu_affinity: tuple[int, ...] | None = optional(kinds.CPUS)
-    io_priority: IoPriority | None = optional(kinds.IO_PRIORITY)
-    oom_score_adj: int | None = optional(kinds.integer(-1000, 1000))
-    lock_memory: bool | None = optional(kinds.BOOLEAN)
-    rlimits: Section | None = nested(RlimitsSection)
-
-
-class CgroupsSection(Section):
-    """`composable_node_loading.cgroups`: whether there are control groups, and where."""
-
-    advice: ClassVar[Mapping[str, str]] = {"path": "base_path", "nodes": "per_node"}
-
-    enabled: bool | None = optional(kinds.BOOLEAN)
-    required: bool | None = optional(kinds.BOOLEAN)
-    base_path: str | None = optional(kinds.GROUP_PATH)
-    defaults: GroupLimitsSection | None = nested(GroupLimitsSection)
-    per_node: Any = raw()
-
-
-class RotateSection(Section):
-    """`record.rotate`: when the recording goes on in a new file."""
-
-    size: float | None = optional(kinds.SIZE_OR_NEVER)
-    duration: float | None = optional(kinds.POSITIVE_DURATION_OR_NEVER)
-
-
-class KeepSection(Section):
-    """`record.keep`: what is kept of earlier sessions."""
-
-    sessions: int | None = optional(kinds.integer(1, 1_000_000))
-    size: int | None = optional(kinds.SIZE)
-
-
-class SamplingSection(Section):
-    """`record.sampling`: how often processes and the machine are measured."""
-
-    period: float | None = optional(kinds.SAMPLING_PERIOD)
-
-
-class BeforeCrashSection(Section):
-    """`record.before_crash`: what is kept in memory until something fails."""
-
-    topics: list[str] = required(kinds.TOPIC_PATTERNS)
-    seconds: float | None = optional(kinds.POSITIVE_DURATION)
-    megabytes: int | None = optional(kinds.integer(1, 1_000_000))
-
-
-class RecordSection(Section):
-    """`record`: how the session is recorded."""
-
-    sync: float | None = optional(kinds.POSITIVE_DURATION_OR_NEVER)
-    rotate: RotateSection | None = nested(RotateSection)
-    keep: KeepSection | None = nested(KeepSection)
-    sampling: SamplingSection | None = nested(SamplingSection)
-    ros: bool | None = optional(kinds.BOOLEAN)
-    topics: list[str] | None = optional(kinds.list_of(kinds.TOPIC_PATTERN))
-    exclude: list[str] | None = optional(kinds.list_of(kinds.TOPIC_PATTERN))
-    budget: int | dict[str, float] | None = optional(kinds.BUDGET)
-    before_crash: BeforeCrashSection | None = nested(BeforeCrashSection)
+_THREAD_NUM = optional(
+    kinds.THREADS, "Threads of the executor, 1 to 1024; for mt and isolated_mt.", 4
+)
+_ISOLATION = optional(
+    kinds.choice(Isolation),
+    "How isolated nodes become processes: auto, shared_memory or process.",
+    "auto",
+)
+_MEMORY_DOMAINS = optional(
+    kinds.choice(MemoryDomains),
+    "Whether what isolated nodes have in play_launch::private_memory() is protected from their "
+    "neighbours: off, auto (as far as the machine can) or required.",
+    "auto",
+)
+_CORE_DUMPS = optional(kinds.BOOLEAN, "Whether isolated nodes that crash dump core.", True)
+_AUTO_RELOAD_ON_CRASH = optional(
+    kinds.BOOLEAN, "true is short for on_crash: reload, false for on_crash: ignore.", True
+)
+_ON_CRASH = optional(
+    kinds.choice(OnCrash),
+    "What follows when an isolated node crashes alone: reload, ignore, stop_container or shutdown.",
+    "reload",
+)
+_LOADING_TIMEOUT = optional(
+    kinds.POSITIVE_DURATION,
+    "Duration after which a node that is still loading is asked about. By default 10 s.",
+    "10 s",
+)
+_PROBE_TIMEOUT = optional(
+    kinds.POSITIVE_DURATION,
+    "Longest duration for which a scratch process may load a library. By default 60 s.",
+    "60 s",
+)
+_RESTART = nested(
+    RestartSection,
+    "How often it is brought back, and after which pauses.",
+    {"max_restarts": 5, "within": "60 s"},
+)
+_NAMESPACE = optional(
+    kinds.NAMESPACE,
+    "Namespace, made of names with / between them. By default the root, or the component's own.",
+    "/sensing",
+    "/sensing/lidar",
+)
+_PROCESS_PARAMETERS = raw(
+    "Parameters for all nodes of the process, by their full names or patterns: parameter files, "
+    "and mappings of such names to parameters, of which later ones win.",
+    {"/local_costmap/local_costmap": {"width": 3}},
+    ["params/nav2.yaml", {"/**": {"use_sim_time": True}}],
+)
+_PREFIX = optional(
+    kinds.PREFIX,
+    "Words before the program in the command line, split as a shell does.",
+    "gdb -ex run --args",
+)
+_CWD = optional(
+    kinds.FILLED_TEXT,
+    "Working directory; a relative path starts at the folder of this file.",
+    "data",
+)
+_OUTPUT = optional(
+    kinds.choice(Output), "Where what it writes goes: screen, log or both. By default both.", "log"
+)
+_DEPENDS_ON = raw(
+    "What it waits for: names of containers, nodes and processes, or mappings with a condition.",
+    ["driver"],
+    [{"topic": "/scan", "timeout": "10 s"}],
+)
+_START_DELAY = optional(
+    kinds.DURATION, "Duration to wait once everything is there that it depends on.", "500 ms"
+)
+_LOG_LEVEL = optional(
+    kinds.LOG_LEVEL, "Logging severity: debug, info, warn, error or fatal.", "warn"
+)
+_ENVIRONMENT = raw(
+    "Environment variables, names to strings.",
+    {"ROS_DOMAIN_ID": "5", "RCUTILS_COLORIZED_OUTPUT": "1"},
+)
+_ROS_ARGUMENTS = optional(
+    kinds.ROS_ARGUMENTS, "Strings that are put after --ros-args.", ["--log-level", "rcl:=warn"]
+)
+_RESOURCES = nested(
+    ResourcesSection,
+    "What its process asks of the kernel: scheduling, CPUs, I/O priority, limits, control group.",
+    {"nice": 5},
+    {"scheduler": {"policy": "fifo", "priority": 50}, "cpu_affinity": [2, 3]},
+)
+_AUTOSTART = optional(
+    kinds.choice(Autostart),
+    "How far a managed (lifecycle) node is brought: configure or activate.",
+    "activate",
+)
+_TRANSITION_TIMEOUT = optional(
+    kinds.POSITIVE_DURATION_OR_NEVER,
+    "Duration for each transition of autostart, or never. By default 1 min.",
+    "30 s",
+)
+_PARAMETERS = raw(
+    "Parameters: a mapping, or a list of mappings and parameter files, of which later ones win.",
+    {"rate": 10.0},
+    ["params/common.yaml", {"rate": 20.0}],
+)
+_REMAPPINGS = raw(
+    "Remappings of topics and services: a mapping, or a list of from:=to.",
+    {"chatter": "/sensing/chatter"},
+    ["image:=~/image"],
+)
 
 
 class LoadingSection(Section):
     """`composable_node_loading`: what holds for every container that says nothing else."""
 
-    container_type: ContainerType | None = optional(kinds.choice(ContainerType))
-    thread_num: int | None = optional(kinds.THREADS)
-    isolation: Isolation | None = optional(kinds.choice(Isolation))
-    memory_domains: MemoryDomains | None = optional(kinds.choice(MemoryDomains))
-    core_dumps: bool | None = optional(kinds.BOOLEAN)
-    auto_reload_on_crash: bool | None = optional(kinds.BOOLEAN)
-    on_crash: OnCrash | None = optional(kinds.choice(OnCrash))
-    loading_timeout: float | None = optional(kinds.POSITIVE_DURATION)
-    probe_timeout: float | None = optional(kinds.POSITIVE_DURATION)
-    resources: ResourcesSection | None = nested(ResourcesSection)
-    cgroups: CgroupsSection | None = nested(CgroupsSection)
-    restart: RestartSection | None = nested(RestartSection)
+    container_type: ContainerType | None = _CONTAINER_TYPE
+    thread_num: int | None = _THREAD_NUM
+    isolation: Isolation | None = _ISOLATION
+    memory_domains: MemoryDomains | None = _MEMORY_DOMAINS
+    core_dumps: bool | None = _CORE_DUMPS
+    auto_reload_on_crash: bool | None = _AUTO_RELOAD_ON_CRASH
+    on_crash: OnCrash | None = _ON_CRASH
+    loading_timeout: float | None = _LOADING_TIMEOUT
+    probe_timeout: float | None = _PROBE_TIMEOUT
+    resources: ResourcesSection | None = nested(
+        ResourcesSection, "Defaults for the resources of isolated nodes.", {"nice": 5}
+    )
+    cgroups: CgroupsSection | None = nested(
+        CgroupsSection,
+        "Control groups (cgroup v2): whether there are any, where, and limits of nodes.",
+        {"enabled": True},
+        {"base_path": "/sys/fs/cgroup/play_launch", "required": True},
+    )
+    restart: RestartSection | None = _RESTART
 
 
 class DocumentSection(Section):
     """The top level of the file."""
 
-    advice: ClassVar[Mapping[str, str]] = {
-        "recording": "record",
-        "env": "environment",
-        "load_node": "containers",
-        "composable_nodes": "they belong into an entry of containers",
-    }
-
-    version: int = required(kinds.VERSION)
-    name: str | None = optional(kinds.RUN_NAME)
-    duration: float | None = optional(kinds.POSITIVE_DURATION)
-    log_dir: str | None = optional(kinds.FILLED_TEXT)
-    graph_daemon: bool | None = optional(kinds.BOOLEAN)
-    environment: Any = raw()
-    stop: StopSection | None = nested(StopSection)
-    record: RecordSection | None = nested(RecordSection)
-    composable_node_loading: LoadingSection | None = nested(LoadingSection)
-    containers: Any = raw()
-    nodes: Any = raw()
-    include: Any = merging()
-    remove: Any = merging()
-
-
-_SAME_FOR_ALL = {
-    "ns": "namespace",
-    "node_name": "name",
-    "node_namespace": "namespace",
-    "pkg": "package",
-    "param": "parameters",
-    "params": "parameters",
-    "remap": "remappings",
-    "remaps": "remappings",
-    "env": "environment",
-    "additional_env": "environment",
-    "ros_args": "ros_arguments",
-    "ros_arg": "ros_arguments",
-    "exec": "executable",
-    "condition": "conditions are not evaluated here; leave the entry out instead",
-    "launch_prefix": "prefix",
-    "launch-prefix": "prefix",
-    "working_directory": "cwd",
-    "workdir": "cwd",
-    "delay": "start_delay",
-    "nice": "resources: {nice: ...}",
-    "cpu_affinity": "resources: {cpu_affinity: ...}",
-    "rlimits": "resources: {rlimits: ...}",
-    "cpu_max": "resources: {cpu_max: ...}",
-    "cpuset": "resources: {cpuset: ...}",
-    "memory_max": "resources: {memory_max: ...}",
-    "cgroups": "resources: {cpu_max: ...}; cgroups belongs into composable_node_loading",
-}
+    version: int = required(kinds.VERSION, "Version of this format.", 1)
+    name: str | None = optional(
+        kinds.RUN_NAME,
+        "Name of the run; its recording is named after it. By default the name of the file.",
+        "robot",
+    )
+    duration: float | None = optional(
+        kinds.POSITIVE_DURATION,
+        "Duration after which the system is stopped. By default it runs until Ctrl-C.",
+        "10 s",
+        "2 min",
+    )
+    log_dir: str | None = optional(
+        kinds.FILLED_TEXT,
+        "Folder for recordings; a relative path starts at the folder of this file.",
+        "~/recordings",
+    )
+    graph_daemon: bool | None = optional(
+        kinds.BOOLEAN,
+        "Whether the graph daemon runs beside the nodes, and what it sees is recorded.",
+        True,
+    )
+    environment: Any = raw(
+        "Environment variables for every container and process, names to strings.",
+        {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"},
+    )
+    stop: StopSection | None = nested(
+        StopSection,
+        "How long each step of stopping may take before the next one is taken.",
+        {"ask": "3 s", "sigint": "2 s", "sigterm": "2 s"},
+    )
+    record: RecordSection | None = nested(
+        RecordSection, "How the session is recorded.", {"topics": ["/tf", "/lidar/*"]}
+    )
+    composable_node_loading: LoadingSection | None = nested(
+        LoadingSection,
+        "What holds for every container that says nothing else.",
+        {"container_type": "isolated"},
+    )
+    containers: Any = raw(
+        "Component containers and their nodes. In a file that includes others, an entry is "
+        "merged with the included one of the same name.",
+        [{"name": "sensing"}],
+    )
+    nodes: Any = raw(
+        "Ordinary processes: package and executable, or a command. Merged by name, too.",
+        [{"package": "demo_nodes_py", "executable": "listener", "name": "listener"}],
+    )
+    include: Any = merging(
+        "Other configuration files, which this one is merged over. Relative paths start at the "
+        "folder of this file.",
+        "base.yaml",
+        [{"file": "camera.yaml", "arguments": {"side": "left"}}],
+    )
 
 
 class ContainerSection(Section):
     """One entry of `containers`."""
 
-    advice: ClassVar[Mapping[str, str]] = _SAME_FOR_ALL | {
-        "composable_node_descriptions": "composable_nodes",
-        "nodes": "composable_nodes",
-        "args": "arguments",
-        "parameters": "give parameters to the composable nodes; those of other nodes that are made "
-        "in the process are process_parameters",
-        "remappings": "give remappings to the composable nodes",
-        "respawn": "containers always come back; see restart.max_restarts",
-    }
-
-    name: str = required(kinds.NODE_NAME)
-    namespace: str | None = optional(kinds.NAMESPACE)
-    container_type: ContainerType | None = optional(kinds.choice(ContainerType))
-    thread_num: int | None = optional(kinds.THREADS)
-    isolation: Isolation | None = optional(kinds.choice(Isolation))
-    memory_domains: MemoryDomains | None = optional(kinds.choice(MemoryDomains))
-    core_dumps: bool | None = optional(kinds.BOOLEAN)
-    package: str | None = optional(kinds.PACKAGE)
-    executable: str | None = optional(kinds.EXECUTABLE)
-    arguments: list[str] | None = optional(kinds.list_of(kinds.TEXT))
-    attach: bool | None = optional(kinds.BOOLEAN)
-    process_parameters: Any = raw()
-    prefix: list[str] | None = optional(kinds.PREFIX)
-    cwd: str | None = optional(kinds.FILLED_TEXT)
-    output: Output | None = optional(kinds.choice(Output))
-    on_exit: OnExit | None = optional(kinds.choice(OnExit))
-    depends_on: Any = raw()
-    start_delay: float | None = optional(kinds.DURATION)
-    auto_reload_on_crash: bool | None = optional(kinds.BOOLEAN)
-    on_crash: OnCrash | None = optional(kinds.choice(OnCrash))
-    log_level: str | None = optional(kinds.LOG_LEVEL)
-    environment: Any = raw()
-    ros_arguments: list[str] | None = optional(kinds.ROS_ARGUMENTS)
-    resources: ResourcesSection | None = nested(ResourcesSection)
-    restart: RestartSection | None = nested(RestartSection)
-    loading_timeout: float | None = optional(kinds.POSITIVE_DURATION)
-    probe_timeout: float | None = optional(kinds.POSITIVE_DURATION)
-    composable_nodes: Any = raw()
-    remove: Any = merging()
+    name: str = required(
+        kinds.NODE_NAME,
+        "A node name: letters, digits and _, not beginning with a digit. Containers are merged "
+        "by it.",
+        "sensing",
+    )
+    namespace: str | None = _NAMESPACE
+    container_type: ContainerType | None = _CONTAINER_TYPE
+    thread_num: int | None = _THREAD_NUM
+    isolation: Isolation | None = _ISOLATION
+    memory_domains: MemoryDomains | None = _MEMORY_DOMAINS
+    core_dumps: bool | None = _CORE_DUMPS
+    package: str | None = optional(
+        kinds.PACKAGE,
+        "Package with the program of a stock container. By default rclcpp_components.",
+        "rclcpp_components",
+    )
+    executable: str | None = optional(
+        kinds.EXECUTABLE,
+        "Program of a stock container. By default component_container.",
+        "component_container_mt",
+    )
+    arguments: list[str] | None = optional(
+        kinds.list_of(kinds.TEXT), "Strings for the program of a stock container.", ["--verbose"]
+    )
+    attach: bool | None = optional(
+        kinds.BOOLEAN, "Whether a stock container was started by somebody else.", True
+    )
+    process_parameters: Any = _PROCESS_PARAMETERS
+    prefix: list[str] | None = _PREFIX
+    cwd: str | None = _CWD
+    output: Output | None = _OUTPUT
+    on_exit: OnExit | None = optional(
+        kinds.choice(OnExit),
+        "What follows when it ends by itself: restart or shutdown. By default restart.",
+        "shutdown",
+    )
+    depends_on: Any = _DEPENDS_ON
+    start_delay: float | None = _START_DELAY
+    auto_reload_on_crash: bool | None = _AUTO_RELOAD_ON_CRASH
+    on_crash: OnCrash | None = _ON_CRASH
+    log_level: str | None = _LOG_LEVEL
+    environment: Any = _ENVIRONMENT
+    ros_arguments: list[str] | None = _ROS_ARGUMENTS
+    resources: ResourcesSection | None = _RESOURCES
+    restart: RestartSection | None = _RESTART
+    loading_timeout: float | None = _LOADING_TIMEOUT
+    probe_timeout: float | None = _PROBE_TIMEOUT
+    composable_nodes: Any = raw(
+        "Nodes that are loaded into the container. Merged by name with included ones.",
+        [{"package": "demo", "plugin": "demo::Talker", "name": "talker"}],
+    )
 
 
 class ComposableNodeSection(Section):
     """One entry of `composable_nodes`."""
 
-    advice: ClassVar[Mapping[str, str]] = _SAME_FOR_ALL | {
-        "node_plugin": "plugin",
-        "class": "plugin",
-        "extra_args": "extra_arguments",
-        "extra_arg": "extra_arguments",
-        "environment": "nodes in one container share its environment; set it there",
-        "executable": "a composable node is a class: plugin",
-    }
-
-    package: str = required(kinds.PACKAGE)
-    plugin: str = required(kinds.PLUGIN)
-    name: str | None = optional(kinds.OWN_NODE_NAME)
-    namespace: str | None = optional(kinds.NAMESPACE)
-    depends_on: Any = raw()
-    start_delay: float | None = optional(kinds.DURATION)
-    autostart: Autostart | None = optional(kinds.choice(Autostart))
-    transition_timeout: float | None = optional(kinds.POSITIVE_DURATION_OR_NEVER)
-    parameters: Any = raw()
-    remappings: Any = raw()
-    extra_arguments: Any = raw()
-    log_level: str | None = optional(kinds.LOG_LEVEL)
-    auto_reload_on_crash: bool | None = optional(kinds.BOOLEAN)
-    on_crash: OnCrash | None = optional(kinds.choice(OnCrash))
-    resources: ResourcesSection | None = nested(ResourcesSection)
-    restart: RestartSection | None = nested(RestartSection)
-    remove: Any = merging()
+    package: str = required(kinds.PACKAGE, "Package that has the component.", "play_launch_demo")
+    plugin: str = required(kinds.PLUGIN, "Class of the component.", "play_launch_demo::Talker")
+    name: str | None = optional(
+        kinds.OWN_NODE_NAME,
+        "A node name: letters, digits and _, not beginning with a digit. Without it, the "
+        "component keeps its own.",
+        "talker",
+    )
+    namespace: str | None = _NAMESPACE
+    depends_on: Any = _DEPENDS_ON
+    start_delay: float | None = _START_DELAY
+    autostart: Autostart | None = _AUTOSTART
+    transition_timeout: float | None = _TRANSITION_TIMEOUT
+    parameters: Any = _PARAMETERS
+    remappings: Any = _REMAPPINGS
+    extra_arguments: Any = raw(
+        "Parameters for the container; no files.", {"use_intra_process_comms": True}
+    )
+    log_level: str | None = _LOG_LEVEL
+    auto_reload_on_crash: bool | None = _AUTO_RELOAD_ON_CRASH
+    on_crash: OnCrash | None = _ON_CRASH
+    resources: ResourcesSection | None = _RESOURCES
+    restart: RestartSection | None = _RESTART
 
 
 class ProcessSection(Section):
     """One entry of `nodes`."""
 
-    advice: ClassVar[Mapping[str, str]] = _SAME_FOR_ALL | {
-        "cmd": "command",
-        "args": "arguments",
-        "plugin": "a node with a plugin belongs into composable_nodes of a container",
-        "respawn_delay": "restart: {backoff: {initial: ...}}",
-        "respawn_max_retries": "restart: {max_restarts: ...}",
-    }
-
-    command: list[str] | None = optional(kinds.COMMAND)
-    package: str | None = optional(kinds.PACKAGE)
-    executable: str | None = optional(kinds.EXECUTABLE)
-    name: str | None = optional(kinds.OWN_NODE_NAME)
-    namespace: str | None = optional(kinds.NAMESPACE)
-    parameters: Any = raw()
-    process_parameters: Any = raw()
-    remappings: Any = raw()
-    arguments: list[str] | None = optional(kinds.list_of(kinds.TEXT))
-    ros_arguments: list[str] | None = optional(kinds.ROS_ARGUMENTS)
-    environment: Any = raw()
-    prefix: list[str] | None = optional(kinds.PREFIX)
-    depends_on: Any = raw()
-    start_delay: float | None = optional(kinds.DURATION)
-    autostart: Autostart | None = optional(kinds.choice(Autostart))
-    transition_timeout: float | None = optional(kinds.POSITIVE_DURATION_OR_NEVER)
-    cwd: str | None = optional(kinds.FILLED_TEXT)
-    emulate_tty: bool | None = optional(kinds.BOOLEAN)
-    output: Output | None = optional(kinds.choice(Output))
-    on_exit: OnExit | None = optional(kinds.choice(OnExit))
-    respawn: bool | None = optional(kinds.BOOLEAN)
-    resources: ResourcesSection | None = nested(ResourcesSection)
-    restart: RestartSection | None = nested(RestartSection)
-    log_level: str | None = optional(kinds.LOG_LEVEL)
-    remove: Any = merging()
+    command: list[str] | None = optional(
+        kinds.COMMAND, "The program and its arguments.", ["python3", "my_node.py"]
+    )
+    package: str | None = optional(kinds.PACKAGE, "Package with the executable.", "demo_nodes_py")
+    executable: str | None = optional(
+        kinds.EXECUTABLE, "Name of the executable, without folders.", "listener"
+    )
+    name: str | None = optional(
+        kinds.OWN_NODE_NAME,
+        "A node name: letters, digits and _, not beginning with a digit. With command only a "
+        "label.",
+        "listener",
+    )
+    namespace: str | None = _NAMESPACE
+    parameters: Any = _PARAMETERS
+    process_parameters: Any = _PROCESS_PARAMETERS
+    remappings: Any = _REMAPPINGS
+    arguments: list[str] | None = optional(
+        kinds.list_of(kinds.TEXT), "Strings for the executable; not with command.", ["--fast"]
+    )
+    ros_arguments: list[str] | None = _ROS_ARGUMENTS
+    environment: Any = _ENVIRONMENT
+    prefix: list[str] | None = _PREFIX
+    depends_on: Any = _DEPENDS_ON
+    start_delay: float | None = _START_DELAY
+    autostart: Autostart | None = _AUTOSTART
+    transition_timeout: float | None = _TRANSITION_TIMEOUT
+    cwd: str | None = _CWD
+    emulate_tty: bool | None = optional(
+        kinds.BOOLEAN, "Whether its output goes to a terminal. By default false.", True
+    )
+    output: Output | None = _OUTPUT
+    on_exit: OnExit | None = optional(
+        kinds.choice(OnExit),
+        "What follows when it ends by itself: ignore, restart or shutdown. By default ignore.",
+        "restart",
+    )
+    resources: ResourcesSection | None = _RESOURCES
+    restart: RestartSection | None = nested(
+        RestartSection, "Restart limits; only with on_exit: restart.", {"max_restarts": 5}
+    )
+    log_level: str | None = _LOG_LEVEL

@@ -19,52 +19,53 @@ if TYPE_CHECKING:
 
 
 class Key(NamedTuple):
-    """A key of a section: what checks its value, or the section that stands there.
+    """A key of a section: what checks its value, or the section of the mapping that is its value.
 
-    A raw key gets the YAML node instead of a value. One that is `merging` is about other files, and
-    nothing of it is left once these are merged.
+    A raw key gets the YAML node instead of a value. A `merging` key is about included files and is
+    dropped when these are merged.
     """
 
     schema: CoreSchema
+    description: str
+    """One or two sentences for editors and the reference."""
+    examples: tuple[Any, ...] = ()
+    """Values as they are written in the file."""
     required: bool = False
     raw: bool = False
     section: type[Section] | None = None
     merging: bool = False
 
 
-def required(schema: CoreSchema) -> Any:
-    """Declare a key that has to be there."""
-    return Key(schema, required=True)
+def required(schema: CoreSchema, description: str, *examples: object) -> Any:
+    """Declare a key that has to be given."""
+    return Key(schema, description, examples, required=True)
 
 
-def optional(schema: CoreSchema) -> Any:
+def optional(schema: CoreSchema, description: str, *examples: object) -> Any:
     """Declare a key that may be absent or null, which are the same."""
-    return Key(core_schema.nullable_schema(schema))
+    return Key(core_schema.nullable_schema(schema), description, examples)
 
 
-def raw() -> Any:
-    """Declare an optional key whose value is looked at elsewhere, with places at hand."""
-    return Key(core_schema.any_schema(), raw=True)
+def raw(description: str, *examples: object) -> Any:
+    """Declare an optional key whose value is checked where its location is known."""
+    return Key(core_schema.any_schema(), description, examples, raw=True)
 
 
-def merging() -> Any:
-    """Declare a key that says what becomes of an included file."""
-    return Key(core_schema.any_schema(), raw=True, merging=True)
+def merging(description: str, *examples: object) -> Any:
+    """Declare a key about included files."""
+    return Key(core_schema.any_schema(), description, examples, raw=True, merging=True)
 
 
-def nested(section: type[Section]) -> Any:
-    """Declare an optional key with a section of its own."""
-    return Key(core_schema.nullable_schema(section.schema()), section=section)
+def nested(section: type[Section], description: str, *examples: object) -> Any:
+    """Declare an optional key whose value is a mapping with a section of its own."""
+    schema = core_schema.nullable_schema(section.schema())
+    return Key(schema, description, examples, section=section)
 
 
 class Section:
-    """A mapping of the configuration; `advice` says what to write instead of some foreign keys.
-
-    A section that is made of another one has its keys, too, after its own.
-    """
+    """A mapping of the configuration. A subclass has the keys of its base after its own."""
 
     keys: ClassVar[Mapping[str, Key]] = {}
-    advice: ClassVar[Mapping[str, str]] = {}
 
     def __init_subclass__(cls) -> None:
         own = {name: key for name, key in vars(cls).items() if isinstance(key, Key)}

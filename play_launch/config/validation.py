@@ -8,7 +8,6 @@ from pydantic_core import ValidationError
 
 from play_launch.config.problems import excerpt
 from play_launch.config.section import Section
-from play_launch.config.sources.merge import REMOVE
 from play_launch.config.yaml.scalars import ScalarKind
 from play_launch.config.yaml.tree import Mapping, Scalar, Sequence, describe_node
 
@@ -25,6 +24,7 @@ SomeSection = TypeVar("SomeSection", bound=Section)
 _LONGEST_KEY_TO_GUESS = 40
 _MOST_GUESSES = 100  # guessing takes long beside everything else; a file with more is no typo
 _YAML_1_1_BOOL = {"yes": "true", "on": "true", "y": "true", "no": "false", "off": "false"}
+_RENAMED = {"otherwise": "on_timeout", "respawn": "on_exit: restart"}
 _WRAPPERS = frozenset({"nullable", "function-after"})
 _EXPECTED = {
     "string_type": "a string",
@@ -45,8 +45,6 @@ def validate_mapping(section: type[SomeSection], at: At) -> SomeSection | None:
     for entry, value in at.entries():
         key = section.keys.get(entry.key)
         if key is not None and key.merging:
-            if entry.key == REMOVE:
-                value.problem("nothing to remove: no included file has it", entry.place)
             continue
         if key is not None and key.raw:
             values[entry.key] = entry.value
@@ -158,14 +156,8 @@ def _keys(section: type[Section]) -> str:
 def _unknown_key(key: str, section: type[Section], report: Report) -> str:
     known = list(section.keys)
     message = f"unknown key {excerpt(key)}"
-    advice = section.advice.get(key)
-    if advice is not None:
-        if advice in known:
-            return f"{message}; did you mean {excerpt(advice)}?"
-        # Another spelling of a key that does not belong here either.
-        advice = section.advice.get(advice, advice)
-        if " " in advice:
-            return f"{message}; {advice}"
+    if key in _RENAMED:
+        return f"{message}; did you mean {excerpt(_RENAMED[key])}?"
     if len(key) <= _LONGEST_KEY_TO_GUESS and len(report) < _MOST_GUESSES:
         import difflib  # noqa: PLC0415 - a good file needs no guesses
 

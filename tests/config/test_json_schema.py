@@ -11,11 +11,10 @@ import pytest
 import yaml
 
 from play_launch.cli.schema import SCHEMA_FILE, schema_text
-from play_launch.config import schema
-from play_launch.config.json_schema.export import json_schema
-from play_launch.config.json_schema.texts import TEXTS
+from play_launch.config import resource_schema, schema
 from play_launch.config.load import parse_config
 from play_launch.config.problems import ConfigError
+from play_launch.config.schema_export import json_schema
 from play_launch.config.section import Section
 from tests.config.schema_check import problems
 
@@ -23,8 +22,11 @@ ROOT = Path(__file__).resolve().parents[2]
 SAMPLES = sorted((ROOT / "configs").glob("*.yaml"))
 SECTIONS = {
     name: found
-    for name, found in vars(schema).items()
-    if isinstance(found, type) and issubclass(found, Section) and not found.__subclasses__()
+    for name, found in {**vars(schema), **vars(resource_schema)}.items()
+    if isinstance(found, type)
+    and issubclass(found, Section)
+    and found is not Section
+    and not found.__subclasses__()
 }
 """Those that stand somewhere, not what they are made of."""
 
@@ -35,17 +37,11 @@ def test_the_installed_schema_is_that_of_the_program() -> None:
     )
 
 
-def test_every_key_has_a_text_and_every_text_a_key() -> None:
-    assert {name: sorted(section.keys) for name, section in SECTIONS.items()} == {
-        name: sorted(texts) for name, texts in TEXTS.items()
-    }
-
-
 @pytest.mark.parametrize(
-    ("section", "key"), [(name, key) for name, keys in TEXTS.items() for key in keys]
+    ("section", "key"), [(name, key) for name, section in SECTIONS.items() for key in section.keys]
 )
 def test_texts_are_sentences_with_examples_that_fit(section: str, key: str) -> None:
-    about = TEXTS[section][key]
+    about = SECTIONS[section].keys[key]
     assert re.fullmatch(r"[a-zA-Z].*\.", about.description), about.description
     assert about.examples
     found = json_schema()

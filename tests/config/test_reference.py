@@ -10,34 +10,26 @@ from pathlib import Path
 
 import pytest
 
-from play_launch.config import schema
+from play_launch.config import resource_schema, schema
 from play_launch.config.load import load_config
 from play_launch.config.model import (
     DEFAULT_TOPICS,
     BeforeCrashConfig,
     ContainerConfig,
     ContainerType,
-    Isolation,
     ParameterType,
     RecordConfig,
     StopLimits,
 )
 from play_launch.config.policies import OnCrash, OnExit, RestartLimits
 from play_launch.config.problems import ConfigError
+from play_launch.config.resolve import record
 from play_launch.config.schema import DependencySection
 from play_launch.config.section import Section
-from play_launch.config.source import LARGEST_FILE
 from play_launch.config.values import (
-    LONGEST_DURATION,
-    LONGEST_FULL_NAME,
-    LONGEST_NAMESPACE,
-    LONGEST_NODE_NAME,
-    LONGEST_TOPIC,
     parse_duration,
     parse_size,
 )
-from play_launch.config.yaml.compose import ARRAY_TAGS, DEEPEST, MOST_VALUES
-from play_launch.runtime.watch import WatchLimits
 
 REFERENCE = Path(__file__).parents[2] / "docs" / "config.md"
 TEXT = REFERENCE.read_text(encoding="utf-8")
@@ -62,7 +54,7 @@ SECTIONS: dict[str, type[Section]] = {
     "Top level": schema.DocumentSection,
     "stop": schema.StopSection,
     "composable_node_loading": schema.LoadingSection,
-    "cgroups": schema.CgroupsSection,
+    "cgroups": resource_schema.CgroupsSection,
     "containers": schema.ContainerSection,
     "composable_nodes": schema.ComposableNodeSection,
     "nodes": schema.ProcessSection,
@@ -141,16 +133,6 @@ def test_every_choice_is_explained(title: str, key: str, choices: type[StrEnum])
     assert re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE) == list(choices)
 
 
-def test_the_choices_of_isolation_are_listed() -> None:
-    for choice in Isolation:
-        assert f"`{choice}`" in section("composable_node_loading")
-        assert f"`{choice}`" in section("Container types")
-
-
-def test_the_watchdog_s_limit_is_true() -> None:
-    assert f"does not answer for {WatchLimits().timeout:g} s" in section("Crashes")
-
-
 def test_keys_of_restart() -> None:
     listed = re.findall(r"^\| `(\w+)` \|", section("restart"), re.MULTILINE)
     keys = [*schema.RestartSection.keys, *schema.BackoffSection.keys]
@@ -160,9 +142,9 @@ def test_keys_of_restart() -> None:
 @pytest.mark.parametrize(
     ("key", "owner"),
     [
-        ("key", schema.ResourcesSection),
-        ("key of `scheduler`", schema.SchedulerSection),
-        ("key of `rlimits`", schema.RlimitsSection),
+        ("key", resource_schema.ResourcesSection),
+        ("key of `scheduler`", resource_schema.SchedulerSection),
+        ("key of `rlimits`", resource_schema.RlimitsSection),
     ],
 )
 def test_keys_of_resources(key: str, owner: type[Section]) -> None:
@@ -173,11 +155,11 @@ def test_keys_of_resources(key: str, owner: type[Section]) -> None:
 @pytest.mark.parametrize(
     ("key", "listed_as", "owner"),
     [
-        ("key", "record", schema.RecordSection),
-        ("key of `rotate`", "rotate", schema.RotateSection),
-        ("key of `keep`", "keep", schema.KeepSection),
-        ("key of `sampling`", "sampling", schema.SamplingSection),
-        ("key of `before_crash`", "before_crash", schema.BeforeCrashSection),
+        ("key", "record", record.RecordSection),
+        ("key of `rotate`", "rotate", record.RotateSection),
+        ("key of `keep`", "keep", record.KeepSection),
+        ("key of `sampling`", "sampling", record.SamplingSection),
+        ("key of `before_crash`", "before_crash", record.BeforeCrashSection),
     ],
 )
 def test_keys_of_record(key: str, listed_as: str, owner: type[Section]) -> None:
@@ -192,17 +174,17 @@ def test_defaults_of_record() -> None:
     size, *_ = [written for key, written in rows if key == "size"]
     duration, *_ = [written for key, written in rows if key == "duration"]
     period, *_ = [written for key, written in rows if key == "period"]
-    record = RecordConfig()
-    assert parse_duration(sync) == record.sync
-    assert parse_size(size) == record.rotate.size
-    assert parse_duration(duration) == record.rotate.duration
-    assert parse_duration(period) == record.sampling.period
+    defaults = RecordConfig()
+    assert parse_duration(sync) == defaults.sync
+    assert parse_size(size) == defaults.rotate.size
+    assert parse_duration(duration) == defaults.rotate.duration
+    assert parse_duration(period) == defaults.sampling.period
     written = dict(rows)
     before_crash = BeforeCrashConfig(())
     assert parse_duration(written["seconds"]) == before_crash.seconds
     assert int(written["megabytes"]) == before_crash.megabytes
     assert written["ros"] == "`true`"
-    assert record.ros
+    assert defaults.ros
     assert all(f"`{topic}`" in section("record") for topic in DEFAULT_TOPICS)
 
 
@@ -239,18 +221,6 @@ def test_every_type_of_parameter_is_shown(tmp_path: Path) -> None:
     by_name = {one.name: one.value.type.name.lower() for one in parameters}
     for kind in ParameterType:
         assert by_name[kind.name.lower()] == kind.name.lower()
-
-
-def test_numbers() -> None:
-    yaml = section("YAML")
-    assert f"{LARGEST_FILE // 2**20} MiB" in yaml
-    assert f"{MOST_VALUES:,} keys" in yaml
-    assert f"{DEEPEST} levels" in yaml
-    assert f"{LONGEST_DURATION / 3600:.0f} h" in section("Durations")
-    names = section("Names")
-    for longest in (LONGEST_NODE_NAME, LONGEST_FULL_NAME, LONGEST_NAMESPACE, LONGEST_TOPIC):
-        assert str(longest) in names
-    assert all(f"`{tag}`" in TEXT for tag in ARRAY_TAGS)
 
 
 def test_the_report_that_is_shown_is_real(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

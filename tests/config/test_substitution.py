@@ -229,7 +229,11 @@ def test_quotes_make_strings_and_the_message_says_so() -> None:
         ),
         ("  parameters:\n    a:\n      b: ${env:NONE}", "6:10: nodes[0].parameters.a.b", "not set"),
         ("  environment:\n    ${env:NONE}: a", "5:5: nodes[0].environment", "a key takes no"),
-        ("  respawn: ${arg:x:-perhaps}", "4:12: nodes[0].respawn", "expected true or false"),
+        (
+            "  emulate_tty: ${arg:x:-perhaps}",
+            "4:16: nodes[0].emulate_tty",
+            "expected true or false",
+        ),
         ("  name: ${arg:x:-a b}", "4:9: nodes[0].name", "holds"),
     ],
 )
@@ -242,7 +246,7 @@ def test_mistakes_have_their_place(line: str, place: str, why: str) -> None:
 def test_arguments_that_nothing_reads_are_refused() -> None:
     (problem,) = problems(f"{NODE}  log_level: ${{arg:level:-warn}}\n", ("levl:=info",))
     assert problem == (
-        "a/demo.yaml:1:1: (arguments): nothing reads the argument levl; what is read: level"
+        "a/demo.yaml:1:1: (arguments): nothing reads the argument levl; known arguments: level"
     )
     (problem,) = problems(NODE, ("x:=1",))
     assert problem.endswith("the configuration reads no arguments")

@@ -24,7 +24,7 @@ containers:
 nodes:
   - name: writes
     command: [sh, -c, "while :; do echo line; sleep 0.1; done"]
-    respawn: true
+    on_exit: restart
 """
 # Ends by itself when all is written.
 LINES = 50

@@ -166,7 +166,7 @@ nodes:
         ),
         ("speed: 1", "speed: 2", {"/runner": Action.SET}),
         ("[run]", "[run, --fast]", {"/runner": Action.RESTART}),
-        ("name: runner", "name: runner, respawn: true", {"/runner": Action.ADOPT}),
+        ("name: runner", "name: runner, on_exit: restart", {"/runner": Action.ADOPT}),
         ("name: runner", "name: runner, environment: {A: b}", {"/runner": Action.RESTART}),
         ("version: 1", "version: 1\nrecord: {sync: 2}", {"": Action.KEEP}),
         ("version: 1", "version: 1\nstop: {ask: 9}", {"": Action.ADOPT}),

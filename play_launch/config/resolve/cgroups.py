@@ -9,14 +9,14 @@ from msgspec.structs import replace
 
 from play_launch.config.group_limits import GroupPolicy
 from play_launch.config.resolve.resources import refined_limits, refuse
-from play_launch.config.schema import GroupLimitsSection
+from play_launch.config.resource_schema import GroupLimitsSection
 from play_launch.config.validation import validate_mapping
 from play_launch.config.yaml.tree import Mapping
 
 if TYPE_CHECKING:
     from play_launch.config.resolve.resources import Process
+    from play_launch.config.resource_schema import CgroupsSection
     from play_launch.config.resources import Resources
-    from play_launch.config.schema import CgroupsSection
     from play_launch.config.yaml.tree import At
 
 _DEFAULTS: Final = "defaults"

@@ -178,7 +178,7 @@ def resolve_process(at: At, shared: Shared) -> ProcessConfig | None:
         return None
     restart = refined_restart(RestartLimits(), section.restart, at)
     resources = refined_resources(Resources(), section.resources, at, Process.PROGRAM)
-    on_exit = _on_exit(section, at)
+    on_exit = section.on_exit or OnExit.IGNORE
     if section.restart is not None and on_exit is not OnExit.RESTART:
         at.blame("restart").problem("only read with on_exit: restart; add that")
     namespace = section.namespace or ""
@@ -212,16 +212,6 @@ def resolve_process(at: At, shared: Shared) -> ProcessConfig | None:
         line=at.node.place.line,
         file=at.node.place.file,
     )
-
-
-def _on_exit(section: ProcessSection, at: At) -> OnExit:
-    on_exit, respawn = section.on_exit, section.respawn
-    if on_exit is None:
-        return OnExit.RESTART if respawn else OnExit.IGNORE
-    if respawn is not None and respawn is not (on_exit is OnExit.RESTART):
-        message = f"contradicts on_exit: {on_exit}; leave one of them out"
-        at.blame("respawn").problem(message)
-    return on_exit
 
 
 def _check_combinations(at: At) -> None:

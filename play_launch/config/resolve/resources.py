@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from play_launch.config.group_limits import GroupLimits
-    from play_launch.config.schema import (
+    from play_launch.config.resource_schema import (
         LimitsSection,
         ResourcesSection,
         SchedulerSection,

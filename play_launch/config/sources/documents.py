@@ -59,7 +59,12 @@ class Documents:
 
     def read(self, content: bytes, source: Path) -> Node | None:
         """Return the tree of a configuration; None after every reason was reported."""
-        return self._read(_File(source, content, {}, None, ()))
+        arguments = {name: Given(value) for name, value in self._taken.arguments.items()}
+        file = _File(source, content, arguments, None, ())
+        root = self._read(file)
+        if root is not None:
+            self._refuse_unread(file, {})
+        return root
 
     def _read(self, file: _File) -> Node | None:
         name = str(file.path)
@@ -90,7 +95,7 @@ class Documents:
         base = Mapping(root.place, {})
         for inclusion in self._inclusions_in(includes, file):
             included = self._read(inclusion)
-            _refuse_unread(inclusion, file)
+            self._refuse_unread(inclusion, file.arguments)
             if isinstance(included, Mapping):
                 base = merge(base, At(included, "", self._report))
             elif included is not None:
@@ -105,7 +110,7 @@ class Documents:
             if isinstance(entry.node, Mapping):
                 at_file = entry.value("file")
                 arguments = _arguments(entry)
-            if any(given.at.is_invalid for given in arguments.values()):
+            if any(given.at and given.at.is_invalid for given in arguments.values()):
                 continue  # what follows from that would be reported as well
             if at_file is None or not at_file.string:
                 (at_file or entry).expected(_ENTRY)
@@ -139,12 +144,18 @@ class Documents:
             content = self.included[path] = found
         return _File(path, content, arguments, at.node.place, ancestors)
 
-
-def _refuse_unread(inclusion: _File, file: _File) -> None:
-    """Report arguments that the including file gives and nothing reads."""
-    for name, given in inclusion.arguments.items():
-        if given is not file.arguments.get(name) and not given.is_read:
-            given.at.problem(f"{inclusion.path} reads no argument {excerpt(name)}")
+    def _refuse_unread(self, file: _File, outer: Values[str, Given]) -> None:
+        """Report arguments of a file that nothing reads; `outer` are those of the including one."""
+        known = ", ".join(sorted(self._taken.known_arguments))
+        fix = f"known arguments: {known}" if known else "the configuration reads no arguments"
+        for name, given in file.arguments.items():
+            if given.is_read or given is outer.get(name):
+                continue
+            message = f"nothing reads the argument {name}; {fix}"
+            if given.at is None:
+                self._report.add(Place(str(file.path), 1, 1), "(arguments)", message)
+            else:
+                given.at.problem(message)
 
 
 def _arguments(entry: At) -> dict[str, Given]:

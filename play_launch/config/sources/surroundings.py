@@ -40,10 +40,10 @@ class Surroundings(Struct, frozen=True):
 
 
 class Given(Struct):
-    """An argument that one file gives to another that it includes, and whether that reads it."""
+    """An argument of an inclusion or of the command line, where `at` is None."""
 
     value: str
-    at: At
+    at: At | None = None
     is_read: bool = False
 
 
@@ -74,20 +74,16 @@ class Taken:
         """The packages whose share folder was taken, and the folders."""
         return dict(self._packages)
 
-    @property
-    def unread_arguments(self) -> list[str]:
-        """The arguments that were given and that no file reads."""
-        return [name for name in self._from.arguments if name not in self.known_arguments]
-
     def substitutions(self, own: Mapping[str, Given]) -> Callable[[str], str]:
         """Return what carries out substitutions in a file that is included with arguments."""
 
         def argument(name: str) -> str | None:
-            if name in own:
-                own[name].is_read = True
-                return own[name].value
             self.known_arguments.add(name)
-            return self._from.arguments.get(name)
+            given = own.get(name)
+            if given is None:
+                return None
+            given.is_read = True
+            return given.value
 
         lookup = Lookup(self._variable, argument, self._share)
 

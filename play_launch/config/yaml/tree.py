@@ -32,15 +32,11 @@ class Scalar(Struct, frozen=True, eq=False):
 
 
 class Sequence(Struct, frozen=True, eq=False):
-    """A list; `array_tag` is one of the tags for ROS arrays, such as `!string_array`.
-
-    `labels` are what elements are called in paths, where their numbers are those of no file.
-    """
+    """A list; `array_tag` is one of the tags for ROS arrays, such as `!string_array`."""
 
     place: Place
     items: tuple[Node, ...]
     array_tag: str | None = None
-    labels: tuple[str, ...] | None = None
 
 
 class Entry(Struct, frozen=True, eq=False):
@@ -132,8 +128,7 @@ class At(Struct, frozen=True):
     def element(self, index: int) -> At:
         """Return an element of a list."""
         assert isinstance(self.node, Sequence)
-        label = str(index) if self.node.labels is None else self.node.labels[index]
-        return At(self.node.items[index], f"{self.path}[{label}]", self.report)
+        return At(self.node.items[index], f"{self.path}[{index}]", self.report)
 
 
 def describe_node(node: Node) -> str:

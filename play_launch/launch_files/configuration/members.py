@@ -223,7 +223,7 @@ class Members:
             return
         if not unit.respawn:
             return
-        entry["respawn"] = True
+        entry["on_exit"] = "restart"
         if restart := _restart(unit, unit.respawn_max_retries):
             entry["restart"] = restart
 

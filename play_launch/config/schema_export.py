@@ -1,20 +1,26 @@
-"""What a value of the configuration may be, as JSON Schema, from what checks it."""
+"""The JSON Schema of the configuration, derived from the sections in `schema`."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
+from play_launch.config import schema
 from play_launch.config.resource_values import HIGHEST_CPU
-from play_launch.config.schema import DependencySection
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from pydantic_core import CoreSchema
 
-    from play_launch.config.section import Section
+    from play_launch.config.section import Key, Section
 
 JsonSchema = dict[str, Any]
+
+_DIALECT: Final = "http://json-schema.org/draft-07/schema#"
+"""What the language server for YAML knows best."""
+_DESCRIPTION: Final = "A configuration of play-launch; `play-launch check` finds every mistake."
+_DEEPER: Final = frozenset({"ComposableNodeSection", "ProcessSection"})
+"""Sections in which nothing is required: an entry may be merged with an included one."""
 
 _SUBSTITUTION: Final[JsonSchema] = {"type": "string", "pattern": r"\$[{(]"}
 """What stands in place of a number or a truth value and becomes one."""
@@ -91,9 +97,8 @@ _ENTRY_OR_LIST: Final[JsonSchema] = {
         },
     ]
 }
-_KEYS: Final[JsonSchema] = {"type": "array", "items": {"type": "string"}}
 
-RAW: Final[Mapping[str, JsonSchema]] = {
+_RAW: Final[Mapping[str, JsonSchema]] = {
     "environment": {"type": "object", "additionalProperties": {"type": "string"}},
     "parameters": {
         "anyOf": [
@@ -128,25 +133,82 @@ RAW: Final[Mapping[str, JsonSchema]] = {
         "additionalProperties": {"$ref": "#/definitions/grouplimits"},
     },
     "include": {"anyOf": [*_ENTRY_OR_LIST["anyOf"], {"type": "array", "items": _ENTRY_OR_LIST}]},
-    "remove": {"anyOf": [{"const": True}, _KEYS]},
 }
 """Keys that are checked with their places at hand."""
-LISTS: Final[Mapping[str, str]] = {
+_LISTS: Final[Mapping[str, str]] = {
     "containers": "ContainerSection",
     "composable_nodes": "ComposableNodeSection",
     "nodes": "ProcessSection",
 }
 """Keys with a list of sections, by the name of the section."""
-OR_NAMES: Final[Mapping[str, type[Section]]] = {"depends_on": DependencySection}
+_OR_NAMES: Final[Mapping[str, type[Section]]] = {"depends_on": schema.DependencySection}
 """Keys with a list of sections, or of names in their place."""
 
 
-def value_schema(schema: CoreSchema) -> JsonSchema:
+def json_schema() -> dict[str, Any]:
+    """Return the schema, as JSON values."""
+    definitions: dict[str, Any] = {}
+    root = _section(schema.DocumentSection, definitions)
+    return {
+        "$schema": _DIALECT,
+        "title": "play-launch",
+        "description": _DESCRIPTION,
+        **root,
+        "definitions": dict(sorted(definitions.items())),
+    }
+
+
+def _section(section: type[Section], definitions: dict[str, Any]) -> JsonSchema:
+    properties = {}
+    for name, key in section.keys.items():
+        examples = {"examples": list(key.examples)} if key.examples else {}
+        properties[name] = {
+            "description": key.description,
+            **examples,
+            **_key(name, key, definitions),
+        }
+    required = [
+        name
+        for name, key in section.keys.items()
+        if key.required and section.__name__ not in _DEEPER
+    ]
+    return {
+        "type": "object",
+        "properties": properties,
+        **({"required": required} if required else {}),
+        "additionalProperties": False,
+    }
+
+
+def _key(name: str, key: Key, definitions: dict[str, Any]) -> JsonSchema:
+    if key.section is not None:
+        return _reference(key.section, definitions)
+    if name in _LISTS:
+        return {
+            "type": "array",
+            "items": _reference(getattr(schema, _LISTS[name]), definitions),
+        }
+    if name in _OR_NAMES:
+        entry = _reference(_OR_NAMES[name], definitions)
+        return {"type": "array", "items": {"anyOf": [{"type": "string"}, entry]}}
+    return _RAW[name] if key.raw else _value_schema(key.schema)
+
+
+def _reference(section: type[Section], definitions: dict[str, Any]) -> JsonSchema:
+    name = section.__name__.removesuffix("Section").lower()
+    if name not in definitions:
+        definitions[name] = None
+        definitions[name] = _section(section, definitions)
+    # Beside a reference nothing else is read in this dialect.
+    return {"allOf": [{"$ref": f"#/definitions/{name}"}]}
+
+
+def _value_schema(schema: CoreSchema) -> JsonSchema:
     """Return what the core schema of a key accepts; raise KeyError where that is not known."""
     core: Mapping[str, Any] = schema
     match core["type"]:
         case "nullable" | "function-after":
-            return value_schema(core["schema"])
+            return _value_schema(core["schema"])
         case "str":
             return {"type": "string"}
         case "bool":
@@ -157,12 +219,12 @@ def value_schema(schema: CoreSchema) -> JsonSchema:
             return {"anyOf": [{"type": "integer", **limits}, _SUBSTITUTION]}
         case "list":
             least = {"minItems": core["min_length"]} if core.get("min_length") else {}
-            return {"type": "array", "items": value_schema(core["items_schema"]), **least}
+            return {"type": "array", "items": _value_schema(core["items_schema"]), **least}
         case "function-wrap":
             # What the wrapped schema is not, the function reads as a size.
-            return {"anyOf": [_SHAPES["size"], value_schema(core["schema"])]}
+            return {"anyOf": [_SHAPES["size"], _value_schema(core["schema"])]}
         case "dict":
-            return {"type": "object", "additionalProperties": value_schema(core["values_schema"])}
+            return {"type": "object", "additionalProperties": _value_schema(core["values_schema"])}
         case _:
             return _parsed(core["metadata"])
 
