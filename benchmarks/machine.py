@@ -6,7 +6,7 @@ import os
 import platform
 from typing import Any
 
-from play_launch.container.allocator import find_allocator
+from play_launch.container.environment import find_allocator
 
 
 def machine() -> dict[str, Any]:

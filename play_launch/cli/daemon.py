@@ -248,10 +248,10 @@ def _seconds(text: str) -> float:
 
 
 def _require_ros() -> None:
-    from play_launch.container.middleware import middleware_problem  # noqa: PLC0415
     from play_launch.container.ros import (  # noqa: PLC0415
         MixedInstallationError,
         NotInstalledError,
+        middleware_problem,
         ros_installation,
     )
     from play_launch.process.machine import (  # noqa: PLC0415

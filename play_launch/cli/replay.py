@@ -158,11 +158,11 @@ def _sweep() -> None:
 
 def _require_ros() -> None:
     from play_launch.config.values import domain_problem  # noqa: PLC0415
-    from play_launch.container.middleware import middleware_problem  # noqa: PLC0415
     from play_launch.container.ros import (  # noqa: PLC0415
         MixedInstallationError,
         NotInstalledError,
         component_container,
+        middleware_problem,
         python_packages_problem,
         ros_installation,
         spawn_guard,

@@ -13,24 +13,17 @@ from collections import deque
 from typing import TYPE_CHECKING, Self
 
 from play_launch.container.codec import (
+    MAX_FRAME_LENGTH,
+    Frame,
+    FrameDecoder,
+    FrameError,
     MessageError,
     decode_message,
     encode_message,
 )
-from play_launch.container.frames import (
-    MAX_FRAME_LENGTH,
-    PROTOCOL_VERSION,
-    Frame,
-    FrameDecoder,
-    FrameError,
-)
-from play_launch.container.messages import (
-    Hello,
-)
+from play_launch.container.messages import PROTOCOL_VERSION, Hello
 
 if TYPE_CHECKING:
-    from types import TracebackType
-
     from play_launch.container.messages import Incoming, Outgoing
 
 CONTROL_FD_VARIABLE = "PLAY_LAUNCH_CONTROL_FD"
@@ -138,7 +131,6 @@ class ControlChannel:
         """
         ours.setblocking(False)
         self.container = container
-        self.skipped_frames = 0
         self._socket = ours
         self._loop = asyncio.get_running_loop()
         self._decoder = FrameDecoder()
@@ -169,7 +161,7 @@ class ControlChannel:
         return first
 
     async def receive(self) -> Incoming:
-        """Wait for the next message; frames of an unknown kind are skipped and counted.
+        """Wait for the next message; frames of an unknown kind are skipped.
 
         Raises:
             ControlError: When the channel is of no use any more.
@@ -207,17 +199,6 @@ class ControlChannel:
         self._frames.clear()
         self._fail(ChannelClosedError("the control channel was closed by the supervisor"))
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self.close()
-
     def __repr__(self) -> str:
         state = "open" if self._error is None else str(self._error)
         return f"<ControlChannel to {self.container}: {state}>"
@@ -232,7 +213,6 @@ class ControlChannel:
             self._frames.clear()
             raise self._fail(ProtocolViolationError(str(error))) from error
         if message is None:
-            self.skipped_frames += 1
             _log.warning("%s sent a frame of unknown kind %d", self.container, frame.kind)
             return None
         return message

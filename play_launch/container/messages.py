@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 
 from msgspec import Struct
 
-from play_launch.container.frames import PROTOCOL_VERSION
 from play_launch.supervisor.events import ComponentEvent
 
 if TYPE_CHECKING:
     from play_launch.config.model import ParameterConfig
+
+
+PROTOCOL_VERSION: Final = 1
 
 
 class Hello(Struct, frozen=True, kw_only=True):

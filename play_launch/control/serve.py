@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from msgspec.structs import replace
 
-from play_launch.container.cdr.text import text_bytes
+from play_launch.container.cdr.layout import text_bytes
 from play_launch.control.client import own_command
 from play_launch.control.messages import Caller, Hello
 from play_launch.control.operations import Changes, Operations

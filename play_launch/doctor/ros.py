@@ -12,18 +12,23 @@ import tempfile
 from typing import TYPE_CHECKING, Final
 
 from play_launch.config.ament_index import ament_prefixes
-from play_launch.container.allocator import FIX, allocating_with, find_allocator
 from play_launch.container.channel import ControlChannel, ControlError, control_pair
 from play_launch.container.command import ExecutableNotFoundError, find_executable
-from play_launch.container.environment import child_environment
+from play_launch.container.environment import (
+    FIX,
+    allocating_with,
+    child_environment,
+    find_allocator,
+)
 from play_launch.container.messages import Hello, Shutdown
-from play_launch.container.middleware import VARIABLE, middleware_problem
 from play_launch.container.ros import (
+    RMW_VARIABLE,
     MixedInstallationError,
     NotInstalledError,
     RosInstallation,
     RosSource,
     component_container,
+    middleware_problem,
     ros_installation,
     spawn_guard,
 )
@@ -42,7 +47,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from play_launch.container.allocator import Allocator
+    from play_launch.container.environment import Allocator
 
 _OLDEST: Final = (3, 11)
 _NEWEST: Final = (3, 13)
@@ -113,7 +118,7 @@ def ros(environ: Mapping[str, str] = os.environ) -> tuple[str, list[Finding]]:
         findings.append(fail("rclpy", f"does not load: {obstacle}", _NOTHING_STARTS, fix))
     else:
         errors, rmw = _imports(environ)
-        if "rclpy" in errors and environ.get(VARIABLE):
+        if "rclpy" in errors and environ.get(RMW_VARIABLE):
             errors, rmw = _imports(_with_default_middleware(environ))
         for module, problem in errors.items():
             says = f"does not load: {problem}"
@@ -128,13 +133,13 @@ def ros(environ: Mapping[str, str] = os.environ) -> tuple[str, list[Finding]]:
     if obstacle:
         findings.append(fail("container", f"not started: {obstacle}", _NOTHING_STARTS, fix))
     else:
-        usable = environ if environ.get(VARIABLE) == rmw else _with_default_middleware(environ)
+        usable = environ if environ.get(RMW_VARIABLE) == rmw else _with_default_middleware(environ)
         findings += container(installation, usable)
     return rmw, findings
 
 
 def _with_default_middleware(environ: Mapping[str, str]) -> dict[str, str]:
-    return {name: value for name, value in environ.items() if name != VARIABLE}
+    return {name: value for name, value in environ.items() if name != RMW_VARIABLE}
 
 
 def _imports(environ: Mapping[str, str]) -> tuple[dict[str, str], str]:
@@ -163,15 +168,15 @@ def _imports(environ: Mapping[str, str]) -> tuple[dict[str, str], str]:
 
 
 def _middleware(rmw: str, ros: RosInstallation, environ: Mapping[str, str]) -> Finding:
-    in_use, requested = rmw or "unknown", environ.get(VARIABLE, "")
+    in_use, requested = rmw or "unknown", environ.get(RMW_VARIABLE, "")
     if requested in {"", in_use}:
         return ok("middleware", in_use)
     problem = middleware_problem(ros, environ)
     return fail(
         "middleware",
-        problem or f"{VARIABLE} is {requested}, but {requested} does not load",
+        problem or f"{RMW_VARIABLE} is {requested}, but {requested} does not load",
         f"every program with ROS exits at its start; the default is {in_use}",
-        "as it says" if problem else f"unset {VARIABLE}, or install it",
+        "as it says" if problem else f"unset {RMW_VARIABLE}, or install it",
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final, NamedTuple, assert_never
 
-from play_launch.container.cdr.log import log_message
+from play_launch.container.cdr.messages import log_message
 from play_launch.recording import forms, topics
 from play_launch.recording.console_format import ERROR, WARN, line_level
 from play_launch.supervisor.events import (

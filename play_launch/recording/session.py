@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Final
 from msgspec import Struct
 
 from play_launch.config.model import RecordConfig
-from play_launch.container.cdr.text import text_bytes
+from play_launch.container.cdr.layout import text_bytes
 from play_launch.recording import facts
 from play_launch.recording.bag import McapBagWriter, Rotation
 from play_launch.recording.errors import RecordingError, SessionFolderError, reason

@@ -18,23 +18,26 @@ from msgspec.structs import replace
 from play_launch.config.ament_index import ament_prefixes
 from play_launch.config.model import ContainerConfig, ContainerType, Isolation, ProcessConfig
 from play_launch.config.resources import NO_RESOURCES, Resources
-from play_launch.container.allocator import Allocator, find_allocator, for_isolation
 from play_launch.container.channel import CONTROL_FD_VARIABLE
 from play_launch.container.command import (
     ExecutableNotFoundError,
+    ParameterFileError,
     container_argv,
     find_executable,
+    parameter_file_of,
     probe_argv,
     process_argv,
     stock_container_argv,
-)
-from play_launch.container.environment import child_environment, foreign_python_environment
-from play_launch.container.parameter_file import (
-    ParameterFileError,
-    parameter_file_of,
     write_parameter_file,
 )
-from play_launch.container.preload import with_safe_waits
+from play_launch.container.environment import (
+    Allocator,
+    child_environment,
+    find_allocator,
+    for_isolation,
+    foreign_python_environment,
+    with_safe_waits,
+)
 from play_launch.container.ros import RosInstallation  # noqa: TC001 - as above
 from play_launch.process.kin import MEMBER_VARIABLE, mark_for
 from play_launch.ros.fastdds.middleware import asks_for_fastdds

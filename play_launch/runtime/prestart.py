@@ -12,8 +12,7 @@ import re
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
-from play_launch.container.allocator import find_allocator, for_isolation
-from play_launch.container.environment import child_environment
+from play_launch.container.environment import child_environment, find_allocator, for_isolation
 from play_launch.container.ros import (
     MixedInstallationError,
     NotInstalledError,

@@ -12,7 +12,7 @@ from composition_interfaces.srv import ListNodes
 from play_launch_msgs.msg import ComponentEvent, ControlCancel, ControlUnload, NodeStatus
 from std_msgs.msg import String
 
-from play_launch.container.allocator import find_allocator
+from play_launch.container.environment import find_allocator
 from tests.support.isolated import (
     MODES,
     children,

@@ -14,7 +14,7 @@ import psutil
 import pytest
 from rosbags.highlevel import AnyReader
 
-from play_launch.container.allocator import find_allocator
+from play_launch.container.environment import find_allocator
 from tests.support.replay import Replay, alive, replaying
 from tests.support.tracing import stopped_by_a_tracer
 

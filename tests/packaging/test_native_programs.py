@@ -7,8 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from play_launch.container.allocator import find_allocator
-from play_launch.container.environment import child_environment
+from play_launch.container.environment import child_environment, find_allocator
 from play_launch.container.ros import ros_installation
 from play_launch.ros.fastdds.shared_memory import sweep
 

@@ -17,8 +17,7 @@ from play_launch.cli.info import session_object
 from play_launch.cli.report import write_report
 from play_launch.cli.story_words import headline
 from play_launch.container.cdr.layout import Layout
-from play_launch.container.cdr.log import log_message
-from play_launch.container.cdr.messages import PROCESS_STATS
+from play_launch.container.cdr.messages import PROCESS_STATS, log_message
 from play_launch.postmortem.bag_reader import Message, Topic
 from play_launch.postmortem.crash_groups import CrashGroups
 from play_launch.postmortem.events import event_of

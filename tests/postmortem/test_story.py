@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from play_launch.cli.story_words import headline, paragraphs
-from play_launch.container.cdr.log import log_message
+from play_launch.container.cdr.messages import log_message
 from play_launch.postmortem.bag_reader import Message, Topic
 from play_launch.postmortem.findings import (
     IMPORTANCE,

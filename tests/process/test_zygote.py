@@ -22,8 +22,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from play_launch.container.allocator import find_allocator, for_isolation
-from play_launch.container.environment import child_environment
+from play_launch.container.environment import child_environment, find_allocator, for_isolation
 from play_launch.container.ros import component_container, ros_installation
 from play_launch.process.child import Child, spawn
 from play_launch.process.exit import Exit

@@ -15,7 +15,7 @@ from mcap.stream_reader import CRCValidationError, StreamReader
 from rosbags.highlevel.anyreader import AnyReaderError
 from zstandard import ZstdError
 
-from play_launch.container.cdr.log import log_message
+from play_launch.container.cdr.messages import log_message
 from play_launch.recording.bag import McapBagWriter
 from play_launch.recording.errors import WriteFailedError
 from play_launch.recording.topics import ALL_TOPICS, LOG, OUTPUT
@@ -121,7 +121,7 @@ def test_a_killed_writer_leaves_what_it_flushed(tmp_path: Path) -> None:
     program = """
         import sys
         from pathlib import Path
-        from play_launch.container.cdr.log import log_message
+        from play_launch.container.cdr.messages import log_message
         from play_launch.recording.bag import McapBagWriter
         from play_launch.recording.topics import OUTPUT
         writer = McapBagWriter(Path(sys.argv[1]))

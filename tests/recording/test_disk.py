@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from play_launch.container.cdr.log import log_message
+from play_launch.container.cdr.messages import log_message
 from play_launch.postmortem.bag_reader import BagReader
 from play_launch.recording.bag import McapBagWriter, Rotation
 from play_launch.recording.errors import WriteFailedError

@@ -10,7 +10,7 @@ import pytest
 from mcap.records import Attachment, Metadata, Schema
 from rosbags.highlevel import AnyReader
 
-from play_launch.container.cdr.log import log_message
+from play_launch.container.cdr.messages import log_message
 from play_launch.recording.bag import McapBagWriter, Rotation
 from play_launch.recording.convert import convert
 from play_launch.recording.mcap_file import MAGIC

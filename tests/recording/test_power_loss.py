@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from play_launch.container.cdr.log import log_message
+from play_launch.container.cdr.messages import log_message
 from play_launch.postmortem.bag_reader import BagReader
 from play_launch.recording.bag import McapBagWriter, Rotation
 from play_launch.recording.topics import OUTPUT

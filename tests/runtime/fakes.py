@@ -23,8 +23,8 @@ from play_launch.container.channel import (
     ControlError,
     VersionMismatchError,
 )
-from play_launch.container.frames import PROTOCOL_VERSION
 from play_launch.container.messages import (
+    PROTOCOL_VERSION,
     Accepted,
     Cancel,
     Hello,
@@ -304,8 +304,6 @@ def found_good(name: str, process: FakeProcess, on_output: OutputCallback) -> No
 
 
 class NoGroups(Groups):
-    """Nodes have no control groups."""
-
     def __init__(self) -> None:
         pass
 

@@ -9,8 +9,7 @@ from msgspec.structs import replace
 
 from play_launch.config.node_key import NodeKey
 from play_launch.config.policies import RestartLimits
-from play_launch.container.frames import PROTOCOL_VERSION
-from play_launch.container.messages import Hello, Load
+from play_launch.container.messages import PROTOCOL_VERSION, Hello, Load
 from play_launch.supervisor.events import (
     ComponentEventKind,
     ContainerState,

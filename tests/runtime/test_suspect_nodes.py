@@ -318,8 +318,7 @@ def test_of_what_a_library_writes_a_bounded_part_is_kept() -> None:
     def chatters(name: str, process: FakeProcess, on_output: OutputCallback) -> None:
         for number in range(1000):
             on_output(Stream.STDOUT, [Line(f"{number} {'x' * 1000}")])
-        lines = inspect.getclosurevars(on_output).nonlocals["stdout"]
-        kept.append(sum(map(len, lines)))
+        kept.append(sum(map(len, inspect.getclosurevars(on_output).nonlocals["stdout"])))
         poison(name, process, on_output)
 
     kept: list[int] = []

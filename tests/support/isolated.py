@@ -9,7 +9,7 @@ from pathlib import Path
 
 import psutil
 
-from play_launch.container.allocator import find_allocator, for_isolation
+from play_launch.container.environment import find_allocator, for_isolation
 from tests.support.control_peer import PATIENCE, PAUSE, Container, StartContainer
 
 MODES = {

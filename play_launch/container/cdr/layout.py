@@ -10,13 +10,24 @@ from __future__ import annotations
 from struct import Struct, error, pack_into, unpack_from
 from typing import TYPE_CHECKING, Any, Final
 
-from play_launch.container.cdr.text import text_bytes
-
 if TYPE_CHECKING:
     from collections.abc import Callable, Container, Mapping
 
     Writer = Callable[[bytearray, Any], None]
     Reader = Callable[[bytes, int], tuple[Any, int]]
+
+
+def text_bytes(text: str) -> bytes:
+    r"""Encode text for a CDR string, which can hold neither NUL nor half of a surrogate pair.
+
+    Both are written as escapes (``\x00``, ``\udc80``), so that nothing disappears.
+    """
+    try:
+        data = text.encode()
+    except UnicodeEncodeError:
+        data = text.encode("utf-8", "backslashreplace")
+    return data.replace(b"\0", b"\\x00") if b"\0" in data else data
+
 
 _ENCAPSULATION: Final = b"\x00\x01\x00\x00"
 """Little-endian CDR without options; positions are counted from its end."""

@@ -5,9 +5,10 @@ What their fields mean is said in the interface definitions; a test compares the
 
 from __future__ import annotations
 
+from struct import Struct
 from typing import Final
 
-from play_launch.container.cdr.layout import Layout
+from play_launch.container.cdr.layout import Layout, split_time, text_bytes
 
 COMPONENT_EVENT: Final = Layout(
     "stamp:t event_type:B unique_id:Q attempt:Q full_node_name:s package_name:s plugin_name:s "
@@ -75,4 +76,51 @@ CONTROL_CANCEL: Final = Layout("unique_id:Q")
 CONTROL_UNLOAD: Final = Layout("unique_id:Q")
 CONTROL_SHUTDOWN: Final = Layout("reason:s")
 LOG: Final = Layout("stamp:t level:B name:s msg:s file:s function:s line:I")
-"""Written by `play_launch.container.cdr.log`, where there may be many."""
+"""Written by `log_message`, where there may be many."""
+
+_LOG_HEAD: Final = Struct("<4siIB3xI")
+"""Encapsulation (little-endian CDR), stamp, level, and the length of the first string."""
+_LENGTH: Final = Struct("<I")
+_ENCAPSULATION: Final = b"\x00\x01\x00\x00"
+_PADDING: Final = (b"\0", b"\0\0\0\0", b"\0\0\0", b"\0\0")
+"""A string's terminator and the padding to the next 4 bytes, by its length modulo 4 with it."""
+
+
+def log_message(
+    stamp_ns: int,
+    level: int,
+    name: str,
+    message: str,
+    *,
+    file: str = "",
+    function: str = "",
+    line: int = 0,
+) -> bytes:
+    """Serialise one ``rcl_interfaces/Log``; ``stamp_ns`` is in nanoseconds since the epoch.
+
+    Lines of output arrive in tens of thousands a second, so they have a function of their own: 1 us
+    a line, where rclpy's serialiser takes 4 us.
+
+    A stamp that ``builtin_interfaces/Time`` cannot hold becomes the nearest one it can.
+    """
+    seconds, nanoseconds = split_time(stamp_ns)
+    a, b, c, d = text_bytes(name), text_bytes(message), text_bytes(file), text_bytes(function)
+    size_a, size_b, size_c, size_d = len(a) + 1, len(b) + 1, len(c) + 1, len(d) + 1
+    pack = _LENGTH.pack
+    return b"".join(
+        (
+            _LOG_HEAD.pack(_ENCAPSULATION, seconds, nanoseconds, level, size_a),
+            a,
+            _PADDING[size_a & 3],
+            pack(size_b),
+            b,
+            _PADDING[size_b & 3],
+            pack(size_c),
+            c,
+            _PADDING[size_c & 3],
+            pack(size_d),
+            d,
+            _PADDING[size_d & 3],
+            pack(line),
+        )
+    )

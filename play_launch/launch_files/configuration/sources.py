@@ -12,7 +12,7 @@ from play_launch.config.resolve.parameter_files import ParameterFiles
 from play_launch.config.source import Refused, read_bytes
 from play_launch.config.yaml.scalars import ScalarKind
 from play_launch.config.yaml.tree import At, Scalar
-from play_launch.container.parameter_file import parameter_file_text
+from play_launch.container.command import parameter_file_text
 from play_launch.launch_files.configuration.yaml_text import Verbatim
 from play_launch.launch_files.losses import Losses
 from play_launch.launch_files.records import Composable, ParameterFile, Values, typed_value

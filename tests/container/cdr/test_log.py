@@ -6,8 +6,8 @@ from rcl_interfaces.msg import Log
 from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.typesys import Stores, get_typestore
 
-from play_launch.container.cdr.log import log_message
-from play_launch.container.cdr.text import text_bytes
+from play_launch.container.cdr.layout import text_bytes
+from play_launch.container.cdr.messages import log_message
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 WORDS = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=40)

@@ -12,7 +12,7 @@ import play_launch_msgs.msg as msgs
 from rclpy.serialization import deserialize_message, serialize_message
 
 from play_launch.config.model import ParameterConfig, ParameterType, ParameterValue
-from play_launch.container.frames import Frame, FrameKind, encode_frame
+from play_launch.container.codec import Frame, FrameKind, encode_frame
 from play_launch.container.messages import (
     Accepted,
     Cancel,

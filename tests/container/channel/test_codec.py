@@ -9,8 +9,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from play_launch.config.model import ParameterConfig, ParameterType, ParameterValue
-from play_launch.container.codec import EncodeError, MessageError, decode_message, encode_message
-from play_launch.container.frames import Frame, FrameDecoder, FrameKind
+from play_launch.container.codec import (
+    EncodeError,
+    Frame,
+    FrameDecoder,
+    FrameKind,
+    MessageError,
+    decode_message,
+    encode_message,
+)
 from play_launch.container.messages import Cancel, Incoming, Load, Outgoing, Query
 from play_launch.supervisor.events import ComponentEvent
 from tests.container.channel.peer import frame_of, outgoing

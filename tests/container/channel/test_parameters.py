@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from play_launch.config.model import ParameterConfig, ParameterType, ParameterValue
-from play_launch.container.parameter_file import (
+from play_launch.container.command import (
     ParameterFileError,
     parameter_file_text,
     write_parameter_file,

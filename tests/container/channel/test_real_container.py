@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import subprocess
-from contextlib import asynccontextmanager, suppress
+from contextlib import asynccontextmanager, closing, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,8 +20,8 @@ from play_launch.config.model import (
 from play_launch.container.channel import ChannelClosedError, ControlChannel, control_pair
 from play_launch.container.command import container_argv
 from play_launch.container.environment import child_environment
-from play_launch.container.frames import PROTOCOL_VERSION
 from play_launch.container.messages import (
+    PROTOCOL_VERSION,
     Accepted,
     Hello,
     Incoming,
@@ -90,7 +90,7 @@ async def talking() -> AsyncIterator[Talk]:
         )
         try:
             pair.close_child_end()
-            with ControlChannel(pair.ours, container=NAME) as channel:
+            with closing(ControlChannel(pair.ours, container=NAME)) as channel:
                 talk = Talk(process, channel)
                 async with asyncio.timeout(60):
                     talk.hello = await channel.handshake(Hello(version="test"))

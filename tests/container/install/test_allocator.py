@@ -6,11 +6,12 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 
-from play_launch.container.allocator import (
+from play_launch.container.environment import (
     Allocator,
     allocating_with,
     find_allocator,
@@ -29,48 +30,20 @@ def library(path: Path) -> Path:
     return path
 
 
-def found(environ: dict[str, str], listing: str = "", *folders: Path) -> Allocator:
-    return find_allocator(environ, listing=lambda: listing, folders=folders, packages=())
-
-
-def test_the_variable_wins(tmp_path: Path) -> None:
-    own, other = library(tmp_path / "own.so"), library(tmp_path / "libmimalloc.so.2")
-    assert found({"PLAY_LAUNCH_ALLOCATOR": str(own)}, "", other.parent) == Allocator(own)
+def found(
+    monkeypatch: pytest.MonkeyPatch, installed: dict[str, str], packages: Sequence[Path] = ()
+) -> Allocator:
+    monkeypatch.setattr("ctypes.util.find_library", installed.get)
+    return find_allocator({}, packages=packages)
 
 
 def test_a_variable_that_names_nothing_of_use_is_told(tmp_path: Path) -> None:
     text = tmp_path / "libmimalloc.so.2"
     text.write_text("INPUT(libmimalloc.so.2.0)")
     for path in (text, tmp_path / "missing.so", tmp_path):
-        answer = found({"PLAY_LAUNCH_ALLOCATOR": str(path)})
+        answer = find_allocator({"PLAY_LAUNCH_ALLOCATOR": str(path)})
         assert answer.library is None
         assert str(path) in answer.problem
-
-
-def test_mimalloc_is_taken_before_jemalloc(tmp_path: Path) -> None:
-    jemalloc = library(tmp_path / "a" / "libjemalloc.so.2")
-    listing = f"2 libs found\n\tlibjemalloc.so.2 (libc6,x86-64) => {jemalloc}\n"
-    assert found({}, listing) == Allocator(jemalloc)
-    mimalloc = library(tmp_path / "b" / "libmimalloc.so.2")
-    assert found({}, listing, mimalloc.parent) == Allocator(mimalloc)
-
-
-def test_the_packages_mimalloc_is_taken_before_the_systems(tmp_path: Path) -> None:
-    packages = [tmp_path / "own", tmp_path / "systems"]
-    wheels = [library(folder / "cmeel.prefix/lib/libmimalloc.so.3") for folder in packages]
-    system = library(tmp_path / "lib" / "libmimalloc.so.2")
-    own = library(tmp_path / "own.so")
-
-    def answer(environ: dict[str, str]) -> Allocator:
-        return find_allocator(
-            environ, listing=lambda: "", folders=[system.parent], packages=packages
-        )
-
-    assert answer({"PLAY_LAUNCH_ALLOCATOR": str(own)}) == Allocator(own)
-    for expected in wheels:
-        assert answer({}) == Allocator(expected)
-        expected.unlink()
-    assert answer({}) == Allocator(system)
 
 
 def test_the_extra_brings_the_allocator_that_is_found_by_itself() -> None:
@@ -96,24 +69,6 @@ def test_a_library_in_a_folder_with_a_space_is_loaded(tmp_path: Path) -> None:
     )
     assert str(copy) in loaded.stdout
     assert not loaded.stderr
-
-
-def test_a_library_for_another_machine_is_passed_over(tmp_path: Path) -> None:
-    foreign = library(tmp_path / "32" / "libmimalloc.so.2")
-    content = bytearray(foreign.read_bytes())
-    content[4] ^= 3
-    foreign.write_bytes(content)
-    ours = library(tmp_path / "64" / "libmimalloc.so.2")
-    listing = "".join(f"\tlibmimalloc.so.2 (libc6) => {path}\n" for path in (foreign, ours))
-    assert found({}, listing) == Allocator(ours)
-
-
-def test_none_is_reported_with_the_impact_and_the_fix(tmp_path: Path) -> None:
-    answer = found({}, "0 libs found\n", tmp_path)
-    assert answer.library is None
-    assert "neither mimalloc nor jemalloc" in answer.problem
-    assert "freeze" in answer.problem
-    assert "pip install cmeel-mimalloc" in answer.problem
 
 
 @pytest.mark.skipif(
@@ -171,3 +126,25 @@ def test_with_a_library_the_c_librarys_allocator_is_left_alone() -> None:
     library = Path("/l/libmimalloc.so.2")
     environment = {"LD_PRELOAD": str(library), "MIMALLOC_ALLOW_THP": "0"}
     assert for_isolation({}, library) == environment
+
+
+def test_variable_then_package_then_mimalloc_then_jemalloc(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    wheel = library(tmp_path / "cmeel.prefix/lib/libmimalloc.so.3")
+    own = library(tmp_path / "own.so")
+    both = {"mimalloc": "libmimalloc.so.2", "jemalloc": "libjemalloc.so.2"}
+    variable = {"PLAY_LAUNCH_ALLOCATOR": str(own)}
+    assert find_allocator(variable, packages=[tmp_path]) == Allocator(own)
+    assert found(monkeypatch, both, [tmp_path]) == Allocator(wheel)
+    assert found(monkeypatch, both) == Allocator(Path("libmimalloc.so.2"))
+    only = {"jemalloc": "libjemalloc.so.2"}
+    assert found(monkeypatch, only) == Allocator(Path("libjemalloc.so.2"))
+
+
+def test_none_is_reported_with_the_impact_and_the_fix(monkeypatch: pytest.MonkeyPatch) -> None:
+    answer = found(monkeypatch, {})
+    assert answer.library is None
+    assert "neither mimalloc nor jemalloc" in answer.problem
+    assert "freeze" in answer.problem
+    assert "pip install cmeel-mimalloc" in answer.problem

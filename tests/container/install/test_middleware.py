@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from play_launch.container.middleware import middleware_problem
-from play_launch.container.ros import RosInstallation, RosSource
+from play_launch.container.ros import RosInstallation, RosSource, middleware_problem
 
 CYCLONE = "rmw_cyclonedds_cpp"
 LIBRARY = f"lib{CYCLONE}.so"

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from play_launch.container.preload import preloaded_in, preloading, with_safe_waits
+from play_launch.container.environment import preloaded_in, preloading, with_safe_waits
 from play_launch.container.ros import component_container
 
 CONTAINER = Path("/p/component_container")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from play_launch.container.cdr.log import log_message
+from play_launch.container.cdr.messages import log_message
 from play_launch.recording.bag import McapBagWriter, Rotation
 from play_launch.recording.topics import OUTPUT
 

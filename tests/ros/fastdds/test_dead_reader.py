@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from play_launch.container.preload import preloading, with_safe_waits
+from play_launch.container.environment import preloading, with_safe_waits
 from play_launch.container.ros import component_container
 from play_launch.ros.fastdds.middleware import asks_for_fastdds
 
