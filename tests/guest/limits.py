@@ -20,7 +20,7 @@ from play_launch.process.cgroups.session import SessionGroups
 from play_launch.process.cgroups.usage import group_of, usage_of
 from play_launch.process.identity import read_stat
 from play_launch.process.sampling.groups import GroupSampler
-from play_launch.process.sampling.targets import Target
+from play_launch.process.sampling.processes import Target
 from play_launch.supervisor.events import SubjectKind
 
 TOP = Path("/sys/fs/cgroup")
@@ -184,32 +184,11 @@ def a_base_with_processes_is_refused() -> None:
     base.path.rmdir()
 
 
-def controllers_that_somebody_takes_are_reported() -> None:
-    groups = session()
-    groups.begin(GroupPolicy(base_path=BASE, required=True), ("cpu", "pids"))
-    limits = GroupLimits(cpu_max=CpuMax(50_000), pids_max=50)
-    group, process = started(groups, "/a", limits, "sleep", "600")
-    now = 0.0
-    sampler = GroupSampler(lambda: now)
-    looked_at = [Target(SubjectKind.PROCESS, "/a", process.pid, 0)]
-    assert sampler.sample(looked_at, 1)[1] == []
-    Group(group.path.parent).disable(["cpu"])
-    now += 60
-    (said,) = sampler.sample(looked_at, 2)[1]
-    print(said)
-    assert said.startswith("/a: somebody has taken the controller cpu from its control group")
-    now += 60
-    assert sampler.sample(looked_at, 3)[1] == [], "it is reported once"
-    groups.end()
-    process.wait()
-
-
 def main() -> None:
     logging.getLogger("play_launch").addHandler(Collector())
     tests: tuple[Callable[[], None], ...] = (
         limits_hold,
         cpus_that_are_not_there_are_left_out,
-        controllers_that_somebody_takes_are_reported,
         who_is_in_the_base_makes_room,
         a_base_with_processes_is_refused,
     )

@@ -71,15 +71,6 @@ def no_controller(controller: str, group: Path, error: OSError) -> str:
     return f"{what}cannot be enabled in {group}: {os.strerror(error.errno or 0)}"
 
 
-def taken_controller(controller: str) -> str:
-    """Say that somebody has taken a controller from a group in which processes run."""
-    return (
-        f"somebody has taken the controller {controller} from its control group, and with it the "
-        f"effect of {_KEYS.get(controller, controller)}; fix: restart it, which enables the "
-        "controller again where that is permitted"
-    )
-
-
 def no_group(group: Path, error: OSError) -> str:
     """Say that a group cannot be made."""
     why = os.strerror(error.errno or 0)

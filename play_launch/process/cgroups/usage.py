@@ -22,12 +22,6 @@ if TYPE_CHECKING:
     from play_launch.supervisor.events import SubjectKind
 
 _MICROSECONDS: Final = 1e6
-_OF_CONTROLLERS: Final = {
-    "cpu": "throttled_periods",
-    "memory": "memory_bytes",
-    "pids": "processes",
-}
-"""A number that a group has as long as it has the controller."""
 _AVERAGE: Final = re.compile(r"^some avg10=([0-9.]+)", re.MULTILINE)
 
 
@@ -90,15 +84,6 @@ def usage_of(group: Group) -> GroupUsage:
         processes=_number(group.text("pids.current")),
         oom_kills=group.numbers("memory.events").get("oom_kill"),
         pids_max_hits=group.numbers("pids.events").get("max"),
-    )
-
-
-def withdrawn(before: GroupUsage, now: GroupUsage) -> tuple[str, ...]:
-    """Name the controllers whose numbers there were before, and are no more."""
-    return tuple(
-        controller
-        for controller, field in _OF_CONTROLLERS.items()
-        if getattr(before, field) is not None and getattr(now, field) is None
     )
 
 

@@ -1,4 +1,1 @@
-"""What the processes of a system use, and what the machine does meanwhile, as events.
-
-`docs/decisions/sampling.md` says what is read, how often, and at which cost.
-"""
+"""Samples of processes, control groups and the machine: see docs/decisions/sampling.md."""

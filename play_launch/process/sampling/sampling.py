@@ -1,4 +1,4 @@
-"""Samples a running system beside its event loop."""
+"""Task that samples a running system."""
 
 from __future__ import annotations
 
@@ -11,9 +11,8 @@ from functools import partial
 from typing import TYPE_CHECKING, Final, TypeVar
 
 from play_launch.process.sampling.groups import GroupSampler
-from play_launch.process.sampling.machine_usage import Machine
-from play_launch.process.sampling.sampler import Sampler
-from play_launch.process.sampling.targets import targets
+from play_launch.process.sampling.machine import Machine
+from play_launch.process.sampling.processes import Sampler, targets
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -25,8 +24,8 @@ if TYPE_CHECKING:
 _Result = TypeVar("_Result")
 
 _log = logging.getLogger(__name__)
-_LONGEST: Final = 10.0
-"""Seconds after which a measurement that does not end is reported."""
+_REPORT_AFTER: Final = 10.0
+"""Seconds."""
 
 
 async def sample(
@@ -38,14 +37,8 @@ async def sample(
 ) -> None:
     """Publish samples every `period` seconds until cancelled.
 
-    They are taken in a thread, and published in the loop's. A measurement that comes late, because
-    the program was stopped or the machine is busy, shifts those after it: none is made up for.
-
-    Args:
-        view: Gives the system as it stands.
-        publish: Takes the samples.
-        period: Seconds.
-        folder: Where the recording is written.
+    They are taken in a thread. A late one, after SIGSTOP for example, shifts those after it.
+    `folder` is that of the recording.
     """
     loop = asyncio.get_running_loop()
     has_failed = False
@@ -60,9 +53,9 @@ async def sample(
                 samples, news = await _in_a_thread(
                     partial(_measure, machine, sampler, groups, view())
                 )
-            except OSError as error:  # no descriptor is free, perhaps
+            except OSError as error:  # for example EMFILE
                 if not has_failed:
-                    _log.warning("there are samples missing: %s", error)
+                    _log.warning("samples are missing: %s", error)
                 has_failed = True
                 continue
             for each in samples:
@@ -76,14 +69,14 @@ async def sample(
 
 
 def next_due(due: float, now: float, period: float) -> float:
-    """When the next sample is due, if one that was due at `due` is taken `now`."""
+    """Return the time of the next sample, after one that was due at `due` and is taken `now`."""
     return max(due, now - period / 2) + period
 
 
 def _measure(
     machine: Machine, sampler: Sampler, groups: GroupSampler, view: SystemView
 ) -> tuple[list[Sample], list[str]]:
-    """Give samples, and what is worth a warning."""
+    """Return samples and warnings."""
     stamp_ns = time.time_ns()
     processes = targets(view)
     of_groups, news = groups.sample(processes, stamp_ns)
@@ -96,10 +89,9 @@ def _measure(
 
 
 async def _in_a_thread(work: Callable[[], _Result]) -> _Result:
-    """Run it in a thread that nothing waits for at the end.
+    """Run in a daemon thread, as the kernel may block a reader of ``/proc``.
 
-    The kernel may keep a reader of ``/proc`` waiting for as long as the process is stuck itself; an
-    executor's thread would then keep the program from ending.
+    A thread of an executor would then prevent the exit of the program.
     """
     loop = asyncio.get_running_loop()
     done: asyncio.Future[_Result] = loop.create_future()
@@ -109,11 +101,11 @@ async def _in_a_thread(work: Callable[[], _Result]) -> _Result:
             settle = partial(done.set_result, work())
         except Exception as error:  # noqa: BLE001 - it is raised where it is awaited
             settle = partial(done.set_exception, error)
-        with contextlib.suppress(RuntimeError):  # the loop is closed: nobody awaits it any more
+        with contextlib.suppress(RuntimeError):  # the loop is closed
             loop.call_soon_threadsafe(lambda: None if done.done() else settle())
 
     threading.Thread(target=run, name="sampling", daemon=True).start()
-    await asyncio.wait([done], timeout=_LONGEST)
+    await asyncio.wait([done], timeout=_REPORT_AFTER)
     if not done.done():
-        _log.warning("a sample takes longer than %g s: a process does not answer", _LONGEST)
+        _log.warning("a sample takes longer than %g s: a process does not answer", _REPORT_AFTER)
     return await done

@@ -28,11 +28,9 @@ from play_launch.process.cgroups.refusals import (
     no_entry,
     no_group,
     no_limit,
-    taken_controller,
     unavailable_controller,
 )
 from play_launch.process.cgroups.sweep import dead_sessions
-from play_launch.process.cgroups.usage import GroupUsage, withdrawn
 
 numbers = st.integers(1, 2**40)
 sessions = st.builds(SessionName, numbers, numbers, numbers)
@@ -228,20 +226,6 @@ def test_an_end_for_want_of_processes_is_reported_as_such(hits: int, limit: floa
     assert bool(said) == (hits > 0 and limit is not None and limit < NO_LIMIT)
     assert not said or said.startswith(f"pids_max {limit} of its control group was reached ")
     assert ("once" in said) == (bool(said) and hits == 1)
-
-
-@given(st.builds(GroupUsage), st.builds(GroupUsage))
-def test_controllers_are_withdrawn_whose_numbers_there_were(
-    before: GroupUsage, now: GroupUsage
-) -> None:
-    assert withdrawn(GroupUsage(), now) == ()
-    assert withdrawn(before, before) == ()
-    missing = withdrawn(before, now)
-    assert ("memory" in missing) == (before.memory_bytes is not None and now.memory_bytes is None)
-    assert set(missing) <= {"cpu", "memory", "pids"}
-    for each in missing:
-        assert f"the controller {each} from" in taken_controller(each)
-        assert "; fix: " in taken_controller(each)
 
 
 def test_sizes_are_written_as_people_do() -> None:

@@ -16,7 +16,7 @@ from play_launch.process.cgroups.names import CONTAINER, SessionName
 from play_launch.process.cgroups.usage import usage_of
 from play_launch.process.sampling import groups as room
 from play_launch.process.sampling.groups import PERIOD, GroupSampler
-from play_launch.process.sampling.targets import Target
+from play_launch.process.sampling.processes import Target
 from play_launch.supervisor.events import SubjectKind
 from tests.support.control_groups import control_group
 from tests.support.waiting import until

@@ -13,8 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from play_launch.postmortem.session import PastSession
-from play_launch.process.sampling import machine_usage, sampling
-from play_launch.process.sampling.process_usage import read_file
+from play_launch.process.sampling import machine, sampling
 from play_launch.process.sampling.sampling import next_due, sample
 from play_launch.supervisor.events import (
     MemoryKind,
@@ -74,10 +73,10 @@ def test_the_machine_is_sampled_again_and_again(tmp_path: Path) -> None:
 def test_without_proc_there_is_one_warning_and_no_sample(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    def read_file(path: str) -> bytes:
-        raise FileNotFoundError(2, "No such file or directory", path)
+    def core_times(_: str) -> None:
+        raise FileNotFoundError(2, "No such file or directory", "/proc/stat")
 
-    monkeypatch.setattr(machine_usage, "read_file", read_file)
+    monkeypatch.setattr(machine, "core_times", core_times)
 
     async def run() -> None:
         await sample(SystemView, refused, period=PERIOD, folder=tmp_path)
@@ -94,15 +93,16 @@ def test_a_sample_that_fails_is_reported_once_and_others_follow(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     count = 0
+    measure = machine.Machine.sample
 
-    def measured(path: str) -> bytes:
+    def measured(self: machine.Machine, stamp_ns: int) -> SystemSample:
         nonlocal count
-        count += path == "/proc/meminfo"
-        if path == "/proc/meminfo" and count in {2, 3}:
-            raise OSError(24, "Too many open files", path)
-        return read_file(path)
+        count += 1
+        if count in {2, 3}:
+            raise OSError(24, "Too many open files", "/proc/meminfo")
+        return measure(self, stamp_ns)
 
-    monkeypatch.setattr(machine_usage, "read_file", measured)
+    monkeypatch.setattr(machine.Machine, "sample", measured)
     assert len(asyncio.run(run_until(3, tmp_path))) >= 3
     (record,) = caplog.records
     assert "Too many open files: '/proc/meminfo'" in record.getMessage()
@@ -113,13 +113,13 @@ def test_a_process_that_does_not_answer_keeps_nobody_waiting(
 ) -> None:
     answer, asked = threading.Event(), threading.Event()
 
-    def read_file(path: str) -> bytes:
+    def core_times(_: str) -> None:
         asked.set()
         answer.wait()
-        raise FileNotFoundError(path)
+        raise FileNotFoundError
 
-    monkeypatch.setattr(machine_usage, "read_file", read_file)
-    monkeypatch.setattr(sampling, "_LONGEST", 0.01)
+    monkeypatch.setattr(machine, "core_times", core_times)
+    monkeypatch.setattr(sampling, "_REPORT_AFTER", 0.01)
 
     async def run() -> None:
         task = asyncio.create_task(sample(SystemView, refused, period=PERIOD, folder=tmp_path))

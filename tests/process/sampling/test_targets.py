@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from play_launch.config.node_key import NodeKey
-from play_launch.process.sampling.targets import Target, targets
+from play_launch.process.sampling.processes import Target, targets
 from play_launch.supervisor.events import (
     ContainerState,
     ContainerStateChanged,
