@@ -14,7 +14,7 @@ from pathlib import Path
 import psutil
 
 from play_launch.graph_daemon.contract import daemon_address
-from play_launch.graph_daemon.control.port import listen_within
+from play_launch.graph_daemon.port import acquire
 
 _LIMIT = 60.0
 _ROS2 = "import sys; sys.argv[0] = 'ros2'; from ros2cli.cli import main; sys.exit(main())"
@@ -46,8 +46,10 @@ class Daemon:
         return time.monotonic() - began, done.stdout
 
     def start(self) -> float:
-        # What a measurement before left at the port is not this one's matter.
-        listen_within(daemon_address(), _LIMIT).close()
+        # Closed connections of the measurement before may keep the port for a minute.
+        listener = acquire(daemon_address()).listener
+        assert listener is not None, "a daemon runs already"
+        listener.close()
         seconds, text = self.run("daemon", "start")
         if "started" not in text:
             raise SystemExit(f"{self.name} was not started: {text}")

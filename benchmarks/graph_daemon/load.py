@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import errno
+import http.client
 import select
 import socket
 import statistics
 import time
 import xmlrpc.client
 from dataclasses import dataclass, field
+from typing import Any
 
-from play_launch.graph_daemon.client.graph_client import DaemonError, GraphClient
 from play_launch.graph_daemon.contract import DaemonAddress
 
 _CHUNK = 1 << 20
@@ -165,7 +166,21 @@ def bursts(
 
 def nodes(address: DaemonAddress, limit: float = 10.0) -> set[str]:
     """The names of the nodes; raises OSError as sockets do."""
-    try:
-        return {node.name for node in GraphClient(address, limit).nodes()}
-    except DaemonError as error:
-        raise OSError(errno.EIO, str(error)) from None
+    transport = _Transport(limit)
+    with xmlrpc.client.ServerProxy(address.url, transport=transport, allow_none=True) as proxy:
+        try:
+            found: Any = proxy.get_node_names_and_namespaces()
+        except (http.client.HTTPException, xmlrpc.client.Error) as error:
+            raise OSError(errno.EIO, str(error)) from None
+    return {name for name, _ in found}
+
+
+class _Transport(xmlrpc.client.Transport):
+    def __init__(self, limit: float) -> None:
+        super().__init__()
+        self._limit = limit
+
+    def make_connection(self, host: Any) -> http.client.HTTPConnection:
+        connection = super().make_connection(host)
+        connection.timeout = self._limit
+        return connection

@@ -23,9 +23,9 @@ from benchmarks.graph_daemon.__main__ import report_progress, risen_crowd
 from benchmarks.graph_daemon.daemons import OURS
 from benchmarks.graph_daemon.measures import Size, warm
 from benchmarks.own_network import enter_namespace, is_inside
-from play_launch.graph_daemon.client.graph_client import GraphClient
 from play_launch.graph_daemon.contract import STATUS_METHOD, DaemonAddress, daemon_address
-from play_launch.graph_daemon.control.observer import LONGEST_LOOK
+from play_launch.graph_daemon.graph_client import GraphClient
+from play_launch.graph_daemon.observer import LONGEST_POLL
 
 GOAL = 0.5
 """Per cent of one processor, for the daemon's user and system time together."""
@@ -59,7 +59,7 @@ def a_replay_asks(seconds: float) -> None:
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         client.call(STATUS_METHOD, generation)
-        time.sleep(max(0.0, min(LONGEST_LOOK, end - time.monotonic())))
+        time.sleep(max(0.0, min(LONGEST_POLL, end - time.monotonic())))
 
 
 def share(pid: int, seconds: float, meanwhile: Callable[[float], None]) -> dict[str, float]:

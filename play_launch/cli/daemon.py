@@ -16,12 +16,12 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from play_launch.graph_daemon.contract import DaemonAddress
-    from play_launch.graph_daemon.control.takeover import Occupant
+    from play_launch.graph_daemon.port import PortOwner
 
 daemon_app = typer.Typer(
     name="daemon",
-    help="The daemon that answers ros2's questions about the graph, built to bear a start-up "
-    "storm. It serves at the address of ros2cli's own daemon, so 'ros2 node list' and the like "
+    help="Graph daemon for ros2 commands that stays responsive while many nodes start. "
+    "It serves at the address of ros2cli's own daemon, so 'ros2 node list' and the like "
     "use it as it is.",
     no_args_is_help=True,
     rich_markup_mode=None,
@@ -34,7 +34,7 @@ _IdleTimeout = Annotated[
         help="End after this time without a request: 2h, 30min; 0s for never.", metavar="TIME"
     ),
 ]
-_Json = Annotated[bool, typer.Option("--json", help="One JSON object, for machines.")]
+_Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 _NOT_RUNNING = ExitCode.NODE_FAILED
 
 
@@ -51,17 +51,15 @@ def start(
     """
     address, seconds = _address(), _seconds(idle_timeout)
     _require_ros()
-    from play_launch.graph_daemon.control.start_stop import (  # noqa: PLC0415
-        PortHeldError,
-        StartError,
-        start_daemon,
-    )
+    from play_launch.graph_daemon.port import PortHeldError  # noqa: PLC0415
+    from play_launch.graph_daemon.start_stop import StartError, start_daemon  # noqa: PLC0415
 
     try:
-        started = start_daemon(address, idle_timeout=seconds, restart=restart)
+        started = start_daemon(address, idle_timeout=seconds, restart=restart, notify=warn)
     except (PortHeldError, StartError, OSError) as error:
         fail(f"{error}", ExitCode.NODE_FAILED)
-    started.let_go()
+    if started.process is not None:
+        started.process.returncode = 0  # no warning that it still runs
     if started.started:
         say(f"the daemon of domain {address.domain} was started (pid {started.pid})")
         for message in started.messages:
@@ -75,55 +73,53 @@ def start(
 
 
 def stop() -> None:
-    """Stop the daemon of this ROS_DOMAIN_ID, ours or ros2cli's; the port is free afterwards."""
+    """Stop the daemon of this ROS_DOMAIN_ID, ours or ros2cli's."""
     address = _address()
-    from play_launch.graph_daemon.control.start_stop import PortHeldError, stop_daemon  # noqa: PLC0415
-    from play_launch.graph_daemon.control.takeover import Kind  # noqa: PLC0415
+    from play_launch.graph_daemon.port import Kind, PortHeldError, stop_daemon  # noqa: PLC0415
 
     try:
-        occupant = stop_daemon(address)
+        owner = stop_daemon(address)
     except (PortHeldError, OSError) as error:
         fail(f"{error}", ExitCode.NODE_FAILED)
-    if occupant.kind is Kind.NOBODY:
+    if owner.kind is Kind.FREE:
         say(f"no daemon runs for domain {address.domain}")
     else:
-        whose = "ros2cli's daemon" if occupant.kind is Kind.STOCK else "the daemon"
+        whose = "ros2cli's daemon" if owner.kind is Kind.STOCK else "the daemon"
         say(f"{whose} of domain {address.domain} was stopped")
 
 
 def status(as_json: _Json = False) -> None:
-    """Report whether a daemon runs for this ROS_DOMAIN_ID, whose, and how it is.
+    """Report which daemon runs for this ROS_DOMAIN_ID, and its state.
 
     Warns where its settings are not those of your environment: then it sees another graph than
     your programs. Exits with 1 when none runs.
     """
     import json  # noqa: PLC0415
 
-    from play_launch.graph_daemon.control.takeover import Kind, look, settings_warnings  # noqa: PLC0415
-    from play_launch.graph_daemon.settings import compared_settings  # noqa: PLC0415
+    from play_launch.graph_daemon.port import Kind, find_owner, settings_warnings  # noqa: PLC0415
 
     address = _address()
-    occupant = look(address)
-    warnings = [*settings_warnings(occupant, compared_settings(os.environ)), *_blind(occupant)]
+    owner = find_owner(address)
+    warnings = settings_warnings(owner, os.environ)
     if as_json:
-        kinds = {Kind.OURS: "play_launch", Kind.STOCK: "ros2cli", Kind.NOBODY: None}
+        kinds = {Kind.OURS: "play_launch", Kind.STOCK: "ros2cli", Kind.FREE: None}
         values = {
-            "running": occupant.kind in {Kind.OURS, Kind.STOCK},
-            "daemon": kinds.get(occupant.kind, occupant.kind.name.lower()),
+            "running": owner.kind in {Kind.OURS, Kind.STOCK},
+            "daemon": kinds.get(owner.kind, "other"),
             "domain": address.domain,
             "url": address.url,
-            "pid": occupant.holder.pid if occupant.holder else 0,
-            "problem": occupant.problem,
+            "pid": owner.pid,
+            "problem": owner.problem,
             "warnings": warnings,
-            **occupant.status,
+            **owner.status,
         }
         say(json.dumps(values, ensure_ascii=False))
     else:
-        for line in describe(address, occupant):
+        for line in describe(address, owner):
             say(line)
         for warning in warnings:
             warn(warning)
-    if occupant.kind not in {Kind.OURS, Kind.STOCK}:
+    if owner.kind not in {Kind.OURS, Kind.STOCK}:
         raise typer.Exit(_NOT_RUNNING)
 
 
@@ -131,16 +127,15 @@ def run(idle_timeout: _IdleTimeout = "0s") -> None:
     """Run the daemon here, in the foreground, until Ctrl-C; for services and containers."""
     address, seconds = _address(), _seconds(idle_timeout)
     _require_ros()
-    import asyncio  # noqa: PLC0415
     import logging  # noqa: PLC0415
 
     from play_launch.graph_daemon.contract import WARM  # noqa: PLC0415
-    from play_launch.graph_daemon.control.start_stop import PortHeldError, acquire  # noqa: PLC0415
-    from play_launch.graph_daemon.server.daemon import Daemon  # noqa: PLC0415
+    from play_launch.graph_daemon.daemon import Daemon  # noqa: PLC0415
+    from play_launch.graph_daemon.port import PortHeldError, acquire  # noqa: PLC0415
 
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(message)s")
     try:
-        port = acquire(address)
+        port = acquire(address, notify=warn)
     except (PortHeldError, OSError) as error:
         fail(f"{error}", ExitCode.NODE_FAILED)
     if port.listener is None:
@@ -156,31 +151,28 @@ def run(idle_timeout: _IdleTimeout = "0s") -> None:
         if what == WARM:
             say(f"serving {address.url}")
 
-    asyncio.run(daemon.run(port.listener, report))
+    daemon.run(port.listener, report)
 
 
 for _verb in (start, stop, status, run, patch, unpatch):
     daemon_app.command()(_verb)
 
 
-def describe(address: DaemonAddress, occupant: Occupant) -> list[str]:
-    """Describe in lines who serves a domain."""
-    from play_launch.graph_daemon.control.takeover import Kind  # noqa: PLC0415
+def describe(address: DaemonAddress, owner: PortOwner) -> list[str]:
+    """Describe in lines which process serves a domain."""
+    from play_launch.graph_daemon.port import Kind  # noqa: PLC0415
 
     domain = f"domain {address.domain}"
-    pid = f"pid {occupant.holder.pid}" if occupant.holder else "unknown pid"
-    match occupant.kind:
-        case Kind.NOBODY:
+    pid = f"pid {owner.pid}" if owner.pid else "unknown pid"
+    match owner.kind:
+        case Kind.FREE:
             return [f"no daemon runs for {domain}"]
         case Kind.STOCK:
             return [f"ros2cli's own daemon runs for {domain} ({pid})"]
-        case Kind.HUNG:
-            return [f"a daemon runs for {domain}, but hangs ({pid}): {occupant.problem}"]
-        case Kind.FOREIGN:
-            who = occupant.holder or "something"
-            return [f"{who} has the port of the daemon for {domain}: {occupant.problem}"]
+        case Kind.OTHER:
+            return [f"{owner} has the port of the daemon for {domain}: {owner.problem}"]
         case Kind.OURS:
-            return [f"the daemon runs for {domain} ({pid})", *_facts(occupant.status)]
+            return [f"the daemon runs for {domain} ({pid})", *_facts(owner.status)]
 
 
 def warn(message: str) -> None:
@@ -194,7 +186,7 @@ def warn(message: str) -> None:
 def _facts(status: Mapping[str, Any]) -> list[str]:
     number = {name: value for name, value in status.items() if isinstance(value, int | float)}
     if not status.get("warm"):
-        state = "looking around, answers begin soon"
+        state = "warming up"
     elif status.get("settled"):
         state = f"settled, unchanged for {number.get('unchanged_for', 0):.1f} s"
     else:
@@ -211,22 +203,6 @@ def _facts(status: Mapping[str, Any]) -> list[str]:
         f"  requests    {number.get('requests', 0)}, {cached} of them from the cache",
         f"  clients     {number.get('connections', 0)}",
     ]
-
-
-def _blind(occupant: Occupant) -> list[str]:
-    """Warn of participants that the daemon will not meet."""
-    met, here = occupant.status.get("participants"), occupant.status.get("participants_here")
-    age = occupant.status.get("age")
-    if not (isinstance(met, int) and isinstance(here, int) and isinstance(age, float)):
-        return []
-    # Discovery takes some seconds for each.
-    if not met or met >= here or occupant.status.get("unchanged_for", 0.0) < 5.0:
-        return []
-    warning = f"this machine has {here} DDS participants in the domain, the daemon knows {met}"
-    settings = occupant.status.get("settings", {})
-    if settings.get("ROS_AUTOMATIC_DISCOVERY_RANGE") == "LOCALHOST":
-        warning += "; with ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST at most 32 find one another"
-    return [warning]
 
 
 def _address() -> DaemonAddress:

@@ -57,7 +57,7 @@ def _folder_is_gone() -> bool:
 def _run() -> None:
     from play_launch.cli.session_verbs import SESSION_VERBS  # noqa: PLC0415 - as above
 
-    if len(sys.argv) > 1 and sys.argv[1] in {"node", "topic", "service", "graph"}:
+    if len(sys.argv) > 1 and sys.argv[1] in {"node", "topic", "service"}:
         # Past typer and all that comes with it: these are done before it would be imported.
         from play_launch.cli.graph import main as ask  # noqa: PLC0415 - not for other verbs
 

@@ -1,4 +1,4 @@
-"""``play-launch node | topic | service | graph``: the ROS graph, asked from the daemon, at once.
+"""``play-launch node | topic | service``: the ROS graph, from the daemon.
 
 These verbs do without typer, pydantic and rclpy: their use is to be fast, and importing any of
 those takes longer than the answer. Options and output are those of ``ros2 node list`` and its
@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import argparse
 import sys
-import time
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 from play_launch.cli.show.streams import let_go_of
 from play_launch.cli.show.terminal import printable
-from play_launch.graph_daemon.client.graph_client import (
+from play_launch.graph_daemon.contract import DomainError, daemon_address
+from play_launch.graph_daemon.graph_client import (
     DEFAULT_TIMEOUT,
     DaemonError,
     GraphClient,
@@ -24,7 +24,6 @@ from play_launch.graph_daemon.client.graph_client import (
     NodeName,
     RemoteError,
 )
-from play_launch.graph_daemon.contract import DomainError, daemon_address
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -35,14 +34,12 @@ GROUPS: Final = {
     "node": "Nodes of the running system: list, info.",
     "topic": "Topics of the running system: list.",
     "service": "Services of the running system: list.",
-    "graph": "Wait until nodes are there.",
 }
 """The first words that are ours, and what help says about them."""
 
 OK: Final = 0
 FAILED: Final = 1
 USAGE: Final = 2
-NODES_MISSING: Final = 3
 
 _HIDDEN: Final = "_"
 _SECTIONS: Final = (
@@ -54,8 +51,6 @@ _SECTIONS: Final = (
     ("Action Clients", "action_clients", "get_action_client_names_and_types_by_node"),
 )
 """Title, name in JSON and the daemon's method, in the order of ``ros2 node info``."""
-_POLL: Final = 0.1
-"""Seconds between two looks of ``graph wait``; the daemon answers each in under a millisecond."""
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -75,9 +70,7 @@ def _run(options: argparse.Namespace) -> int:
     verb: Callable[[GraphClient, argparse.Namespace], int] = options.verb
     try:
         address = daemon_address()
-        # No call is to outlast a wait.
-        limit = min(options.call_timeout, getattr(options, "timeout", options.call_timeout))
-        client = GraphClient(address, limit)
+        client = GraphClient(address, options.call_timeout)
         try:
             return verb(client, options)
         except NoDaemonError as error:
@@ -98,12 +91,13 @@ def _run(options: argparse.Namespace) -> int:
 def _start(address: DaemonAddress) -> None:
     """Start our daemon; returns when it knows the graph."""
     # Takes longer to import than all the rest, and is needed once.
-    from play_launch.graph_daemon.control.start_stop import StartError, start_daemon  # noqa: PLC0415
+    from play_launch.graph_daemon.port import PortHeldError  # noqa: PLC0415
+    from play_launch.graph_daemon.start_stop import StartError, start_daemon  # noqa: PLC0415
 
     sys.stderr.write(f"starting the graph daemon of ROS domain {address.domain}\n")
     try:
-        messages = start_daemon(address).messages
-    except (StartError, OSError) as error:
+        messages = start_daemon(address, notify=_warn).messages
+    except (PortHeldError, StartError, OSError) as error:
         raise DaemonError(str(error)) from None
     for message in messages:
         _warn(message)
@@ -114,14 +108,6 @@ def parser_of_group(group: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog=f"play-launch {group}", description=GROUPS[group])
     # Named, or argparse would lay out a usage line first.
     verbs = parser.add_subparsers(required=True, metavar="VERB", prog=parser.prog)
-    if group == "graph":
-        verb = _verb(verbs, "wait", "Wait until at least N nodes are there.", wait)
-        verb.add_argument("--nodes", type=_count, required=True, metavar="N", help="how many")
-        verb.add_argument(
-            "--timeout", type=_seconds, default=60.0, metavar="S", help="seconds to wait (60)"
-        )
-        verb.add_argument("-a", "--all", action="store_true", help="count hidden nodes, too")
-        return parser
     verb = _verb(verbs, "list", f"List the {group}s.", _LISTS[group])
     verb.add_argument(
         "-c", f"--count-{group}s", dest="count", action="store_true", help="print their number only"
@@ -243,45 +229,6 @@ def node_info(client: GraphClient, options: argparse.Namespace) -> int:
     return OK
 
 
-def wait(client: GraphClient, options: argparse.Namespace) -> int:
-    """``play-launch graph wait``: exit code 3 when nodes are still missing at the end."""
-    begin = time.monotonic()
-    seen: int | None = None
-    trouble: DaemonError | None = None
-    while True:
-        try:
-            seen = len(_visible(client.nodes(), with_hidden=options.all))
-            trouble = None
-        except (NoDaemonError, RemoteError) as error:
-            if isinstance(error, NoDaemonError) and not options.no_start:
-                raise
-            # It may be starting, or being replaced; what it is missing is reported at the end.
-            trouble = error
-        elapsed = time.monotonic() - begin
-        reached = trouble is None and seen is not None and seen >= options.nodes
-        if reached or elapsed + _POLL > options.timeout:
-            break
-        time.sleep(_POLL)
-    if seen is None and trouble is not None:
-        raise trouble
-    if options.json:
-        _print_json(
-            {
-                "reached": reached,
-                "nodes": seen,
-                "wanted": options.nodes,
-                "seconds": round(elapsed, 3),
-            }
-        )
-    elif reached:
-        _say(f"{seen} nodes after {elapsed:.1f} s")
-    if not reached:
-        _report(f"{seen} of {options.nodes} nodes are there after {elapsed:.1f} s")
-        if trouble is not None:
-            _report(str(trouble))
-    return OK if reached else NODES_MISSING
-
-
 def _visible(nodes: Iterable[NodeName], *, with_hidden: bool) -> list[NodeName]:
     # A node is hidden by its own name, a topic or service by any part of it: so does ros2cli.
     return [
@@ -327,12 +274,5 @@ def _one_line(text: str) -> str:
 def _seconds(text: str) -> float:
     value = float(text.removesuffix("s").strip())
     if not 0 < value < 1e6:
-        raise ValueError
-    return value
-
-
-def _count(text: str) -> int:
-    value = int(text)
-    if value < 0:
         raise ValueError
     return value

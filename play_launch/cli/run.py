@@ -335,7 +335,7 @@ async def _observe_graph(config: ReplayConfig, sink: EventSink) -> None:
     if not config.graph_daemon:
         return
     await asyncio.sleep(_BEFORE_TOPICS)
-    from play_launch.graph_daemon.control.observer import observe_graph  # noqa: PLC0415 - as above
+    from play_launch.graph_daemon.observer import observe_graph  # noqa: PLC0415 - as above
 
     await observe_graph({**os.environ, **config.environment}, sink)
 

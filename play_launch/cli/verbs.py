@@ -6,7 +6,7 @@ from typing import Final
 
 from play_launch.cli.session_verbs import SESSION_VERBS
 
-GRAPH_VERBS: Final = ("node", "topic", "service", "graph")
+GRAPH_VERBS: Final = ("node", "topic", "service")
 
 VERBS: Final = (
     "replay",

@@ -1,21 +1,20 @@
-"""The process of a daemon in the background; `background` starts it."""
+"""The process of a daemon in the background; `start_stop` starts it."""
 
 from __future__ import annotations
 
 import argparse
-import asyncio
 import contextlib
 import logging
 import os
 import socket
 
 from play_launch.graph_daemon.contract import DOMAIN_VARIABLE, WARM, DaemonAddress
-from play_launch.graph_daemon.server.daemon import Daemon
+from play_launch.graph_daemon.daemon import Daemon
 from play_launch.process.time_slice import ask_for_more_turns, ask_for_short_turns
 
 
 def main() -> None:
-    """Run the daemon on the socket that was handed over."""
+    """Run the daemon on the socket that the starter passes."""
     parser = argparse.ArgumentParser(prog="play_launch.graph_daemon")
     parser.add_argument("--domain", type=int, required=True)
     parser.add_argument("--listener", type=int, required=True, help="descriptor of the socket")
@@ -40,7 +39,7 @@ def main() -> None:
                 with contextlib.suppress(OSError):
                     ready.close()
 
-        asyncio.run(daemon.run(socket.socket(fileno=options.listener), report))
+        daemon.run(socket.socket(fileno=options.listener), report)
 
 
 if __name__ == "__main__":

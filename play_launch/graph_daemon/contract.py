@@ -1,4 +1,4 @@
-"""What the daemon, its clients and its starter agree upon: where it listens, and what it answers.
+"""Address, methods and settings shared by the daemon, its clients and its starter.
 
 The address, the port's rule and the path are those of ros2cli (``ros2cli/daemon``), so that its
 clients find this daemon without any setting.
@@ -32,12 +32,14 @@ BACKLOG: Final = 1024
 """Clients that may wait to be accepted; the kernel may allow fewer (net.core.somaxconn)."""
 
 STATUS_METHOD: Final = "system.play_launch_status"
-"""Answers with a JSON text, see `server.daemon.DaemonStatus`.
+"""Answers with a JSON text, see `daemon.DaemonStatus`.
 
 The text is empty when an argument is given that is the present generation.
 
 ros2cli's clients ignore names with ``system.``.
 """
+JSON_METHOD: Final = "system.play_launch_json"
+"""Calls the method that its first argument names, and answers with the result as a JSON text."""
 SHUTDOWN_METHOD: Final = "system.shutdown"
 GRAPH_METHODS: Final = (
     "get_name",

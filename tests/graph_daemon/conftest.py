@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from play_launch.graph_daemon.contract import DaemonAddress
-from play_launch.graph_daemon.control.start_stop import start_daemon, stop_daemon
+from play_launch.graph_daemon.port import stop_daemon
+from play_launch.graph_daemon.start_stop import start_daemon
 from tests.graph_daemon.scene import NODES
 from tests.graph_daemon.wire import ask
 from tests.support.waiting import until

@@ -11,9 +11,8 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from play_launch.graph_daemon.contract import DaemonAddress, daemon_address
-from play_launch.graph_daemon.control.start_stop import stop_daemon
-from play_launch.graph_daemon.control.takeover import Kind, look
-from tests.graph_daemon.control.occupants import occupied
+from play_launch.graph_daemon.port import Kind, find_owner, stop_daemon
+from tests.graph_daemon.occupants import occupied
 from tests.support.replay import replaying
 
 CONFIG = """
@@ -44,8 +43,8 @@ def test_the_graph_is_served_and_recorded(address: DaemonAddress, tmp_path: Path
         replay.process.send_signal(signal.SIGINT)
         summary = replay.read_all()[-1]
         assert summary["exit_code"] == 128 + signal.SIGINT
-    # It is left to whatever else asks it.
-    assert look(address).kind is Kind.OURS
+    # Other sessions may use it.
+    assert find_owner(address).kind is Kind.OURS
     with AnyReader([replay.bag]) as reader:
         recorded: list[Any] = [
             reader.deserialize(data, connection.msgtype)
@@ -58,7 +57,7 @@ def test_the_graph_is_served_and_recorded(address: DaemonAddress, tmp_path: Path
 
 @pytest.mark.parametrize(
     "occupant",
-    [("impostor",), ("silent", "--name", "ros2-daemon")],
+    [("impostor",), ("silent",)],
     ids=["another program", "a daemon that hangs"],
 )
 def test_the_system_waits_for_no_owner_of_the_port(
@@ -82,7 +81,6 @@ def test_the_system_waits_for_no_owner_of_the_port(
             )
         replay.process.send_signal(signal.SIGINT)
         assert replay.read_all()[-1]["exit_code"] == 128 + signal.SIGINT
-        # One that hangs is ended when it is older than a minute; that has not been waited for.
         assert owner.poll() is None
 
 
@@ -93,6 +91,6 @@ def test_without_the_wish_there_is_no_daemon(tmp_path: Path) -> None:
         replay.read_until(
             lambda event: event["event"] == "node" and event["state"] == "loaded", "the talker"
         )
-        assert look(daemon_address()).kind is Kind.NOBODY
+        assert find_owner(daemon_address()).kind is Kind.FREE
         replay.process.send_signal(signal.SIGINT)
         assert "graph" not in {event["event"] for event in replay.read_all()}

@@ -105,7 +105,7 @@ def test_fast_dds_of_the_wheels_gets_it() -> None:
     "participant",
     [
         "from play_launch.ros.thread import RosThread; own = RosThread('probe'); own.start()",
-        "from play_launch.graph_daemon.server.ros_graph import RosGraph; own = RosGraph(1, print)",
+        "from play_launch.graph_daemon.ros_graph import RosGraph; own = RosGraph(1, print)",
     ],
     ids=["supervisor", "daemon"],
 )

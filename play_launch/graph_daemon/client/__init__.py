@@ -1,1 +1,0 @@
-"""Asks a graph daemon, ours or ros2cli's, without anything of ROS."""

@@ -1,1 +1,0 @@
-"""Starts and stops a daemon, whoever has its port."""

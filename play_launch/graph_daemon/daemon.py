@@ -1,0 +1,223 @@
+"""The daemon: node and server together, from its start to its end."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import signal
+import threading
+import time
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Final
+
+from play_launch.graph_daemon.contract import IDLE_TIMEOUT, LISTENING, WARM
+from play_launch.graph_daemon.http_server import Server
+from play_launch.graph_daemon.service import GraphService
+from play_launch.graph_daemon.warm_up import addresses, participants_here
+from play_launch.ros.fastdds.own_participant import OwnParticipant, decide
+from play_launch.ros.fastdds.profiles import files_here
+
+if TYPE_CHECKING:
+    import socket
+    from collections.abc import Callable
+
+    from play_launch.graph_daemon.contract import DaemonAddress
+    from play_launch.graph_daemon.ros_graph import RosGraph
+
+_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_TICK: Final = 0.1
+"""Seconds between two checks of the daemon itself, at the start."""
+_QUIET_TICK: Final = 0.25
+"""Seconds between them afterwards."""
+_ADDRESS_INTERVAL: Final = 2.0
+"""Seconds between two checks of the machine's addresses."""
+REPLACEMENT_TIME: Final = 3.0
+"""Seconds that a new node has to discover the others before it is used."""
+STATUS_VERSION: Final = 1
+"""Of the format of `DaemonStatus`; a field may be added without a change of it."""
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DaemonStatus:
+    """The daemon's state at one moment: the answer of ``system.play_launch_status``."""
+
+    daemon: str = "play_launch"
+    version: int = STATUS_VERSION
+    pid: int
+    domain: int
+    rmw: str
+    """The middleware's identifier, such as ``rmw_fastrtps_cpp``."""
+    node: str
+    """Name of the node that looks at the graph."""
+    age: float
+    """Seconds since the daemon started."""
+    warm: bool
+    """Whether it answers about the graph; before, such requests wait."""
+    settled: bool
+    """Whether nothing changed for half a second and no participant is known to be missing."""
+    generation: int
+    """Grows with every change of the graph."""
+    unchanged_for: float
+    """Seconds since the last change."""
+    changes_per_second: float
+    """Over the last ten seconds. Changes within 50 ms count as one."""
+    nodes: int
+    """Nodes in the graph, without the daemon's own."""
+    participants: int
+    """DDS participants that the daemon has met, itself too; 0 where that cannot be seen."""
+    participants_here: int
+    """DDS participants of the domain on this machine, by the kernel's table of sockets."""
+    replacements: int
+    """How often the node was replaced because the network's addresses changed."""
+    requests: int
+    cached_replies: int
+    """Requests that were answered without asking the graph again."""
+    connections: int
+    resets: int
+    """Connections that were reset because there were too many."""
+    idle_timeout: float
+    """Seconds without a request after which the daemon ends; 0 for never."""
+    transports: str
+    """As a value of FASTDDS_BUILTIN_TRANSPORTS, empty when they are not the daemon's choice."""
+    transports_reason: str
+    """Why; empty with another middleware than Fast DDS, where the variable means nothing."""
+
+    def to_json(self) -> str:
+        """Return it as one JSON object."""
+        return json.dumps(asdict(self), ensure_ascii=False)
+
+
+class Daemon:
+    """One daemon of one domain.
+
+    Args:
+        address: The address it serves at, for its domain.
+        idle_timeout: Seconds without a request after which it ends; 0 for never.
+    """
+
+    def __init__(self, address: DaemonAddress, *, idle_timeout: float = IDLE_TIMEOUT) -> None:
+        self._address = address
+        self._idle_timeout = idle_timeout
+        self._started = time.monotonic()
+        self._ended = threading.Event()
+        self._replacing: threading.Thread | None = None
+        self._replacements = 0
+
+    def run(self, listener: socket.socket, report: Callable[[str], None]) -> None:
+        """Serve until a client, a signal or idleness ends it; for the main thread.
+
+        Args:
+            listener: Listens at the address; it belongs to the daemon from now on.
+            report: Called with `LISTENING` and `WARM` when these states are reached.
+        """
+        # Loads ROS, which takes a while; meanwhile clients queue at the listener.
+        from play_launch.graph_daemon.ros_graph import (  # noqa: PLC0415
+            RosGraph,
+            graph_functions,
+            rmw_implementation,
+        )
+
+        self._rmw = rmw_implementation()
+        self._participant = decide(os.environ, files_here(), self._rmw) or OwnParticipant("", "")
+        self._service = GraphService(
+            graph_functions(lambda: self._service.graph),
+            participants_here=lambda: participants_here(self._address.domain),
+            status=self._status_text,
+            shutdown=self._shut_down,
+        )
+
+        def build() -> RosGraph:
+            return RosGraph(self._address.domain, self._service.changed)
+
+        self._build = build
+        self._known, self._addresses_checked = addresses(), self._started
+        self._service.use(self._build())
+        self._server = Server(listener, self._service.answer)
+        for number in _SIGNALS:
+            signal.signal(number, lambda *_: self._ended.set())
+        report(LISTENING)
+        try:
+            while not self._ended.is_set():
+                self._server.timeout = _QUIET_TICK if self._service.is_warm else _TICK
+                self._server.handle_request()
+                self._check(report)
+        finally:
+            self._ended.set()
+            self._service.close()
+            self._server.close()
+            if self._replacing is not None:
+                self._replacing.join()
+            self._service.graph.close()
+
+    def status(self) -> DaemonStatus:
+        """Return the daemon's state."""
+        now = time.monotonic()
+        service, server = self._service, self._server
+        known = service.population()
+        pulse = service.pulse
+        return DaemonStatus(
+            pid=os.getpid(),
+            domain=self._address.domain,
+            rmw=self._rmw,
+            node=service.graph.name,
+            age=now - self._started,
+            warm=service.is_warm,
+            settled=pulse.is_quiet(now) and known.is_complete,
+            generation=service.generation,
+            unchanged_for=pulse.quiet_for(now),
+            changes_per_second=pulse.rate(now),
+            nodes=known.nodes,
+            participants=known.participants,
+            participants_here=known.participants_here,
+            replacements=self._replacements,
+            requests=server.requests,
+            cached_replies=service.cached_replies,
+            connections=server.connections,
+            resets=server.resets,
+            idle_timeout=self._idle_timeout,
+            transports=self._participant.transports,
+            transports_reason=self._participant.reason,
+        )
+
+    def _status_text(self, generation: str = "") -> str:
+        # To count participants takes longer than all the rest of an answer.
+        is_known = generation == str(self._service.generation)
+        return "" if is_known else self.status().to_json()
+
+    def _shut_down(self) -> None:
+        # At once: when its caller has the answer, the port refuses connections.
+        self._ended.set()
+        self._server.stop_listening()
+
+    def _check(self, report: Callable[[str], None]) -> None:
+        now = time.monotonic()
+        if not self._service.is_warm and self._service.check_warm():
+            report(WARM)
+        if self._idle_timeout and now - self._service.last_request > self._idle_timeout:
+            _log.info("no request for %g s", self._idle_timeout)
+            self._ended.set()
+        if now - self._addresses_checked < _ADDRESS_INTERVAL:
+            return
+        self._addresses_checked = now
+        if self._replacing is None or not self._replacing.is_alive():
+            current = addresses()
+            if current != self._known:
+                self._known = current
+                self._replacing = threading.Thread(target=self._replace, daemon=True)
+                self._replacing.start()
+
+    def _replace(self) -> None:
+        """Use a new node, since a participant keeps the addresses that it was made with."""
+        _log.info("the addresses of the machine have changed; creating a new node")
+        old = self._service.graph
+        try:
+            new: RosGraph = self._build()
+        except Exception:  # noqa: BLE001 - whatever rclpy raises
+            _log.exception("no new node could be created; the old one stays in use")
+            return
+        self._ended.wait(REPLACEMENT_TIME)
+        self._service.use(new)
+        self._replacements += 1
+        old.close()

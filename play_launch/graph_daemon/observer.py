@@ -1,0 +1,203 @@
+"""Keeps a daemon running beside a system, and publishes which nodes appear and vanish."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import logging
+import threading
+import time
+from collections import Counter
+from concurrent.futures import Future
+from functools import partial
+from typing import TYPE_CHECKING, Final, TypeVar
+
+from play_launch.graph_daemon.contract import (
+    LISTENING,
+    NODE_PREFIX,
+    STATUS_METHOD,
+    DomainError,
+    daemon_address,
+)
+from play_launch.graph_daemon.graph_client import (
+    BadReplyError,
+    DaemonError,
+    GraphClient,
+    NoDaemonError,
+    RemoteError,
+)
+from play_launch.graph_daemon.port import PortHeldError
+from play_launch.graph_daemon.start_stop import StartError, start_daemon
+from play_launch.supervisor.events import GraphChanged
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping
+
+    from play_launch.graph_daemon.contract import DaemonAddress
+    from play_launch.supervisor.events import EventSink
+
+_Result = TypeVar("_Result")
+
+POLL: Final = 0.5
+"""Seconds between two queries while the graph changes."""
+LONGEST_POLL: Final = 2.0
+"""Seconds between them while it does not."""
+ORPHAN_TIMEOUT: Final = 60.0
+"""Seconds without a request after which the daemon ends by itself: each session sends requests all
+the time, so then the last one has ended."""
+BETWEEN_STARTS: Final = 10.0
+"""Seconds from one start of the daemon to the next at least."""
+_LAST_POLL_TIMEOUT: Final = 2.0
+_GONE: Final = (NoDaemonError, RemoteError, BadReplyError, ValueError, KeyError, TypeError)
+"""Errors which mean that our daemon has lost the port."""
+_RECORDER_PREFIX: Final = "_play_launch_recorder_"
+"""Of the node in `container_native/src/topic_recorder/ros.cpp`."""
+_log = logging.getLogger(__name__)
+
+
+def changes(before: Counter[str], now: Counter[str], stamp_ns: int) -> GraphChanged | None:
+    """Compare two lists of nodes, each with how often a name occurs; None when they are equal."""
+    if before == now:
+        return None
+    return GraphChanged(
+        stamp_ns=stamp_ns,
+        appeared=tuple(sorted((now - before).elements())),
+        vanished=tuple(sorted((before - now).elements())),
+        nodes=now.total(),
+    )
+
+
+def next_pause(pause: float, *, changed: bool) -> float:
+    """Return the seconds until the next poll, ``pause`` being those before this one.
+
+    A graph that has changed changes again soon; otherwise the pauses grow.
+    """
+    return POLL if changed else min(1.25 * pause, LONGEST_POLL)
+
+
+async def observe_graph(environment: Mapping[str, str], sink: EventSink) -> None:
+    """Keep a daemon running, and publish a `GraphChanged` for each change, until cancelled.
+
+    A daemon that runs is used as it is; one that has ended is started again. It is never stopped:
+    other sessions may use it, and without requests it ends by itself.
+
+    Args:
+        environment: That of the system's processes, for domain and discovery.
+        sink: Takes the events, in the loop's thread.
+    """
+    try:
+        address = daemon_address(environment)
+    except DomainError as error:
+        _log.warning("no graph daemon: %s", error)
+        return
+    observer = _Observer(address, sink)
+    loop = asyncio.get_running_loop()
+    while True:
+        earliest = loop.time() + BETWEEN_STARTS
+        try:
+            # Listening is enough: requests wait for the graph by themselves.
+            started = await _in_a_thread(
+                partial(
+                    start_daemon,
+                    address,
+                    wait_for=LISTENING,
+                    idle_timeout=ORPHAN_TIMEOUT,
+                    environment=environment,
+                )
+            )
+        except (PortHeldError, StartError, OSError) as error:
+            observer.warn_once(f"no graph daemon: {error}")
+        else:
+            log = _log.info if started.started else _log.warning
+            for message in started.messages:
+                log("graph daemon: %s", message)
+            if started.process is not None:  # reap it whenever it ends
+                threading.Thread(target=started.process.wait, daemon=True).start()
+            await observer.run()
+        await asyncio.sleep(earliest - loop.time())
+
+
+class _Observer:
+    def __init__(self, address: DaemonAddress, sink: EventSink) -> None:
+        self._client = GraphClient(address)
+        self._sink = sink
+        self._known: Counter[str] = Counter()
+        self._generation = -1
+        self._warning = ""
+
+    def warn_once(self, text: str) -> None:
+        """Log a warning, unless it is the last one and the daemon has not answered since."""
+        if text != self._warning:
+            _log.warning("%s", text)
+        self._warning = text
+
+    async def run(self) -> None:
+        """Poll until the daemon has ended, and once more when cancelled."""
+        self._generation = -1
+        pause = POLL
+        try:
+            while True:
+                changed = await self._poll()
+                pause = next_pause(pause, changed=changed)
+                await asyncio.sleep(pause)
+        except _GONE as error:
+            self.warn_once(f"the graph daemon does not answer: {error}")
+        except asyncio.CancelledError:
+            with contextlib.suppress(TimeoutError, *_GONE):
+                async with asyncio.timeout(_LAST_POLL_TIMEOUT):
+                    await self._poll()
+            raise
+
+    async def _poll(self) -> bool:
+        """Publish what has changed since the last poll; return whether to poll again soon."""
+        try:
+            known = str(self._generation)
+            text = await _in_a_thread(partial(self._client.call, STATUS_METHOD, known))
+            if not text:
+                self._warning = ""
+                return False
+            status = json.loads(str(text))
+            generation, unchanged_for = int(status["generation"]), float(status["unchanged_for"])
+            stamp_ns = time.time_ns() - round(1e9 * unchanged_for)
+            # Before that the list is not complete, which is no change of the graph.
+            if not status["warm"]:
+                return True
+            nodes = await _in_a_thread(self._client.nodes)
+        except _GONE:
+            raise
+        except DaemonError as error:  # it may be busy or stopped
+            self.warn_once(f"the graph daemon does not answer: {error}")
+            return True
+        self._warning = ""
+        self._generation = generation
+        event = self._fold((node.full_name for node in nodes if not _is_ours(node.name)), stamp_ns)
+        if event is not None:
+            self._sink.publish(event)
+        return True
+
+    def _fold(self, nodes: Iterable[str], stamp_ns: int) -> GraphChanged | None:
+        now = Counter(nodes)
+        event = changes(self._known, now, stamp_ns)
+        self._known = now
+        return event
+
+
+def _is_ours(name: str) -> bool:
+    """Whether it is the node of a daemon or of our topic recorder."""
+    return name.startswith((NODE_PREFIX, _RECORDER_PREFIX))
+
+
+def _in_a_thread(work: Callable[[], _Result]) -> asyncio.Future[_Result]:
+    """Run it in a thread that the exit does not join: a daemon may need a minute to start."""
+    done: Future[_Result] = Future()
+    done.set_running_or_notify_cancel()
+
+    def run() -> None:
+        try:
+            done.set_result(work())
+        except Exception as error:  # noqa: BLE001 - it is raised where it is awaited
+            done.set_exception(error)
+
+    threading.Thread(target=run, name="graph daemon", daemon=True).start()
+    return asyncio.wrap_future(done)

@@ -1,0 +1,187 @@
+"""The node that queries the graph: all uses of rclpy in this package."""
+
+# rclpy is typed in parts only.
+# mypy: disable-error-code="no-untyped-call,attr-defined"
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import importlib
+import logging
+import os
+import threading
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from uuid import uuid4
+
+import rclpy
+import rclpy.action
+import rclpy.qos
+from rclpy.context import Context
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.topic_endpoint_info import TopicEndpointInfo, TopicEndpointTypeEnum
+
+from play_launch.graph_daemon.contract import GRAPH_METHODS, NODE_PREFIX
+from play_launch.graph_daemon.xml_rpc import register_scalar, register_struct
+from play_launch.ros.fastdds.own_participant import as_our_own
+from play_launch.ros.fastdds.waits import end_participants_safely
+from play_launch.ros.waiting import Waiting
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+_DISCOVERY_TOPIC: Final = "ros_discovery_info"
+"""Every participant of ROS publishes here which nodes it has."""
+_UNKNOWN_NODE: Final = "_NODE_NAME_UNKNOWN_"
+_LOOK: Final = 0.5
+
+_log = logging.getLogger(__name__)
+
+
+def rmw_implementation() -> str:
+    """Return the identifier of the middleware in use."""
+    return str(rclpy.get_rmw_implementation_identifier())
+
+
+class Met(NamedTuple):
+    """What a participant has discovered."""
+
+    participants: int
+    """Number of participants, itself included; 0 with a middleware that does not show them."""
+    nameless: int
+    """Number of publishers whose nodes are not known yet."""
+
+
+class RosGraph:
+    """A node in a context, so a DDS participant, of its own.
+
+    Its name, parameters and topics are those of ros2cli's daemon. The methods may be called from
+    any thread, `close` once.
+
+    Args:
+        domain: For the node's name; the domain itself is that of the environment.
+        on_change: Called in a thread of the graph's own after each change of the graph, for a
+            storm of changes once in `GRAPH_PAUSE`.
+    """
+
+    def __init__(self, domain: int, on_change: Callable[[], None]) -> None:
+        self._on_change = on_change
+        self._stopping = threading.Event()
+        self._context = Context()
+        try:
+            with as_our_own(os.environ, rmw_implementation()):
+                rclpy.init(args=[], context=self._context)
+                end_participants_safely()
+                self._node = Node(
+                    f"{NODE_PREFIX}{domain}_{uuid4().hex}",
+                    context=self._context,
+                    start_parameter_services=False,
+                    parameter_overrides=[
+                        Parameter("use_sim_time", value=False),
+                        Parameter("start_type_description_service", value=False),
+                    ],
+                    automatically_declare_parameters_from_overrides=True,
+                )
+            self._name = str(self._node.get_name())
+            self._watch = Waiting(self._node, on_change)
+        except BaseException:
+            self._context.try_shutdown()
+            raise
+        self._thread = threading.Thread(target=self._run, name="graph", daemon=True)
+        self._thread.start()
+
+    @property
+    def name(self) -> str:
+        """The name of the node, without its namespace, which is the root."""
+        return self._name
+
+    def call(self, method: str, *arguments: object) -> Any:
+        """Call one of `GRAPH_METHODS`; raises what rclpy raises."""
+        return _function(self._node, method)(*arguments)
+
+    def nodes(self) -> list[tuple[str, str]]:
+        """Return name and namespace of every node, this one too."""
+        return list(self._node.get_node_names_and_namespaces())
+
+    def met(self) -> Met:
+        """Return what this participant has discovered."""
+        participants = self._node.get_publishers_info_by_topic(_DISCOVERY_TOPIC, no_mangle=True)
+        speakers = self._node.get_publishers_info_by_topic("/rosout")
+        nameless = sum(speaker.node_name == _UNKNOWN_NODE for speaker in speakers)
+        return Met(len(participants), nameless)
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._stopping.set()
+        self._watch.wake()
+        self._thread.join()
+        self._watch.close()
+        self._node.destroy_node()
+        self._context.try_shutdown()
+
+    def _run(self) -> None:
+        try:
+            while not self._stopping.is_set():
+                self._watch.wait()
+        except Exception:  # noqa: BLE001 - in a thread it would go unnoticed
+            _log.exception("changes of the graph are not reported; looking twice a second instead")
+            while not self._stopping.wait(_LOOK):
+                self._on_change()
+
+
+_ACTION_FUNCTIONS: Final[dict[str, Any]] = {
+    "get_action_names_and_types": rclpy.action.get_action_names_and_types,
+    "get_action_server_names_and_types_by_node": (
+        rclpy.action.get_action_server_names_and_types_by_node
+    ),
+    "get_action_client_names_and_types_by_node": (
+        rclpy.action.get_action_client_names_and_types_by_node
+    ),
+}
+
+
+def graph_functions(graph: Callable[[], RosGraph]) -> dict[str, Callable[..., Any]]:
+    """Return the functions behind `GRAPH_METHODS` that this rclpy has.
+
+    They query whatever ``graph`` returns when they are called, and carry rclpy's documentation.
+    """
+    functions: dict[str, Callable[..., Any]] = {}
+    for method in GRAPH_METHODS:
+        original = _ACTION_FUNCTIONS.get(method) or getattr(Node, method, None)
+        if original is not None:
+            functions[method] = _forwarded(method, original, graph)
+    return functions
+
+
+def _forwarded(
+    method: str, original: Callable[..., Any], graph: Callable[[], RosGraph]
+) -> Callable[..., Any]:
+    @functools.wraps(original)
+    def function(*arguments: object) -> Any:
+        return graph().call(method, *arguments)
+
+    return function
+
+
+def _function(node: Node, method: str) -> Callable[..., Any]:
+    action = _ACTION_FUNCTIONS.get(method)
+    function: Callable[..., Any]
+    function = functools.partial(action, node) if action else getattr(node, method)
+    return function
+
+
+def _register_values() -> None:
+    """Have the values of rclpy written as ros2cli's daemon writes them; Humble has no TypeHash."""
+    register_scalar(Duration, lambda value: value.nanoseconds)
+    for name in ("HistoryPolicy", "ReliabilityPolicy", "DurabilityPolicy", "LivelinessPolicy"):
+        register_scalar(getattr(rclpy.qos, name), lambda value: value.value)
+    register_scalar(TopicEndpointTypeEnum, lambda value: value.value)
+    register_struct(rclpy.qos.QoSProfile)
+    register_struct(TopicEndpointInfo)
+    with contextlib.suppress(ImportError):
+        register_struct(importlib.import_module("rclpy.type_hash").TypeHash)
+
+
+_register_values()

@@ -1,0 +1,219 @@
+"""What a replay records of the graph."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import os
+import signal
+import time
+from collections import Counter
+from collections.abc import AsyncIterator, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from play_launch.graph_daemon import observer
+from play_launch.graph_daemon.contract import DaemonAddress
+from play_launch.graph_daemon.observer import (
+    LONGEST_POLL,
+    ORPHAN_TIMEOUT,
+    POLL,
+    changes,
+    next_pause,
+    observe_graph,
+)
+from play_launch.graph_daemon.port import (
+    Kind,
+    PortHeldError,
+    PortOwner,
+    find_owner,
+    stop_daemon,
+)
+from play_launch.graph_daemon.start_stop import Started, start_daemon
+from play_launch.ros.fastdds.shared_memory import sweep
+from play_launch.supervisor.events import GraphChanged, RunEvent
+from tests.graph_daemon.occupants import occupied
+from tests.support.ros import Probe
+
+names = st.lists(st.sampled_from(["/a", "/b", "/c"])).map(Counter)
+
+
+class Heard:
+    """An event sink that keeps events."""
+
+    def __init__(self) -> None:
+        self.events: list[GraphChanged] = []
+
+    def publish(self, event: RunEvent) -> None:
+        assert isinstance(event, GraphChanged)
+        self.events.append(event)
+
+    def has(self, appeared: str = "", vanished: str = "") -> bool:
+        return any(
+            (appeared in event.appeared if appeared else vanished in event.vanished)
+            for event in self.events
+        )
+
+    async def until(self, *, appeared: str = "", vanished: str = "") -> None:
+        while not self.has(appeared, vanished):
+            await asyncio.sleep(0.02)
+
+
+@given(names, names)
+def test_changes_lead_from_one_list_to_the_other(before: Counter[str], now: Counter[str]) -> None:
+    event = changes(before, now, 5)
+    if event is None:
+        assert before == now
+        return
+    reached = before + Counter(event.appeared)
+    reached.subtract(event.vanished)
+    assert +reached == now
+    assert event.nodes == now.total()
+    assert not set(event.appeared) & set(event.vanished)
+
+
+@given(st.lists(st.floats(0.0, 100.0), max_size=20))
+def test_at_rest_it_is_asked_seldom_and_in_a_storm_not_often(moments: list[float]) -> None:
+    """Each question takes time of the daemon, which is to need next to none at rest."""
+    pending = sorted(moments)
+    now, pause, looks = 0.0, POLL, 0
+    while now < 120.0:
+        changed = bool(pending) and pending[0] <= now
+        # What changed is seen before the longest pause is over.
+        assert not changed or now - pending[0] <= LONGEST_POLL
+        pending = [moment for moment in pending if moment > now]
+        pause = next_pause(pause, changed=changed)
+        assert POLL <= pause <= LONGEST_POLL
+        now += pause
+        looks += 1
+    assert looks <= 120.0 / LONGEST_POLL + 5 * (len(moments) + 1)
+
+
+@contextlib.asynccontextmanager
+async def observed(heard: Heard) -> AsyncIterator[None]:
+    """Have a session observe the graph; the daemon that it may start goes on afterwards."""
+    observing = asyncio.create_task(observe_graph(os.environ, heard))
+    try:
+        yield
+        assert not observing.done()
+    finally:
+        observing.cancel()
+        await asyncio.gather(observing, return_exceptions=True)
+
+
+async def ours(address: DaemonAddress, *, but: int = 0) -> PortOwner:
+    """Wait for a daemon of ours, another one than that process."""
+    while True:
+        owner = await asyncio.to_thread(find_owner, address)
+        if owner.kind is Kind.OURS and owner.status["pid"] != but:
+            return owner
+
+
+@pytest.fixture
+def _ended(address: DaemonAddress, logs: Path) -> Iterator[None]:
+    yield
+    stop_daemon(address)
+    assert find_owner(address).kind is Kind.FREE
+
+
+@pytest.mark.usefixtures("_ended")
+def test_nodes_that_come_and_go_are_published(address: DaemonAddress) -> None:
+    async def scenario(heard: Heard) -> None:
+        async with observed(heard):
+            # When no session asks any more, the daemon does not stay for ever.
+            assert (await ours(address)).status["idle_timeout"] == ORPHAN_TIMEOUT
+            before = time.time_ns()
+            probe = await asyncio.to_thread(Probe, "visitor")
+            await heard.until(appeared="/visitor")
+            # The time of the change, not that of the question.
+            assert before <= heard.events[-1].stamp_ns <= time.time_ns()
+            await asyncio.to_thread(probe.__exit__, None, None, None)
+            await heard.until(vanished="/visitor")
+
+    heard = Heard()
+    asyncio.run(asyncio.wait_for(scenario(heard), 120))
+    assert not any("_ros2cli_daemon_" in str(event) for event in heard.events)
+
+
+@pytest.mark.usefixtures("_ended")
+def test_the_end_of_a_session_leaves_the_graph_to_the_others(address: DaemonAddress) -> None:
+    async def scenario(heard: Heard) -> None:
+        async with contextlib.AsyncExitStack() as first:
+            await first.enter_async_context(observed(Heard()))
+            started = await ours(address)
+            async with observed(heard):
+                first_seen = await asyncio.to_thread(Probe, "seen_by_both")
+                await heard.until(appeared="/seen_by_both")
+                await first.aclose()
+                await asyncio.to_thread(first_seen.__exit__, None, None, None)
+                await heard.until(vanished="/seen_by_both")
+                assert (await ours(address)).status["pid"] == started.status["pid"]
+
+    asyncio.run(asyncio.wait_for(scenario(Heard()), 120))
+
+
+@pytest.mark.parametrize("kind", ["other", "impostor"])
+def test_without_a_daemon_it_tries_again_and_warns_once(
+    kind: str,
+    address: DaemonAddress,
+    caplog: pytest.LogCaptureFixture,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    caplog.set_level(logging.WARNING)
+    monkeypatch.setattr(observer, "BETWEEN_STARTS", 0.1)
+    problems: list[str] = []
+
+    def counted(*arguments: Any, **options: Any) -> Started:
+        # A thread that is left behind must not start one for the next test.
+        if len(problems) == 3:
+            raise PortHeldError(problems[0])
+        try:
+            return start_daemon(*arguments, **options)
+        except PortHeldError as error:
+            problems.append(str(error))
+            raise
+
+    monkeypatch.setattr(observer, "start_daemon", counted)
+
+    async def scenario() -> None:
+        async with observed(Heard()):
+            while len(problems) < 3:
+                await asyncio.sleep(0.02)
+
+    with occupied(kind, address.port):
+        asyncio.run(asyncio.wait_for(scenario(), 120))
+    (warning,) = [record.getMessage() for record in caplog.records]
+    assert warning.startswith("no graph daemon: ")
+    assert "has the daemon's port" in warning
+
+
+@pytest.mark.usefixtures("_ended")
+def test_a_daemon_that_dies_is_reported_once_and_started_again(
+    address: DaemonAddress, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    caplog.set_level(logging.WARNING)
+    monkeypatch.setattr(observer, "BETWEEN_STARTS", 0.1)
+
+    async def scenario(heard: Heard) -> None:
+        async with observed(heard):
+            killed = (await ours(address)).status["pid"]
+            os.kill(killed, signal.SIGKILL)
+            await ours(address, but=killed)
+            probe = await asyncio.to_thread(Probe, "late_visitor")
+            await heard.until(appeared="/late_visitor")
+            await asyncio.to_thread(probe.__exit__, None, None, None)
+
+    asyncio.run(asyncio.wait_for(scenario(Heard()), 120))
+    assert caplog.text.count("does not answer") == 1
+    # What the killed one left, unless another program of this machine was faster.
+    sweep()
+
+
+def test_a_domain_that_is_none_is_reported(caplog: pytest.LogCaptureFixture) -> None:
+    asyncio.run(observe_graph({"ROS_DOMAIN_ID": "banana"}, Heard()))
+    assert "no graph daemon: ROS_DOMAIN_ID is a number" in caplog.text
