@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from play_launch.runtime.publisher import Publisher
     from play_launch.runtime.system import System
     from play_launch.supervisor.events import RunEvent
+    from play_launch.supervisor.view import ContainerView, NodeView
 
     Outcomes = dict[Target, str]
 
@@ -283,8 +284,8 @@ class Actions:
         if isinstance(target, str):
             return self._of_member(target)
         if action is Action.UNLOAD:
-            state = self._node_state(target)
-            return _REMOVED if state is None else DONE if state in _LEFT else None
+            found = self._node(target)
+            return _REMOVED if found is None else DONE if found[1].state in _LEFT else None
         return self._of_node(target, _NOT_LOADED | {NodeState.CRASHED})
 
     def _is_up(self, target: Target, *, activated: bool) -> str | None:
@@ -315,10 +316,10 @@ class Actions:
         return DONE if state is ContainerState.RUNNING else None
 
     def _of_node(self, key: NodeKey, failed: frozenset[NodeState]) -> str | None:
-        container = self._publisher.view.containers.get(key.container)
-        node = None if container is None else container.nodes.get(key)
-        if container is None or node is None:
+        found = self._node(key)
+        if found is None:
             return _REMOVED
+        container, node = found
         if node.state is NodeState.LOADED:
             return DONE
         if container.state in _INACTIVE:
@@ -335,10 +336,11 @@ class Actions:
         except KeyError:
             return None
 
-    def _node_state(self, key: NodeKey) -> NodeState | None:
+    def _node(self, key: NodeKey) -> tuple[ContainerView, NodeView] | None:
         container = self._publisher.view.containers.get(key.container)
-        node = None if container is None else container.nodes.get(key)
-        return node.state if node else None
+        if container is None or key not in container.nodes:
+            return None
+        return container, container.nodes[key]
 
     def _reason(self, member: str) -> str:
         view = self._publisher.view
@@ -350,10 +352,10 @@ class Actions:
     def _send_signal(self, target: Target, number: signal.Signals) -> str:
         view = self._publisher.view
         if isinstance(target, NodeKey):
-            container = view.containers.get(target.container)
-            node = None if container is None else container.nodes.get(target)
-            if container is None or node is None:
+            found = self._node(target)
+            if found is None:
                 return _REMOVED
+            container, node = found
             is_own = container.process.pid and node.pid != container.process.pid
             pid, start_time = (node.pid, node.start_time) if is_own else (0, 0)
         else:

@@ -34,7 +34,6 @@ from play_launch.control.messages import (
 )
 from play_launch.control.protocol import ROS_VARIABLES, Code, ControlError
 from play_launch.control.units import (
-    Clock,
     chosen,
     full_name,
     key_of,
@@ -152,7 +151,7 @@ class Operations:
 
     async def _ps(self, request: Selected, _caller: Caller) -> list[Row]:
         view = self._publisher.view
-        rows = rows_of(view, self._system.processes, self._samples, Clock())
+        rows = rows_of(view, self._system.processes, self._samples)
         if request.names:
             found = {str(target) for target in self._chosen(request.names)}
             rows = [row for row in rows if key_of(row) in found]

@@ -140,26 +140,7 @@ def _proposal(word: str, candidates: Sequence[Target]) -> str:
 # Rows.
 
 
-class Clock:
-    """A moment, on the clocks that times of processes and events are in."""
-
-    def __init__(self, now_ns: int | None = None, boot_s: float | None = None) -> None:
-        """Take nanoseconds since the epoch and seconds since the boot; None: now."""
-        self.now_ns = time.time_ns() if now_ns is None else now_ns
-        self.boot_s = time.clock_gettime(time.CLOCK_BOOTTIME) if boot_s is None else boot_s
-
-    def age(self, start_time: int) -> float | None:
-        """Seconds since a number of clock ticks after the boot; None for 0."""
-        return round(max(self.boot_s - start_time / _TICKS, 0.0), 3) if start_time else None
-
-    def since(self, stamp_ns: int) -> float:
-        """Seconds since a wall-clock time."""
-        return round(max((self.now_ns - stamp_ns) / 1e9, 0.0), 3)
-
-
-def rows_of(
-    view: SystemView, processes: Iterable[str], samples: Samples, clock: Clock
-) -> list[Row]:
+def rows_of(view: SystemView, processes: Iterable[str], samples: Samples) -> list[Row]:
     """Make the rows: each container before its nodes, as declared; then the processes.
 
     ``processes`` are the names of all ordinary processes that are declared: one that was never
@@ -167,9 +148,9 @@ def rows_of(
     """
     rows: list[Row] = []
     for container in view.containers.values():
-        rows += _of_container(container, view, samples, clock)
+        rows += _of_container(container, view, samples)
     names = dict.fromkeys([*processes, *view.processes])
-    return rows + [_of_process(name, view, samples, clock) for name in names]
+    return rows + [_of_process(name, view, samples) for name in names]
 
 
 def with_groups(rows: Iterable[Row]) -> list[Row]:
@@ -223,9 +204,7 @@ def status_of(
     )
 
 
-def _of_container(
-    container: ContainerView, view: SystemView, samples: Samples, clock: Clock
-) -> Iterator[Row]:
+def _of_container(container: ContainerView, view: SystemView, samples: Samples) -> Iterator[Row]:
     process = container.process
     sample = samples.get((SubjectKind.CONTAINER, container.name))
     yield Row(
@@ -236,16 +215,14 @@ def _of_container(
         reason=container.reason,
         managed=None,
         crashes=container.crashes,
-        **_of_life(process, clock),
-        **_usage(sample, process.pid, clock),
+        **_of_life(process),
+        **_usage(sample, process.pid),
     )
     for node in container.nodes.values():
-        yield _of_node(node, container, view, samples, clock)
+        yield _of_node(node, container, view, samples)
 
 
-def _of_node(
-    node: NodeView, container: ContainerView, view: SystemView, samples: Samples, clock: Clock
-) -> Row:
+def _of_node(node: NodeView, container: ContainerView, view: SystemView, samples: Samples) -> Row:
     pid = node.pid if node.state in _HAS_PROCESS and container.process.pid else 0
     # Without a process of its own, its usage is in the numbers of its container.
     is_own = pid not in {0, container.process.pid}
@@ -259,15 +236,17 @@ def _of_node(
         managed=_managed(view, str(node.key)),
         pid=pid or None,
         restarts=node.reloads,
-        uptime_s=clock.since(node.since_ns) if node.state is NodeState.LOADED else None,
+        uptime_s=round((time.time_ns() - node.since_ns) / 1e9, 3)
+        if node.state is NodeState.LOADED
+        else None,
         exit_code=None,
         signal=None,
         crashes=node.crashes,
-        **_usage(sample, pid, clock),
+        **_usage(sample, pid),
     )
 
 
-def _of_process(name: str, view: SystemView, samples: Samples, clock: Clock) -> Row:
+def _of_process(name: str, view: SystemView, samples: Samples) -> Row:
     process = view.processes.get(name)
     life: dict[str, Any] = dict.fromkeys(("pid", "uptime_s", "exit_code", "signal")) | {
         "restarts": 0
@@ -280,8 +259,8 @@ def _of_process(name: str, view: SystemView, samples: Samples, clock: Clock) -> 
         reason=process.message if process else "",
         managed=_managed(view, name),
         crashes=0,
-        **_of_life(process, clock) if process else life,
-        **_usage(samples.get((SubjectKind.PROCESS, name)), process.pid if process else 0, clock),
+        **_of_life(process) if process else life,
+        **_usage(samples.get((SubjectKind.PROCESS, name)), process.pid if process else 0),
     )
 
 
@@ -290,20 +269,30 @@ def _managed(view: SystemView, unit: str) -> Managed | None:
     return Managed(found.state.value, found.reason) if found else None
 
 
-def _of_life(process: ProcessView, clock: Clock) -> dict[str, Any]:
+def _of_life(process: ProcessView) -> dict[str, Any]:
     has_ended = process.kind in _ENDED
     is_known = process.exit_code != UNKNOWN_STATUS
     return {
         "pid": process.pid or None,
         "restarts": process.restarts,
-        "uptime_s": clock.age(process.start_time) if process.pid else None,
+        "uptime_s": _age(process.start_time) if process.pid else None,
         "exit_code": process.exit_code if has_ended and is_known else None,
         "signal": process.signal or None if has_ended else None,
     }
 
 
-def _usage(sample: ProcessSample | None, pid: int, clock: Clock) -> dict[str, Any]:
-    if sample is None or sample.pid != pid or clock.now_ns - sample.stamp_ns > _SAMPLE_AGE_LIMIT_NS:
+def _age(start_time: int) -> float | None:
+    """Seconds since a number of clock ticks after the boot; None if unknown."""
+    now = time.clock_gettime(time.CLOCK_BOOTTIME)
+    return round(max(now - start_time / _TICKS, 0.0), 3) if start_time else None
+
+
+def _usage(sample: ProcessSample | None, pid: int) -> dict[str, Any]:
+    if (
+        sample is None
+        or sample.pid != pid
+        or time.time_ns() - sample.stamp_ns > _SAMPLE_AGE_LIMIT_NS
+    ):
         return {"cpu_percent": None, "memory_bytes": None, "memory_kind": None}
     # Memory that is shared with the container is not the node's own.
     is_shared = sample.memory_kind is MemoryKind.SHARED

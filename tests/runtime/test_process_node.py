@@ -7,7 +7,7 @@ from msgspec.structs import replace
 
 from play_launch.config.dependency import Condition, Dependency, StartRule
 from play_launch.config.policies import OnExit
-from play_launch.control.units import Clock, rows_of
+from play_launch.control.units import rows_of
 from play_launch.process.exit import Exit
 from play_launch.runtime.commands import StartError
 from play_launch.supervisor.events import ProcessEventKind
@@ -174,7 +174,7 @@ def test_what_does_not_die_is_told_and_does_not_hold_up_the_end(
 
 def test_what_is_stopped_between_two_starts_or_before_the_first_is_stopped() -> None:
     def row(sys: Running, name: str) -> str:
-        (found,) = (each for each in rows_of(sys.view, [name], {}, Clock()) if each.name == name)
+        (found,) = (each for each in rows_of(sys.view, [name], {}) if each.name == name)
         return found.state
 
     async def main() -> Running:
