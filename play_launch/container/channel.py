@@ -38,7 +38,7 @@ _log = logging.getLogger(__name__)
 
 
 class ControlError(Exception):
-    """The channel is of no use any more; the container has to be stopped."""
+    """The channel cannot be used; the container has to be stopped."""
 
 
 class ChannelClosedError(ControlError):
@@ -195,7 +195,7 @@ class ControlChannel:
         self._write()
 
     def close(self) -> None:
-        """Close the channel; the container stops by itself then. May be called twice."""
+        """Close the channel, upon which the container stops. May be called twice."""
         self._frames.clear()
         self._fail(ChannelClosedError("the control channel was closed by the supervisor"))
 

@@ -156,7 +156,7 @@ def preloading(
 def with_safe_waits(environment: Mapping[str, str], container: Path) -> dict[str, str]:
     """Keep a process from waiting for itself in Fast DDS; ``container`` is our own program.
 
-    With another middleware, or where the switch says so, nothing is changed.
+    With another middleware, or where the switch is 0, nothing is changed.
     """
     if not asks_for_fastdds(environment) or environment.get(WAITS_SWITCH) == "0":
         return dict(environment)
@@ -173,10 +173,10 @@ WHEEL_LIBRARY: Final = Path("cmeel.prefix", "lib", "libmimalloc.so.3")
 _LIBRARIES: Final = ("mimalloc", "jemalloc")
 """Of the system, best first."""
 FIX: Final = (
-    "pip install cmeel-mimalloc (found by itself), or install your distribution's mimalloc, or set "
-    f"{ALLOCATOR_VARIABLE}=/path/to/libmimalloc.so"
+    "pip install cmeel-mimalloc (needs no setting), or install your distribution's mimalloc, or "
+    f"set {ALLOCATOR_VARIABLE}=/path/to/libmimalloc.so"
 )
-"""What to do where there is none."""
+"""Fix for a machine without one."""
 ADVICE: Final = (
     "isolated containers run with glibc's malloc, whose locks a crashing node can leave locked: "
     "its container may then freeze, and is killed and started again with all of its nodes. "
@@ -259,7 +259,7 @@ def allocating_with(environment: Mapping[str, str], library: Path) -> dict[str, 
 def with_own_arenas(environment: Mapping[str, str]) -> dict[str, str]:
     """Let each thread of the C library's allocator have an arena of its own.
 
-    An arena has a lock, and one that is held by a dead node is held for ever. By default there are
+    An arena has a lock, and one that a node held when it exited stays locked. By default there are
     eight per processor, shared by all threads. What the user set stays as it is.
     """
     changed = dict(environment)

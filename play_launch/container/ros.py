@@ -2,7 +2,7 @@
 
 ROS comes either from a sourced installation (`/opt/ros/...`, a workspace: then AMENT_PREFIX_PATH
 names it) or from wheels in the environment of this very Python. Both at once mix libraries of
-two builds in one process, which ends in crashes that nobody can explain, so it is refused.
+two builds in one process, which causes inexplicable crashes, so it is refused.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _MARKER = Path("share") / "rcl" / "package.xml"
 
 
 class NotInstalledError(Exception):
-    """Something this program needs is not there; the text says what to do about it."""
+    """Something this program needs is missing; the text includes the fix."""
 
 
 class MixedInstallationError(Exception):
@@ -145,7 +145,7 @@ def topic_recorder(environ: Mapping[str, str] | None = None, *, prefix: Path | N
 
 
 def python_packages_problem() -> str | None:
-    """Say what of ROS's Python packages is not there for this Python; imports none of them.
+    """Describe which ROS package is missing for this Python, without importing it; else None.
 
     Their compiled parts are looked for as well: those of another version of Python, as of a
     sourced installation in an environment that has its own Python, cannot be loaded.
@@ -204,7 +204,7 @@ _SWITCH: Final = "librmw_implementation.so"
 def middleware_problem(
     ros: RosInstallation, environ: Mapping[str, str] | None = None
 ) -> str | None:
-    """Say why ROS would end every process that loads it, in a sentence; None when it would not.
+    """Describe why ROS would abort each process that loads it; None if it would not.
 
     Without the switch rcl is linked to Fast DDS. Another middleware works all the same when its
     library is preloaded: it has the same functions, and is found first.

@@ -258,7 +258,7 @@ SUPERVISOR: Final = "(pid)"
 
 
 class Start(Struct, frozen=True):
-    """A process to be started: its command, or the reason why there is none."""
+    """A process to be started: its command, or the reason why it has no command."""
 
     config: ContainerConfig | ProcessConfig
     command: Command | str

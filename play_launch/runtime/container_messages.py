@@ -216,7 +216,7 @@ def description(hello: Hello) -> str:
 
 
 def isolation_shortfall(config: ContainerConfig, hello: Hello) -> str:
-    """Describe a weaker isolation than the best that was requested; empty if there is none.
+    """Describe a weaker isolation than the best that was requested; else empty.
 
     The text is the same for all containers with the same reasons.
     """

@@ -120,8 +120,8 @@ class ProcessActor:
 
     async def _clean_up(self) -> None:
         """Remove what its process left in the system."""
-        # Whoever writes to it, in this system or another, would go on writing into its memory, and
-        # may wait for itself there if it is none of ours (docs/fastdds.md).
+        # Processes that publish to it, of this system or another, would go on writing into its
+        # memory, and may deadlock there (docs/fastdds.md).
         if self._was_killed:
             await self._system.launcher.clean_up()
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 _SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _MOST_PENDING: Final = 2
-"""One asks for the end, a second one hurries; more say nothing new."""
+"""The first requests the stop, a second one skips to the next stop signal."""
 _log = logging.getLogger(__name__)
 
 
@@ -34,7 +34,7 @@ class RunSignals:
     def __enter__(self) -> Self:
         for signum in _SIGNALS:
             # nohup ignores SIGHUP for us, and that is meant. SIGINT is ignored in the background
-            # jobs of scripts, by a habit of shells that nobody means.
+            # jobs of scripts, which is a shell's default and no intention.
             if signum is signal.SIGHUP and signal.getsignal(signum) is signal.SIG_IGN:
                 continue
             self._before[signum] = signal.signal(signum, self._on_signal)

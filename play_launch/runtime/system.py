@@ -326,7 +326,7 @@ class System:
         return pending_units(self.world)
 
     def health_problem(self) -> str:
-        """Describe the first health problem; empty if there is none."""
+        """Describe the first health problem; else empty."""
         for actor in self._actors.values():
             if actor.is_deserted and not self.world.processes[actor.name].is_stuck:
                 return f"{actor.name}: the exit of its process {actor.pid} is not awaited"
