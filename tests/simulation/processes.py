@@ -181,6 +181,8 @@ class Processes:
         machine, proc = self._machine, self._find(unit, start)
         if proc is None or not proc.is_alive:
             return
+        if machine.is_unlucky(0.1, f"its stop raises: {unit}"):
+            machine.post_later(machine.soon(0.5, f"error {unit}"), said.Failed(unit, "a bug"))
         if proc.ignores_kill:
             machine.post_later(10.0, said.Unkillable(unit, start))
             machine.later(60.0, lambda: self.end(proc, signal=9))

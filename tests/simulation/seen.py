@@ -142,6 +142,8 @@ class Seen:
                     self.stop_reason, self.stopped_at = one.reason, now
             case said.Hurried():
                 self.is_hurried = True
+            case said.Failed():
+                self.starts[one.unit].is_fatal = True
             case said.LineSeen():
                 self.lines.add((one.unit, one.pattern))
             case said.Exited() | said.NotStarted():

@@ -1,0 +1,17 @@
+"""A process is stopped twice."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from play_launch.supervisor import process_rules
+from tests.simulation.rewriting import rewrite
+
+if TYPE_CHECKING:
+    import pytest
+
+FOUND_BY: Final = "every effect is carried out once"
+
+
+def apply(patch: pytest.MonkeyPatch) -> None:
+    rewrite(patch, process_rules._stop, "process.stopped or ", "")
