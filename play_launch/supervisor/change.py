@@ -21,7 +21,7 @@ from play_launch.supervisor.world import INACTIVE, STATE_OF_PHASE, Goal, Node, P
 if TYPE_CHECKING:
     from play_launch.config.model import ComposableNodeConfig, ProcessConfig, ReplayConfig
     from play_launch.supervisor.inputs import ChangeRequested, ParametersSet
-    from play_launch.supervisor.reduction import Reduction
+    from play_launch.supervisor.reducer import Reduction
     from play_launch.supervisor.steps import Step
     from play_launch.supervisor.world import World
 
@@ -278,7 +278,7 @@ def _settled(world: World, plan_step: Step) -> str | None:
             return ""
         return "its process does not die, not even of SIGKILL" if process.is_stuck else None
     if process is None:
-        return "it is not declared any more"
+        return "it is no longer declared"
     if plan_step.action is Action.ADOPT and process.generation <= process.attempted:
         return ""
     if process.next_config is not None and process.is_stuck:
@@ -320,7 +320,7 @@ def _node_settled(world: World, plan_step: Step) -> str | None:
     if plan_step.action is Action.REMOVE:
         return "" if node is None else None
     if node is None:
-        return "it is not declared any more"
+        return "it is no longer declared"
     if plan_step.action is Action.ADOPT and node.generation <= node.attempted:
         return ""
     container = world.processes[key.container]

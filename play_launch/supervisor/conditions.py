@@ -140,7 +140,6 @@ def find_unit(world: World, name: str) -> Process | Node | None:
 
 
 def condition_state(world: World, dependency: Dependency) -> Evaluation:
-    """Evaluate one condition."""
     condition, name = dependency.condition, dependency.unit
     if not name:
         return MET if _is_met_outside(world, dependency) else PENDING
@@ -152,7 +151,7 @@ def condition_state(world: World, dependency: Dependency) -> Evaluation:
     unit = find_unit(world, name)
     match unit:
         case None:
-            return _impossible("it is not in the configuration any more")
+            return _impossible("it is no longer in the configuration")
         case Node():
             if condition is Condition.ACTIVE:
                 found = _of_node(world, unit, Condition.LOADED)
@@ -293,7 +292,6 @@ def nothing_is_left(world: World) -> bool:
 
 
 def has_ended(world: World) -> bool:
-    """Whether the stop of the system is complete."""
     return world.is_stopping and all(
         process.phase in INACTIVE and process.is_at_rest for process in world.processes.values()
     )

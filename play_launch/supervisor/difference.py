@@ -44,7 +44,6 @@ class Snapshot(NamedTuple):
 
     @classmethod
     def of(cls, world: World) -> Snapshot:
-        """Keep how the units are now."""
         return cls(dict(world.processes), dict(world.nodes), dict(world.goals))
 
 
@@ -59,7 +58,8 @@ def events_between(
     The changes of the world since the last call are those between the two.
     """
     changed, world.changed = world.changed, set()
-    ordered = sorted(changed, key=lambda key: world.places.get(key, -1))
+    # A goal has no place of its own.
+    ordered = sorted(changed, key=lambda key: (world.places.get(key, -1), str(key)))
     names = [key for key in ordered if isinstance(key, str)]
     for name in names:
         yield from _process_events(before.processes.get(name), world, name, stamp_ns)

@@ -221,7 +221,6 @@ class NodeStateChanged(Struct, frozen=True, kw_only=True):
 
     @property
     def container(self) -> str:
-        """Full name of the container that it is declared in."""
         return self.key.container
 
     @property

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from play_launch.config.policies import Autostart
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Mapping
 
 
 class ManagedState(StrEnum):
@@ -88,74 +88,49 @@ _IS: Final[_Answers] = {
 }
 
 
-def _row(
-    state: ManagedState,
-    answers: _Answers,
-    ignores: Iterable[ManagedInput] = (),
-) -> dict[ManagedInput, ManagedTransition]:
-    row = {said: ManagedTransition(then, tuple(todo)) for said, (then, *todo) in answers.items()}
-    return row | {said: ManagedTransition(state) for said in ignores}
-
-
 _SETTLED: Final[_Answers] = {Said.UP: _ASK, Said.GONE: _GONE, **_IS}
 """Without a transition under way; other clients may change the state."""
-
-TABLE: Final[Mapping[ManagedState, Mapping[ManagedInput, ManagedTransition]]] = {
-    State.ABSENT: _row(
-        State.ABSENT,
-        {Said.UP: (State.ASKED, Do.ASK)},
-        {Said.GONE, *_IS, Said.REFUSED, Said.OVERDUE},
-    ),
-    State.ASKED: _row(
-        State.ASKED,
-        {
-            **_SETTLED,
-            Said.IS_UNCONFIGURED: (State.CONFIGURING, Do.CONFIGURE),
-            Said.IS_INACTIVE: (State.ACTIVATING, Do.ACTIVATE),
-            Said.IS_FINALIZED: _FAILED,
-            Said.REFUSED: _FAILED,
-            Said.OVERDUE: _FAILED,
-        },
-    ),
-    State.CONFIGURING: _row(
-        State.CONFIGURING,
-        {
-            **_SETTLED,
-            Said.IS_INACTIVE: (State.ACTIVATING, Do.ACTIVATE),
-            Said.IS_FINALIZED: _FAILED,
-            Said.REFUSED: _FAILED,
-            Said.OVERDUE: _FAILED,
-        },
-        # The state before the transition, reported late.
-        {Said.IS_UNCONFIGURED},
-    ),
-    State.ACTIVATING: _row(
-        State.ACTIVATING,
-        {
-            **_SETTLED,
-            Said.IS_UNCONFIGURED: _FAILED,
-            Said.IS_FINALIZED: _FAILED,
-            Said.REFUSED: _FAILED,
-            Said.OVERDUE: _FAILED,
-        },
-        {Said.IS_INACTIVE},
-    ),
-    **{
-        state: _row(state, _SETTLED, {Said.REFUSED, Said.OVERDUE})
-        for state in (State.UNCONFIGURED, State.INACTIVE, State.ACTIVE, State.FINALIZED)
-    },
-    # An operator may request the transition by hand.
-    State.FAILED: _row(
-        State.FAILED,
-        {
-            Said.UP: _ASK,
-            Said.GONE: _GONE,
-            Said.IS_INACTIVE: (State.INACTIVE,),
-            Said.IS_ACTIVE: (State.ACTIVE,),
-        },
-        {Said.IS_UNCONFIGURED, Said.IS_FINALIZED, Said.REFUSED, Said.OVERDUE},
-    ),
+_WAITING: Final[_Answers] = {
+    **_SETTLED,
+    Said.IS_FINALIZED: _FAILED,
+    Said.REFUSED: _FAILED,
+    Said.OVERDUE: _FAILED,
 }
+_CONFIGURE: Final = (State.CONFIGURING, Do.CONFIGURE)
+_ACTIVATE: Final = (State.ACTIVATING, Do.ACTIVATE)
+
+_TABLE: Final[Mapping[ManagedState, _Answers]] = {
+    State.ABSENT: {Said.UP: (State.ASKED, Do.ASK)},
+    State.ASKED: {**_WAITING, Said.IS_UNCONFIGURED: _CONFIGURE, Said.IS_INACTIVE: _ACTIVATE},
+    # The state before the transition may be reported late.
+    State.CONFIGURING: {
+        **_WAITING,
+        Said.IS_UNCONFIGURED: (State.CONFIGURING,),
+        Said.IS_INACTIVE: _ACTIVATE,
+    },
+    State.ACTIVATING: {
+        **_WAITING,
+        Said.IS_UNCONFIGURED: _FAILED,
+        Said.IS_INACTIVE: (State.ACTIVATING,),
+    },
+    **dict.fromkeys((State.UNCONFIGURED, State.INACTIVE, State.ACTIVE, State.FINALIZED), _SETTLED),
+    # An operator may request the transition by hand.
+    State.FAILED: {
+        Said.UP: _ASK,
+        Said.GONE: _GONE,
+        Said.IS_INACTIVE: (State.INACTIVE,),
+        Said.IS_ACTIVE: (State.ACTIVE,),
+    },
+}
+TABLE: Final = {
+    state: {
+        said: ManagedTransition(then, tuple(todo))
+        for said in ManagedInput
+        for then, *todo in (answers.get(said, (state,)),)
+    }
+    for state, answers in _TABLE.items()
+}
+"""An input without an answer leaves the state as it is."""
 
 
 def step(

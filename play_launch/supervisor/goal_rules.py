@@ -13,7 +13,7 @@ from play_launch.supervisor.world import Node, Phase, Process
 
 if TYPE_CHECKING:
     from play_launch.supervisor.inputs import GoalReported
-    from play_launch.supervisor.reduction import Reduction
+    from play_launch.supervisor.reducer import Reduction
     from play_launch.supervisor.world import Goal, World
 
 
@@ -50,7 +50,6 @@ def _instance(world: World, name: str) -> int:
 
 
 def reported(step: Reduction, said: GoalReported) -> None:
-    """A managed node is in a state, or failed to change it."""
     goal = step.world.goals.get(said.unit)
     if goal is not None and goal.instance == said.instance:
         _apply(step, said.unit, said.said, said.reason)

@@ -148,7 +148,6 @@ class ProbeResult(Struct, frozen=True, kw_only=True):
 
     @property
     def blamed(self) -> str:
-        """Frame to show where there is room for one."""
         return blamed_frame(self.backtrace)
 
     @property
@@ -327,7 +326,6 @@ class Load(Struct, frozen=True):
 
     @property
     def container(self) -> str:
-        """The container that it is requested of."""
         return self.node.container
 
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
 from play_launch.supervisor.events import NodeState as State
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Mapping
 
 
 class NodeFact(StrEnum):
@@ -117,15 +117,10 @@ REPORTED: Final = frozenset(
 """Facts about one attempt; they count only for that attempt."""
 
 
-def _row(state: State, answers: _Answers, ignores: Iterable[NodeFact]) -> dict[NodeFact, NodeCell]:
+def _row(state: State, answers: _Answers) -> dict[NodeFact, NodeCell]:
+    """Complete a row: a fact without an answer leaves the state as it is."""
     row = {fact: NodeCell(then, tuple(actions)) for fact, (then, *actions) in answers.items()}
-    for fact in ignores:
-        if fact in row:
-            raise ValueError(f"{state}: {fact} is both answered and ignored")
-        row[fact] = NodeCell(state)
-    if missing := set(NodeFact) - set(row):
-        raise ValueError(f"{state}: {sorted(missing)} neither answered nor ignored")
-    return row
+    return dict.fromkeys(NodeFact, NodeCell(state)) | row
 
 
 _LOAD: Final = (State.REQUESTED, Do.LOAD)
@@ -144,148 +139,78 @@ _END_OF_LOAD: Final[_Answers] = {
 }
 """Whether the load was accepted or not: the reports in between may have been dropped."""
 
-TABLE: Final[Mapping[State, Mapping[NodeFact, NodeCell]]] = {
-    State.PENDING: _row(
-        State.PENDING,
-        {Fact.LOAD: _LOAD, Fact.REFUSED: (State.LOAD_FAILED,), Fact.LEAVE: (State.UNLOADED,)},
-        {Fact.GIVEN_UP, Fact.CONTAINER_LOST, Fact.SILENT, Fact.UNLOAD_REJECTED, *REPORTED},
-    ),
-    State.REQUESTED: _row(
-        State.REQUESTED,
-        {
-            **_END_OF_LOAD,
-            Fact.ACCEPTED: (State.LOADING,),
-            Fact.LOADING: (State.LOADING,),
-            Fact.REJECTED: (State.LOAD_FAILED,),
-            Fact.SILENT: (State.REQUESTED, Do.QUERY),
-            # Without a unique_id there is nothing to cancel yet; ACCEPTED brings it.
-            Fact.LEAVE: (State.UNLOADING,),
-        },
-        {Fact.LOAD, Fact.REFUSED, Fact.GIVEN_UP, Fact.UNLOAD_REJECTED, Fact.STATUS_QUEUED},
-    ),
-    State.LOADING: _row(
-        State.LOADING,
-        {
-            **_END_OF_LOAD,
-            Fact.LEAVE: (State.UNLOADING, Do.CANCEL),
-            Fact.SILENT: (State.LOADING, Do.QUERY),
-            # It was accepted before: the two contradict each other.
-            Fact.REJECTED: (State.LOADING, Do.QUERY),
-        },
-        {
-            Fact.LOAD,
-            Fact.REFUSED,
-            Fact.GIVEN_UP,
-            Fact.UNLOAD_REJECTED,
-            Fact.ACCEPTED,
-            Fact.LOADING,
-            Fact.STATUS_QUEUED,
-        },
-    ),
-    State.LOADED: _row(
-        State.LOADED,
-        {
-            Fact.LEAVE: (State.UNLOADING, Do.UNLOAD),
-            Fact.UNLOADED: (State.UNLOADED,),
-            Fact.CRASHED: (State.CRASHED, Do.RESTART),
-            Fact.CONTAINER_LOST: (State.LOST,),
-            Fact.STATUS_UNLOADING: (State.UNLOADING,),
-            # An attempt that the container does not know after it was accepted never returns.
-            Fact.STATUS_UNKNOWN: (State.LOST,),
-            Fact.STATUS_UNKNOWN_AGAIN: (State.LOST,),
-            Fact.REJECTED: (State.LOADED, Do.QUERY),
-            Fact.LOAD_FAILED: (State.LOADED, Do.QUERY),
-            Fact.RELOAD_FAILED: (State.LOADED, Do.QUERY),
-        },
-        {
-            Fact.LOAD,
-            Fact.REFUSED,
-            Fact.GIVEN_UP,
-            Fact.SILENT,
-            Fact.UNLOAD_REJECTED,
-            Fact.ACCEPTED,
-            Fact.LOADING,
-            Fact.LOADED,
-            Fact.STATUS_LOADED,
-            Fact.STATUS_CONSTRUCTING,
-            Fact.STATUS_QUEUED,
-        },
-    ),
-    State.UNLOADING: _row(
-        State.UNLOADING,
-        {
-            Fact.ACCEPTED: (State.UNLOADING, Do.CANCEL),
-            Fact.REJECTED: (State.UNLOADED,),
-            # The constructor was quicker than the cancellation.
-            Fact.LOADED: (State.UNLOADING, Do.UNLOAD),
-            Fact.LOAD_FAILED: (State.UNLOADED,),
-            Fact.RELOAD_FAILED: (State.UNLOADED,),
-            Fact.UNLOADED: (State.UNLOADED,),
-            Fact.CRASHED: (State.CRASHED,),
-            Fact.CONTAINER_LOST: (State.UNLOADED,),
-            Fact.UNLOAD_REJECTED: (State.UNLOADING, Do.QUERY),
-            Fact.SILENT: (State.UNLOADING, Do.QUERY),
-            # Whether the load was accepted may not have been known before.
-            Fact.STATUS_QUEUED: (State.UNLOADING, Do.CANCEL),
-            Fact.STATUS_CONSTRUCTING: (State.UNLOADING, Do.CANCEL),
-            Fact.STATUS_LOADED: (State.UNLOADING, Do.UNLOAD),
-            Fact.STATUS_UNKNOWN: (State.UNLOADED,),
-            Fact.STATUS_UNKNOWN_AGAIN: (State.UNLOADED,),
-        },
-        {
-            Fact.LOAD,
-            Fact.LEAVE,
-            Fact.REFUSED,
-            Fact.GIVEN_UP,
-            Fact.LOADING,
-            Fact.STATUS_UNLOADING,
-        },
-    ),
-    State.LOAD_FAILED: _row(
-        State.LOAD_FAILED,
-        {Fact.LOAD: _LOAD, Fact.GIVEN_UP: (State.GAVE_UP,), Fact.LEAVE: (State.UNLOADED,)},
-        {Fact.REFUSED, Fact.CONTAINER_LOST, Fact.UNLOAD_REJECTED, Fact.SILENT, *REPORTED},
-    ),
-    State.UNLOADED: _row(
-        State.UNLOADED,
-        {Fact.LOAD: _LOAD},
-        {
-            Fact.REFUSED,
-            Fact.LEAVE,
-            Fact.GIVEN_UP,
-            Fact.CONTAINER_LOST,
-            Fact.UNLOAD_REJECTED,
-            Fact.SILENT,
-            *REPORTED,
-        },
-    ),
-    State.CRASHED: _row(
-        State.CRASHED,
-        {
-            Fact.LOAD: _LOAD,
-            Fact.GIVEN_UP: (State.GAVE_UP,),
-            Fact.CONTAINER_LOST: (State.LOST,),
-            Fact.LEAVE: (State.UNLOADED,),
-        },
-        {Fact.REFUSED, Fact.SILENT, Fact.UNLOAD_REJECTED, *REPORTED},
-    ),
-    State.GAVE_UP: _row(
-        State.GAVE_UP,
-        # It does not return with its container: it may be what brought that down.
-        {Fact.LOAD: _LOAD, Fact.LEAVE: (State.UNLOADED,)},
-        {
-            Fact.REFUSED,
-            Fact.GIVEN_UP,
-            Fact.CONTAINER_LOST,
-            Fact.UNLOAD_REJECTED,
-            Fact.SILENT,
-            *REPORTED,
-        },
-    ),
-    State.LOST: _row(
-        State.LOST,
-        {Fact.LOAD: _LOAD, Fact.REFUSED: (State.LOAD_FAILED,), Fact.LEAVE: (State.UNLOADED,)},
-        {Fact.GIVEN_UP, Fact.CONTAINER_LOST, Fact.UNLOAD_REJECTED, Fact.SILENT, *REPORTED},
-    ),
+_TABLE: Final[Mapping[State, _Answers]] = {
+    State.PENDING: {
+        Fact.LOAD: _LOAD,
+        Fact.REFUSED: (State.LOAD_FAILED,),
+        Fact.LEAVE: (State.UNLOADED,),
+    },
+    State.REQUESTED: {
+        **_END_OF_LOAD,
+        Fact.ACCEPTED: (State.LOADING,),
+        Fact.LOADING: (State.LOADING,),
+        Fact.REJECTED: (State.LOAD_FAILED,),
+        Fact.SILENT: (State.REQUESTED, Do.QUERY),
+        # Without a unique_id there is nothing to cancel yet; ACCEPTED brings it.
+        Fact.LEAVE: (State.UNLOADING,),
+    },
+    State.LOADING: {
+        **_END_OF_LOAD,
+        Fact.LEAVE: (State.UNLOADING, Do.CANCEL),
+        Fact.SILENT: (State.LOADING, Do.QUERY),
+        # It was accepted before: the two contradict each other.
+        Fact.REJECTED: (State.LOADING, Do.QUERY),
+    },
+    State.LOADED: {
+        Fact.LEAVE: (State.UNLOADING, Do.UNLOAD),
+        Fact.UNLOADED: (State.UNLOADED,),
+        Fact.CRASHED: (State.CRASHED, Do.RESTART),
+        Fact.CONTAINER_LOST: (State.LOST,),
+        Fact.STATUS_UNLOADING: (State.UNLOADING,),
+        # An attempt that the container does not know after it was accepted never returns.
+        Fact.STATUS_UNKNOWN: (State.LOST,),
+        Fact.STATUS_UNKNOWN_AGAIN: (State.LOST,),
+        Fact.REJECTED: (State.LOADED, Do.QUERY),
+        Fact.LOAD_FAILED: (State.LOADED, Do.QUERY),
+        Fact.RELOAD_FAILED: (State.LOADED, Do.QUERY),
+    },
+    State.UNLOADING: {
+        Fact.ACCEPTED: (State.UNLOADING, Do.CANCEL),
+        Fact.REJECTED: (State.UNLOADED,),
+        # The constructor was quicker than the cancellation.
+        Fact.LOADED: (State.UNLOADING, Do.UNLOAD),
+        Fact.LOAD_FAILED: (State.UNLOADED,),
+        Fact.RELOAD_FAILED: (State.UNLOADED,),
+        Fact.UNLOADED: (State.UNLOADED,),
+        Fact.CRASHED: (State.CRASHED,),
+        Fact.CONTAINER_LOST: (State.UNLOADED,),
+        Fact.UNLOAD_REJECTED: (State.UNLOADING, Do.QUERY),
+        Fact.SILENT: (State.UNLOADING, Do.QUERY),
+        # Whether the load was accepted may not have been known before.
+        Fact.STATUS_QUEUED: (State.UNLOADING, Do.CANCEL),
+        Fact.STATUS_CONSTRUCTING: (State.UNLOADING, Do.CANCEL),
+        Fact.STATUS_LOADED: (State.UNLOADING, Do.UNLOAD),
+        Fact.STATUS_UNKNOWN: (State.UNLOADED,),
+        Fact.STATUS_UNKNOWN_AGAIN: (State.UNLOADED,),
+    },
+    State.LOAD_FAILED: {
+        Fact.LOAD: _LOAD,
+        Fact.GIVEN_UP: (State.GAVE_UP,),
+        Fact.LEAVE: (State.UNLOADED,),
+    },
+    State.UNLOADED: {Fact.LOAD: _LOAD},
+    State.CRASHED: {
+        Fact.LOAD: _LOAD,
+        Fact.GIVEN_UP: (State.GAVE_UP,),
+        Fact.CONTAINER_LOST: (State.LOST,),
+        Fact.LEAVE: (State.UNLOADED,),
+    },
+    # It does not return with its container: it may be what brought that down.
+    State.GAVE_UP: {Fact.LOAD: _LOAD, Fact.LEAVE: (State.UNLOADED,)},
+    State.LOST: {
+        Fact.LOAD: _LOAD,
+        Fact.REFUSED: (State.LOAD_FAILED,),
+        Fact.LEAVE: (State.UNLOADED,),
+    },
 }
-"""Every state with every fact, checked at import."""
+TABLE: Final = {state: _row(state, answers) for state, answers in _TABLE.items()}

@@ -35,7 +35,7 @@ from play_launch.supervisor.world import Phase, Stage, is_wanted
 if TYPE_CHECKING:
     from play_launch.config.node_key import NodeKey
     from play_launch.supervisor.inputs import HealthReported, NodeReported, ProbeResult
-    from play_launch.supervisor.reduction import Reduction
+    from play_launch.supervisor.reducer import Reduction
     from play_launch.supervisor.world import Node, Process, World
 
 _RELOAD_FAILURES: Final = frozenset(
@@ -57,7 +57,6 @@ def under_way(world: World, container: str) -> tuple[NodeKey, ...]:
 
 
 def reported(step: Reduction, said: NodeReported) -> None:
-    """A container reported something about a node."""
     node = _meant(step.world, said)
     if node is not None:
         _apply(step, node, said.said, said)
@@ -290,7 +289,6 @@ def due(step: Reduction, key: NodeKey) -> None:
 
 
 def container_stops(step: Reduction, container: Process) -> None:
-    """A container stops: nothing is loaded again."""
     for node in step.world.nodes_of(container.name):
         if node.next_at is not None and not node.gives_up:
             step.world.put(node, next_at=None)
@@ -298,7 +296,6 @@ def container_stops(step: Reduction, container: Process) -> None:
 
 
 def container_lost(step: Reduction, container: Process, reason: str) -> None:
-    """The process of a container exited, and with it all nodes."""
     for before in step.world.nodes_of(container.name):
         node = replace(before, next_at=None, gives_up="", died_constructing="", is_silent=False)
         step.world.put(node)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
 from play_launch.supervisor.world import Phase
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Mapping
 
 
 class Fact(StrEnum):
@@ -63,15 +63,10 @@ class Cell(NamedTuple):
 _Answers: TypeAlias = "Mapping[Fact, tuple[Phase, *tuple[Action, ...]]]"
 
 
-def _row(phase: Phase, answers: _Answers, ignores: Iterable[Fact]) -> dict[Fact, Cell]:
+def _row(phase: Phase, answers: _Answers) -> dict[Fact, Cell]:
+    """Complete a row: a fact without an answer leaves the phase as it is."""
     row = {fact: Cell(then, tuple(actions)) for fact, (then, *actions) in answers.items()}
-    for fact in ignores:
-        if fact in row:
-            raise ValueError(f"{phase}: {fact} is both answered and ignored")
-        row[fact] = Cell(phase)
-    if missing := set(Fact) - set(row):
-        raise ValueError(f"{phase}: {sorted(missing)} neither answered nor ignored")
-    return row
+    return dict.fromkeys(Fact, Cell(phase)) | row
 
 
 _EXITS: Final = (Fact.EXITED_RESTART, Fact.EXITED_GIVE_UP, Fact.EXITED_DONE)
@@ -87,136 +82,49 @@ _LIVES: Final[_Answers] = {
     Fact.FAILED: (Phase.GAVE_UP, Action.LOSE, Action.STOP),
 }
 
-TABLE: Final[Mapping[Phase, Mapping[Fact, Cell]]] = {
-    Phase.STOPPED: _row(
-        Phase.STOPPED,
-        {
-            Fact.START: _QUEUE,
-            Fact.FAILED: (Phase.GAVE_UP,),
-            Fact.STARTED: (Phase.STOPPED, Action.STOP),
-        },
-        {
-            Fact.TURN,
-            Fact.READY,
-            Fact.FAULTY,
-            Fact.STOP,
-            Fact.STUCK,
-            Fact.RESTART_DUE,
-            Fact.IMPOSSIBLE,
-            *_EXITS,
-        },
-    ),
-    Phase.QUEUED: _row(
-        Phase.QUEUED,
-        {
-            Fact.TURN: (Phase.SPAWNING, Action.SPAWN),
-            Fact.IMPOSSIBLE: (Phase.GAVE_UP,),
-            Fact.STOP: (Phase.STOPPED,),
-            Fact.FAILED: (Phase.GAVE_UP,),
-            # A process of an earlier start, which failed meanwhile, is not left running.
-            Fact.STARTED: (Phase.QUEUED, Action.STOP),
-        },
-        {Fact.START, Fact.READY, Fact.FAULTY, Fact.STUCK, Fact.RESTART_DUE, *_EXITS},
-    ),
-    Phase.SPAWNING: _row(
-        Phase.SPAWNING,
-        {
-            Fact.STARTED: (Phase.STARTING,),
-            Fact.EXITED_RESTART: (Phase.BACKOFF,),
-            Fact.EXITED_GIVE_UP: (Phase.GAVE_UP,),
-            Fact.EXITED_DONE: (Phase.STOPPED,),
-            # One that has just got a pid is stopped then.
-            Fact.STOP: (Phase.STOPPING, Action.CANCEL_SPAWN),
-            Fact.FAILED: (Phase.GAVE_UP, Action.CANCEL_SPAWN),
-        },
-        {
-            Fact.START,
-            Fact.TURN,
-            Fact.READY,
-            Fact.FAULTY,
-            Fact.STUCK,
-            Fact.RESTART_DUE,
-            Fact.IMPOSSIBLE,
-        },
-    ),
-    Phase.STARTING: _row(
-        Phase.STARTING,
-        {**_LIVES, Fact.READY: (Phase.RUNNING,), Fact.FAULTY: _KILL},
-        {Fact.START, Fact.TURN, Fact.STARTED, Fact.STUCK, Fact.RESTART_DUE, Fact.IMPOSSIBLE},
-    ),
-    Phase.RUNNING: _row(
-        Phase.RUNNING,
-        {**_LIVES, Fact.FAULTY: _KILL},
-        # One hello for each process; a second one changes nothing.
-        {
-            Fact.START,
-            Fact.TURN,
-            Fact.STARTED,
-            Fact.READY,
-            Fact.STUCK,
-            Fact.RESTART_DUE,
-            Fact.IMPOSSIBLE,
-        },
-    ),
+_TABLE: Final[Mapping[Phase, _Answers]] = {
+    Phase.STOPPED: {
+        Fact.START: _QUEUE,
+        Fact.FAILED: (Phase.GAVE_UP,),
+        Fact.STARTED: (Phase.STOPPED, Action.STOP),
+    },
+    Phase.QUEUED: {
+        Fact.TURN: (Phase.SPAWNING, Action.SPAWN),
+        Fact.IMPOSSIBLE: (Phase.GAVE_UP,),
+        Fact.STOP: (Phase.STOPPED,),
+        Fact.FAILED: (Phase.GAVE_UP,),
+        # A process of an earlier start, which failed meanwhile, is not left running.
+        Fact.STARTED: (Phase.QUEUED, Action.STOP),
+    },
+    Phase.SPAWNING: {
+        Fact.STARTED: (Phase.STARTING,),
+        Fact.EXITED_RESTART: (Phase.BACKOFF,),
+        Fact.EXITED_GIVE_UP: (Phase.GAVE_UP,),
+        Fact.EXITED_DONE: (Phase.STOPPED,),
+        # One that has just got a pid is stopped then.
+        Fact.STOP: (Phase.STOPPING, Action.CANCEL_SPAWN),
+        Fact.FAILED: (Phase.GAVE_UP, Action.CANCEL_SPAWN),
+    },
+    Phase.STARTING: {**_LIVES, Fact.READY: (Phase.RUNNING,), Fact.FAULTY: _KILL},
+    # One hello for each process; a second one changes nothing.
+    Phase.RUNNING: {**_LIVES, Fact.FAULTY: _KILL},
     # A further fault changes nothing: its exit decides what follows.
-    Phase.KILLING: _row(
-        Phase.KILLING,
-        {**_LIVES, Fact.STUCK: (Phase.GAVE_UP, Action.LOSE)},
-        {
-            Fact.START,
-            Fact.TURN,
-            Fact.STARTED,
-            Fact.READY,
-            Fact.FAULTY,
-            Fact.RESTART_DUE,
-            Fact.IMPOSSIBLE,
-        },
-    ),
-    Phase.STOPPING: _row(
-        Phase.STOPPING,
-        {
-            Fact.STARTED: _STOP,
-            **dict.fromkeys(_EXITS, (Phase.STOPPED, Action.LOSE)),
-            Fact.STUCK: (Phase.GAVE_UP, Action.LOSE),
-            Fact.FAILED: (Phase.GAVE_UP, Action.LOSE, Action.STOP),
-        },
-        {
-            Fact.START,
-            Fact.TURN,
-            Fact.READY,
-            Fact.FAULTY,
-            Fact.STOP,
-            Fact.RESTART_DUE,
-            Fact.IMPOSSIBLE,
-        },
-    ),
-    Phase.BACKOFF: _row(
-        Phase.BACKOFF,
-        {
-            Fact.RESTART_DUE: _QUEUE,
-            Fact.START: _QUEUE,
-            Fact.STOP: (Phase.STOPPED,),
-            Fact.FAILED: (Phase.GAVE_UP,),
-            Fact.STARTED: (Phase.BACKOFF, Action.STOP),
-        },
-        {Fact.TURN, Fact.READY, Fact.FAULTY, Fact.STUCK, Fact.IMPOSSIBLE, *_EXITS},
-    ),
-    Phase.GAVE_UP: _row(
-        Phase.GAVE_UP,
-        # A process that comes although its start failed is not left running.
-        {Fact.START: _QUEUE, Fact.STARTED: (Phase.GAVE_UP, Action.STOP)},
-        # It stays visible in the summary that it gave up.
-        {
-            Fact.TURN,
-            Fact.READY,
-            Fact.FAULTY,
-            Fact.STOP,
-            Fact.STUCK,
-            Fact.RESTART_DUE,
-            Fact.FAILED,
-            Fact.IMPOSSIBLE,
-            *_EXITS,
-        },
-    ),
+    Phase.KILLING: {**_LIVES, Fact.STUCK: (Phase.GAVE_UP, Action.LOSE)},
+    Phase.STOPPING: {
+        Fact.STARTED: _STOP,
+        **dict.fromkeys(_EXITS, (Phase.STOPPED, Action.LOSE)),
+        Fact.STUCK: (Phase.GAVE_UP, Action.LOSE),
+        Fact.FAILED: (Phase.GAVE_UP, Action.LOSE, Action.STOP),
+    },
+    Phase.BACKOFF: {
+        Fact.RESTART_DUE: _QUEUE,
+        Fact.START: _QUEUE,
+        Fact.STOP: (Phase.STOPPED,),
+        Fact.FAILED: (Phase.GAVE_UP,),
+        Fact.STARTED: (Phase.BACKOFF, Action.STOP),
+    },
+    # A process that starts although its start failed is not left running. All else is ignored: it
+    # stays visible in the summary that it gave up.
+    Phase.GAVE_UP: {Fact.START: _QUEUE, Fact.STARTED: (Phase.GAVE_UP, Action.STOP)},
 }
-"""Every phase with every fact, checked at import."""
+TABLE: Final = {phase: _row(phase, answers) for phase, answers in _TABLE.items()}

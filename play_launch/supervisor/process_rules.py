@@ -21,7 +21,6 @@ from play_launch.supervisor.restart import (
 )
 from play_launch.supervisor.world import (
     INACTIVE,
-    Hello,
     Node,
     Phase,
     Process,
@@ -35,11 +34,12 @@ if TYPE_CHECKING:
         CleanedUp,
         Exited,
         Faulty,
+        Greeted,
         NotStarted,
         Started,
         Unkillable,
     )
-    from play_launch.supervisor.reduction import Reduction
+    from play_launch.supervisor.reducer import Reduction
     from play_launch.supervisor.world import Exit
 
 _STUCK: Final = "does not die, not even of SIGKILL"
@@ -123,7 +123,6 @@ def _stop(step: Reduction, process: Process, reason: str) -> None:
 
 
 def started(step: Reduction, said: Started) -> None:
-    """A process runs."""
     process = step.process(said.unit)
     values = {"pid": said.pid, "start_time": said.start_time, "argv": said.argv}
     step.world.put(process, is_started=True, **values)
@@ -138,7 +137,6 @@ def started(step: Reduction, said: Started) -> None:
 
 
 def not_started(step: Reduction, said: NotStarted) -> None:
-    """A process could not be started."""
     process = step.process(said.unit)
     step.world.put(process, is_present=False)
     if process.phase not in {Phase.SPAWNING, Phase.STOPPING}:
@@ -147,16 +145,14 @@ def not_started(step: Reduction, said: NotStarted) -> None:
     _exit(step, process.name, said.reason, is_permanent=said.is_permanent or not respawns)
 
 
-def greeted(step: Reduction, unit: str, hello: Hello) -> None:
-    """A container is ready."""
-    process = step.process(unit)
+def greeted(step: Reduction, said: Greeted) -> None:
+    process = step.process(said.unit)
     if process.phase is Phase.STARTING:
-        step.world.put(process, hello=hello, ready_at=step.now)
-    apply(step, unit, Fact.READY)
+        step.world.put(process, hello=said.hello, ready_at=step.now)
+    apply(step, said.unit, Fact.READY)
 
 
 def faulty(step: Reduction, said: Faulty) -> None:
-    """A process has to be killed."""
     if said.is_fatal and TABLE[step.process(said.unit).phase][Fact.FAULTY].actions:
         step.world.put(step.process(said.unit), is_fatal=True)
     apply(step, said.unit, Fact.FAULTY, said.reason)
@@ -170,7 +166,6 @@ def poisoned(step: Reduction, process: Process, reason: str) -> None:
 
 
 def exited(step: Reduction, said: Exited) -> None:
-    """A process exited."""
     process = step.process(said.unit)
     if process.exit is not None:
         return  # it was reported before
@@ -208,12 +203,10 @@ def _process_exited(step: Reduction, process: Process, exit_: Exit) -> None:
 
 
 def cleaned_up(step: Reduction, said: CleanedUp) -> None:
-    """Nothing of a process is left."""
     step.world.put(step.process(said.unit), is_present=False)
 
 
 def unkillable(step: Reduction, said: Unkillable) -> None:
-    """A process lives on after SIGKILL."""
     process = step.process(said.unit)
     if process.exit is None:
         step.world.put(process, is_stuck=True)
@@ -360,7 +353,6 @@ def _may_stop(step: Reduction, process: Process) -> bool:
 
 
 def _begin(step: Reduction, process: Process) -> None:
-    """Queue a start that was requested."""
     if process.next_config is not None:
         if process.phase in {Phase.QUEUED, Phase.BACKOFF}:  # not once more as it was
             step.world.put(process, wait=None)
@@ -399,7 +391,6 @@ def _with_next_config(step: Reduction, process: Process) -> Process:
 
 
 def _queue(step: Reduction, process: Process) -> None:
-    """Start a queued process if it may."""
     world, before = step.world, process.wait
     ready = readiness(world, process, step.now)
     if ready.failure:
@@ -431,7 +422,6 @@ def reported(step: Reduction, name: str, before: Wait | None, wait: Wait) -> Wai
 
 
 def _has_slot(step: Reduction, process: Process) -> bool:
-    """Whether a container may start beside those that do."""
     if not _takes_slot(process):
         return True
     starting = {Phase.SPAWNING, Phase.STARTING}

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from play_launch.config.node_key import NodeKey
     from play_launch.supervisor.inputs import Probed
-    from play_launch.supervisor.reduction import Reduction
+    from play_launch.supervisor.reducer import Reduction
     from play_launch.supervisor.world import Node, Process, World
 
 MOST_DEATHS: Final = 3
@@ -91,7 +91,6 @@ def cancel_probes(step: Reduction, container: str) -> None:
 
 
 def probed(step: Reduction, said: Probed) -> None:
-    """A scratch process loaded the library of a node, or could not."""
     node, finding = step.world.nodes.get(said.node), said.finding
     if node is None or node.stage is not Stage.PROBING:
         return

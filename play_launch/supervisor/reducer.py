@@ -6,10 +6,9 @@ that was missed costs a delay, never a hang.
 
 from __future__ import annotations
 
-from functools import partial
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
-from play_launch.supervisor import change, goal_rules, node_rules, process_rules, quarantine
+from play_launch.supervisor import change, goal_rules, inputs, node_rules, process_rules, quarantine
 from play_launch.supervisor.conditions import (
     find_unit,
     has_arrived,
@@ -17,59 +16,84 @@ from play_launch.supervisor.conditions import (
     stopped_before,
     unit_key,
 )
-from play_launch.supervisor.inputs import (
-    Begun,
-    ChangeRequested,
-    CleanedUp,
-    EndRequested,
-    Exited,
-    Failed,
-    Faulty,
-    FilesSeen,
-    GoalReported,
-    GraphSeen,
-    Greeted,
-    HealthReported,
-    Hurried,
-    LineSeen,
-    LoadRequested,
-    NodeReported,
-    NotStarted,
-    ParametersSet,
-    Probed,
-    Raised,
-    Started,
-    StartRequested,
-    StopRequested,
-    Time,
-    Unkillable,
-    UnloadRequested,
-)
 from play_launch.supervisor.node_life import IDLE
-from play_launch.supervisor.reduction import Reduction
 from play_launch.supervisor.world import INACTIVE, Phase
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
     from play_launch.config.node_key import NodeKey
     from play_launch.supervisor.inputs import Effect, Input
-    from play_launch.supervisor.world import UnitKey, World
+    from play_launch.supervisor.world import Node, Process, UnitKey, World
+
+_About = TypeVar("_About")
 
 _ABOUT_ALL: Final = (
-    Begun,
-    Time,
-    StopRequested,
-    Hurried,
-    StartRequested,
-    EndRequested,
-    LoadRequested,
-    UnloadRequested,
-    ChangeRequested,
-    ParametersSet,
-    Failed,
+    inputs.Begun,
+    inputs.Time,
+    inputs.StopRequested,
+    inputs.Hurried,
+    inputs.StartRequested,
+    inputs.EndRequested,
+    inputs.LoadRequested,
+    inputs.UnloadRequested,
+    inputs.ChangeRequested,
+    inputs.ParametersSet,
+    inputs.Failed,
 )
 """Inputs that may concern any unit; others concern units that they change, and those that wait."""
+_OF_PROCESS: Final[Mapping[type, Callable[[Reduction, Any], None]]] = {
+    inputs.Started: process_rules.started,
+    inputs.NotStarted: process_rules.not_started,
+    inputs.Greeted: process_rules.greeted,
+    inputs.Faulty: process_rules.faulty,
+    inputs.Exited: process_rules.exited,
+    inputs.CleanedUp: process_rules.cleaned_up,
+    inputs.Unkillable: process_rules.unkillable,
+    inputs.NodeReported: node_rules.reported,
+    inputs.HealthReported: node_rules.health,
+}
+"""Reports about one start of a process; those about an earlier start change nothing."""
 _ROUNDS: Final = 100
 """Rounds in which one change of the world may lead to another; more are an error of the rules."""
+
+
+class Reduction:
+    """One call of `reduce`: the world, the time, and the effects so far."""
+
+    def __init__(self, world: World, now: float, chance: float) -> None:
+        self.world = world
+        self.now = now
+        self.chance = chance
+        """A random number in [0, 1), for the jitter of delays."""
+        self.effects: list[Effect] = []
+        self._queries: dict[str, list[Node]] = {}
+
+    def process(self, name: str) -> Process:
+        return self.world.processes[name]
+
+    def node(self, key: NodeKey) -> Node:
+        return self.world.nodes[key]
+
+    def log(self, text: str, *, is_shown_otherwise: bool = False) -> None:
+        self.effects.append(inputs.Log(text, is_shown_otherwise=is_shown_otherwise))
+
+    def confine(self, unit: str, rule: Callable[[Reduction, _About], None], about: _About) -> None:
+        """Evaluate a rule of one unit; an exception in it is the failure of that unit alone."""
+        try:
+            rule(self, about)
+        except Exception as error:  # noqa: BLE001 - the other units continue
+            self.effects.append(inputs.Raised(unit, error))
+
+    def query(self, node: Node) -> None:
+        """Query the container of a node about it, in one message with other nodes."""
+        self._queries.setdefault(node.key.container, []).append(node)
+
+    def finish(self) -> list[Effect]:
+        for container, nodes in self._queries.items():
+            about = tuple((node.key, node.attempt, node.unique_id) for node in nodes)
+            self.effects.append(inputs.Query(container, about))
+        return self.effects
 
 
 def reduce(world: World, said: Input, now: float, chance: float = 0.5) -> list[Effect]:
@@ -86,7 +110,7 @@ def reduce(world: World, said: Input, now: float, chance: float = 0.5) -> list[E
         _take(step, said)
         _settle(step, is_about_all=isinstance(said, _ABOUT_ALL))
     except Exception as error:  # noqa: BLE001 - the effects until then are carried out
-        step.effects.append(Raised("", error))
+        step.effects.append(inputs.Raised("", error))
     # What is declared anew later is wanted.
     world.dismissed = frozenset(each for each in world.dismissed if find_unit(world, each))
     return step.finish()
@@ -100,129 +124,89 @@ def deadline(world: World) -> float | None:
 
 def _take(step: Reduction, said: Input) -> None:
     world = step.world
+    if (rule := _OF_PROCESS.get(type(said))) is not None:
+        report: Any = said
+        process = world.processes.get(report.unit)
+        if process is not None and process.attempt == report.start and process.is_present:
+            step.confine(report.unit, rule, report)
+        return
     match said:
-        case Begun():
-            pass
-        case Time():
+        case inputs.Time():
             for name in list(world.processes):
-                step.confine(name, partial(process_rules.due, step, name))
+                step.confine(name, process_rules.due, name)
             for key in list(world.nodes):
-                step.confine(key.container, partial(node_rules.due, step, key))
-        case (
-            Started()
-            | NotStarted()
-            | Greeted()
-            | Faulty()
-            | Exited()
-            | CleanedUp()
-            | Unkillable()
-            | NodeReported()
-            | HealthReported()
-        ):
-            process = world.processes.get(said.unit)
-            if process is not None and process.attempt == said.start and process.is_present:
-                step.confine(said.unit, partial(_take_of_process, step, said))
-        case Failed():
+                step.confine(key.container, node_rules.due, key)
+        case inputs.Failed():
             if said.unit in world.processes:
                 process_rules.failed(step, said.unit, said.reason)
-        case Probed():
+        case inputs.Probed():
             quarantine.probed(step, said)
-        case LineSeen():
+        case inputs.LineSeen():
             world.lines |= {(said.unit, said.pattern)}
-        case FilesSeen():
+        case inputs.FilesSeen():
             world.files = said.paths
-        case GraphSeen():
+        case inputs.GraphSeen():
             world.graph = said.found
-        case GoalReported():
+        case inputs.GoalReported():
             goal_rules.reported(step, said)
-        case StopRequested():
+        case inputs.StopRequested():
             if world.stop_signal is not None and said.signum is not None:
                 world.is_hurried = True
             if not world.is_stopping:
                 world.stop_reason, world.stop_signal = said.reason, said.signum
                 world.stop_order = stopped_before(world)
-        case Hurried():
+        case inputs.Hurried():
             world.is_hurried = True
-        case StartRequested() | EndRequested() | LoadRequested() | UnloadRequested():
-            _operate(step, said)
-        case ChangeRequested():
+        case inputs.StartRequested() | inputs.EndRequested():
+            _operate_process(step, said)
+        case inputs.LoadRequested() | inputs.UnloadRequested():
+            _operate_node(step, said)
+        case inputs.ChangeRequested():
             change.begin(step, said)
-        case ParametersSet():
+        case inputs.ParametersSet():
             change.parameters_set(step, said)
 
 
-def _take_of_process(
-    step: Reduction,
-    said: Started
-    | NotStarted
-    | Greeted
-    | Faulty
-    | Exited
-    | CleanedUp
-    | Unkillable
-    | NodeReported
-    | HealthReported,
-) -> None:
-    match said:
-        case Started():
-            process_rules.started(step, said)
-        case NotStarted():
-            process_rules.not_started(step, said)
-        case Greeted():
-            process_rules.greeted(step, said.unit, said.hello)
-        case Faulty():
-            process_rules.faulty(step, said)
-        case Exited():
-            process_rules.exited(step, said)
-        case CleanedUp():
-            process_rules.cleaned_up(step, said)
-        case Unkillable():
-            process_rules.unkillable(step, said)
-        case NodeReported():
-            node_rules.reported(step, said)
-        case HealthReported():
-            node_rules.health(step, said)
-
-
-def _operate(
-    step: Reduction, said: StartRequested | EndRequested | LoadRequested | UnloadRequested
-) -> None:
+def _operate_process(step: Reduction, said: inputs.StartRequested | inputs.EndRequested) -> None:
     """Note what an operator wants; it waits for no conditions."""
     world, now = step.world, step.now
-    match said:
-        case StartRequested():
-            process = world.processes[said.unit]
-            was_wanted = said.unit not in world.dismissed
-            world.dismissed -= {said.unit}
-            runs = process.phase not in INACTIVE | {Phase.STOPPING, Phase.BACKOFF} and was_wanted
-            is_asked = process.generation > process.attempted
-            world.put(
-                process,
-                released_at=now if process.released_at is None else process.released_at,
-                wait=None,
-                generation=process.generation + (not is_asked and (said.anew or not runs)),
-                request_reason=said.reason if said.anew else "",
-            )
-        case EndRequested():
-            world.put(world.processes[said.unit], request_reason=said.reason)
-            world.dismissed |= {said.unit}
-            change.dismissed(world, said.unit)
-        case LoadRequested():
-            node = world.nodes[said.node]
-            was_wanted = str(said.node) not in world.dismissed
-            world.dismissed -= {str(said.node)}
-            exists = node.state not in IDLE and was_wanted
-            world.put(
-                node,
-                released_at=now if node.released_at is None else node.released_at,
-                wait=None,
-                next_at=None,
-                gives_up="",
-                generation=node.generation + (said.anew or not exists),
-            )
-        case UnloadRequested():
-            world.dismissed |= {str(said.node)}
-            change.dismissed(world, str(said.node))
+    if isinstance(said, inputs.StartRequested):
+        process = world.processes[said.unit]
+        was_wanted = said.unit not in world.dismissed
+        world.dismissed -= {said.unit}
+        runs = process.phase not in INACTIVE | {Phase.STOPPING, Phase.BACKOFF} and was_wanted
+        is_asked = process.generation > process.attempted
+        world.put(
+            process,
+            released_at=now if process.released_at is None else process.released_at,
+            wait=None,
+            generation=process.generation + (not is_asked and (said.anew or not runs)),
+            request_reason=said.reason if said.anew else "",
+        )
+    else:
+        world.put(world.processes[said.unit], request_reason=said.reason)
+        world.dismissed |= {said.unit}
+        change.dismissed(world, said.unit)
+
+
+def _operate_node(step: Reduction, said: inputs.LoadRequested | inputs.UnloadRequested) -> None:
+    world, now = step.world, step.now
+    if isinstance(said, inputs.LoadRequested):
+        node = world.nodes[said.node]
+        was_wanted = str(said.node) not in world.dismissed
+        world.dismissed -= {str(said.node)}
+        exists = node.state not in IDLE and was_wanted
+        world.put(
+            node,
+            released_at=now if node.released_at is None else node.released_at,
+            wait=None,
+            next_at=None,
+            gives_up="",
+            generation=node.generation + (said.anew or not exists),
+        )
+    else:
+        world.dismissed |= {str(said.node)}
+        change.dismissed(world, str(said.node))
 
 
 def _settle(step: Reduction, *, is_about_all: bool) -> None:
@@ -234,12 +218,12 @@ def _settle(step: Reduction, *, is_about_all: bool) -> None:
         is_about_all = is_about_all or world.is_stopping or world.change is not None
         names, keys = _concerned(world, touched, is_about_all=is_about_all)
         for name in names:
-            step.confine(name, partial(process_rules.settle, step, name))
+            step.confine(name, process_rules.settle, name)
         for key in keys:
             if key in world.nodes:
-                step.confine(key.container, partial(node_rules.settle, step, key))
+                step.confine(key.container, node_rules.settle, key)
         for name in list(world.goals):
-            step.confine(name.partition(":")[0], partial(goal_rules.settle, step, name))
+            step.confine(name.partition(":")[0], goal_rules.settle, name)
         change.settle_confined(step)
         if not world.is_stopping and nothing_is_left(world):
             process_rules.request_stop(step, "nothing is left to run")

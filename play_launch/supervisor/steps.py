@@ -78,7 +78,7 @@ SIGNS: Final = {
 
 
 class Change(Struct, frozen=True):
-    """One value that differs; `before` and `after` are as JSON has them, None where there is none.
+    """One value that differs; `before` and `after` are JSON values, None where one is missing.
 
     A parameter is ``{"type": ..., "value": ...}``.
     """
@@ -107,7 +107,6 @@ class Step(Struct, frozen=True, kw_only=True):
 
     @property
     def sign(self) -> str:
-        """Its mark in the output."""
         return SIGNS.get(self.action, "~")
 
     @property
@@ -123,12 +122,10 @@ class Plan(Struct, frozen=True):
 
     @property
     def differs(self) -> bool:
-        """Whether the running system is another one."""
         return bool(self.steps)
 
     @property
     def to_do(self) -> tuple[Step, ...]:
-        """The steps that are carried out."""
         return tuple(
             step for step in self.steps if step.action is not Action.KEEP and not step.covered
         )
@@ -178,7 +175,6 @@ class Applied(Struct, frozen=True, kw_only=True):
 
     @property
     def succeeded(self) -> bool:
-        """Whether everything was done."""
         return all(each.result is Result.DONE for each in self.outcomes)
 
 

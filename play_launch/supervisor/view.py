@@ -64,7 +64,6 @@ class NodeView(Struct, frozen=True, kw_only=True):
 
     @property
     def container(self) -> str:
-        """Full name of its container."""
         return self.key.container
 
     @property
@@ -127,17 +126,14 @@ class ContainerView(Struct, frozen=True, kw_only=True):
 
     @property
     def total(self) -> int:
-        """How many nodes are declared."""
         return len(self.nodes)
 
     @property
     def loaded(self) -> int:
-        """How many of them are loaded."""
         return sum(node.state is NodeState.LOADED for node in self.nodes.values())
 
     @property
     def waiting(self) -> tuple[NodeView, ...]:
-        """The nodes that are not loaded, and may be."""
         return tuple(node for node in self.nodes.values() if node.state in WAITING_STATES)
 
     @property
@@ -148,12 +144,10 @@ class ContainerView(Struct, frozen=True, kw_only=True):
 
     @property
     def failed(self) -> tuple[NodeView, ...]:
-        """The nodes that failed to load, or crashed."""
         return tuple(node for node in self.nodes.values() if node.state in FAILED_STATES)
 
     @property
     def crashes(self) -> int:
-        """How often its nodes crashed."""
         return sum(node.crashes for node in self.nodes.values())
 
     def crashed_since(self, before: ContainerView) -> tuple[NodeView, ...]:
@@ -165,7 +159,6 @@ class ContainerView(Struct, frozen=True, kw_only=True):
         )
 
     def without(self, keys: frozenset[str]) -> ContainerView:
-        """The same without some of its nodes."""
         left = {key: node for key, node in self.nodes.items() if str(key) not in keys}
         return replace(self, nodes=MappingProxyType(left))
 
@@ -207,22 +200,18 @@ class SystemView(Struct, frozen=True, kw_only=True):
 
     @property
     def loaded(self) -> int:
-        """How many composable nodes are loaded."""
         return sum(container.loaded for container in self.containers.values())
 
     @property
     def total(self) -> int:
-        """How many composable nodes are declared."""
         return sum(container.total for container in self.containers.values())
 
     @property
     def waiting(self) -> tuple[NodeView, ...]:
-        """All nodes that are not there (yet)."""
         return tuple(node for each in self.containers.values() for node in each.waiting)
 
     @property
     def unloaded(self) -> tuple[NodeView, ...]:
-        """All nodes that were unloaded, or are being unloaded."""
         return tuple(node for each in self.containers.values() for node in each.unloaded)
 
     @property
@@ -239,7 +228,6 @@ class SystemView(Struct, frozen=True, kw_only=True):
 
     @property
     def failed(self) -> tuple[NodeView, ...]:
-        """All nodes that failed to load, or crashed."""
         return tuple(node for each in self.containers.values() for node in each.failed)
 
     @property
@@ -257,12 +245,10 @@ class SystemView(Struct, frozen=True, kw_only=True):
 
     @property
     def failed_managed(self) -> tuple[ManagedNodeChanged, ...]:
-        """The managed nodes that did not get where they should."""
         return tuple(each for each in self.managed.values() if each.state is ManagedState.FAILED)
 
     @property
     def failed_processes(self) -> tuple[ProcessView, ...]:
-        """The ordinary processes that failed."""
         return tuple(each for each in self.processes.values() if each.failed)
 
     def after(self, event: RunEvent) -> SystemView:

@@ -112,7 +112,6 @@ class Exit(Struct, frozen=True):
 
     @property
     def is_ok(self) -> bool:
-        """Whether it exited with status 0."""
         return self.code == 0 and self.signal == 0 and not self.is_lost
 
 
@@ -177,12 +176,10 @@ class Process(Struct, frozen=True, kw_only=True):
 
     @property
     def name(self) -> str:
-        """Its full name."""
         return self.config.full_name
 
     @property
     def times(self) -> tuple[float, ...]:
-        """When something is due for it."""
         return _times(self.wait, self.due)
 
     @property
@@ -192,7 +189,6 @@ class Process(Struct, frozen=True, kw_only=True):
 
     @property
     def container(self) -> ContainerConfig | None:
-        """Its configuration, if it is a container."""
         return self.config if isinstance(self.config, ContainerConfig) else None
 
     @property
@@ -261,12 +257,10 @@ class Node(Struct, frozen=True, kw_only=True):
 
     @property
     def times(self) -> tuple[float, ...]:
-        """When something is due for it."""
         return _times(self.wait, self.query_at, self.next_at)
 
     @property
     def key(self) -> NodeKey:
-        """What it is addressed by."""
         return self.config.key
 
 
@@ -343,25 +337,20 @@ class World:
 
     @property
     def is_stopping(self) -> bool:
-        """Whether the whole system stops."""
         return self.stop_reason is not None
 
     def nodes_of(self, container: str) -> Iterator[Node]:
-        """Give the nodes of a container, as declared."""
         return (self.nodes[key] for key in tuple(self.keys.get(container, ())))
 
     def next_start(self) -> int:
-        """Give a number for a start."""
         self.starts_made += 1
         return self.starts_made
 
     def next_load(self) -> int:
-        """Give a number for a load."""
         self.loads_made += 1
         return self.loads_made
 
     def put(self, unit: Process | Node | Goal, **values: object) -> None:
-        """Replace a unit by one with other values."""
         if values and all(getattr(unit, name) == value for name, value in values.items()):
             return
         changed = replace(unit, **values) if values else unit

@@ -36,7 +36,7 @@ from .running import Running, running
 from .test_order import on, rules
 
 if TYPE_CHECKING:
-    from play_launch.supervisor.reduction import Reduction
+    from play_launch.supervisor.reducer import Reduction
 
 STARTED = ProcessEventKind.STARTED
 

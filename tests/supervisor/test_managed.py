@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from play_launch.config.model import (
+    ComposableNodeConfig,
+    ContainerConfig,
+    ManagedConfig,
+    ReplayConfig,
+)
+from play_launch.config.node_key import NodeKey
 from play_launch.config.policies import Autostart
-from play_launch.supervisor.goal_life import TABLE, ManagedAction, ManagedInput, ManagedState, step
+from play_launch.supervisor.difference import Snapshot, events_between
+from play_launch.supervisor.events import ManagedNodeChanged
+from play_launch.supervisor.goal_life import ManagedAction, ManagedInput, ManagedState, step
+from play_launch.supervisor.world import World
 
 State, Said, Do = ManagedState, ManagedInput, ManagedAction
 GOALS = [*Autostart, None]
-
-
-def test_the_table_is_total() -> None:
-    assert set(TABLE) == set(State)
-    for state, row in TABLE.items():
-        assert set(row) == set(Said), state
 
 
 def drive(
@@ -100,3 +106,35 @@ def test_it_gets_there_from_everywhere_if_it_does_what_it_is_asked(
         state, actions = step(state, answers[actions[-1]], goal)
     reached = {Autostart.CONFIGURE: State.INACTIVE, Autostart.ACTIVATE: State.ACTIVE}
     assert state is reached[goal]
+
+
+def test_events_of_goals_have_one_order() -> None:
+    keys = [NodeKey("/c", f"/n{index}") for index in range(8)]
+    container = ContainerConfig(
+        name="c",
+        namespace="/",
+        full_name="/c",
+        composable_nodes=tuple(
+            ComposableNodeConfig(
+                package="demo", plugin="demo::Node", name=key.name[1:], namespace="/", key=key
+            )
+            for key in keys
+        ),
+    )
+    config = ReplayConfig(
+        name="one",
+        source=Path("one.yaml"),
+        text=b"",
+        containers=(container,),
+        managed={
+            str(key): ManagedConfig(name=key.name, autostart=Autostart.ACTIVATE, timeout=5.0)
+            for key in keys
+        },
+    )
+    world = World(config)
+    before = Snapshot.of(world)
+    for goal in reversed(world.goals.values()):
+        world.put(goal, state=State.ACTIVE)
+    events = events_between(before, world, now=0.0, stamp_ns=0)
+    units = [each.unit for each in events if isinstance(each, ManagedNodeChanged)]
+    assert units == [str(key) for key in keys]

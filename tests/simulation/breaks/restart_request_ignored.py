@@ -14,4 +14,4 @@ FOUND_BY: Final = "what is asked for is done"
 
 
 def apply(patch: pytest.MonkeyPatch) -> None:
-    rewrite(patch, reducer._operate, "(said.anew or not runs)", "(not runs)")
+    rewrite(patch, reducer._operate_process, "(said.anew or not runs)", "(not runs)")

@@ -14,4 +14,4 @@ FOUND_BY: Final = "events of an old attempt change nothing"
 
 
 def apply(patch: pytest.MonkeyPatch) -> None:
-    rewrite(patch, reducer._take, "process.attempt == said.start and ", "")
+    rewrite(patch, reducer._take, "process.attempt == report.start and ", "")

@@ -14,4 +14,4 @@ FOUND_BY: Final = "what is stopped stays stopped"
 
 
 def apply(patch: pytest.MonkeyPatch) -> None:
-    rewrite(patch, reducer._operate, "world.dismissed |= {str(said.node)}", "pass")
+    rewrite(patch, reducer._operate_node, "world.dismissed |= {str(said.node)}", "pass")
