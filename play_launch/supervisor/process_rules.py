@@ -112,7 +112,7 @@ def _stop(step: Reduction, process: Process, reason: str) -> None:
     if process.container is not None:
         node_rules.container_stops(step, process)
     has_process = process.is_present and process.is_started
-    if not has_process or process.exit is not None:
+    if process.stopped or not has_process or process.exit is not None:
         return
     step.world.put(step.process(process.name), stopped=True, due=None)
     asks = process.container is not None and process.ready_at is not None
