@@ -10,10 +10,11 @@ belong to those: see benchmarks.publish.
 from __future__ import annotations
 
 import argparse
+import asyncio
 import contextlib
 import os
+import re
 import shutil
-import subprocess
 import tempfile
 import time
 from collections.abc import Callable, Mapping
@@ -28,7 +29,8 @@ from benchmarks.bring_up import COMMAND, ENVIRONMENT
 from benchmarks.browser import find_browser
 from benchmarks.report import pictures as report_pictures
 from benchmarks.running import running
-from play_launch.cli.top.picture import without_network
+from play_launch.cli.top.app import End, TopApp
+from play_launch.control.sessions import connect
 from tests.support.terminal import Terminal, on_terminal
 
 ROOT = Path(__file__).parents[1]
@@ -39,6 +41,9 @@ NODES = 7
 CRASHES = 9.0
 """Seconds in which some of them crash."""
 COLUMNS, LINES = 132, 40
+TOP_SIZE = 100, 28
+ANSWER = 30.0
+"""Seconds for samples and lines of the session."""
 SLOW = "waiting on /slow_starter … 2"
 """What the picture of a start is to show."""
 STYLES = {"bold": "bold", "italics": "italic", "reverse": "reverse"}
@@ -106,9 +111,30 @@ def top(folder: Path) -> None:
         running(ROOT / CRASHING, Path(logs), NODES) as run,
     ):
         time.sleep(CRASHES)
-        command = [str(COMMAND), "top", "--session", str(run.pid), "--svg", str(picture)]
-        subprocess.run(command, check=True)
-    print(picture)
+        with connect(str(run.pid)) as client:
+            write(picture, asyncio.run(screenshot(TopApp(client))))
+
+
+async def screenshot(app: TopApp) -> str:
+    """An SVG of the screen, once it shows samples and lines."""
+    pictures: list[str] = []
+
+    async def take(pilot: Any) -> None:
+        async with asyncio.timeout(ANSWER):
+            while not (app.lines and any(row.cpu_percent is not None for row in app.rows or ())):
+                await pilot.pause(0.1)
+        await pilot.pause(0.2)
+        pictures.append(app.export_screenshot(title=f"play-launch top: {app.hello.name}"))
+        app.exit(End())
+
+    await app.run_async(headless=True, size=TOP_SIZE, auto_pilot=take)
+    return without_network(pictures[0])
+
+
+def without_network(picture: str) -> str:
+    """An SVG of rich, with the reader's own font instead of one that is fetched."""
+    plain = re.sub(r" *@font-face \{[^}]*\}\n", "", picture)
+    return plain.replace("Fira Code, monospace", "monospace")
 
 
 def report(folder: Path) -> None:

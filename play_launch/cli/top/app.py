@@ -1,22 +1,47 @@
-"""The screen as an application of Textual: leads keys and what the session says to the model."""
+"""The screen of ``top``: widgets of Textual, keys, and the state behind them."""
 
 from __future__ import annotations
 
 import asyncio
+import select
 import signal
+import sys
+import time
+from collections import deque
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from msgspec import Struct
-from textual import events
+from msgspec.structs import replace
+from rich.text import Text
 from textual.app import App
 from textual.binding import Binding, BindingType
+from textual.coordinate import Coordinate
+from textual.widgets import DataTable, Footer, Input, RichLog, Static
 
-from play_launch.cli.top import drawing
 from play_launch.cli.top.link import SessionLink
-from play_launch.cli.top.model import Model
-from play_launch.cli.top.operations import Proposal, Refusal, Wish
-from play_launch.cli.top.panes import Help, Pane, Question
-from play_launch.cli.top.terminal import Screen
+from play_launch.cli.top.log import LINES_LIMIT, LastLines, Level, LogFilter, line_of, shown
+from play_launch.cli.top.modals import STYLE, Filter, Help, Question
+from play_launch.cli.top.rows import (
+    OPERATIONS,
+    WIDTHS,
+    Confirmation,
+    Health,
+    Order,
+    Row,
+    Subject,
+    cells_of,
+    clean,
+    confirmation,
+    counted,
+    health,
+    matching,
+    name_of,
+    name_width,
+    ordered,
+    suits,
+    unavailable,
+    uptime,
+)
 from play_launch.control.protocol import ControlError
 
 if TYPE_CHECKING:
@@ -24,273 +49,392 @@ if TYPE_CHECKING:
 
     from textual.app import ComposeResult
 
-    from play_launch.cli.top.rows import Row
+    from play_launch.cli.top.log import LogLine
     from play_launch.control.client import ControlClient
 
 _FRAME: Final = 0.1
-"""Seconds between two drawings at least, however much comes."""
-_TICK: Final = 1.0
-
-_ALWAYS: Final = frozenset({"interrupt", "suspend_process"})
-_ALWAYS_KEYS: Final = frozenset({"ctrl+c", "ctrl+z"})
+"""Least seconds between two updates of the widgets."""
+_SHOWN_SILENCE: Final = 2.0
+"""Seconds without an answer that are reported."""
+_BATCH: Final = 500
+"""Lines that are written into the log at once; of more, the last ones are."""
 
 
 class End(Struct, frozen=True):
     """Why the screen is left."""
 
     signal: int = 0
-    """0: none."""
     is_lost: bool = False
-    """The session closed the connection, or says what is not understood."""
+    """The session closed the connection, or its answer is not understood."""
     reason: str = ""
 
 
 class TopApp(App[End]):
-    """One session, until it ends or a person has seen enough."""
+    """One session, until it ends or the user leaves."""
 
     ENABLE_COMMAND_PALETTE = False
-    CSS = """
-    Screen { layout: vertical; overflow: hidden; }
-    #table { height: 3fr; min-height: 4; }
-    #log { height: 2fr; min-height: 1; }
-    """
-    # With priority, a key is carried out before the next one is looked at: who types ahead over a
-    # slow line gets what the keys mean in that order.
+    CSS = STYLE
+    # With priority, the application handles each key before the next one is dispatched: keys that
+    # were typed ahead act on the row that the earlier ones selected.
     BINDINGS: ClassVar[list[BindingType]] = [
-        Binding(keys, action, priority=True)
-        for keys, action in {
-            "q": "quit",
-            "ctrl+c": "interrupt",
-            "ctrl+z": "suspend_process",
-            "up,k": "go(-1)",
-            "down,j": "go(1)",
-            "pageup": "go_pages(-1)",
-            "pagedown,space": "go_pages(1)",
-            "home,g": "go_pages(-1000000)",
-            "end,G": "go_pages(1000000)",
-            "tab": "other_pane",
-            "slash": "type",
-            "o": "sort",
-            "O": "turn_around",
-            "enter": "only_selected",
-            "l": "next_level",
-            "escape": "all_again",
-            "question_mark,h": "help",
-            **{wish.value: f"propose('{wish.name}')" for wish in Wish},
-        }.items()
+        *(
+            Binding(key, f"operate('{operation}')", operation, priority=True)
+            for operation, (key, _) in OPERATIONS.items()
+        ),
+        Binding("question_mark,h", "help", "help", key_display="?", priority=True),
+        Binding("q", "quit", "quit", priority=True),
+        Binding("slash", "filter", "filter", key_display="/", priority=True),
+        Binding("enter", "only_selected", "its log", key_display="Enter", priority=True),
+        Binding("l", "next_level", "level", priority=True),
+        Binding("o", "sort", "sort", priority=True),
+        *(
+            Binding(keys, action, show=False, priority=True)
+            for keys, action in {
+                "O": "reverse",
+                "escape": "show_all",
+                "tab": "other_pane",
+                "ctrl+c": "interrupt",
+                "ctrl+z": "suspend_process",
+                "up,k": "move(-1)",
+                "down,j": "move(1)",
+                "pageup": "move_pages(-1)",
+                "pagedown,space": "move_pages(1)",
+                "home,g": "move_pages(-1000000)",
+                "end,G": "move_pages(1000000)",
+            }.items()
+        ),
     ]
 
-    def __init__(self, client: ControlClient, *, has_colours: bool = True) -> None:
-        """Show the session of a client that nobody else uses."""
-        super().__init__(driver_class=Screen)
+    def __init__(self, client: ControlClient) -> None:
+        super().__init__(ansi_color=True)
         self.theme = "ansi-dark"
+        self.hello = client.hello
         self._client = client
-        self._has_colours = has_colours
         self._link: SessionLink | None = None
-        self.model = Model(client.hello)
-        self._first = 0
-        """The row of the table that stands at its top."""
-        self._is_in_log = False
-        """Whether the keys for moving are for the log."""
-        self._is_old = True
-        """Whether the screen shows what was."""
+        self.rows: list[Row] | None = None
+        """All rows as declared; None until the session has answered."""
+        self._by_subject: dict[Subject, Row] = {}
+        self.shown: list[Row] = []
+        """The rows that match the pattern, in order."""
+        self._selected: Subject | None = None
+        self.order = Order.DECLARED
+        self.is_reversed = False
+        self.pattern = ""
+        self.log_filter = LogFilter()
+        self.lines: deque[LogLine] = deque(maxlen=LINES_LIMIT)
+        self._new_lines: deque[LogLine] = deque(maxlen=_BATCH)
+        self._last = LastLines()
+        self._dropped = 0
+        """Lines older than the kept ones."""
+        self._missed = 0
+        """Events that the session could not send in time."""
+        self._follows_log = True
+        """Whether the log scrolls to its newest line."""
+        self._message = ""
+        self._is_stale = True
+        self._layout: tuple[int, int] = (0, 0)
+        self._drawn: list[tuple[Subject, list[Text]]] = []
+        self._footer: tuple[object, ...] = ()
 
     def compose(self) -> ComposeResult:
-        """Put the panes below each other."""
-        model = self.model
-        yield Pane(lambda width, _: [drawing.head(model, width)], "head")
-        yield Pane(self._draw_table, "table")
-        yield Pane(lambda width, _: [drawing.detail(model, width)], "detail")
-        yield Pane(
-            lambda width, _: [drawing.log_title(model, width, has_focus=self._is_in_log)],
-            "log-title",
-        )
-        yield Pane(lambda width, height: drawing.log(model, width, height), "log")
-        yield Pane(lambda width, _: [drawing.foot(model, width)], "foot")
+        self._head, self._detail = Static(id="head", markup=False), Static(id="detail")
+        self._table: DataTable[Text] = DataTable(id="table", cursor_type="row", cell_padding=0)
+        self._log_title = Static(id="log-title", markup=False)
+        self.log_view = RichLog(id="log", max_lines=LINES_LIMIT, min_width=0, wrap=True)
+        yield from (self._head, self._table, self._detail, self._log_title, self.log_view)
+        yield Footer(compact=True)
 
     def on_mount(self) -> None:
-        """Begin to ask."""
-        for pane in self.query(Pane):
-            pane.has_colours = self._has_colours
         self._link = SessionLink(self._client, self)
         self._link.begin()
-        self.set_interval(_FRAME, self._draw_what_is_old)
-        self.set_interval(_TICK, self._tick)
+        self.set_interval(_FRAME, self._draw_if_stale)
+        self.set_interval(1.0, self._tick)
+
+    def _draw_if_stale(self) -> None:
+        if self._is_stale:
+            self._draw()
 
     def on_unmount(self) -> None:
-        """Ask no more."""
         if self._link is not None:
             self._link.close()
 
     def end_by(self, number: int) -> None:
-        """Leave because of a signal; can be called between any two lines of this thread."""
+        """Leave because of a signal; callable from a signal handler."""
         asyncio.get_running_loop().call_soon_threadsafe(self.exit, End(signal=number))
 
-    def give_back(self) -> None:
-        """Restore the settings of the terminal; can be called like `end_by`."""
-        if isinstance(self._driver, Screen):
-            self._driver.give_back()
+    def _tick(self) -> None:
+        self._is_stale = True
+        if self.is_headless:
+            return
+        poll = select.poll()
+        poll.register(sys.stdin.fileno(), 0)
+        if poll.poll(0):  # the terminal hung up, with or without a SIGHUP
+            signal.setitimer(signal.ITIMER_REAL, 1.0)
+            self.exit(End(signal=signal.SIGHUP))
 
-    # What the session says.
+    # Messages of the session.
 
     def on_rows(self, rows: Sequence[Row]) -> None:
-        """See what there is by now."""
-        self.model.take_rows(rows)
-        self._is_old = True
+        """Show the rows of an answer to ``ps``."""
+        self.rows = list(rows)
+        self._by_subject = {row.subject: row for row in rows}
+        self._last.declare(rows)
+        self._arrange()
 
     def on_line(self, event: Mapping[str, Any]) -> None:
-        """See a line."""
-        self.model.take_line(event)
-        self._is_old = True
+        """Show a line; raises KeyError, TypeError, ValueError."""
+        line = line_of(event)
+        self._dropped += len(self.lines) == LINES_LIMIT
+        self.lines.append(line)
+        self._last.add(line)
+        if self.log_filter.wants(line):
+            self._new_lines.append(line)
+        self._is_stale = True
 
     def on_missed(self, events: int) -> None:
-        """Count what could not be sent."""
-        self.model.buffer.missed += events
-        self._is_old = True
+        """Count events that were not sent."""
+        self._missed += events
+        self._is_stale = True
 
-    def on_outcome(self, proposal: Proposal, failure: str) -> None:
-        """Report what came of an operation."""
-        self.model.take_outcome(proposal, failure)
-        self._is_old = True
+    def on_outcome(self, done: Confirmation, failure: str) -> None:
+        """Show the outcome of an operation; no failure: it succeeded."""
+        name = clean(done.subject.name)
+        self._show_message(
+            f"{done.operation} {name} failed: {clean(failure)}"
+            if failure
+            else f"{name}: {OPERATIONS[done.operation][1]}"
+        )
 
     def on_end(self, reason: str) -> None:
-        """Leave: there is nothing more to show."""
+        """Leave: the connection is closed."""
         self.exit(End(is_lost=True, reason=reason))
 
     # Keys.
 
-    async def on_event(self, event: events.Event) -> None:
-        """Let what is typed be a part of the pattern while a person writes one."""
-        if self.model.is_typing and isinstance(event, events.Key | events.Paste):
-            key = event.key if isinstance(event, events.Key) else ""
-            if key not in _ALWAYS_KEYS:
-                self.model.type(key, _text_of(event))
-                self._draw()
-                return
-        await super().on_event(event)
-
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """Leave keys to a question that is asked."""
-        is_asked = len(self.screen_stack) > 1
-        return (not is_asked or action in _ALWAYS) and super().check_action(action, parameters)
+        """Disable keys below a modal screen, and operations that do not suit the row."""
+        if len(self.screen_stack) > 1 and action not in {"interrupt", "suspend_process"}:
+            # pop_screen is the action of the help itself.
+            return action == "pop_screen"
+        if action == "operate":
+            return self.selected is not None and suits(str(parameters[0]), self.selected)
+        return super().check_action(action, parameters)
 
     async def action_quit(self) -> None:
-        """Leave; the session goes on."""
         self.exit(End())
 
     def action_interrupt(self) -> None:
-        """Leave, as by a signal: with the terminal in our hands, Ctrl-C is a key."""
         self.exit(End(signal=signal.SIGINT))
 
-    def action_go(self, lines: int) -> None:
-        """Move in the table or the log."""
-        self.model.message = ""
+    def action_move(self, rows: int) -> None:
         if self._is_in_log:
-            self.model.scroll(lines)
-        else:
-            self.model.move(lines)
-        self._draw()
+            end = self.log_view.max_scroll_y
+            y = max(0, min(int(self.log_view.scroll_y) + rows, end))
+            self._follows_log = y == end
+            self.log_view.scroll_to(y=y, animate=False, immediate=True)
+        elif self.shown:
+            index = max(0, min(self._index() + rows, len(self.shown) - 1))
+            self._selected = self.shown[index].subject
+        self._show_message("")
 
-    def action_go_pages(self, pages: int) -> None:
-        """Move by what is seen at once."""
-        pane = self._pane("log" if self._is_in_log else "table")
-        self.action_go(pages * max(pane.size.height - 1, 1))
+    def action_move_pages(self, pages: int) -> None:
+        pane = self.log_view if self._is_in_log else self._table
+        self.action_move(pages * max(pane.size.height - 1, 1))
 
     def action_other_pane(self) -> None:
-        """Let the keys move in the other pane."""
-        self._is_in_log = not self._is_in_log
+        self.screen.set_focus(self._table if self._is_in_log else self.log_view)
         self._draw()
 
     def action_sort(self) -> None:
-        """Sort by the next one."""
-        self.model.message = ""
-        self.model.sort(self.model.order.next(), is_reversed=False)
-        self._draw()
+        self.order, self.is_reversed = self.order.next(), False
+        self._arrange()
 
-    def action_turn_around(self) -> None:
-        """Turn the order around."""
-        self.model.message = ""
-        self.model.sort(self.model.order, is_reversed=not self.model.is_reversed)
-        self._draw()
+    def action_reverse(self) -> None:
+        self.is_reversed = not self.is_reversed
+        self._arrange()
 
     def action_only_selected(self) -> None:
-        """Show the lines of one, or of all."""
-        self.model.only_selected()
-        self._draw()
+        row = self.selected
+        subject = None if row is None or row.subject == self.log_filter.subject else row.subject
+        self._filter_log(replace(self.log_filter, subject=subject))
 
     def action_next_level(self) -> None:
-        """Show lines of a higher level only."""
-        self.model.next_level()
-        self._draw()
+        self._filter_log(replace(self.log_filter, level=self.log_filter.level.next()))
 
-    def action_all_again(self) -> None:
-        """Take what was chosen back."""
-        self.model.message = ""
-        self.model.all_again()
-        self._draw()
+    def action_show_all(self) -> None:
+        self._message = ""
+        self._filter_log(replace(self.log_filter, subject=None))
+        self.filter_names("")
 
     def action_help(self) -> None:
-        """List the keys."""
         self.push_screen(Help())
 
-    def action_propose(self, name: str) -> None:
-        """Ask before something is done to the selected row."""
-        found = self.model.propose(Wish[name])
-        if isinstance(found, Refusal):
-            self.model.message = found.reason
-            self._draw()
-            return
-        self.push_screen(Question(found), lambda answer: self._answered(found, answer=answer))
+    def action_filter(self) -> None:
+        self.push_screen(Filter(self.pattern), self.filter_names)
 
-    def action_type(self) -> None:
-        """Let a person write what names are to be shown."""
-        self.model.is_typing = True
+    def on_input_changed(self, event: Input.Changed) -> None:
+        if isinstance(self.screen, Filter):
+            self.filter_names(event.value)
+
+    def action_operate(self, operation: str) -> None:
+        row = self.selected
+        assert row is not None
+        if reason := unavailable(operation, row, self._by_subject):
+            self._show_message(reason)
+            return
+        asked = confirmation(operation, row, self._by_subject.values())
+
+        def answered(answer: bool | None) -> None:
+            if not answer or self._link is None:
+                return
+            try:
+                self._link.carry_out(asked)
+            except ControlError as error:
+                self.on_outcome(asked, str(error))
+            else:
+                self._show_message(f"{operation} {clean(row.name)}: in progress")
+
+        self.push_screen(Question(asked.question), answered)
+
+    def filter_names(self, pattern: str | None) -> None:
+        """Show only rows that match a pattern."""
+        self.pattern = pattern or ""
+        self._arrange()
+
+    # State.
+
+    @property
+    def selected(self) -> Row | None:
+        """The selected row."""
+        return self.shown[self._index()] if self.shown else None
+
+    @property
+    def _is_in_log(self) -> bool:
+        return self.screen_stack[0].focused is self.log_view
+
+    def _index(self) -> int:
+        for index, row in enumerate(self.shown):
+            if row.subject == self._selected:
+                return index
+        return max(0, min(self._table.cursor_row, len(self.shown) - 1))
+
+    def _arrange(self) -> None:
+        chosen = matching(self.rows or (), self.pattern)
+        self.shown = ordered(chosen, self.order, is_reversed=self.is_reversed)
+        self._selected = self.selected.subject if self.selected else None
         self._draw()
 
-    def _answered(self, proposal: Proposal, *, answer: bool | None) -> None:
-        if not answer or self._link is None:
-            return
-        try:
-            self._link.carry_out(proposal)
-        except ControlError as error:
-            self.model.take_outcome(proposal, str(error))
-        else:
-            self.model.message = f"{proposal.question.partition('?')[0]}: under way"
+    def _filter_log(self, wanted: LogFilter) -> None:
+        self.log_filter = wanted
+        self._write_log_again()
+        self._draw()
+
+    def _show_message(self, message: str) -> None:
+        self._message = message
         self._draw()
 
     # Drawing.
 
-    def _tick(self) -> None:
-        if self._link is not None:
-            self.model.silence = self._link.silence
-        if isinstance(self._driver, Screen) and self._driver.has_gone():
-            self.exit(End(signal=signal.SIGHUP))
-        self._is_old = True
+    def on_resize(self) -> None:
+        self.call_after_refresh(self._write_log_again)
+        self._is_stale = True
 
-    def _draw_what_is_old(self) -> None:
-        if self._is_old:
-            self._draw()
+    def _write_log_again(self) -> None:
+        self.log_view.clear()
+        self._follows_log = True
+        self._new_lines.clear()
+        if found := [shown(line) for line in self.lines if self.log_filter.wants(line)]:
+            self.log_view.write(Text("\n").join(found))
 
     def _draw(self) -> None:
-        # Nothing for a terminal that takes nothing: it is drawn when it does again.
-        self._is_old = isinstance(self._driver, Screen) and self._driver.is_behind
-        if self._is_old:
-            return
-        for pane in self.screen_stack[0].query(Pane):
-            pane.draw_again()
+        self._is_stale = False
+        self._head.update(self._head_text())
+        self._draw_table()
+        row = self.selected
+        detail = self._message or (self._row_text(row) if row else self._empty_text())
+        self._detail.update(Text(detail))
+        self._detail.set_class(bool(self._message), "-message")
+        if self._new_lines:
+            text = Text("\n").join(map(shown, self._new_lines))
+            self.log_view.write(text, scroll_end=self._follows_log)
+            self._new_lines.clear()
+        self._log_title.update(Text(self._log_title_text()))
+        self._log_title.set_class(self._is_in_log, "-focused")
+        footer = (row and (row.kind, row.state), len(self.screen_stack))
+        if footer != self._footer:
+            self._footer = footer
+            self.refresh_bindings()
 
-    def _draw_table(self, width: int, height: int) -> list[drawing.Line]:
-        model = self.model
-        seen = max(height - 1, 1)
-        self._first = drawing.first_shown(self._first, model.place, seen, len(model.shown))
-        self._pane("table").selected_line = model.place - self._first + 1 if model.shown else None
-        return drawing.table(model, width, height, self._first, has_focus=not self._is_in_log)
+    def _draw_table(self) -> None:
+        table = self._table
+        width = table.size.width
+        is_tree = self.order is Order.DECLARED and not self.is_reversed
+        names = [name_of(row, is_tree=is_tree) for row in self.shown]
+        name_cells = name_width(names, width)
+        drawn = [
+            (row.subject, cells_of(row, name, name_cells, self._last.of(row.subject)))
+            for row, name in zip(self.shown, names, strict=True)
+        ]
+        if self._layout != (width, name_cells):
+            self._layout = width, name_cells
+            self._drawn = []
+            table.clear(columns=True)
+            rest = max(width - name_cells - sum(WIDTHS.values()), 12)
+            for title, size in {"NAME": name_cells, **WIDTHS, " LAST LINE": rest}.items():
+                is_figure = title not in {"NAME", "STATE", " LAST LINE"}
+                table.add_column(Text(title, justify="right" if is_figure else "left"), width=size)
+        if [subject for subject, _ in drawn] == [subject for subject, _ in self._drawn]:
+            for y, ((_, new), (_, old)) in enumerate(zip(drawn, self._drawn, strict=True)):
+                for x, cell in enumerate(new):
+                    if cell != old[x] or cell.style != old[x].style:
+                        table.update_cell_at(Coordinate(y, x), cell)
+        else:
+            scroll = table.scroll_offset.y
+            table.clear()
+            for _, cells in drawn:
+                table.add_row(*cells)
+            table.scroll_to(y=scroll, animate=False, immediate=True)
+        self._drawn = drawn
+        table.move_cursor(row=self._index(), animate=False)
 
-    def _pane(self, name: str) -> Pane:
-        return self.screen_stack[0].query_one(f"#{name}", Pane)
+    def _head_text(self) -> Text:
+        assert self._link is not None
+        text = Text(f"{clean(self.hello.name)} (pid {self.hello.pid})  ")
+        if self._link.silence >= _SHOWN_SILENCE:
+            return text.append(f"no answer for {self._link.silence:.0f} s", "red")
+        if self.rows is None:
+            return text.append("connecting")
+        text.append(f"up {uptime(time.time() - self.hello.started_ns / 1e9)}  ")
+        has_failed = any(health(row) is Health.FAILED for row in self.rows)
+        text.append(counted(self.rows), "red" if has_failed else "")
+        if self.pattern:
+            text.append(f"; {len(self.shown)} with {clean(self.pattern)!r}")
+        if self.order is not Order.DECLARED or self.is_reversed:
+            order = self.order if self.order is Order.DECLARED else f"by {self.order}"
+            text.append(f"; {order}{', reversed' if self.is_reversed else ''}")
+        return text
 
+    def _row_text(self, row: Row) -> str:
+        end = f"exit code {row.exit_code}" if row.exit_code else ""
+        end = f"ended by signal {row.signal}" if row.signal else end
+        parts = (clean(row.subject.target), clean(row.kind), end, clean(row.reason))
+        return ", ".join(part for part in parts if part)
 
-def _text_of(event: events.Key | events.Paste) -> str:
-    if isinstance(event, events.Paste):
-        return event.text.partition("\n")[0]
-    return event.character if event.is_printable and event.character else ""
+    def _empty_text(self) -> str:
+        if self.rows is None:
+            return ""
+        return f"no name matches {clean(self.pattern)!r}" if self.rows else "nothing is declared"
+
+    def _log_title_text(self) -> str:
+        chosen = self.log_filter
+        parts = ["LOG of all" if chosen.subject is None else f"LOG of {clean(chosen.subject.name)}"]
+        if chosen.level is not Level.ALL:
+            parts.append(f"{chosen.level.name.lower()} and above")
+        below = int(self.log_view.max_scroll_y - self.log_view.scroll_y)
+        if below > 0 and not self._follows_log:
+            parts.append(f"{below} lines below")
+        if self._dropped:
+            parts.append(f"{self._dropped} older than the last {LINES_LIMIT:,} kept")
+        if self._missed:
+            parts.append(f"{self._missed} missed")
+        return ", ".join(parts)

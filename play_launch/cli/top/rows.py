@@ -1,22 +1,45 @@
-"""The rows of the table: what is known of each, which are shown, and in which order."""
+"""Rows of the table: their state, order, filter by name, cells, and the operations on them."""
 
 from __future__ import annotations
 
-from enum import Enum, StrEnum, auto
+from enum import Enum, StrEnum
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import msgspec
 from msgspec import Struct
+from rich.cells import cell_len, set_cell_size
+from rich.text import Text
+
+from play_launch.cli.show.terminal import printable
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
 COMPONENT: Final = "component"
+TEXT_LIMIT: Final = 2000
+"""Characters of a text that are kept; a line of output may have a million."""
+_SELECTORS: Final = dict.fromkeys((*range(0xFE00, 0xFE10), *range(0xE0100, 0xE01F0)))
+"""Variation selectors: terminals disagree about the width of the character before them."""
+
+
+def clean(text: str) -> str:
+    """Return foreign text as one line without control characters and direction marks.
+
+    A tab or line end becomes a space; other characters without a shape become U+FFFD.
+    """
+    shown = printable(text[:TEXT_LIMIT], colour=False)
+    if not shown.isprintable():
+        shown = "".join(
+            each if each.isprintable() else " " if each.isspace() else "\N{REPLACEMENT CHARACTER}"
+            for each in shown
+        )
+    shown = shown.translate(_SELECTORS)
+    return f"{shown}…" if len(text) > TEXT_LIMIT else shown
 
 
 class Subject(NamedTuple):
-    """What a row is about, the same for as long as it is declared."""
+    """Identity of a row for as long as it is declared."""
 
     container: str | None
     """Full name of the container of a composable node, else None."""
@@ -24,12 +47,12 @@ class Subject(NamedTuple):
 
     @property
     def target(self) -> str:
-        """As operations name it without doubt."""
+        """Unambiguous name in operations."""
         return f"{self.container}:{self.name}" if self.container else self.name
 
 
 class Row(Struct, frozen=True):
-    """One object of ``ps``, as docs/control.md describes it, as far as it is shown."""
+    """The shown fields of one object of ``ps`` (docs/control.md)."""
 
     name: str
     kind: str
@@ -46,54 +69,42 @@ class Row(Struct, frozen=True):
 
     @property
     def subject(self) -> Subject:
-        """What it is about."""
         return Subject(self.container, self.name)
 
 
 def rows_of(result: Any) -> list[Row]:
-    """Read the answer to ``ps``.
-
-    Raises:
-        ValueError: When it is something else.
-    """
+    """Parse the answer to ``ps``; raises ValueError."""
     return msgspec.convert(result, list[Row], strict=False)
 
 
-class Mood(Enum):
-    """What a state says to a person at a glance."""
+class Health(Enum):
+    """Class of a state, worst first; the value is the style of the cell."""
 
-    BAD = auto()
-    """Something failed."""
-    BUSY = auto()
-    """On its way to another state."""
-    GOOD = auto()
-    REST = auto()
-    """It does not run, and need not."""
+    FAILED = "bold red"
+    CHANGING = "yellow"
+    UP = "green"
+    INACTIVE = "dim"
 
 
-_MOODS: Final = {
-    "running": Mood.GOOD,
-    "loaded": Mood.GOOD,
-    "stopped": Mood.REST,
-    "unloaded": Mood.REST,
-    "exited": Mood.REST,
-    "gave up": Mood.BAD,
-    "load failed": Mood.BAD,
-    "crashed": Mood.BAD,
-    "lost": Mood.BAD,
-    "backoff": Mood.BAD,
-    "killing": Mood.BAD,
+_HEALTH: Final = {
+    "running": Health.UP,
+    "loaded": Health.UP,
+    **dict.fromkeys(("stopped", "unloaded", "exited"), Health.INACTIVE),
+    **dict.fromkeys(
+        ("gave up", "load failed", "crashed", "lost", "backoff", "killing"), Health.FAILED
+    ),
 }
 
 
-def mood(row: Row) -> Mood:
-    """Judge a row; a state that nobody knows here is on its way."""
-    has_failed = row.state == "exited" and (row.exit_code or row.signal)
-    return Mood.BAD if has_failed else _MOODS.get(row.state, Mood.BUSY)
+def health(row: Row) -> Health:
+    """Classify a row; an unknown state counts as changing."""
+    if row.state == "exited" and (row.exit_code or row.signal):
+        return Health.FAILED
+    return _HEALTH.get(row.state, Health.CHANGING)
 
 
 class Order(StrEnum):
-    """What rows are sorted by."""
+    """Sort orders of the table."""
 
     DECLARED = "as declared"
     NAME = "name"
@@ -104,25 +115,24 @@ class Order(StrEnum):
     UPTIME = "uptime"
 
     def next(self) -> Order:
-        """The one that comes after it, in a circle."""
+        """The following order, in a circle."""
         orders = list(Order)
         return orders[(orders.index(self) + 1) % len(orders)]
 
 
-_WORST_FIRST: Final = {mood: place for place, mood in enumerate(Mood)}
 _KEYS: Final[dict[Order, Callable[[Row], Any]]] = {
     Order.NAME: lambda row: row.name,
-    Order.STATE: lambda row: (_WORST_FIRST[mood(row)], row.state),
+    Order.STATE: lambda row: (list(Health).index(health(row)), row.state),
     Order.CPU: lambda row: None if row.cpu_percent is None else -row.cpu_percent,
     Order.MEMORY: lambda row: None if row.memory_bytes is None else -row.memory_bytes,
     Order.RESTARTS: lambda row: -row.restarts,
     Order.UPTIME: lambda row: row.uptime_s,
 }
-"""What is looked for first comes first: the worst state, the most memory, what started last."""
+"""First: the worst state, the most memory, the latest start."""
 
 
 def ordered(rows: Sequence[Row], order: Order, *, is_reversed: bool = False) -> list[Row]:
-    """Sort rows; equal ones stay as declared, and what is not known comes last in any case."""
+    """Sort rows; equal ones stay as declared, unknown values come last in either direction."""
     if order is Order.DECLARED:
         return list(reversed(rows)) if is_reversed else list(rows)
     key = _KEYS[order]
@@ -135,33 +145,146 @@ def matching(rows: Iterable[Row], pattern: str) -> list[Row]:
     """Choose rows by name.
 
     Args:
-        rows: From these.
-        pattern: A part of the full name, capital or small; with ``*``, ``?`` or ``[`` a pattern
-            over it; with a colon, of ``/container:/node`` instead. Empty: all.
+        rows: All rows.
+        pattern: A part of the full name, case-insensitive; with ``*``, ``?`` or ``[`` a pattern
+            of all of it; with a colon, of ``/container:/node`` instead. Empty: all.
     """
     wanted = pattern.strip().lower()
-    if not wanted:
-        return list(rows)
     is_pattern = any(character in wanted for character in "*?[")
     found: list[Row] = []
     for row in rows:
         name = (row.subject.target if ":" in wanted else row.name).lower()
-        if fnmatchcase(name, wanted) if is_pattern else wanted in name:
+        if not wanted or (fnmatchcase(name, wanted) if is_pattern else wanted in name):
             found.append(row)
     return found
 
 
-def place_of(subject: Subject | None, rows: Sequence[Row], before: int) -> int:
-    """Find the row that stays selected: the same subject, else what stands in its place by now."""
-    for place, row in enumerate(rows):
-        if row.subject == subject:
-            return place
-    return max(0, min(before, len(rows) - 1))
-
-
 def counted(rows: Sequence[Row]) -> str:
-    """Sum up how the system is: ``7 of 9 up, 1 failed, 1 stopped``."""
-    moods = [mood(row) for row in rows]
-    words = {Mood.BAD: "failed", Mood.BUSY: "under way", Mood.REST: "at rest"}
-    others = [f"{moods.count(each)} {word}" for each, word in words.items() if each in moods]
-    return ", ".join([f"{moods.count(Mood.GOOD)} of {len(rows)} up", *others])
+    """Summarise the system: ``7 of 9 up, 1 failed, 1 inactive``."""
+    states = [health(row) for row in rows]
+    words = {Health.FAILED: "failed", Health.CHANGING: "changing", Health.INACTIVE: "inactive"}
+    others = [f"{states.count(each)} {word}" for each, word in words.items() if each in states]
+    return ", ".join([f"{states.count(Health.UP)} of {len(rows)} up", *others])
+
+
+# Cells.
+
+WIDTHS: Final = {"STATE": 12, "PID": 7, "UP": 7, "RST": 5, "CPU%": 6, "MEM": 6}
+"""Columns of fixed width, gap included; name and last line share the rest."""
+_NAME_LEAST: Final = 16
+
+
+def name_of(row: Row, *, is_tree: bool) -> str:
+    """Return the clean name; in the tree, nodes are indented below their container."""
+    return f"{'  ' if is_tree and row.container else ''}{clean(row.name)}"
+
+
+def name_width(names: Iterable[str], width: int) -> int:
+    """Choose the width of the name column for a table of so many cells."""
+    left = width - sum(WIDTHS.values())
+    longest = max(map(cell_len, names), default=0) + 1
+    return max(min(longest, int(left * 0.6)), _NAME_LEAST)
+
+
+def cells_of(row: Row, name: str, width: int, last_line: str) -> list[Text]:
+    """Make the cells of a row; a name too long for its width loses its beginning."""
+    if cell_len(name) >= width:
+        name = f"…{set_cell_size(name[::-1], width - 2)[::-1]}"
+    figures = (
+        "-" if row.pid is None else str(row.pid),
+        uptime(row.uptime_s),
+        str(row.restarts) if row.restarts < 1000 else "999+",
+        "-" if row.cpu_percent is None else f"{row.cpu_percent:.1f}"[:5].rstrip("."),
+        memory(row.memory_bytes),
+    )
+    return [
+        Text(name),
+        Text(clean(row.state), health(row).value),
+        *(Text(figure, justify="right") for figure in figures),
+        Text(f" {last_line}"),
+    ]
+
+
+def uptime(seconds: float | None) -> str:
+    """Format a time in at most six characters: ``59s``, ``59m59s``, ``23h59m``, ``99d23h``."""
+    if seconds is None:
+        return "-"
+    whole = max(int(seconds), 0)
+    if whole < 60:
+        return f"{whole}s"
+    if whole < 3600:
+        return f"{whole // 60}m{whole % 60:02}s"
+    if whole < 86400:
+        return f"{whole // 3600}h{whole // 60 % 60:02}m"
+    days = whole // 86400
+    return f"{days}d{whole // 3600 % 24:02}h" if days < 100 else f"{min(days, 99999)}d"
+
+
+def memory(count: int | None) -> str:
+    """Format a number of bytes in at most five characters: ``15.5M``, ``1.2G``."""
+    if count is None:
+        return "-"
+    for unit, factor in (("T", 10**12), ("G", 10**9), ("M", 10**6), ("k", 10**3)):
+        if count >= factor * 0.9995:
+            value = min(count / factor, 9999)
+            return f"{value:.1f}{unit}" if value < 99.95 else f"{value:.0f}{unit}"
+    return str(max(count, 0))
+
+
+# Operations.
+
+OPERATIONS: Final = {
+    "restart": ("r", "restarted"),
+    "reload": ("r", "reloaded"),
+    "stop": ("x", "stopped"),
+    "unload": ("x", "unloaded"),
+    "start": ("s", "started"),
+    "load": ("s", "loaded"),
+}
+"""Key and participle of each."""
+_FOR_NODES: Final = frozenset({"reload", "unload", "load"})
+_NO_EFFECT: Final = {
+    "start": frozenset({"starting", "running", "pending", "waiting", "stopping", "killing"}),
+    "stop": frozenset({"stopped", "stopping", "exited", "gave up"}),
+    "restart": frozenset({"stopping", "killing", "pending", "waiting"}),
+    "load": frozenset({"requested", "loading", "loaded", "unloading"}),
+    "unload": frozenset({"unloaded", "unloading"}),
+    "reload": frozenset({"pending", "unloading"}),
+}
+"""States in which an operation changes nothing; in others, the session decides."""
+
+
+class Confirmation(Struct, frozen=True):
+    """An operation and the question before it."""
+
+    operation: str
+    subject: Subject
+    question: str
+
+
+def suits(operation: str, row: Row) -> bool:
+    """Whether an operation is one of this kind of row."""
+    return (operation in _FOR_NODES) == (row.kind == COMPONENT)
+
+
+def unavailable(operation: str, row: Row, rows: Mapping[Subject, Row]) -> str:
+    """Reason why an operation has no effect on a row; empty: it has."""
+    name = clean(row.name)
+    if row.state in _NO_EFFECT[operation]:
+        return f"{name} is {row.state}: nothing to {operation}"
+    container = rows.get(Subject(None, row.container or ""))
+    if operation in {"load", "reload"} and container and container.state in {"stopped", "gave up"}:
+        of = clean(container.name)
+        return f"{of} is {container.state}, so {name} cannot be loaded: start {of} first"
+    return ""
+
+
+def confirmation(operation: str, row: Row, rows: Iterable[Row]) -> Confirmation:
+    """Make the question about an operation, with the nodes that it affects besides."""
+    loaded = sum(row.name == each.container and each.state == "loaded" for each in rows)
+    impact = ""
+    if loaded and operation in {"stop", "restart"}:
+        nodes = "node" if loaded == 1 else f"{loaded} nodes"
+        impact = f" Its {nodes} will be {'unloaded' if operation == 'stop' else 'reloaded'}."
+    question = f"{operation} {clean(row.name)}?{impact}"
+    return Confirmation(operation, row.subject, question)

@@ -11,10 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from blockbuster import blockbuster_ctx
+from textual.widgets import Input
+from textual.widgets._footer import FooterKey
 
 from play_launch.cli.top.app import End, TopApp
-from play_launch.cli.top.link import MOST_UNDER_WAY
-from play_launch.cli.top.panes import Pane, Question
+from play_launch.cli.top.link import OPERATIONS_LIMIT
+from play_launch.cli.top.modals import Question
 from play_launch.control.messages import Hello
 from play_launch.control.protocol import Code, ControlError
 from play_launch.control.registration import LINKS, ControlSocket
@@ -82,12 +84,16 @@ class Scene:
         self.resize = pilot.resize_terminal
 
     def lines(self, pane: str) -> list[str]:
-        return [
-            line.rstrip() for line in self.app.screen_stack[0].query_one(f"#{pane}", Pane).texts()
-        ]
+        widget = self.app.screen_stack[0].query_one(pane if pane == "Footer" else f"#{pane}")
+        texts = [widget.render_line(y).text.rstrip() for y in range(widget.size.height)]
+        return [text for text in texts if text]
+
+    def footer(self) -> str:
+        keys = self.app.screen_stack[0].query(FooterKey)
+        return "  ".join(f"{key.key_display} {key.description}" for key in keys)
 
     def names(self) -> list[str]:
-        return [line.split()[0] for line in self.lines("table")[1:]]
+        return [row.name for row in self.app.shown]
 
     async def until(self, done: Callable[[], bool], what: str) -> None:
         try:
@@ -95,7 +101,9 @@ class Scene:
                 while not done():
                     await asyncio.sleep(0.02)
         except TimeoutError:
-            raise AssertionError(f"waited for {what}; {self.lines('table')}") from None
+            raise AssertionError(
+                f"waited for {what}; {self.lines('table')} {self.footer()}"
+            ) from None
 
     async def until_asked(self, question: str) -> None:
         def is_asked() -> bool:
@@ -125,8 +133,7 @@ async def shown(folder: Path, size: tuple[int, int] = (80, 24)) -> AsyncIterator
         app = TopApp(client)
         pilot = await opened.enter_async_context(app.run_test(size=size))
         scene = Scene(session, app, pilot)
-        await scene.until(lambda: app.model.has_rows, "rows")
-        app._draw()
+        await scene.until(lambda: app.rows is not None, "rows")
         with blockbuster_ctx("play_launch"):
             yield scene
 
@@ -150,14 +157,14 @@ def test_what_runs_is_shown_at_80_by_24(tmp_path: Path) -> None:
         await scene.session.say(output("[INFO] [1.5] [a]: hello"))
         await scene.until(lambda: "hello" in "".join(scene.lines("log")), "a line")
         assert scene.lines("head")[0].startswith("robot (pid ")
-        assert scene.lines("head")[0].endswith("2 of 3 up, 1 at rest")
+        assert scene.lines("head")[0].endswith("2 of 3 up, 1 inactive")
         title, first = scene.lines("table")[:2]
         assert title.split() == [
             "NAME", "STATE", "PID", "UP", "RST", "CPU%", "MEM", "LAST", "LINE",
         ]  # fmt: skip
         assert first.split() == ["/a", "running", "-", "-", "0", "-", "-", "hello"]
         assert scene.lines("detail") == ["/a, process"]
-        assert scene.lines("foot")[0].startswith("r restart  x stop  ? help  q quit")
+        await scene.until(lambda: "r restart  x stop" in scene.footer(), "the keys")
 
     assert acted(tmp_path, act) == End()
 
@@ -182,7 +189,7 @@ def test_only_a_yes_does_something(
         await scene.press(answer)
         await scene.until(lambda: len(scene.app.screen_stack) == 1, "the question to go")
         if operations:
-            await scene.until(lambda: "ed" in scene.lines("foot")[0], "the outcome")
+            await scene.until(lambda: "ed" in scene.lines("detail")[0], "the outcome")
         found = [(name, *asked["names"]) for name, asked in scene.session.operations]
         assert found == operations
 
@@ -193,9 +200,9 @@ def test_what_makes_no_sense_is_not_asked(tmp_path: Path) -> None:
     async def act(scene: Scene) -> None:
         await scene.press("s")
         assert len(scene.app.screen_stack) == 1
-        assert scene.lines("foot") == ["/a is running: nothing to start"]
+        assert scene.lines("detail") == ["/a is running: nothing to start"]
         await scene.press("down")
-        assert scene.lines("foot")[0].startswith("r restart  s start")
+        assert scene.lines("detail") == ["/b, process"]
 
     acted(tmp_path, act)
 
@@ -207,8 +214,8 @@ def test_what_failed_says_why(tmp_path: Path) -> None:
     async def act(scene: Scene) -> None:
         scene.session.answer = refuse
         await scene.press("r", "y")
-        await scene.until(lambda: "failed" in scene.lines("foot")[0], "the failure")
-        assert scene.lines("foot") == ["restart /a failed: the session is being stopped"]
+        await scene.until(lambda: "failed" in scene.lines("detail")[0], "the failure")
+        assert scene.lines("detail") == ["restart /a failed: the session is being stopped"]
 
     acted(tmp_path, act)
 
@@ -219,13 +226,13 @@ def test_operations_under_way_are_bounded(tmp_path: Path) -> None:
 
     async def act(scene: Scene) -> None:
         scene.session.answer = never
-        for number in range(MOST_UNDER_WAY):
+        for number in range(OPERATIONS_LIMIT):
             await scene.press("r", "y")
             await scene.until(lambda n=number: len(scene.session.operations) > n, "it")  # type: ignore[misc]
         await scene.press("r", "y")
-        await scene.until(lambda: "failed" in scene.lines("foot")[0], "the refusal")
-        assert f"{MOST_UNDER_WAY} operations are under way" in scene.lines("foot")[0]
-        assert len(scene.session.operations) == MOST_UNDER_WAY
+        await scene.until(lambda: "failed" in scene.lines("detail")[0], "the refusal")
+        assert f"{OPERATIONS_LIMIT} operations are pending" in scene.lines("detail")[0]
+        assert len(scene.session.operations) == OPERATIONS_LIMIT
         # What it shows stays up to date beside them.
         asked = scene.session.asked
         await scene.until(lambda: scene.session.asked > asked, "another look")
@@ -237,7 +244,7 @@ def test_keys_that_are_typed_ahead_are_what_they_are_meant_to_be(tmp_path: Path)
     async def act(scene: Scene) -> None:
         # Among the letters are keys that would do something.
         await scene.press("slash", *"sys", "ctrl+u", *"camra", "backspace", "backspace", *"era")
-        assert scene.lines("foot")[0].startswith("names: camera_")
+        assert scene.app.screen.query_one(Input).value == "camera"
         await scene.press("enter", "r")
         await scene.until_asked("restart /camera?")
         assert scene.session.operations == []
@@ -270,9 +277,9 @@ def test_rows_are_sorted_and_the_selection_stays_with_its_row(tmp_path: Path) ->
         await scene.until(lambda: scene.names() == ["/camera", "/a"], "a row less")
         assert scene.lines("detail") == ["/a, process"]
         scene.session.rows = []
-        await scene.until(lambda: "nothing is declared" in scene.lines("table"), "no rows")
+        await scene.until(lambda: scene.lines("detail") == ["nothing is declared"], "no rows")
         await scene.press("r", "down", "enter", "end")
-        assert scene.lines("detail") == [""]
+        assert scene.lines("detail") == ["nothing is declared"]
 
     acted(tmp_path, act)
 
@@ -310,7 +317,7 @@ def test_hostile_names_and_lines_keep_the_screen_in_order(tmp_path: Path) -> Non
         await scene.session.say(output("\x1b[2J🤖" * 5000, name), output("\x00\x07\r", name))
         await scene.until(lambda: "🤖" in "".join(scene.lines("log")), "the line")
         await scene.until(lambda: "猫" in scene.lines("table")[1], "the row")
-        for pane in ("head", "table", "detail", "log-title", "log", "foot"):
+        for pane in ("head", "table", "detail", "log-title", "log"):
             assert all(line.isprintable() for line in scene.lines(pane)), pane
         await scene.press("x")
         await scene.until_asked("stop /猫")
@@ -335,7 +342,7 @@ def test_an_answer_that_is_none_ends_it_with_the_reason(tmp_path: Path, rows: An
 def test_every_size_has_a_screen(tmp_path: Path) -> None:
     async def act(scene: Scene) -> None:
         scene.session.rows = [row(f"/node_{number:03}") for number in range(110)]
-        await scene.until(lambda: len(scene.app.model.rows) == 110, "the rows")
+        await scene.until(lambda: len(scene.app.rows or ()) == 110, "the rows")
         await scene.press("end")
         assert scene.names()[-1] == "/node_109"
         for width, height in ((20, 5), (1, 1), (200, 60), (80, 24)):

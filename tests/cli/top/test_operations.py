@@ -1,18 +1,31 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given, settings
 
-from play_launch.cli.top.operations import Proposal, Refusal, Wish, offered, proposal
-from play_launch.cli.top.rows import Row, Subject
+from play_launch.cli.top.rows import (
+    OPERATIONS,
+    Confirmation,
+    Row,
+    Subject,
+    confirmation,
+    suits,
+    unavailable,
+)
 from play_launch.control.actions import FOR_MEMBERS, FOR_NODES
-from tests.cli.top.rows import node, row, systems
-
-AGAIN, HALT, GO = Wish
+from tests.cli.top.rows import node, row
 
 
 def known(*rows: Row) -> dict[Subject, Row]:
     return {each.subject: each for each in rows}
+
+
+def offered(one: Row, rows: dict[Subject, Row]) -> set[str]:
+    return {each for each in OPERATIONS if suits(each, one) and not unavailable(each, one, rows)}
+
+
+def test_each_kind_of_row_has_the_operations_of_the_session() -> None:
+    assert {each for each in OPERATIONS if suits(each, row("/c"))} <= set(FOR_MEMBERS)
+    assert {each for each in OPERATIONS if suits(each, node("/a", "/c"))} <= set(FOR_NODES)
 
 
 @pytest.mark.parametrize(
@@ -32,7 +45,7 @@ def known(*rows: Row) -> dict[Subject, Row]:
 )
 def test_what_can_be_done_to_a_process(state: str, operations: set[str]) -> None:
     one = row("/a", state, "process")
-    assert {name for _, name in offered(one, known(one))} == operations
+    assert offered(one, known(one)) == operations
 
 
 @pytest.mark.parametrize(
@@ -52,49 +65,33 @@ def test_what_can_be_done_to_a_process(state: str, operations: set[str]) -> None
 )
 def test_what_can_be_done_to_a_node(state: str, operations: set[str]) -> None:
     one, container = node("/a", "/c", state), row("/c")
-    assert {name for _, name in offered(one, known(container, one))} == operations
+    assert offered(one, known(container, one)) == operations
 
 
 def test_a_node_of_a_stopped_container_cannot_be_loaded() -> None:
     container, one = row("/c", "stopped"), node("/a", "/c", "unloaded")
-    found = proposal(GO, one, known(container, one))
-    assert found == Refusal("/c is stopped, so /a cannot be loaded: start /c first")
+    found = unavailable("load", one, known(container, one))
+    assert found == "/c is stopped, so /a cannot be loaded: start /c first"
 
 
 @pytest.mark.parametrize(
-    ("wish", "states", "question"),
+    ("operation", "states", "question"),
     [
-        (AGAIN, ["loaded", "loaded"], "restart /c? Its 2 nodes are loaded again."),
-        (AGAIN, ["loaded", "unloaded"], "restart /c? Its node is loaded again."),
-        (HALT, ["loaded"], "stop /c? Its node goes with it."),
-        (HALT, ["loaded", "loaded"], "stop /c? Its 2 nodes go with it."),
-        (HALT, [], "stop /c?"),
+        ("restart", ["loaded", "loaded"], "restart /c? Its 2 nodes will be reloaded."),
+        ("restart", ["loaded", "unloaded"], "restart /c? Its node will be reloaded."),
+        ("stop", ["loaded"], "stop /c? Its node will be unloaded."),
+        ("stop", [], "stop /c?"),
     ],
 )
-def test_a_question_says_what_else_it_affects(wish: Wish, states: list[str], question: str) -> None:
-    container = row("/c")
+def test_a_question_names_what_else_is_affected(
+    operation: str, states: list[str], question: str
+) -> None:
     nodes = [node(f"/{number}", "/c", state) for number, state in enumerate(states)]
-    others = [node("/x", "/other"), row("/other")]
-    found = proposal(wish, container, known(container, *nodes, *others))
-    assert isinstance(found, Proposal)
-    assert found.question == question
+    rows = [row("/c"), *nodes, node("/x", "/other"), row("/other")]
+    assert confirmation(operation, rows[0], rows).question == question
 
 
 def test_a_question_about_a_hostile_name_is_harmless() -> None:
-    found = proposal(HALT, row("/\x1b[2Ja\n猫"), {})
-    assert isinstance(found, Proposal)
-    assert found.question == "stop /a 猫?"
-    assert found.subject.name == "/\x1b[2Ja\n猫", "the operation is about the real name"
-
-
-@settings(max_examples=25)
-@given(systems())
-def test_operations_suit_their_rows(rows: list[Row]) -> None:
-    for each in rows:
-        for wish in Wish:
-            found = proposal(wish, each, known(*rows))
-            if isinstance(found, Refusal):
-                assert found.reason
-                continue
-            assert found.operation in (FOR_NODES if each.container else FOR_MEMBERS)
-            assert found.subject == each.subject
+    name = "/\x1b[2Ja\n猫"
+    expected = Confirmation("stop", Subject(None, name), "stop /a 猫?")
+    assert confirmation("stop", row(name), []) == expected

@@ -5,16 +5,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from play_launch.cli.top.rows import (
-    Mood,
+    Health,
     Order,
     Row,
     Subject,
     counted,
+    health,
     matching,
-    mood,
+    memory,
     ordered,
-    place_of,
     rows_of,
+    uptime,
 )
 from tests.cli.top.rows import node, row, systems
 
@@ -33,18 +34,18 @@ def test_what_is_no_list_of_rows_is_an_error(answer: object) -> None:
 @pytest.mark.parametrize(
     ("what", "expected"),
     [
-        (row("/a", "running"), Mood.GOOD),
-        (row("/a", "exited", "process", exit_code=0), Mood.REST),
-        (row("/a", "exited", "process", exit_code=3), Mood.BAD),
-        (row("/a", "exited", "process", signal=11), Mood.BAD),
-        (node("/a", "/c", "crashed"), Mood.BAD),
-        (node("/a", "/c", "unloaded"), Mood.REST),
-        (node("/a", "/c", "loading"), Mood.BUSY),
-        (row("/a", "of a later version"), Mood.BUSY),
+        (row("/a", "running"), Health.UP),
+        (row("/a", "exited", "process", exit_code=0), Health.INACTIVE),
+        (row("/a", "exited", "process", exit_code=3), Health.FAILED),
+        (row("/a", "exited", "process", signal=11), Health.FAILED),
+        (node("/a", "/c", "crashed"), Health.FAILED),
+        (node("/a", "/c", "unloaded"), Health.INACTIVE),
+        (node("/a", "/c", "loading"), Health.CHANGING),
+        (row("/a", "of a later version"), Health.CHANGING),
     ],
 )
-def test_a_state_is_judged(what: Row, expected: Mood) -> None:
-    assert mood(what) is expected
+def test_a_state_is_judged(what: Row, expected: Health) -> None:
+    assert health(what) is expected
 
 
 @pytest.mark.parametrize(
@@ -121,22 +122,9 @@ def test_choosing_keeps_the_order(rows: list[Row], pattern: str) -> None:
     assert chosen == [each for each in rows if each in chosen]
 
 
-@settings(max_examples=25)
-@given(systems(), systems(), st.integers(0, 20), st.integers(-3, 30))
-def test_the_selection_stays_with_its_subject(
-    before: list[Row], after: list[Row], selected: int, place: int
-) -> None:
-    subject = before[selected % len(before)].subject if before else None
-    found = place_of(subject, after, place)
-    if subject in {each.subject for each in after}:
-        assert after[found].subject == subject
-    else:
-        assert 0 <= found < max(len(after), 1)
-
-
 def test_a_system_is_summed_up() -> None:
     rows = [row("/a"), row("/b", "stopped"), row("/c", "gave up"), row("/d", "starting")]
-    assert counted(rows) == "1 of 4 up, 1 failed, 1 under way, 1 at rest"
+    assert counted(rows) == "1 of 4 up, 1 failed, 1 changing, 1 inactive"
     assert counted([row("/a")]) == "1 of 1 up"
     assert counted([]) == "0 of 0 up"
 
@@ -144,3 +132,33 @@ def test_a_system_is_summed_up() -> None:
 def test_a_node_is_named_with_its_container() -> None:
     assert Subject("/chat", "/talker").target == "/chat:/talker"
     assert Subject(None, "/chat").target == "/chat"
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [
+        (None, "-"), (-1.0, "0s"), (0.9, "0s"), (59.9, "59s"), (60.0, "1m00s"), (3599.0, "59m59s"),
+        (3600.0, "1h00m"), (86399.0, "23h59m"), (86400.0, "1d00h"), (8639999.0, "99d23h"),
+        (8640000.0, "100d"), (1e18, "99999d"),
+    ],
+)  # fmt: skip
+def test_a_time_is_short(seconds: float | None, text: str) -> None:
+    assert uptime(seconds) == text
+
+
+@pytest.mark.parametrize(
+    ("count", "text"),
+    [
+        (None, "-"), (0, "0"), (999, "999"), (1000, "1.0k"), (15_540_000, "15.5M"),
+        (99_940_000, "99.9M"), (99_960_000, "100M"), (999_600_000, "1.0G"), (10**12, "1.0T"),
+        (10**18, "9999T"),
+    ],
+)  # fmt: skip
+def test_a_size_is_short(count: int | None, text: str) -> None:
+    assert memory(count) == text
+
+
+@given(st.integers(0, 10**20), st.floats(0, 1e20))
+def test_figures_fit_their_columns(count: int, seconds: float) -> None:
+    assert len(memory(count)) <= 5
+    assert len(uptime(seconds)) <= 6
