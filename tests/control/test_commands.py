@@ -259,6 +259,7 @@ def test_events_and_logs_are_followed(config: Path, tmp_path: Path) -> None:
     with running(config, tmp_path / "logs") as replay:
         past = [json.loads(line) for line in ask("events", "--json").splitlines()]
         assert {"node", "container", "process", "component"} <= {each["event"] for each in past}
+        assert all(each.keys() >= {"level", "source", "text"} for each in past)
         assert [each["stamp_ns"] for each in past] == sorted(each["stamp_ns"] for each in past)
         of_talker = [json.loads(line) for line in ask("events", "--json", "talker").splitlines()]
         assert of_talker

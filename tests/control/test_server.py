@@ -223,23 +223,6 @@ def test_garbage_is_answered_and_ends_the_connection(
     with_server(tmp_path, talk)
 
 
-def test_fifty_clients_at_once(tmp_path: Path) -> None:
-    def talk(session: Session) -> None:
-        clients = [connect_to(str(tmp_path)) for _ in range(50)]
-        for number, client in enumerate(clients):
-            client._connection.sendall(encode({"id": number, "op": "wait"}))
-        for number, client in enumerate(clients):
-            assert client.ask("echo", {"n": number}) == {"n": number}
-        assert session.most >= 50
-        for client in clients:
-            client.close()
-        with connect() as last:
-            while last.ask("echo") == {} and session.under_way > 1:
-                pass
-
-    with_server(tmp_path, talk)
-
-
 def test_more_clients_than_there_may_be_are_refused_and_the_rest_served(tmp_path: Path) -> None:
     def talk(_: Session) -> None:
         clients = [connect_to(str(tmp_path)) for _ in range(CLIENTS_LIMIT)]
