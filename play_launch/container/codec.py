@@ -105,22 +105,18 @@ def encode_frame(kind: int, payload: bytes, *, version: int = PROTOCOL_VERSION) 
 class FrameDecoder:
     """Cuts a byte stream into frames, whatever the sizes of the pieces in which it arrives.
 
-    After an error it is of no use any more and repeats the error.
+    After an error, each call raises it again.
     """
 
     def __init__(self) -> None:
         self._buffer = bytearray()
-        self._error: FrameError | None = None
+        self.error: FrameError | None = None
+        """Why the rest of the stream cannot be read, if so."""
 
     @property
     def pending(self) -> int:
         """Bytes held that do not make a whole frame yet."""
         return len(self._buffer)
-
-    @property
-    def error(self) -> FrameError | None:
-        """Why the stream cannot be read on, where that is so."""
-        return self._error
 
     def feed(self, data: bytes) -> list[Frame]:
         """Take the next piece and give the frames that are complete now.
@@ -130,15 +126,15 @@ class FrameDecoder:
         Raises:
             FrameLengthError: On an impossible length.
         """
-        if self._error is not None:
-            raise self._error
+        if self.error is not None:
+            raise self.error
         self._buffer += data
         frames: list[Frame] = []
         start = 0
         while len(self._buffer) - start >= _LENGTH.size:
             (length,) = _LENGTH.unpack_from(self._buffer, start)
             if not _HEAD.size <= length <= MAX_FRAME_LENGTH:
-                self._error = FrameLengthError(length)
+                self.error = FrameLengthError(length)
                 break
             body = start + _LENGTH.size
             end = body + length
@@ -149,8 +145,8 @@ class FrameDecoder:
             frames.append(Frame(kind, version, payload))
             start = end
         del self._buffer[:start]
-        if self._error is not None and not frames:
-            raise self._error
+        if self.error is not None and not frames:
+            raise self.error
         return frames
 
 
