@@ -19,7 +19,6 @@ from play_launch.process.cgroups.deaths import why_failed, why_killed
 from play_launch.process.exit import Exit
 from play_launch.process.guard import Ourselves, Parent, SessionGuard
 from play_launch.process.identity import ProcessIdentity, ProcessStat, read_stat, tracer_of
-from play_launch.process.killer import killer_hint, memory_pressure, oom_kills
 from play_launch.process.kin import MEMBER_VARIABLE, Kin
 from play_launch.process.lines import LineReader, OutputCallback
 from play_launch.process.machine import explained
@@ -84,7 +83,6 @@ class Child:
         self._group = group
         self._kin = Kin(identity, parent, mark)
         self._was_killed = False
-        self._oom_kills = oom_kills()
         self._readers = tuple(readers)
         self._loop = asyncio.get_running_loop()
         self._exit: Exit | None = None
@@ -212,8 +210,6 @@ class Child:
         if ended.ok or self._was_killed:
             return ended
         hint = self._hint_of_group(ended)
-        if not hint and ended.signal == signal.SIGKILL:
-            hint = killer_hint(self._oom_kills, oom_kills(), memory_pressure())
         return replace(ended, hint=hint) if hint else explained(ended)
 
     def _hint_of_group(self, ended: Exit) -> str:

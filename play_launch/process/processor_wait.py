@@ -1,4 +1,4 @@
-"""Whether threads want a processor and get none, as the kernel's scheduler counts it."""
+"""Waits of threads for a processor, and in the kernel, from ``/proc/<pid>/task``."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 if TYPE_CHECKING:
     from collections.abc import Collection
+
+    from play_launch.process.identity import ProcessIdentity
 
 _MOST: Final = 4096
 """Bytes; none of the files is longer."""
@@ -57,6 +59,25 @@ def processor_wait(pid: int, threads: Collection[str]) -> ProcessorWait:
     except OSError:
         pass
     return ProcessorWait(seconds, wants_one, is_traced)
+
+
+def thread_wait(process: ProcessIdentity, thread_name: str) -> str:
+    """Describe the kernel function in which a thread waits; empty if it runs or is not readable.
+
+    Without a name, the main thread is meant.
+    """
+    try:
+        for thread in os.listdir(f"/proc/{process.pid}/task"):  # noqa: PTH208 (as in identity.py)
+            folder = f"/proc/{process.pid}/task/{thread}"
+            is_main = not thread_name and int(thread) == process.pid
+            if is_main or (thread_name and _read(folder, "comm").rstrip("\n") == thread_name):
+                function = _read(folder, "wchan")
+                # Last: until here the pid was still that of this process.
+                is_known = function not in {"", "0"} and process.is_alive()
+                return f"waits in {function} of the kernel" if is_known else ""
+    except OSError:  # it has exited, or is another user's
+        pass
+    return ""
 
 
 def _waited(folder: str) -> float:

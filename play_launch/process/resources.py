@@ -23,13 +23,10 @@ from play_launch.config.resources import (
     Scheduler,
     SchedulerPolicy,
     limit_text,
-    nice_limit,
 )
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
-
-_LIMITS_CONF: Final = "/etc/security/limits.conf"
 
 _POLICIES: Final = {number: policy for policy, number in POLICY_NUMBERS.items()}
 _NICE, _PRIORITY, _POLICY = 19, 40, 41
@@ -117,7 +114,7 @@ def _shortfalls(wanted: Resources, held: HeldResources) -> Iterator[str]:
         assert wanted.nice is not None
         yield (
             f"nice is {held.nice}, not {wanted.nice}: a nice value is lowered with CAP_SYS_NICE, "
-            f"or down to RLIMIT_NICE; fix: {_allow('NICE', str(wanted.nice), str(wanted.nice))}"
+            f"or down to RLIMIT_NICE; fix: {_allow('NICE', str(wanted.nice))}"
         )
     if wanted.scheduler not in {None, held.scheduler}:
         yield _scheduler(wanted.scheduler, held.scheduler)
@@ -142,7 +139,7 @@ def _shortfalls(wanted: Resources, held: HeldResources) -> Iterator[str]:
     if wanted.lock_memory and not held.locks_memory:
         yield (
             "its memory is not locked: that takes CAP_IPC_LOCK or an unlimited RLIMIT_MEMLOCK; "
-            f"fix: {_allow('MEMLOCK', 'infinity', 'unlimited')}"
+            f"fix: {_allow('MEMLOCK', 'infinity')}"
         )
     for limit in wanted.rlimits:
         soft, hard = held.rlimits[limit.name]
@@ -156,7 +153,7 @@ def _scheduler(wanted: Scheduler | None, held: Scheduler) -> str:
         number = str(wanted.priority)
         return (
             f"scheduler is {held}, not {wanted}: real-time priorities take CAP_SYS_NICE, or "
-            f"RLIMIT_RTPRIO of at least {number}; fix: {_allow('RTPRIO', number, number)}"
+            f"RLIMIT_RTPRIO of at least {number}; fix: {_allow('RTPRIO', number)}"
         )
     return (
         f"scheduler is {held}, not {wanted}: what runs under policy idle or a real-time policy "
@@ -166,50 +163,19 @@ def _scheduler(wanted: Scheduler | None, held: Scheduler) -> str:
 
 
 def _rlimit(limit: ResourceLimit, soft: float, hard: float) -> str:
-    unit, conf = _for_files(limit)
-    why, fix = "with CAP_SYS_RESOURCE only", _allow(limit.name.upper(), unit, conf)
+    why = "with CAP_SYS_RESOURCE only"
     if limit.name == "nofile":
-        # That holds for a process with the capability, too.
-        why += ", and to fs.nr_open at most, which is never unlimited"
-        if math.isfinite(limit.hard):
-            fix += f"; where fs.nr_open is less, sysctl fs.nr_open={limit.hard:.0f}"
-        else:
-            fix = "a number of files"
+        why += ", and to fs.nr_open (sysctl) at most"
+    value = "infinity" if math.isinf(limit.hard) else f"{limit.hard:.0f}"
     return (
         f"rlimit {limit.name} is {_pair(soft, hard)}, not {_pair(limit.soft, limit.hard)}: a hard "
-        f"limit is raised {why}; fix: {fix}"
+        f"limit is raised {why}; fix: {_allow(limit.name.upper(), value)}"
     )
-
-
-def _for_files(limit: ResourceLimit) -> tuple[str, str]:
-    """Write the hard limit for a unit of systemd, and for limits.conf, in the units of each."""
-    text = str(limit_text(limit.hard))
-    if text == "unlimited":
-        return "infinity", text
-    number = int(limit.hard)
-    if limit.name == "nice":
-        return f"{nice_limit(number):+d}", str(nice_limit(number))
-    if limit.name in _IN_KIBIBYTES:
-        return text, str(-(-number // 1024))
-    if limit.name == "cpu":
-        return f"{number}s", str(-(-number // 60))
-    if limit.name == "rttime":
-        return f"{number}us", text
-    return text, text
-
-
-_IN_KIBIBYTES: Final = frozenset({"core", "data", "fsize", "memlock", "rss", "stack", "as"})
 
 
 def _pair(soft: float, hard: float) -> str:
     return f"{limit_text(soft)}" if soft == hard else f"{limit_text(soft)}:{limit_text(hard)}"
 
 
-def _allow(limit: str, unit: str, conf: str) -> str:
-    return (
-        f"Limit{limit}={unit} in the systemd unit of play-launch, or the line "
-        f'"<user> - {_CONF_NAMES.get(limit, limit.lower())} {conf}" in {_LIMITS_CONF}'
-    )
-
-
-_CONF_NAMES: Final = {"RTPRIO": "rtprio", "NICE": "nice"}
+def _allow(limit: str, value: str) -> str:
+    return f"Limit{limit}={value} in the systemd unit of play-launch, see docs/resources.md#rights"

@@ -13,7 +13,7 @@ from play_launch.container.messages import Accepted, Load, NodeStatusState, Quer
 from play_launch.process.exit import Exit
 from play_launch.process.identity import ProcessIdentity
 from play_launch.process.machine import explained
-from play_launch.process.thread_wait import thread_wait
+from play_launch.process.processor_wait import thread_wait
 from play_launch.supervisor.events import ComponentEvent, ComponentEventKind
 from play_launch.supervisor.inputs import NodeReported, blamed_frame
 from play_launch.supervisor.node_life import NodeFact

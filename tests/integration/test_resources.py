@@ -246,8 +246,8 @@ def test_what_is_refused_is_reported_with_the_fix_and_runs_without(tmp_path: Pat
         )
     told = "\n".join(sorted(warnings(replay)))
     for pattern in (
-        r"^/urgent: scheduler is other, not fifo 20: .*; fix: LimitRTPRIO=20 .* rtprio 20",
-        r"^/first: nice is -?\d+, not -20: .*; fix: LimitNICE=-20 .* nice -20",
+        r"^/urgent: scheduler is other, not fifo 20: .*; fix: LimitRTPRIO=20 .*docs/resources.md",
+        r"^/first: nice is -?\d+, not -20: .*; fix: LimitNICE=-20 .*docs/resources.md",
         r"^/first: io_priority is .*, not realtime:0: .*; fix: AmbientCapabilities=CAP_SYS_NICE",
         r"^/c_all: its memory is not locked: .*; fix: LimitMEMLOCK=infinity",
         r"^/c_all: oom_score_adj is -?\d+, not -1000: .*; fix: OOMScoreAdjust=-1000",

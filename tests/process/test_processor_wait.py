@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import ctypes
+import mmap
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -11,7 +14,13 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from play_launch.process.processor_wait import ProcessorWait, own_wait, processor_wait
+from play_launch.process.identity import ProcessIdentity, read_stat
+from play_launch.process.processor_wait import (
+    ProcessorWait,
+    own_wait,
+    processor_wait,
+    thread_wait,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -84,3 +93,64 @@ def test_what_is_gone_has_not_waited() -> None:
 def test_we_ourselves_have_waited_at_some_time() -> None:
     before = own_wait()
     assert 0 <= before.seconds <= own_wait().seconds
+
+
+SEM_T = 32
+"""Bytes of a sem_t; it holds more nowhere."""
+LIBC = ctypes.CDLL(None)
+
+
+@pytest.fixture
+def semaphore() -> Iterator[int]:
+    """The address of a semaphore that processes share, at 0."""
+    with mmap.mmap(-1, mmap.PAGESIZE) as memory:
+        held = (ctypes.c_char * SEM_T).from_buffer(memory)
+        address = ctypes.addressof(held)
+        assert LIBC.sem_init(ctypes.c_void_p(address), 1, 0) == 0
+        yield address
+        del held
+
+
+def forked(name: bytes, wait: Callable[[], object]) -> ProcessIdentity:
+    """A child with this name that waits, and exits with 0 when that is over."""
+    pid = os.fork()
+    if pid == 0:
+        try:
+            LIBC.prctl(15, name, 0, 0, 0)  # PR_SET_NAME
+            wait()
+        finally:
+            os._exit(0)
+    return read_stat(pid).identity
+
+
+def until_asleep(process: ProcessIdentity, name: str) -> None:
+    while (stat := read_stat(process.pid)).state != "S" or stat.command != name:
+        os.sched_yield()
+
+
+def test_being_asked_does_no_harm(semaphore: int) -> None:
+    process = forked(b"load-7", lambda: LIBC.sem_wait(ctypes.c_void_p(semaphore)))
+    try:
+        until_asleep(process, "load-7")
+        said = {thread_wait(process, name) for name in ("", "load-7") for _ in range(100)}
+        other = thread_wait(process, "load-8")
+        LIBC.sem_post(ctypes.c_void_p(semaphore))
+        assert os.waitpid(process.pid, 0)[1] == 0
+    except BaseException:
+        os.kill(process.pid, signal.SIGKILL)
+        os.waitpid(process.pid, 0)
+        raise
+    assert len(said) == 1
+    assert re.fullmatch(r"waits in \w*futex\w* of the kernel", said.pop())
+    assert other == ""
+    assert thread_wait(process, "") == thread_wait(process, "load-7") == ""
+
+
+def test_a_process_that_has_the_pid_of_another_is_not_meant(semaphore: int) -> None:
+    process = forked(b"load-7", lambda: LIBC.sem_wait(ctypes.c_void_p(semaphore)))
+    try:
+        until_asleep(process, "load-7")
+        assert thread_wait(ProcessIdentity(process.pid, process.start_time + 1), "") == ""
+    finally:
+        LIBC.sem_post(ctypes.c_void_p(semaphore))
+        os.waitpid(process.pid, 0)

@@ -123,15 +123,6 @@ def test_the_nice_value_of_a_limit() -> None:
     assert [nice_limit(value) for value in (-20, 0, 19)] == [40, 20, 1]
 
 
-def test_the_fix_names_both_files_with_their_units() -> None:
-    wanted = Resources(rlimits=(ResourceLimit("memlock", 2**20, 2**20),))
-    held = replace(granted(wanted), rlimits={"memlock": (1024, 2048)})
-    (told,) = shortfalls(wanted, held)
-    assert "rlimit memlock is 1024:2048, not 1048576" in told
-    assert "LimitMEMLOCK=1048576 " in told
-    assert '"<user> - memlock 1024"' in told
-
-
 def test_our_own_resources_are_read() -> None:
     held = held_resources(os.getpid(), ("nofile", "core"))
     assert held is not None
@@ -147,15 +138,3 @@ def test_a_process_that_has_ended_has_nothing() -> None:
 @pytest.mark.parametrize("policy", SchedulerPolicy)
 def test_only_real_time_policies_show_a_priority(policy: SchedulerPolicy) -> None:
     assert str(Scheduler(policy, 7)) == (f"{policy} 7" if policy.is_real_time else policy)
-
-
-@pytest.mark.parametrize(
-    ("hard", "fix"),
-    [(2_000_000, "sysctl fs.nr_open=2000000"), (math.inf, "; fix: a number of files")],
-)
-def test_open_files_have_a_limit_that_no_capability_raises(hard: float, fix: str) -> None:
-    wanted = Resources(rlimits=(ResourceLimit("nofile", 1024, hard),))
-    held = replace(granted(wanted), rlimits={"nofile": (1024, 4096)})
-    (said,) = shortfalls(wanted, held)
-    assert "with CAP_SYS_RESOURCE only, and to fs.nr_open at most" in said
-    assert said.endswith(fix)

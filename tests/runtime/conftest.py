@@ -22,7 +22,7 @@ def _loop_is_never_blocked() -> Iterator[None]:
         blockbuster.functions["io.BufferedWriter.write"].can_block_in("process/guard.py", "_file")
         # The kernel lists the threads of a process from memory.
         listdir = blockbuster.functions["os.listdir"]
-        listdir.can_block_in("process/thread_wait.py", "_thread_named")
+        listdir.can_block_in("process/processor_wait.py", "thread_wait")
         listdir.can_block_in("process/processor_wait.py", "processor_wait")
         listdir.can_block_in("process/time_slice.py", "_threads")
         for name in ("os.stat", "os.access"):
