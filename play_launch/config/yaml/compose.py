@@ -49,7 +49,6 @@ _NO_VALUE = (
     'or write "" for an empty string, [] for an empty list, {} for an empty mapping'
 )
 _INDENTATION_TAB = re.compile(r"[ \-?:]*\t")
-_MOST_DIRECTIVES = 3
 _FIXES = (
     ("mapping values are not allowed", 'quote text that holds ": ", or check the indentation'),
     ("found character that cannot start any token", "put the text in quotes"),
@@ -96,7 +95,6 @@ def compose(text: str, file: str, report: Report, reading: Reading | None = None
     """
     reading = reading or Reading()
     try:
-        _refuse_directives(text, file)
         events = iter(yaml.parse(text, Loader=_Loader))
         return _Composer(events, file, report, reading).run()
     except _StopReadingError as stop:
@@ -356,15 +354,6 @@ def _explain(error: yaml.YAMLError, text: str, file: str) -> tuple[Place, str]:
     if fix is not None:
         message += f"; {fix}"
     return Place(file, mark.line + 1, mark.column + 1), message
-
-
-def _refuse_directives(text: str, file: str) -> None:
-    """Stop at the directive that is one too many; the parser's time grows with their square."""
-    for index, found in enumerate(re.finditer(r"^%", text, re.MULTILINE)):
-        if index >= _MOST_DIRECTIVES:
-            line = text.count("\n", 0, found.start()) + 1
-            message = f"more than {_MOST_DIRECTIVES} directives (lines with %)"
-            raise _StopReadingError(Place(file, line, 1), "(yaml)", message)
 
 
 def _tab_in_indentation(text: str, line: int) -> int | None:
