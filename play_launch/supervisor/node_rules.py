@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Final, assert_never
 
 from msgspec.structs import replace
 
+from play_launch.config.policies import OnCrash
 from play_launch.supervisor import process_rules, quarantine
 from play_launch.supervisor.conditions import readiness
 from play_launch.supervisor.events import NodeState
@@ -21,15 +22,7 @@ from play_launch.supervisor.node_life import (
     NodeFact,
 )
 from play_launch.supervisor.process_life import Fact
-from play_launch.supervisor.restart import (
-    GiveUp,
-    Ignore,
-    Restart,
-    RestartHistory,
-    Shutdown,
-    StopContainer,
-    follow_up,
-)
+from play_launch.supervisor.restart import GiveUp, RestartHistory, decide
 from play_launch.supervisor.world import Phase, Stage, is_wanted
 
 if TYPE_CHECKING:
@@ -242,32 +235,35 @@ def _follow_crash(step: Reduction, node: Node) -> None:
     container = step.process(node.key.container)
     if not container.takes_loads or not is_wanted(step.world, node):
         return
+    reason = f"{node.key.name} crashed: {node.reason}"
+    match node.config.on_crash:
+        case OnCrash.RELOAD:
+            _reload(step, node)
+        case OnCrash.IGNORE:
+            text = f"{node.reason}; it stays away"
+            step.world.put(node, loaded_at=None, reason=text)
+        case OnCrash.STOP_CONTAINER:
+            gives_up = f"{node.reason}; its container is stopped"
+            step.world.put(node, loaded_at=None, next_at=step.now, gives_up=gives_up)
+            process_rules.apply(step, container.name, Fact.STOP, reason)
+        case OnCrash.SHUTDOWN:
+            text = f"{node.reason}; everything is stopped"
+            step.world.put(node, loaded_at=None, reason=text)
+            process_rules.request_stop(step, reason)
+
+
+def _reload(step: Reduction, node: Node) -> None:
+    """Have a node reloaded, at once after a healthy life, or give it up."""
     lived = 0.0 if node.loaded_at is None else step.now - node.loaded_at
     limits = replace(node.config.restart, first_at_once=True)
-    history, verdict = follow_up(
-        node.config.on_crash, node.history, limits, now=step.now, lived=lived, jitter=step.chance
-    )
+    history, verdict = decide(node.history, limits, now=step.now, lived=lived, jitter=step.chance)
     node = replace(node, loaded_at=None, history=history)
-    match verdict:
-        case Restart(delay):
-            when = f"in {delay:.2f} s" if delay else "at once"
-            reason = f"{node.reason}; it is loaded again {when}"
-            step.world.put(node, reason=reason, next_at=step.now + delay)
-        case GiveUp(reason):
-            step.world.put(node, next_at=step.now, gives_up=f"{node.reason}; {reason}")
-        case Ignore():
-            step.world.put(node, reason=f"{node.reason}; it stays away")
-        case StopContainer():
-            gives_up = f"{node.reason}; its container is stopped"
-            step.world.put(node, next_at=step.now, gives_up=gives_up)
-            reason = f"{node.key.name} crashed: {node.reason}"
-            process_rules.apply(step, container.name, Fact.STOP, reason)
-        case Shutdown():
-            reason = f"{node.key.name} crashed: {node.reason}"
-            step.world.put(node, reason=f"{node.reason}; everything is stopped")
-            process_rules.request_stop(step, reason)
-        case _:
-            assert_never(verdict)
+    if isinstance(verdict, GiveUp):
+        step.world.put(node, next_at=step.now, gives_up=f"{node.reason}; {verdict.reason}")
+        return
+    when = f"in {verdict.delay:.2f} s" if verdict.delay else "at once"
+    reason = f"{node.reason}; it is loaded again {when}"
+    step.world.put(node, reason=reason, next_at=step.now + verdict.delay)
 
 
 def due(step: Reduction, key: NodeKey) -> None:

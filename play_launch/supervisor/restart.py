@@ -12,8 +12,6 @@ from typing import TYPE_CHECKING, Final
 from msgspec import Struct
 from msgspec.structs import replace
 
-from play_launch.config.policies import OnCrash
-
 if TYPE_CHECKING:
     from play_launch.config.policies import RestartLimits
 
@@ -93,43 +91,3 @@ def _pause(bounds: RestartLimits, streak: int) -> float:
             return 0.0
         streak -= 1
     return min(bounds.maximum, bounds.initial * 2.0 ** min(streak, _EXPONENT_LIMIT))
-
-
-class Ignore(Struct, frozen=True):
-    """Nothing follows; the node stays away until its container is started anew."""
-
-
-class StopContainer(Struct, frozen=True):
-    """Its container is stopped for good."""
-
-
-class Shutdown(Struct, frozen=True):
-    """The whole system is stopped."""
-
-
-FollowUp = Restart | GiveUp | Ignore | StopContainer | Shutdown
-
-
-def follow_up(
-    policy: OnCrash,
-    history: RestartHistory,
-    bounds: RestartLimits,
-    *,
-    now: float,
-    lived: float,
-    jitter: float,
-) -> tuple[RestartHistory, FollowUp]:
-    """Decide about a crash, or about a reload that failed.
-
-    The arguments are those of `decide`; ``lived`` is the time from
-    loaded to the crash, 0 for a reload that failed.
-    """
-    match policy:
-        case OnCrash.RELOAD:
-            return decide(history, bounds, now=now, lived=lived, jitter=jitter)
-        case OnCrash.IGNORE:
-            return history, Ignore()
-        case OnCrash.STOP_CONTAINER:
-            return history, StopContainer()
-        case OnCrash.SHUTDOWN:
-            return history, Shutdown()

@@ -1,20 +1,10 @@
 from __future__ import annotations
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from play_launch.config.policies import OnCrash, RestartLimits
-from play_launch.supervisor.restart import (
-    FollowUp,
-    GiveUp,
-    Ignore,
-    Restart,
-    RestartHistory,
-    Shutdown,
-    StopContainer,
-    follow_up,
-)
+from play_launch.config.policies import RestartLimits
+from play_launch.supervisor.restart import GiveUp, Restart, RestartHistory, decide
 
 JITTER = st.floats(0, 1, exclude_max=True)
 BOUNDS = st.builds(
@@ -25,25 +15,6 @@ BOUNDS = st.builds(
     maximum=st.floats(2, 60),
     first_at_once=st.just(True),
 )
-
-
-@pytest.mark.parametrize(
-    ("policy", "expected"),
-    [
-        (OnCrash.IGNORE, Ignore()),
-        (OnCrash.STOP_CONTAINER, StopContainer()),
-        (OnCrash.SHUTDOWN, Shutdown()),
-    ],
-)
-@given(bounds=BOUNDS, lived=st.floats(0, 1000), jitter=JITTER)
-def test_only_a_reload_uses_up_restarts(
-    policy: OnCrash, expected: FollowUp, bounds: RestartLimits, lived: float, jitter: float
-) -> None:
-    before = RestartHistory(recent=(1.0,), streak=2, total=3)
-    assert follow_up(policy, before, bounds, now=5.0, lived=lived, jitter=jitter) == (
-        before,
-        expected,
-    )
 
 
 @given(BOUNDS, st.lists(st.tuples(st.floats(0, 1.5), JITTER), max_size=60))
@@ -57,9 +28,7 @@ def test_reloads_are_bounded_and_the_first_after_a_healthy_life_is_at_once(
         now += lived
         if lived >= bounds.within:
             unwell = 0
-        history, verdict = follow_up(
-            OnCrash.RELOAD, history, bounds, now=now, lived=lived, jitter=jitter
-        )
+        history, verdict = decide(history, bounds, now=now, lived=lived, jitter=jitter)
         if isinstance(verdict, GiveUp):
             recent = [due for due in reloads if now - due < bounds.within]
             assert len(recent) == bounds.max_restarts
@@ -79,5 +48,5 @@ def test_reloads_are_bounded_and_the_first_after_a_healthy_life_is_at_once(
 
 def test_reloading_can_be_switched_off() -> None:
     never = RestartLimits(max_restarts=0, within=60.0, initial=0.1, maximum=1.0)
-    _, verdict = follow_up(OnCrash.RELOAD, RestartHistory(), never, now=0.0, lived=5.0, jitter=0.0)
+    _, verdict = decide(RestartHistory(), never, now=0.0, lived=5.0, jitter=0.0)
     assert isinstance(verdict, GiveUp)

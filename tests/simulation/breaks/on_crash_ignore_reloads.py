@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from play_launch.supervisor import restart
+from play_launch.supervisor import node_rules
 from tests.simulation.rewriting import rewrite
 
 if TYPE_CHECKING:
@@ -14,4 +14,9 @@ FOUND_BY: Final = "what on_crash says is done"
 
 
 def apply(patch: pytest.MonkeyPatch) -> None:
-    rewrite(patch, restart.follow_up, "return history, Ignore()", "return history, Restart(1.0)")
+    rewrite(
+        patch,
+        node_rules._follow_crash,
+        "case OnCrash.RELOAD:",
+        "case OnCrash.RELOAD | OnCrash.IGNORE:",
+    )
