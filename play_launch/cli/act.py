@@ -7,7 +7,7 @@ import sys
 from typing import TYPE_CHECKING, Any, Final
 
 from play_launch.cli.operate import OK, add_names, seconds
-from play_launch.cli.show.terminal import printable
+from play_launch.cli.output import printable
 from play_launch.control.protocol import ControlError
 
 if TYPE_CHECKING:

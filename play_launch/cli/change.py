@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from play_launch.cli.operate import FAILED, OK, seconds
+from play_launch.cli.output import is_terminal, printable, wants_colour
 from play_launch.cli.show.plan_text import outcome_line, plan_lines
-from play_launch.cli.show.terminal import is_terminal, printable, wants_colour
 from play_launch.control.protocol import ControlError
 
 if TYPE_CHECKING:

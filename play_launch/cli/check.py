@@ -11,8 +11,7 @@ import typer
 from msgspec.structs import asdict
 
 from play_launch.cli import shared_options as options  # noqa: TC001 - typer evaluates them
-from play_launch.cli.failure import fail, report
-from play_launch.cli.show.terminal import say
+from play_launch.cli.output import fail, report, say
 from play_launch.supervisor.exit_code import ExitCode
 
 if TYPE_CHECKING:

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from play_launch.cli.check import counted
-from play_launch.cli.failure import fail
 from play_launch.cli.info import DAMAGED
-from play_launch.cli.show.terminal import printable, say
+from play_launch.cli.output import fail, printable, say
 from play_launch.cli.target import complain
 from play_launch.postmortem.bag_reader import NotARecordingError
 from play_launch.postmortem.crash_groups import CrashGroup, CrashGroups

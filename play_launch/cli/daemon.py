@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from play_launch.cli.daemon_patch import patch, unpatch
-from play_launch.cli.failure import fail
-from play_launch.cli.show.terminal import say, wants_colour
+from play_launch.cli.output import fail, say, wants_colour
 from play_launch.supervisor.exit_code import ExitCode
 
 if TYPE_CHECKING:

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
-from play_launch.cli.failure import fail
-from play_launch.cli.show.terminal import say
+from play_launch.cli.output import fail, say
 from play_launch.supervisor.exit_code import ExitCode
 
 if TYPE_CHECKING:

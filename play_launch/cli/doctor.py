@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from play_launch.cli.show.terminal import say, surviving_the_reader, wants_colour
+from play_launch.cli.output import say, surviving_the_reader, wants_colour
 from play_launch.supervisor.exit_code import ExitCode
 
 if TYPE_CHECKING:

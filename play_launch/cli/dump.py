@@ -11,7 +11,7 @@ import typer
 from msgspec.structs import replace
 
 from play_launch.cli import shared_options as options  # noqa: TC001 - typer evaluates them
-from play_launch.cli.show.terminal import say
+from play_launch.cli.output import say
 from play_launch.cli.target import (
     USUAL_LIMIT,
     Target,

@@ -20,10 +20,10 @@ def main() -> None:
     """
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
-    from play_launch.cli.show.streams import (  # noqa: PLC0415 - after the lines above
-        give_up_output,
+    from play_launch.cli.output import (  # noqa: PLC0415 - after the lines above
         is_about_output,
         prepare_standard_streams,
+        report_write_error,
     )
 
     prepare_standard_streams()
@@ -31,14 +31,14 @@ def main() -> None:
         _run()
     except OSError as error:
         if is_about_output(error):
-            give_up_output(error)
+            report_write_error(error)
         elif error.filename and error.errno in {errno.EACCES, errno.ENAMETOOLONG}:
             # A name on the command line that cannot even be looked at.
-            from play_launch.cli.failure import fail  # noqa: PLC0415 - rarely needed
+            from play_launch.cli.output import fail  # noqa: PLC0415 - rarely needed
 
             fail(f"{os.fsdecode(error.filename)}: {error.strerror}")
         elif isinstance(error, FileNotFoundError) and _folder_is_gone():
-            from play_launch.cli.failure import fail  # noqa: PLC0415 - rarely needed
+            from play_launch.cli.output import fail  # noqa: PLC0415 - rarely needed
 
             fail("the working directory was removed; change to another one")
         else:

@@ -6,8 +6,8 @@ import json
 import sys
 from typing import TYPE_CHECKING, Any
 
-from play_launch.cli.event_words import lines_of
 from play_launch.cli.operate import OK, add_names, report_end
+from play_launch.cli.output import lines_of
 
 if TYPE_CHECKING:
     from argparse import ArgumentParser, Namespace

@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from play_launch.cli.failure import fail
 from play_launch.cli.info import DAMAGED, report_damage
-from play_launch.cli.show.terminal import printable, say
+from play_launch.cli.output import fail, printable, say
 from play_launch.cli.story_words import paragraphs
 from play_launch.postmortem.bag_reader import NotARecordingError
 from play_launch.postmortem.findings import is_wrong

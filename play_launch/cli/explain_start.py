@@ -9,7 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from play_launch.cli.failure import fail
+from play_launch.cli.output import fail
 from play_launch.config.model import ContainerConfig
 from play_launch.container.environment import caller_environment, child_environment
 from play_launch.container.ros import (

@@ -7,9 +7,8 @@ from importlib.util import find_spec
 from itertools import chain
 from typing import TYPE_CHECKING, Final
 
-from play_launch.cli.failure import fail
 from play_launch.cli.info import DAMAGED, report_damage
-from play_launch.cli.show.terminal import say
+from play_launch.cli.output import fail, say
 from play_launch.postmortem.bag_reader import NotARecordingError
 from play_launch.postmortem.export.tables import WRITERS, rows
 from play_launch.postmortem.export.trace import trace_events, write_trace

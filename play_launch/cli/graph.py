@@ -12,8 +12,7 @@ import sys
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
-from play_launch.cli.show.streams import let_go_of
-from play_launch.cli.show.terminal import printable
+from play_launch.cli.output import printable, redirect_to_devnull
 from play_launch.graph_daemon.contract import DomainError, daemon_address
 from play_launch.graph_daemon.graph_client import (
     DEFAULT_TIMEOUT,
@@ -61,7 +60,7 @@ def main(arguments: Sequence[str]) -> int:
         sys.stdout.flush()
     except BrokenPipeError:
         # The reader has seen enough (`| head`).
-        let_go_of(sys.stdout)
+        redirect_to_devnull(sys.stdout)
         status = OK
     return status
 

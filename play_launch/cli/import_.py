@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from play_launch.cli import shared_options as options  # noqa: TC001 - typer evaluates them
-from play_launch.cli.failure import fail
+from play_launch.cli.output import fail
 from play_launch.cli.write_config import hand_over
 
 

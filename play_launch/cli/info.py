@@ -8,8 +8,7 @@ from datetime import datetime
 from typing import TYPE_CHECKING, Any, Final
 
 from play_launch.cli.check import counted
-from play_launch.cli.failure import fail
-from play_launch.cli.show.terminal import printable, say
+from play_launch.cli.output import fail, printable, say
 from play_launch.cli.target import complain
 from play_launch.postmortem.bag_reader import NotARecordingError
 from play_launch.postmortem.crash_groups import crashes_of

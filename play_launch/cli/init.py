@@ -8,9 +8,8 @@ from typing import Annotated, Final
 
 import typer
 
-from play_launch.cli.failure import fail
+from play_launch.cli.output import fail, say
 from play_launch.cli.schema import SCHEMA_FILE
-from play_launch.cli.show.terminal import say
 from play_launch.postmortem.whole_file import is_standard_output
 
 _STARTER: Final = """\

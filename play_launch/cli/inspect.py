@@ -10,13 +10,10 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import msgspec
 
-from play_launch.cli.failure import fail
 from play_launch.cli.info import DAMAGED, report_damage
-from play_launch.cli.show.durations import clock_times
+from play_launch.cli.output import clock_times, fail, printable, redirect_to_devnull
 from play_launch.cli.show.json_style import encode
 from play_launch.cli.show.lines import Line, line_of
-from play_launch.cli.show.streams import let_go_of
-from play_launch.cli.show.terminal import printable
 from play_launch.cli.story_words import change
 from play_launch.config.values import parse_duration
 from play_launch.postmortem.bag_reader import BagReader, NotARecordingError
@@ -80,7 +77,7 @@ def show_timeline(file: Path, chosen: Filter, *, as_json: bool) -> int:
         fail(str(error))
     except BrokenPipeError:
         # The reader has seen enough (`| head`); the rest of the file need not be read.
-        let_go_of(sys.stdout)
+        redirect_to_devnull(sys.stdout)
         return ExitCode.OK
     return DAMAGED if report_damage(session.reader) else 0
 

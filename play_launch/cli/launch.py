@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from play_launch.cli import shared_options as options  # noqa: TC001 - typer evaluates them
-from play_launch.cli.failure import fail
+from play_launch.cli.output import fail
 from play_launch.cli.target import (
     USUAL_LIMIT,
     complain,

@@ -5,9 +5,8 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING, Final
 
-from play_launch.cli.failure import fail
 from play_launch.cli.info import DAMAGED, report_damage
-from play_launch.cli.show.terminal import say
+from play_launch.cli.output import fail, say
 from play_launch.postmortem.bag_reader import NotARecordingError
 from play_launch.postmortem.export.foxglove import foxglove_layout
 from play_launch.postmortem.export.plotjuggler import plotjuggler_layout

@@ -11,8 +11,7 @@ import logging
 import os
 from typing import TYPE_CHECKING, Final
 
-from play_launch.cli.show.streams import stdout_is_kept
-from play_launch.cli.show.terminal import printable
+from play_launch.cli.output import printable, stdout_is_kept
 from play_launch.process.lines import LineReader
 
 if TYPE_CHECKING:

@@ -7,9 +7,8 @@ import sys
 import time
 from typing import TYPE_CHECKING, Final
 
-from play_launch.cli.event_words import lines_of
 from play_launch.cli.operate import OK, add_names, report_end
-from play_launch.cli.show.durations import clock_times
+from play_launch.cli.output import clock_times, lines_of
 from play_launch.control.protocol import Code, ControlError
 
 if TYPE_CHECKING:

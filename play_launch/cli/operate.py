@@ -76,9 +76,9 @@ def main(arguments: Sequence[str]) -> int:
         return _EXIT_CODES.get(error.code, _FAILED_AS.get(options.verb, FAILED))
     except BrokenPipeError:
         # The reader has seen enough (`| head`).
-        from play_launch.cli.show.streams import let_go_of  # noqa: PLC0415 - rarely needed
+        from play_launch.cli.output import redirect_to_devnull  # noqa: PLC0415 - rarely needed
 
-        let_go_of(sys.stdout)
+        redirect_to_devnull(sys.stdout)
         return OK
     except KeyboardInterrupt:
         return 130
@@ -160,7 +160,7 @@ def report_end(hello: Hello, reason: str = "") -> int:
         hello: Which session.
         reason: Why its client gave up; empty: the connection was closed.
     """
-    from play_launch.cli.show.terminal import printable  # noqa: PLC0415 - rarely needed
+    from play_launch.cli.output import printable  # noqa: PLC0415 - rarely needed
 
     text, status = _how_it_ended(hello, reason)
     if status == OK:
@@ -195,6 +195,6 @@ def _messages(error: ControlError) -> list[str]:
 
 def _report(message: str) -> None:
     """Write an error; what nodes and command lines put into it may hold anything."""
-    from play_launch.cli.show.terminal import printable  # noqa: PLC0415 - rarely needed
+    from play_launch.cli.output import printable  # noqa: PLC0415 - rarely needed
 
     sys.stderr.write(f"error: {printable(message, colour=False)}\n")

@@ -8,8 +8,7 @@ import sys
 from typing import TYPE_CHECKING, Any, Final
 
 from play_launch.cli.operate import OK, add_names
-from play_launch.cli.show.durations import duration
-from play_launch.cli.show.terminal import printable
+from play_launch.cli.output import duration, printable
 
 if TYPE_CHECKING:
     from argparse import ArgumentParser, Namespace

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from play_launch.cli.failure import fail
 from play_launch.cli.info import DAMAGED, report_damage
-from play_launch.cli.show.terminal import say
+from play_launch.cli.output import fail, say
 from play_launch.cli.target import complain
 from play_launch.postmortem.recover import RecoverError, default_output, recover
 from play_launch.supervisor.exit_code import ExitCode

@@ -12,7 +12,7 @@ import typer
 from msgspec.structs import replace
 
 from play_launch.cli import shared_options as options  # noqa: TC001 - typer evaluates them
-from play_launch.cli.failure import fail
+from play_launch.cli.output import fail
 from play_launch.deploy.notification import claim
 
 if TYPE_CHECKING:

@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import msgspec
 
 from play_launch.cli.check import counted
-from play_launch.cli.failure import fail
 from play_launch.cli.info import DAMAGED, report_damage
-from play_launch.cli.show.terminal import printable, say
+from play_launch.cli.output import fail, printable, say
 from play_launch.cli.target import complain
 from play_launch.config.values import parse_duration
 from play_launch.container.cdr.layout import CdrError

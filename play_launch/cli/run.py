@@ -17,10 +17,10 @@ from msgspec.structs import replace
 
 from play_launch.cli.check import describe
 from play_launch.cli.library_output import library_output_logged
+from play_launch.cli.output import is_terminal, surviving_the_loss_of_stdout, wants_colour
 from play_launch.cli.show.display import Display, Style
 from play_launch.cli.show.group_totals import GroupTotals
 from play_launch.cli.show.json_style import JsonStyle, encode
-from play_launch.cli.show.terminal import is_terminal, surviving_the_loss_of_stdout, wants_colour
 from play_launch.cli.show.text_styles import LiveStyle, PlainStyle
 from play_launch.control.feed import Feed
 from play_launch.control.registration import ControlSocket

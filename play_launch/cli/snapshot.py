@@ -27,7 +27,7 @@ def run(client: ControlClient, options: Namespace) -> int:
     if options.json:
         sys.stdout.write(f"{json.dumps(written)}\n")
         return OK
-    from play_launch.cli.show.sizes import size  # noqa: PLC0415 - not for --json
+    from play_launch.cli.output import size  # noqa: PLC0415 - not for --json
 
     sys.stdout.write(
         f"{client.hello.folder}: {written['messages']:,} messages, {size(written['bytes'])}, "

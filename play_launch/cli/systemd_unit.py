@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from play_launch.cli import shared_options as options  # noqa: TC001 - typer evaluates them
-from play_launch.cli.failure import fail
-from play_launch.cli.show.terminal import say
+from play_launch.cli.output import fail, say
 from play_launch.cli.target import complain
 from play_launch.postmortem.whole_file import is_standard_output
 

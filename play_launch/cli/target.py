@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Final
 from msgspec import Struct
 
 from play_launch.cli.check import counted
-from play_launch.cli.failure import fail
-from play_launch.cli.show.terminal import printable, say
+from play_launch.cli.output import fail, printable, say
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from play_launch.cli.show.terminal import say
+from play_launch.cli.output import say
 
 
 def version(

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 
 from msgspec.structs import asdict
 
-from play_launch.cli.failure import fail
-from play_launch.cli.show.terminal import say
+from play_launch.cli.output import fail, say
 from play_launch.cli.target import complain, report_losses, sizes
 from play_launch.postmortem.whole_file import OutputError, is_standard_output, whole_file
 from play_launch.supervisor.exit_code import ExitCode

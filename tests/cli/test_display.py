@@ -105,7 +105,7 @@ def test_the_end_does_not_wait_for_ever(monkeypatch: pytest.MonkeyPatch) -> None
 
 def test_showing_ends_when_the_reader_has_gone(monkeypatch: pytest.MonkeyPatch) -> None:
     let_go: list[bool] = []
-    monkeypatch.setattr(display_module, "let_go_of", lambda stream: let_go.append(True))
+    monkeypatch.setattr(display_module, "redirect_to_devnull", lambda stream: let_go.append(True))
     style = StubStyle(BrokenPipeError())
     shower = Display(style, DisplayLimits(batch=0))
     shower.publish(output("first"), EMPTY, EMPTY)

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from play_launch.cli.show.durations import duration
+from play_launch.cli.output import duration
 from play_launch.cli.show.status import (
     container_status,
     ending,

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from msgspec.structs import replace
 
+from play_launch.cli.output import size
 from play_launch.cli.show.group_totals import GroupTotal
-from play_launch.cli.show.sizes import size
 from play_launch.cli.show.summary import print_summary, summary_object
 from play_launch.config.node_key import NodeKey
 from play_launch.recording.recorder import RecordingSummary

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 from msgspec import Struct
 
-from play_launch.cli.show.streams import let_go_of
+from play_launch.cli.output import redirect_to_devnull
 from play_launch.supervisor.events import LogRecord, OutputLine, RunEvent
 from play_launch.supervisor.view import SystemView
 
@@ -127,7 +127,7 @@ class Display:
         except OSError as error:
             # A terminal that was closed answers EIO; what follows for the run is up to SIGHUP.
             self._gone = True
-            let_go_of(sys.stdout)
+            redirect_to_devnull(sys.stdout)
             if not isinstance(error, BrokenPipeError):
                 _log.warning("nothing more is shown, stdout takes no more: %s", error.strerror)
         finally:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
-from play_launch.cli.show.durations import duration
+from play_launch.cli.output import duration
 from play_launch.cli.show.status import container_status, ending
 from play_launch.recording.console_format import ERROR, INFO, WARN, line_level
 from play_launch.supervisor.events import (

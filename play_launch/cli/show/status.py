@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 from typing import TYPE_CHECKING, Final
 
-from play_launch.cli.show.durations import duration
+from play_launch.cli.output import duration
 from play_launch.process.exit import Exit
 from play_launch.supervisor.events import ContainerState, ProcessEventKind
 

@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from play_launch.cli.check import counted
-from play_launch.cli.show.sizes import size
+from play_launch.cli.output import size
 from play_launch.cli.show.status import container_at_end, process_at_end
 from play_launch.config.node_key import NodeKey
 from play_launch.process.exit import UNKNOWN_STATUS

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import time
 import zlib
-from datetime import datetime
 from typing import IO, TYPE_CHECKING, Final
 
+from play_launch.cli.output import RESET, clock, printable
 from play_launch.cli.show.lines import OWN_NAME, Line, line_of
-from play_launch.cli.show.terminal import RESET, printable
 from play_launch.recording.console_format import ERROR, WARN
 from play_launch.supervisor.events import LogRecord, OutputLine, RunEvent, Sample
 from play_launch.supervisor.view import SystemView
@@ -127,7 +126,7 @@ def format_lines(lines: Iterable[Line], *, times: bool, colour: bool) -> str:
     """
     written: list[str] = []
     for line in lines:
-        head = f"{_clock(line.stamp_ns)} " if times else ""
+        head = f"{clock(line.stamp_ns)} " if times else ""
         if colour:
             head += f"{_name_colour(line.source)}[{line.source}]{RESET} "
         else:
@@ -139,11 +138,6 @@ def format_lines(lines: Iterable[Line], *, times: bool, colour: bool) -> str:
                 clean = f"{paint}{clean}{RESET}"
             written.append(f"{head}{clean}\n")
     return "".join(written)
-
-
-def _clock(stamp_ns: int) -> str:
-    local = datetime.fromtimestamp(stamp_ns / 1e9).astimezone()
-    return f"{local:%H:%M:%S}.{stamp_ns // 1_000_000 % 1000:03}"
 
 
 def _name_colour(name: str) -> str:

@@ -11,7 +11,7 @@ import termios
 from typing import IO, TYPE_CHECKING, Final
 
 from play_launch.cli.operate import report_end
-from play_launch.cli.show.terminal import is_terminal, wants_colour
+from play_launch.cli.output import is_terminal, wants_colour
 from play_launch.control.protocol import Code, ControlError
 
 if TYPE_CHECKING:

@@ -4,7 +4,7 @@ import io
 
 import pytest
 
-from play_launch.cli.show.terminal import printable, wants_colour
+from play_launch.cli.output import printable, wants_colour
 
 
 class Terminal(io.StringIO):
