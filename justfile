@@ -56,7 +56,7 @@ bench-docs:
 pictures *arguments:
     {{python}} -m benchmarks.pictures {{arguments}}
 
-# Make ros2cli's own daemon bear a start-up storm: just patch-daemon --dry-run
+# Patch ros2cli's own daemon: just patch-daemon --dry-run
 patch-daemon *arguments:
     .venv/bin/play-launch daemon patch {{arguments}}
 

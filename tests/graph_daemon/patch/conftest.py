@@ -1,8 +1,7 @@
-"""A ROS 2 of a kind: an environment with a made-up ros2cli in it."""
+"""A virtual environment with a made-up ros2cli in it."""
 
 from __future__ import annotations
 
-import ast
 import shutil
 import subprocess
 import sys
@@ -11,9 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from play_launch.graph_daemon.patch.install import plan_patch
-from play_launch.graph_daemon.patch.known import KNOWN, Known, definition_digest
-from play_launch.graph_daemon.patch.target import Target, find_target
+from play_launch.graph_daemon.patch import write
 
 STAND_IN = Path(__file__).with_name("stand_in")
 LIMIT = 60.0
@@ -21,27 +18,11 @@ LIMIT = 60.0
 
 @dataclass(frozen=True)
 class Ros:
-    """The environment; ``known`` makes its ros2cli one that can be patched."""
+    """The environment."""
 
     root: Path
     python: Path
     site: Path
-    known: Known
-
-    @property
-    def ros2cli(self) -> Path:
-        return self.site / "ros2cli"
-
-    def target(self) -> Target:
-        return find_target(self.python, {"PATH": "/nowhere"})
-
-    def tree(self) -> dict[str, bytes]:
-        """Every file but what Python has compiled."""
-        return {
-            str(path.relative_to(self.site)): path.read_bytes()
-            for path in sorted(self.site.rglob("*"))
-            if path.is_file() and "__pycache__" not in path.parts
-        }
 
     def run(self, code: str) -> str:
         outcome = subprocess.run(
@@ -55,18 +36,6 @@ class Ros:
         return outcome.stdout.strip()
 
 
-def known_of(folder: Path) -> Known:
-    """Take what is in ``folder`` for known, under the release numbers of the real table."""
-    definitions = {}
-    for file, names in KNOWN.definitions.items():
-        source = (folder / file).read_text(encoding="utf-8")
-        present = {node.name for node in ast.parse(source).body if hasattr(node, "name")}
-        definitions[file] = {
-            name: frozenset({definition_digest(source, name)}) for name in names if name in present
-        }
-    return Known(KNOWN.series, definitions)
-
-
 @pytest.fixture
 def ros(tmp_path: Path) -> Ros:
     """One of the test's own."""
@@ -75,9 +44,9 @@ def ros(tmp_path: Path) -> Ros:
 
 @pytest.fixture(scope="session")
 def patched_ros(tmp_path_factory: pytest.TempPathFactory) -> Ros:
-    """One that is patched, for tests that only use it."""
+    """One that is patched, for tests that do not change it."""
     ros = make_ros(tmp_path_factory.mktemp("patched") / "ros")
-    plan_patch(ros.target(), known=ros.known).carry_out()
+    write(ros.site)
     return ros
 
 
@@ -93,7 +62,7 @@ def make_ros(root: Path) -> Ros:
             ignore=shutil.ignore_patterns("__pycache__"),
         )
     write_release(site, "0.32.2")
-    return Ros(root, root / "bin" / "python", site, known_of(site / "ros2cli"))
+    return Ros(root, root / "bin" / "python", site)
 
 
 def write_release(site: Path, version: str) -> None:

@@ -1,12 +1,8 @@
-"""The overlay with the ros2cli that is installed here, whose own files stay as they are.
-
-Runs where the command ``ros2`` is found; elsewhere each test says by name that it was not run.
-"""
+"""The overlay with a real ros2cli, where one is installed or in PYTHONPATH."""
 
 from __future__ import annotations
 
-import dataclasses
-import os
+import importlib.util
 import re
 import socket
 import subprocess
@@ -14,17 +10,16 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
+from site import getsitepackages
 from typing import Any
 from xmlrpc.client import ServerProxy
 
 import pytest
 
 from play_launch.graph_daemon.contract import daemon_address
-from play_launch.graph_daemon.patch import PatchError
-from play_launch.graph_daemon.patch.install import overlays, plan_patch, remove
-from play_launch.graph_daemon.patch.known import KNOWN
-from play_launch.graph_daemon.patch.target import Target, find_target
+from play_launch.graph_daemon.patch import remove, write
 from tests.graph_daemon.patch.conftest import LIMIT
 
 START = """
@@ -52,46 +47,25 @@ CALLS: tuple[tuple[str, tuple[Any, ...]], ...] = (
 _UNIQUE = re.compile(r"[0-9a-f]{32}")
 
 
-@pytest.fixture
-def installed() -> Target:
-    """The ros2cli of this machine, if it is one that can be patched."""
-    try:
-        target = find_target(None)
-        KNOWN.check(target.folder, target.version)
-    except PatchError as why:
-        pytest.skip(str(why))
-    return target
+@dataclass(frozen=True)
+class Lent:
+    """A virtual environment that finds the packages of this one, and the ros2cli of PYTHONPATH."""
+
+    python: Path
+    site: Path
 
 
 @pytest.fixture
-def lent(installed: Target, tmp_path: Path) -> Target:
-    """An environment of the same Python that finds the same packages, to be written to."""
-    subprocess.run(
-        [str(installed.python), "-m", "venv", "--without-pip", str(tmp_path / "lent")],
-        check=True,
-        timeout=LIMIT,
-        env=installed.environment,
-    )
-    (site,) = (tmp_path / "lent").glob("lib/python3*/site-packages")
-    folders = "".join(f"import site; site.addsitedir({str(s)!r})\n" for s in installed.sites)
+def lent(tmp_path: Path) -> Lent:
+    if importlib.util.find_spec("ros2cli") is None:
+        pytest.skip("there is no ros2cli here; add it to PYTHONPATH")
+    root = tmp_path / "lent"
+    venv = [sys.executable, "-m", "venv", "--without-pip", str(root)]
+    subprocess.run(venv, check=True, timeout=LIMIT)
+    (site,) = root.glob("lib/python3*/site-packages")
+    folders = "".join(f"import site; site.addsitedir({s!r})\n" for s in getsitepackages())
     (site / "lent.pth").write_text(folders, encoding="utf-8")
-    environment = dict(installed.environment)
-    if libraries := _libraries(installed):
-        # What the wheels' own .pth would find out, were it asked in their environment.
-        environment["LD_LIBRARY_PATH"] = libraries
-        environment["_ROS_WHEELS_BOOTSTRAP_COMPLETE"] = "1"
-    return dataclasses.replace(
-        installed,
-        python=tmp_path / "lent" / "bin" / "python",
-        environment=environment,
-        sites=(site,),
-        user_site=None,
-    )
-
-
-def _libraries(installed: Target) -> str:
-    code = "import os; print(os.environ.get('LD_LIBRARY_PATH', ''))"
-    return installed.run(["-c", code]).stdout.strip()
+    return Lent(root / "bin" / "python", site)
 
 
 def _wait_for_the_port() -> None:
@@ -111,13 +85,12 @@ def _wait_for_the_port() -> None:
 class RealDaemon:
     """ros2cli's own daemon in this test's domain."""
 
-    def __init__(self, target: Target) -> None:
+    def __init__(self, target: Lent) -> None:
         self.address = daemon_address()
         # A stock daemon leaves its port in TIME_WAIT after some endings.
         _wait_for_the_port()
         self.process = subprocess.Popen(
             [str(target.python), "-c", START],
-            env=target.environment,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
             cwd="/",
@@ -160,16 +133,10 @@ def run_daemon() -> Iterator[list[RealDaemon]]:
             daemon.stop()
 
 
-def test_the_overlay_fits_what_is_installed(lent: Target) -> None:
-    planned = plan_patch(lent)
-    assert planned.place == lent.sites[0]
-    planned.carry_out()
-
-
 def test_a_silent_client_does_not_stop_a_patched_daemon(
-    lent: Target, run_daemon: list[RealDaemon]
+    lent: Lent, run_daemon: list[RealDaemon]
 ) -> None:
-    plan_patch(lent).carry_out()
+    write(lent.site)
     daemon = RealDaemon(lent)
     run_daemon.append(daemon)
     where = (daemon.address.host, daemon.address.port)
@@ -180,20 +147,13 @@ def test_a_silent_client_does_not_stop_a_patched_daemon(
     daemon.stop()
 
 
-def test_the_stock_files_were_not_touched(lent: Target) -> None:
-    before = {path: path.stat().st_mtime_ns for path in lent.folder.rglob("*.py")}
-    plan_patch(lent).carry_out()
-    assert {path: path.stat().st_mtime_ns for path in lent.folder.rglob("*.py")} == before
-    assert os.fspath(lent.python) != sys.executable
-
-
-def test_a_patched_daemon_answers_the_same(lent: Target, run_daemon: list[RealDaemon]) -> None:
+def test_a_patched_daemon_answers_the_same(lent: Lent, run_daemon: list[RealDaemon]) -> None:
     answers = []
     for step in ("patched", "stock"):
         if step == "patched":
-            plan_patch(lent).carry_out()
+            write(lent.site)
         else:
-            remove(lent.sites[0], overlays(lent)[0][1])
+            remove(lent.site)
         daemon = RealDaemon(lent)
         run_daemon.append(daemon)
         # The name of the daemon's node is another each time.

@@ -10,8 +10,8 @@ from __future__ import annotations
 import sys
 
 CHANGES = {
-    "ros2cli.daemon": "calling",
-    "ros2cli.node.network_aware": "checking",
+    "ros2cli.daemon": "daemon_modules",
+    "ros2cli.node.network_aware": "daemon_modules",
     "ros2cli.xmlrpc.local_server": "serving",
 }
 """Modules of ros2cli, and the module of ours that changes each."""

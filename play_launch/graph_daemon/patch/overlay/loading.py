@@ -1,17 +1,14 @@
 """Loads a module of ros2cli as Python would, and changes it afterwards.
 
-Only where ros2cli's files are byte for byte those that were looked at when the overlay was put in
-place: after an update of ros2cli everything is as upstream has it, until it is patched again.
+Only with the releases that the changes were written for; any other stays as upstream has it.
 """
 
 from __future__ import annotations
 
-import hashlib
 import importlib
 import importlib.abc
-import json
+import importlib.metadata
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -21,9 +18,8 @@ if TYPE_CHECKING:
 
 MARK = "__play_launch__"
 """Set in a module that was changed: the name of the change, or what went wrong."""
-MANIFEST = "manifest.json"
-
-_known: dict[str, bool] = {}
+KNOWN = ("0.18.", "0.32.")
+"""Series of ros2cli: Humble's and Jazzy's."""
 
 
 def changed_spec(
@@ -31,7 +27,7 @@ def changed_spec(
 ) -> ModuleSpec | None:
     """Find ``name`` with the other finders and put ``change`` behind its loading."""
     spec = _found_by_others(hook, name, path, target)
-    if spec is None or spec.loader is None or not _is_known(name):
+    if spec is None or spec.loader is None or not _is_known():
         return spec
     spec.loader = ChangingLoader(spec.loader, change)
     return spec
@@ -77,21 +73,9 @@ def _found_by_others(
     return None
 
 
-def _is_known(name: str) -> bool:
-    package = sys.modules.get(name.partition(".")[0])
-    for folder in getattr(package, "__path__", ()):
-        if folder not in _known:
-            _known[folder] = _has_known_files(Path(folder))
-        return _known[folder]
-    return False
-
-
-def _has_known_files(folder: Path) -> bool:
+def _is_known() -> bool:
     try:
-        manifest = json.loads(Path(__file__).with_name(MANIFEST).read_bytes())
-        return all(
-            hashlib.sha256((folder / name).read_bytes()).hexdigest() == digest
-            for name, digest in manifest["ros2cli"]["files"].items()
-        )
-    except (OSError, ValueError, KeyError, AttributeError, TypeError):
+        version = importlib.metadata.version("ros2cli")
+    except importlib.metadata.PackageNotFoundError:
         return False
+    return version.startswith(KNOWN)
