@@ -7,18 +7,16 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from pydantic_core import core_schema
 
-from play_launch.config.group_values import (
-    parse_base_path,
-    parse_cpu_max,
-    parse_memory,
-    parse_pids_max,
-)
 from play_launch.config.problems import excerpt
 from play_launch.config.resource_values import (
     LIMIT_FORMS,
     limit_parser,
+    parse_base_path,
+    parse_cpu_max,
     parse_cpus,
     parse_io_priority,
+    parse_memory,
+    parse_pids_max,
 )
 from play_launch.config.values import (
     NEVER,

@@ -29,7 +29,7 @@ class ContainerType(StrEnum):
     ISOLATED = "isolated"
     ISOLATED_MT = "isolated_mt"
     STOCK = "stock"
-    """Somebody else's program, which offers ROS's composition services."""
+    """A program with ROS's composition services."""
 
     @property
     def is_isolated(self) -> bool:
@@ -232,7 +232,7 @@ class ComposableNodeConfig(Struct, frozen=True, kw_only=True):
     """A node to load into a container.
 
     An empty `name` or `namespace` keeps the component's own. `key` is unique in the configuration.
-    `line` of `file` is where the node is declared. `on_crash` and `restart` are what becomes of it
+    `line` of `file` is where the node is declared. `on_crash` and `restart` apply
     when it crashes alone.
     """
 
@@ -265,7 +265,7 @@ class ContainerConfig(Struct, frozen=True, kw_only=True):
     before the program in the command line. `process_parameters` are for nodes that are made in its
     process, not for those that are loaded. `cwd` is an absolute path (None: the supervisor's own),
     `on_exit` is RESTART or SHUTDOWN. A stock container is `executable` of `package` with
-    `arguments`, or, with `attach`, one that somebody else has started. A file gives no other
+    `arguments`, or, with `attach`, one that is already running. A file gives no other
     container `arguments`; benchmarks do.
     """
 
@@ -356,7 +356,7 @@ class ReplayConfig(Struct, frozen=True, kw_only=True):
     `source` is the file it was read from and `text` its bytes, for the recording, as are
     `included_files` and `parameter_files`, each once and in the order in which they were read.
     `taken` is what they took from outside. `duration`
-    is the seconds after which the system is stopped, None for never. `graph_daemon` says whether
+    is the seconds after which the system is stopped, None for never. `graph_daemon` is whether
     the graph daemon of the ROS domain runs beside the nodes, and is asked what it sees.
     `start_rules` are by unit, see `play_launch.config.dependency`, for units that wait for
     something, as are the nodes in `managed`.

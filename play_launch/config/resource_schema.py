@@ -109,7 +109,7 @@ class ResourcesSection(LimitsSection):
     )
     oom_score_adj: int | None = optional(
         kinds.integer(-1000, 1000),
-        "Whom the kernel kills first when memory runs out: -1000 (never this one) to 1000.",
+        "Preference of the kernel's OOM killer: -1000 (never) to 1000.",
         500,
     )
     lock_memory: bool | None = optional(

@@ -33,9 +33,7 @@ class DependencySection(Section):
         "With name: a line of its output matches this regular expression.",
         "streaming at",
     )
-    node: str | None = optional(
-        kinds.GRAPH_NAME, "This node is in the ROS graph, whoever started it.", "/map_server"
-    )
+    node: str | None = optional(kinds.GRAPH_NAME, "This node is in the ROS graph.", "/map_server")
     topic: str | None = optional(kinds.GRAPH_NAME, "This topic has a publisher.", "/scan")
     service: str | None = optional(
         kinds.GRAPH_NAME, "This service is offered.", "/map_server/load_map"
@@ -213,7 +211,7 @@ _REMAPPINGS = raw(
 
 
 class LoadingSection(Section):
-    """`composable_node_loading`: what holds for every container that says nothing else."""
+    """`composable_node_loading`: defaults for all containers."""
 
     container_type: ContainerType | None = _CONTAINER_TYPE
     thread_num: int | None = _THREAD_NUM
@@ -275,7 +273,7 @@ class DocumentSection(Section):
     )
     composable_node_loading: LoadingSection | None = nested(
         LoadingSection,
-        "What holds for every container that says nothing else.",
+        "Defaults for all containers.",
         {"container_type": "isolated"},
     )
     containers: Any = raw(
@@ -324,7 +322,7 @@ class ContainerSection(Section):
         kinds.list_of(kinds.TEXT), "Strings for the program of a stock container.", ["--verbose"]
     )
     attach: bool | None = optional(
-        kinds.BOOLEAN, "Whether a stock container was started by somebody else.", True
+        kinds.BOOLEAN, "Whether to attach to a stock container that is already running.", True
     )
     process_parameters: Any = _PROCESS_PARAMETERS
     prefix: list[str] | None = _PREFIX
@@ -332,7 +330,7 @@ class ContainerSection(Section):
     output: Output | None = _OUTPUT
     on_exit: OnExit | None = optional(
         kinds.choice(OnExit),
-        "What follows when it ends by itself: restart or shutdown. By default restart.",
+        "Reaction when it exits unasked: restart or shutdown. By default restart.",
         "shutdown",
     )
     depends_on: Any = _DEPENDS_ON
@@ -417,7 +415,7 @@ class ProcessSection(Section):
     output: Output | None = _OUTPUT
     on_exit: OnExit | None = optional(
         kinds.choice(OnExit),
-        "What follows when it ends by itself: ignore, restart or shutdown. By default ignore.",
+        "Reaction when it exits unasked: ignore, restart or shutdown. By default ignore.",
         "restart",
     )
     resources: ResourcesSection | None = _RESOURCES

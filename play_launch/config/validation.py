@@ -82,7 +82,7 @@ def well_formed(section: type[SomeSection], at: At | None) -> SomeSection | None
 
 
 def items_of(at: At | None, what: str) -> Iterator[At]:
-    """Yield each element of the list; report if it is none."""
+    """Yield each element of the list; report anything else."""
     if at is None:
         return
     if not isinstance(at.node, Sequence) or at.node.array_tag is not None:

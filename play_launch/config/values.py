@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from play_launch.config.yaml.tree import At
 
 LONGEST_DURATION = 365 * 24 * 3600.0
-"""Seconds. Longer waits overflow timers, and nobody means them."""
+"""Seconds. Longer waits overflow timers."""
 
 _SECONDS = {"us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0}
 _NUMBER_AND_UNIT = re.compile(r"([-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+))\s*([^\W\d_]+)?", re.ASCII)
@@ -296,7 +296,7 @@ def resolve_environment(at: At | None) -> dict[str, str]:
 
 
 def domain_problem(value: str) -> str | None:
-    """Say what is wrong with a ROS_DOMAIN_ID; None for a good one."""
+    """Return what is wrong with a ROS_DOMAIN_ID; None for a valid one."""
     if value == "" or (
         value.isascii() and value.isdecimal() and len(value) < 4 and int(value) <= LARGEST_DOMAIN
     ):
@@ -319,7 +319,7 @@ def _string(at: At) -> str | None:
 
 
 def log_folder_problem(environ: dict[str, str]) -> str | None:
-    """Say why a ROS process with this environment has no folder for its log; None: it has one.
+    """Return why ROS finds no log folder in this environment; None if it does.
 
     rcl_logging takes ROS_LOG_DIR, then ROS_HOME, then HOME, and a process that finds none of them
     ends when it is started. Unlike a shell, it does not look into the database of users.

@@ -57,7 +57,7 @@ def _why_not(path: Path) -> str:
 
 
 def is_launch_file(path: Path) -> bool:
-    """Say whether it is one, and no configuration, which may be YAML as well."""
+    """Return whether it is a launch file, not a configuration, which may be YAML as well."""
     if path.suffix not in {".yaml", ".yml"}:
         return path.name.endswith(ENDINGS)
     try:

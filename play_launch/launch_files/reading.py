@@ -12,7 +12,7 @@ LARGEST: Final = 16 * 2**20
 
 
 class UnreadableError(Exception):
-    """A file cannot be read; the text says why."""
+    """A file cannot be read; the text is the reason."""
 
 
 def text_of(path: str) -> str:

@@ -132,7 +132,7 @@ OUTPUTS: Final = frozenset({"screen", "log", "both", "own_log", "full"})
 
 
 class AtExit(StrEnum):
-    """What follows when a process ends by itself and is not respawned."""
+    """Reaction when a process exits unasked and is not respawned."""
 
     IGNORE = "ignore"
     SHUTDOWN = "shutdown"
@@ -226,7 +226,7 @@ Unit: TypeAlias = Process | Composable
 class Loss(Struct, frozen=True, omit_defaults=True):
     """Something that the records do not say, or that the configuration says in another way.
 
-    With `is_note` the system behaves alike for all that is known, or nobody asked for it.
+    With `is_note` the system behaves alike for all that is known, or it was not requested.
     """
 
     where: str

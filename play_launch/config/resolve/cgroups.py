@@ -24,7 +24,7 @@ _PER_NODE: Final = "per_node"
 
 
 class GroupRules:
-    """What the section says; `at` is where it stands, None where there is none."""
+    """The section `cgroups`; `at` is its location, None without one."""
 
     def __init__(self, section: CgroupsSection | None, at: At | None) -> None:
         """Read the section and report what is wrong with it."""

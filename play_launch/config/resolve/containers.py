@@ -46,11 +46,11 @@ _FOR_STARTING: Final = (
     "on_exit",
     "resources",
 )
-"""Keys that say how a container is started; one that runs already reads none of them."""
+"""Keys about starting a container; one that runs already reads none of them."""
 
 
 def resolve_container(at: At, shared: Shared, policy: Policy) -> ContainerConfig | None:
-    """Return the container that stands there, None if it is none; `policy` is that of all."""
+    """Return the container at `at`, None after problems; `policy` is that of all containers."""
     section = validate_mapping(ContainerSection, at)
     if not isinstance(at.node, Mapping):
         return None

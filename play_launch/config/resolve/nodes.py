@@ -116,7 +116,7 @@ class Shared(Struct, frozen=True):
 def resolve_composable_node(
     at: At, shared: Shared, policy: Policy, container: str, kind: ContainerType | None
 ) -> ComposableNodeConfig | None:
-    """Return the composable node that stands there, None if it is none.
+    """Return the composable node at `at`, or None after problems were reported.
 
     `policy` is that of its container. Where the container could not be read, its full name
     `container` is empty and `kind` is None.
@@ -164,7 +164,7 @@ def resolve_composable_node(
 
 
 def resolve_process(at: At, shared: Shared) -> ProcessConfig | None:
-    """Return the process that stands there, None if it is none."""
+    """Return the process at `at`, or None after problems were reported."""
     section = validate_mapping(ProcessSection, at)
     if not isinstance(at.node, Mapping):
         return None

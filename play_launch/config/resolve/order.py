@@ -88,7 +88,7 @@ class StartRules(Struct):
     def resolved(
         self, containers: Iterable[ContainerConfig], processes: Iterable[ProcessConfig]
     ) -> dict[str, StartRule]:
-        """Return the rules by unit; names that nobody has and cycles are reported."""
+        """Return the rules by unit; unknown names and cycles are reported."""
         units = _Units(containers, processes, self.is_declared)
         rules: dict[str, StartRule] = {}
         places: dict[tuple[str, str], At] = {}
@@ -144,7 +144,7 @@ class StartRules(Struct):
             name = getattr(section, condition)
             if name is not None:
                 return common.dependency(condition, subject=f"/{name.removeprefix('/')}")
-        raise AssertionError("a subject that is none")
+        raise AssertionError("no subject")
 
 
 class _Common(NamedTuple):
@@ -254,7 +254,7 @@ def _report_cycle(cycle: list[str], places: dict[tuple[str, str], At]) -> None:
     steps = []
     first: At | None = None
     for unit, other in pairwise(cycle):
-        # A node needs its container by itself, and who needs all nodes of a container needs each.
+        # A node needs its container by itself, and all nodes of a container include each.
         at = places.get((unit, other)) or places.get((unit, other.partition(":/")[0]))
         first = first or at
         steps.append(f"{unit} ({at.node.place})" if at is not None else unit)

@@ -143,7 +143,7 @@ def _collect(at: At, pattern: str, into: list[tuple[str, At]]) -> None:
 
 
 def matches(pattern: str, full_name: str) -> bool:
-    """Say whether the pattern of a section is for a node.
+    """Return whether the pattern of a section is for a node.
 
     Match part by part; taking `**` at its shortest first keeps one place to come back to.
     """

@@ -23,7 +23,7 @@ _SMALLEST_INTEGER = -(2**63)
 _LARGEST_INTEGER = 2**63 - 1
 
 # Strings in YAML 1.2, booleans to ROS's own parser of parameter files, which reads YAML 1.1.
-# Either reading would surprise somebody, so neither is taken.
+# Either reading would surprise, so neither is taken.
 _TRUE_IN_YAML_1_1 = frozenset({"y", "Y", "yes", "Yes", "YES", "on", "On", "ON"})
 _FALSE_IN_YAML_1_1 = frozenset({"n", "N", "no", "No", "NO", "off", "Off", "OFF"})
 _OCTAL_IN_YAML_1_1 = re.compile(r"[-+]?0[0-9]+", re.ASCII)
@@ -223,7 +223,7 @@ def _integer(item: Scalar) -> int:
 
 
 def _usable(at: At, node: Scalar) -> bool:
-    """Say whether the scalar may be a parameter's value at all, and report why if not."""
+    """Return whether the scalar may be a parameter's value; report why not."""
     problem = _scalar_problem(node)
     if problem:
         at.problem(problem)

@@ -42,7 +42,7 @@ class Process(Enum):
     CONTAINER = auto()
     """Of play-launch's own."""
     PROGRAM = auto()
-    """Somebody else's program."""
+    """A program other than play-launch's container."""
     NODE_WITH_OWN_MEMORY = auto()
     NODE_IN_SHARED_MEMORY = auto()
 

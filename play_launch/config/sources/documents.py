@@ -33,7 +33,7 @@ _ENTRY: Final = "the path of a file, or {file: ..., arguments: {...}}"
 
 
 class _File(Struct, frozen=True):
-    """A file that is being read: by whom it is included, and what it can see."""
+    """A file that is being read, its inclusion and its arguments."""
 
     path: Path
     content: bytes
@@ -159,7 +159,7 @@ class Documents:
 
 
 def _arguments(entry: At) -> dict[str, Given]:
-    """Return the arguments of an inclusion; report what is none."""
+    """Return the arguments of an inclusion; report other values."""
     for key, value in entry.entries():
         if key.key not in {"file", "arguments"}:
             value.problem(f"unknown key {excerpt(key.key)}; known here: file, arguments", key.place)

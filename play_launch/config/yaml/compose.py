@@ -88,7 +88,7 @@ class Reading(Struct, frozen=True):
 
 
 def compose(text: str, file: str, report: Report, reading: Reading | None = None) -> Node | None:
-    """Return the tree of the only document in `text`, or None where there is none to speak of.
+    """Return the tree of the only document in `text`, or None if there is none.
 
     Problems go to `report`: what is wrong with the syntax ends the reading, a key given twice
     or a tag of no use does not.
@@ -326,14 +326,14 @@ class _Composer:
 
 
 def _refuse_in_key(text: str) -> str:
-    """Return the text of a key; raise ValueError if somebody expects a substitution in it."""
+    """Return the text of a key; raise ValueError for a substitution in it."""
     if any(begin in text for begin in ("${env:", "${arg:", "$(find-pkg-share")):
         raise ValueError("a key takes no substitution, only a value does")
     return text
 
 
 def _explain(error: yaml.YAMLError, text: str, file: str) -> tuple[Place, str]:
-    """Say what is wrong with text that is not YAML, in words for people who write launch files."""
+    """Describe a syntax error, with a fix for the common ones."""
     mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
     if mark is None:
         return Place(file, 1, 1), f"is not YAML: {excerpt(str(error))[1:-1]}"

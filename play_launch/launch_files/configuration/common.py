@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from play_launch.launch_files.records import Process
 
 _USUAL: Final = 5.0
-"""Seconds that launch gives a process to follow a signal where the launch file says nothing."""
+"""Seconds that launch gives a process to follow a signal by default."""
 
 
 def pull_up(containers: list[dict[str, Any]], processes: list[dict[str, Any]]) -> dict[str, Any]:

@@ -216,7 +216,7 @@ class Members:
             )
 
     def _add_end(self, entry: dict[str, Any], unit: Process) -> None:
-        """Say what follows when a process ends."""
+        """Add the reaction to the exit of a process."""
         if unit.on_exit is AtExit.SHUTDOWN:
             # launch does both; the restarted process is stopped at once.
             entry["on_exit"] = "shutdown"

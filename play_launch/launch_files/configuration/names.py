@@ -1,4 +1,4 @@
-"""Names that nobody else has: a configuration knows its members by them, ROS and launch do not."""
+"""Unique names, which a configuration requires, unlike ROS and launch."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class Names:
         return label
 
     def _free(self, namespace: str, name: str) -> str:
-        """Return the name with the next number that nobody has."""
+        """Return the name with the next free number."""
         base = f"{namespace.rstrip('/')}/{name}"
         numbered = (f"_{number}" for number in self._numbers[base])
         suffix = next(each for each in numbered if base + each not in self._taken)

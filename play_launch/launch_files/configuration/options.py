@@ -9,7 +9,7 @@ from msgspec import Struct, field
 
 
 class Containers(StrEnum):
-    """What becomes of the containers of rclcpp_components."""
+    """Container type for containers of rclcpp_components."""
 
     SAME = "same"
     """A container of ours that does the same."""

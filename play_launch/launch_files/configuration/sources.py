@@ -200,7 +200,7 @@ class ParameterSources:
         return found if self._is_fine(source, _Use.ALL, before) else []
 
     def _is_fine(self, source: ParameterFile, use: _Use, before: int) -> bool:
-        """Say whether our reader takes it; each mistake in a file is reported only once."""
+        """Return whether our reader accepts it; each mistake in a file is reported only once."""
         if len(self._report) == before:
             return True
         # It refuses something that rcl takes, such as `yes`.
@@ -213,6 +213,6 @@ def _different(values: Parameters, base: Parameters) -> Parameters:
 
 
 def same(one: ParameterValue | None, other: ParameterValue) -> bool:
-    """Say whether two values are the same for a node."""
+    """Return whether two values are the same for a node."""
     # By text, because NaN is not NaN and 0.0 is -0.0.
     return one is not None and one.type is other.type and repr(one.value) == repr(other.value)

@@ -106,7 +106,7 @@ class _Builder:
         self._entries.append((unit, entry))
 
     def _host(self, unit: Composable) -> tuple[str, dict[str, Any]]:
-        """Return the container of a composable node; one that nobody starts is attached to."""
+        """Return the container of a composable node; one that is not started is attached to."""
         target = unit.container
         alike = [
             name

@@ -125,7 +125,7 @@ class Fields:
         return found
 
     def refuse_rest(self) -> None:
-        """Report the fields that nobody took, unless they say nothing."""
+        """Report the unread fields that are not empty."""
         for name, value in self._left.items():
             if value not in (None, "", [], {}, False):
                 self._losses.lost(self.where, f"the field {name} is not understood")

@@ -27,7 +27,7 @@ MOST_VALUES: Final = 2_000_000
 
 
 class NotImportableError(Exception):
-    """The file is no description that is known here; the text says why."""
+    """The file is no description that is known here; the text is the reason."""
 
 
 def import_system(path: Path, *, stock: bool = False) -> Written:

@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 from play_launch.launch_files.log_folder import log_folder
 from play_launch.launch_files.markup import programs
-from play_launch.launch_files.markup.context import Deferred
+from play_launch.launch_files.markup.context import Deferred, joined_namespace
 from play_launch.launch_files.markup.entity import read_entity
 from play_launch.launch_files.markup.given_parameters import global_value
 from play_launch.launch_files.markup.grammar import check
-from play_launch.launch_files.markup.namespaces import joined
 from play_launch.launch_files.markup.template import unescaped
 from play_launch.launch_files.markup.trouble import Exceeded, Trouble
 from play_launch.launch_files.markup.typing_rules import coerced
@@ -227,7 +226,7 @@ def _shutdown(entity: Entity, context: Context) -> None:
 def _push_namespace(entity: Entity, context: Context) -> None:
     pushed = context.text(entity.attributes["namespace"])
     base = context.configurations.get("ros_namespace")
-    context.configurations["ros_namespace"] = joined(base, pushed)
+    context.configurations["ros_namespace"] = joined_namespace(base, pushed)
 
 
 def _set_parameter(entity: Entity, context: Context) -> None:

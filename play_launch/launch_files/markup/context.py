@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import time
 from typing import TYPE_CHECKING, Any, Final
 
@@ -145,3 +146,29 @@ def beginning(
         configurations=dict(arguments),
         given=frozenset(arguments),
     )
+
+
+_VALID_NAMESPACE: Final = re.compile(r"/|(?:/[A-Za-z_][A-Za-z0-9_]*)+", re.ASCII)
+
+
+def joined_namespace(base: str | None, own: str | None) -> str | None:
+    """Return the absolute namespace; None if neither is given.
+
+    Raises:
+        Trouble: When it is no namespace.
+    """
+    if own is None:
+        namespace = base
+    elif not base or own.startswith("/"):
+        namespace = own
+    else:
+        namespace = f"{'' if base == '/' else base}/{own}"
+    if namespace is None:
+        return None
+    if namespace != "/":
+        namespace = namespace.rstrip("/")
+    if not namespace.startswith("/"):
+        namespace = f"/{namespace}"
+    if not _VALID_NAMESPACE.fullmatch(namespace):
+        raise Trouble(f"{namespace!r} is no namespace")
+    return namespace

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from play_launch.launch_files.records import Parameter, Source
 
 Plain: TypeAlias = dict[str, Any]
-"""Parameters as values of Python, before anybody reads them."""
+"""Parameters as values of Python, before they are evaluated."""
 
 
 def given(entity: Entity, context: Context) -> list[Plain | ParameterFile]:

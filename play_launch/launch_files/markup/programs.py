@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from play_launch.config.model import FOR_ALL
 from play_launch.launch_files.markup import given_parameters
 from play_launch.launch_files.markup.command_line import split, words_of
-from play_launch.launch_files.markup.namespaces import joined
+from play_launch.launch_files.markup.context import joined_namespace
 from play_launch.launch_files.markup.substitutions import executable_in_package
 from play_launch.launch_files.markup.trouble import Trouble
 from play_launch.launch_files.markup.typing_rules import coerced, condition, truth
@@ -76,7 +76,7 @@ def load_composable_node(entity: Entity, context: Context) -> None:
 
 
 def is_wanted(entity: Entity, context: Context) -> bool:
-    """Say whether the condition of an entity holds; True where it has none."""
+    """Return whether the condition of an entity holds; True where it has none."""
     if "if" in entity.attributes:
         return condition(context.text(entity.attributes["if"]))
     if "unless" in entity.attributes:
@@ -106,7 +106,7 @@ def _node(entity: Entity, kind: ProgramKind, context: Context) -> Process:
     if "exec_name" in attributes:
         process.label = context.text(attributes["exec_name"])
     own = context.text(attributes["namespace"]) if "namespace" in attributes else None
-    namespace = joined(context.configurations.get("ros_namespace"), own)
+    namespace = joined_namespace(context.configurations.get("ros_namespace"), own)
     process.namespace = namespace or ""
     pattern = process.full_name if process.name and namespace is not None else FOR_ALL
     _complete(process, program, entity, context)
@@ -231,7 +231,7 @@ def _made_composable(entity: Entity, container: str, context: Context) -> Compos
         package=context.text(attributes["pkg"]),
         plugin=context.text(attributes["plugin"]),
         name=context.text(attributes["name"]),
-        namespace=joined(context.configurations.get("ros_namespace"), own) or "",
+        namespace=joined_namespace(context.configurations.get("ros_namespace"), own) or "",
         container=container,
         remappings=_remappings(entity, context),
         extra_arguments=list(given_parameters.extra_arguments(entity, context)),

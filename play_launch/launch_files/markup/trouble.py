@@ -9,7 +9,7 @@ if TYPE_CHECKING:
 
 
 class Trouble(Exception):  # noqa: N818 - it becomes a Failure
-    """Something is wrong; `place` is None until somebody knows where."""
+    """Something is wrong; `place` is None until it is known."""
 
     def __init__(self, message: str, place: Place | None = None) -> None:
         super().__init__(message)

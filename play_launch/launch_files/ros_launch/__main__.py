@@ -15,9 +15,8 @@ from typing import Final
 import msgspec
 
 from play_launch.launch_files.records import Description, Failure, Origin, Place, encode
-from play_launch.launch_files.ros_launch import memory
 from play_launch.launch_files.ros_launch.driver import evaluate
-from play_launch.launch_files.ros_launch.job import SIZE, Job
+from play_launch.launch_files.ros_launch.job import SIZE, Job, bound_memory
 
 _OBJECTS: Final = 50_000
 """How many are made until garbage is looked for."""
@@ -28,7 +27,7 @@ def main() -> None:
     descriptor, own = os.dup(1), os.getpid()
     os.dup2(2, 1)
     job = msgspec.json.decode(sys.argv[1], type=Job)
-    memory.bound()
+    bound_memory()
     # Most of what is made stays: looking for garbage as often as usual takes a tenth of the time.
     gc.set_threshold(_OBJECTS)
     # Nothing in the launch file shall take these for its own.
@@ -36,7 +35,7 @@ def main() -> None:
 
     def answer(found: Description | Failure) -> None:
         if os.getpid() != own:
-            # The launch file has forked, and this one is nobody's.
+            # The launch file has forked, and this process is the copy.
             os._exit(0)
         try:
             records = encode(found)

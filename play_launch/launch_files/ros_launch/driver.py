@@ -94,7 +94,7 @@ class HeldErrors(logging.Filter):
         self._handler: logging.Handler | None = None
         self._records: list[logging.LogRecord] = []
         self.warned: Callable[[str], None] | None = None
-        """Who takes the warnings of launch_ros, which name no place."""
+        """Handler of launch_ros's warnings, which have no location."""
 
     def install(self, handler: logging.Handler) -> None:
         """Hold back what a handler would show."""

@@ -1,4 +1,4 @@
-"""The ends of launch that are replaced: where something would start, and who hears of events."""
+"""The ends of launch that are replaced: starting processes and notifying handlers of events."""
 
 from __future__ import annotations
 
@@ -212,7 +212,7 @@ def _what_is_done_later(scene: Scene) -> None:
         if follows_event and scene.places.of_part(self).file:
             when = scene.described(scene.causes.now)
             if follow_an_exit(scene.causes.now):
-                # It may clean up, or let go of brakes, and nothing runs yet.
+                # It may clean up, or release brakes, and nothing runs yet.
                 scene.lost(self, f"OpaqueFunction when {when}: it is not called")
                 return None
             what = f"OpaqueFunction: it was called by the evaluation, not when {when}"

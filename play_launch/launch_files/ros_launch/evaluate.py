@@ -140,7 +140,7 @@ def _read(descriptor: int, limit: float) -> bytes | None:
 
 
 async def _end(guard: SessionGuard, pid: int) -> str:
-    """Say how the process ended, which closed its end of the pipe before."""
+    """Describe how the process exited after it had closed its end of the pipe."""
     deadline = time.monotonic() + _END_LIMIT
     found: Exit | None = None
     while found is None and time.monotonic() < deadline:

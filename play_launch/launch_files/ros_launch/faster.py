@@ -131,7 +131,7 @@ def _read_yaml_by_libyaml() -> None:
         if not isinstance(text, str):
             return load(stream)
         try:
-            # Its own for each caller, who may change it.
+            # A copy for each caller, which may change it.
             return pickle.loads(loaded(text))  # noqa: S301 - ours
         except TooManyAliasesError as error:
             name = getattr(stream, "name", "a text")

@@ -46,7 +46,7 @@ def _has_function(handler: Any) -> bool:
 
 
 class Completion:
-    """Stands for the future of an action: who wants to hear when it has ended."""
+    """Future of an action: callbacks for its end."""
 
     def __init__(self) -> None:
         self.callbacks: list[Callable[[Any], None]] = []
@@ -60,7 +60,7 @@ class Completion:
         return False
 
     def __call__(self) -> None:
-        """Call everybody."""
+        """Call the callbacks."""
         for callback in self.callbacks:
             callback(None)
 
@@ -192,7 +192,7 @@ class Happenings:
         if isinstance(event, ChangeState):
             self._lifecycles.change(event, conditions, part)
         elif isinstance(event, Shutdown):
-            # Who handles it is reported: there is nothing to be started then.
+            # Its handlers are reported: there is nothing to be started then.
             self._shut_down(event, conditions, part)
             return
         elif isinstance(event, ShutdownProcess | SignalProcess):

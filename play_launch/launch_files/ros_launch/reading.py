@@ -38,7 +38,7 @@ def _checked_file(path: str, places: Places) -> None:
     try:
         info = Path(path).stat()
     except OSError:
-        # launch says what is wrong.
+        # launch reports the error.
         return
     if not stat.S_ISREG(info.st_mode) or info.st_size > LARGEST:
         try:

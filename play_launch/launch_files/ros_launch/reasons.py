@@ -10,7 +10,7 @@ from xml.etree.ElementTree import ParseError
 import yaml
 
 from play_launch.launch_files.records import Place
-from play_launch.launch_files.ros_launch.memory import most_memory
+from play_launch.launch_files.ros_launch.job import most_memory
 
 if TYPE_CHECKING:
     from play_launch.launch_files.ros_launch.places import Places

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 _PREFIX: Final = "play_launch_evaluation_"
 _AGE: Final = 60.0
-"""Seconds until a folder without a lock is nobody's; it gets one right after it was made."""
+"""Seconds until a folder without a lock is a leftover; it gets one right after it was made."""
 
 
 @contextmanager
