@@ -1,4 +1,4 @@
-"""What the kernel lets this process do beyond what everybody may, see capabilities(7)."""
+"""Capabilities of this process, see capabilities(7)."""
 
 from __future__ import annotations
 

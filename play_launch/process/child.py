@@ -59,7 +59,7 @@ class Child:
 
     The child leads its own session and process group. When it ends, the rest of its session is
     killed, its output is read to the end and only then is it waited for, so that until `gone`
-    its pid and group number cannot mean anybody else.
+    its pid and group number cannot mean another process.
 
     The end is seen through the pidfd on the event loop: no thread per child (as asyncio has in
     Python 3.11), no SIGCHLD handler.
@@ -124,7 +124,7 @@ class Child:
     async def gone(self) -> Exit:
         """Wait until nothing is left.
 
-        The process was waited for, the rest of its session killed, all its output handed over
+        The process was waited for, the rest of its session killed, all its output delivered
         and every descriptor closed. Output that a process outside the session still holds open
         is closed `OUTPUT_GRACE` seconds after the end.
         """
@@ -179,7 +179,7 @@ class Child:
     def holding_session(self) -> Iterator[None]:
         """Leave the rest of the session alive when the process ends, until the block is left.
 
-        For whoever stops it and wants to give its children their time, too.
+        For a stop that leaves time to its children, too.
         """
         self._holders += 1
         self._unheld.clear()
@@ -253,7 +253,7 @@ class Child:
         self.kill_all()
         self.signal_group(signal.SIGKILL)
         refused: set[ProcessIdentity] = set()
-        # Whoever forks while we look is found in the next round.
+        # Processes forked meanwhile are found in the next round.
         for _ in range(_STRAGGLER_ROUNDS):
             members = [each for each in await self.members() if each.identity not in refused]
             if not members:
@@ -306,7 +306,7 @@ async def spawn(
     Args:
         argv: The command line; the program is looked up in the PATH of `env`.
         env: The whole environment.
-        guard: Who sees to it that the child does not outlive us. A `SessionGuard` becomes its
+        guard: Ends the child with the supervisor. A `SessionGuard` becomes its
             parent, and ends it with everything that came of it. The program `spawn_guard` makes
             the kernel kill the child alone when the thread that called this ends
             (PR_SET_PDEATHSIG). None starts it without that.
@@ -314,12 +314,12 @@ async def spawn(
         descriptors: What it inherits beside its standard streams, by the number that it has there;
             without a `SessionGuard` that is our own. All others are closed.
         on_output: Gets its lines; None sends its output to /dev/null.
-        leaves_by_itself: Whether it ends by itself when we are gone, see `SessionGuard.spawn`.
-        zygote: Who is forked for it; only with a `SessionGuard`.
+        leaves_by_itself: Whether it exits when the supervisor has exited, see `SessionGuard.spawn`.
+        zygote: Is forked for it; only with a `SessionGuard`.
         settings: What it asks of the kernel, see `SessionGuard.spawn`; only with that.
         group: The control group that it enters by one of the settings: it is killed and removed
             with what is left in it.
-        mark: Shows that a daemon came of it, see `Kin`; nobody else's, with a session guard.
+        mark: Identifies its daemons, see `Kin`; unique with a session guard.
         emulate_tty: Whether it writes to terminals, one for each stream, instead of pipes.
 
     Raises:

@@ -16,7 +16,7 @@ class Exit:
     """The end of a process: an exit status, or the number of the signal that killed it.
 
     `code` is 0 where a signal ended it, `signal` is 0 where none did. It is `UNKNOWN_STATUS` where
-    nobody can say how it ended: its guard was killed, or somebody else took the status.
+    its exit status is unknown: its guard was killed, or another process reaped it.
     `hint` is what the machine has to do with it.
     """
 
@@ -32,7 +32,7 @@ class Exit:
 
     @property
     def is_lost(self) -> bool:
-        """Whether nobody can say how it ended."""
+        """Whether the exit status is unknown."""
         return self.code == UNKNOWN_STATUS
 
     @classmethod
@@ -44,7 +44,7 @@ class Exit:
 
     @classmethod
     def lost(cls) -> Exit:
-        """The process ended, and nobody can say how."""
+        """Return an exit with unknown status."""
         return cls(code=UNKNOWN_STATUS)
 
     def __str__(self) -> str:

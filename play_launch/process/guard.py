@@ -50,13 +50,13 @@ _END_LIMIT: Final = 5.0
 
 
 class Parent(Protocol):
-    """Who can wait for a process."""
+    """Parent of a process, which can wait for it."""
 
     async def ended(self, pid: int) -> Exit | None:
-        """Say how it ended and leave it a zombie; None while it runs.
+        """Return its exit without reaping it; None while it runs.
 
         Raises:
-            ChildProcessError: When nobody can say any more.
+            ChildProcessError: When it was reaped.
         """
 
     async def reap(self, pid: int) -> None:
@@ -186,8 +186,8 @@ class SessionGuard:
             argv: The command line.
             env: The whole environment; its PATH is searched.
             descriptors: What it gets, by the number it has there; 0, 1 and 2 among them.
-            leaves_by_itself: Whether it ends by itself, within 0.7 s, when we are gone.
-            zygote: Who is forked for it; if that fails, the command is executed, and the zygote
+            leaves_by_itself: Whether it exits within 0.7 s when the supervisor has exited.
+            zygote: Is forked for it; if that fails, the command is executed, and the zygote
                 is lost.
             cwd: Its working directory, ours by default; not with a zygote.
             settings: What it asks of the kernel for itself, see `config.resources`; what

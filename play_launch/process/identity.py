@@ -1,6 +1,6 @@
 """Which process is meant: a pid together with its start time, and a pidfd to act on it.
 
-The kernel gives a pid to somebody else as soon as its process was waited for. The start time
+The kernel reuses a pid as soon as its process was waited for. The start time
 distinguishes the two, and a pidfd never means the other one.
 """
 
@@ -46,7 +46,7 @@ class ProcessStat(Struct, frozen=True):
 
     @property
     def is_alive(self) -> bool:
-        """Whether it still runs; a zombie only waits for somebody to read its exit status."""
+        """Whether it still runs; a zombie only waits to be reaped."""
         return self.state not in _ZOMBIE_STATES
 
     @property
@@ -109,7 +109,7 @@ def read_stat(pid: int) -> ProcessStat:
     """Read `/proc/<pid>/stat`; the kernel answers from memory, so this does not block.
 
     Raises:
-        NoSuchProcessError: When nobody has this pid.
+        NoSuchProcessError: No process has this pid.
     """
     return parse_stat(_read(pid, "stat"))
 
@@ -176,7 +176,7 @@ class ProcessHandle:
         """Open the very process meant.
 
         Raises:
-            NoSuchProcessError: When it is gone or its pid belongs to somebody else by now.
+            NoSuchProcessError: It has exited, or its pid belongs to another process.
             OSError: EMFILE and the like.
         """
         try:

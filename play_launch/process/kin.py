@@ -1,8 +1,8 @@
-"""What came of a child and has left its session: daemons, and what setsid(1) was put before.
+"""Descendants of a child outside of its session: daemons, and commands under setsid(1).
 
 As long as its parents live, it is below the child. When they have ended, it is a child of the
 guard, and whose it was is in a variable that the child got, and that its children inherit.
-A process that has left its parents and cleared its environment belongs to nobody: the guard ends it
+A process that has left its parents and cleared its environment is not attributed: the guard ends it
 with the session.
 """
 
@@ -35,7 +35,7 @@ _LONGEST_EXECUTION: Final = 0.5
 """Seconds that a program may take to be mapped."""
 _PAUSE: Final = 0.001
 _LOOKS_AT_NONE: Final = 5
-"""An environment has no bytes for a moment while it is made; seen so often, there is none."""
+"""An environment has no bytes for a moment while it is made; after so many reads, it has none."""
 _ENVIRONMENT: Final = slice(47, 49)
 """Begin and end of it, among what follows the command in ``/proc/<pid>/stat``."""
 
@@ -49,10 +49,10 @@ def mark_for(supervisor: object, name: str) -> str:
 
 
 class Kin:
-    """Finds what came of one child; belongs to the loop's thread."""
+    """Finds the descendants of one child; belongs to the loop's thread."""
 
     def __init__(self, leader: ProcessIdentity, parent: Parent, mark: str) -> None:
-        """Look for what came of the child ``leader``, which has ``mark`` in its environment."""
+        """Find descendants of the child ``leader``, which has ``mark`` in its environment."""
         self._leader = leader
         self._parent = parent
         self._mark = mark
@@ -80,13 +80,13 @@ class Kin:
 
 
 _unreadable: set[ProcessIdentity] = set()
-"""Those that have kept a reader waiting for too long, and may do so for ever."""
+"""Processes whose environment could not be read in time."""
 
 
 async def _marks_of(processes: Sequence[ProcessStat]) -> dict[ProcessIdentity, str]:
     """Read marks; those that cannot be read are left out.
 
-    A process that waits for a disk may hold up readers of its memory, even for ever. So it is
+    A process that waits for a disk may block readers of its memory without limit. So it is
     read in a thread that the end of the program does not wait for.
     """
     found: dict[ProcessIdentity, str] = {}

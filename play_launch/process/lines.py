@@ -106,7 +106,7 @@ def _line(content: bytes) -> Line:
 
 
 class LineReader:
-    """Reads a pipe on the event loop until its end and hands over lines in batches.
+    """Reads a pipe on the event loop until its end and delivers lines in batches.
 
     It owns the descriptor from the start and closes it at the end of the output or on `close`.
     One batch is what one read gave, so a process that writes without pause cannot keep the loop
@@ -128,7 +128,7 @@ class LineReader:
         return self._descriptor >= 0
 
     async def wait_end(self) -> None:
-        """Wait until nobody can write any more and everything was handed over."""
+        """Wait until the pipe is closed and everything is delivered."""
         await self._ended.wait()
 
     def close(self) -> None:

@@ -21,7 +21,7 @@ SHARED_MEMORY_FIX: Final = "in docker: --shm-size 1g; else mount -o remount,size
 _SHARED_MEMORY: Final = "/dev/shm"  # noqa: S108 - where Linux keeps shared memory
 _PAGES: Final = 64 * 1024
 _FULL: Final = 1024**2
-"""Bytes. A segment of Fast DDS does not fit any more."""
+"""Bytes. Less than a segment of Fast DDS."""
 _MEBIBYTE: Final = 1024**2
 
 
@@ -36,7 +36,7 @@ class Room(Struct, frozen=True):
 
 
 def proc_problem() -> str:
-    """Say why `/proc` does not show this process; empty: it does."""
+    """Return why `/proc` does not show this process; empty if it does."""
     try:
         shown = os.readlink("/proc/self")  # noqa: PTH115 - a Path would only be made a text again
     except OSError:
@@ -47,7 +47,7 @@ def proc_problem() -> str:
 
 
 def address_space() -> int | None:
-    """Give the limit on the address space of a process in bytes; None: there is none."""
+    """Return the limit on the address space of a process in bytes; None if unlimited."""
     soft, _ = resource.getrlimit(resource.RLIMIT_AS)
     return None if soft == resource.RLIM_INFINITY else soft
 
@@ -64,7 +64,7 @@ def address_space_problem(limit: int | None) -> str:
 
 
 def shared_memory_room() -> Room | None:
-    """Look at `/dev/shm`; None where there is none."""
+    """Return the room in `/dev/shm`; None without it."""
     try:
         found = os.statvfs(_SHARED_MEMORY)
     except OSError:

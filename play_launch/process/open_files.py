@@ -12,7 +12,7 @@ from contextlib import suppress
 from typing import Final
 
 ENOUGH: Final = 65536
-"""Where the hard limit is higher: nobody has so many members, and tables in the kernel grow."""
+"""Where the hard limit is higher: systems are smaller, and tables in the kernel grow."""
 
 _given: list[tuple[int, int]] = []
 """What the user had, if it was raised."""

@@ -36,7 +36,7 @@ class SpawnError(Exception):
 
 
 def check_program(argv: Sequence[str], env: Mapping[str, str], cwd: Path | None) -> None:
-    """Say what is wrong before the guard runs: its own complaint would come as output.
+    """Check the program before the guard runs, whose own message would be output.
 
     Raises:
         SpawnError: When there is no such program or folder, or it cannot be executed.

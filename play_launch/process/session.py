@@ -93,7 +93,7 @@ async def session_members(
 
 
 def group_members(group: Group, leader: int) -> list[ProcessStat]:
-    """Find what lives in a control group, besides the leader: nobody leaves it unasked."""
+    """Find what lives in a control group, besides the leader: processes do not leave it."""
     members = []
     for pid in group.processes():
         try:

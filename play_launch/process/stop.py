@@ -26,7 +26,7 @@ class StopLevel(IntEnum):
     """How far one had to go."""
 
     NONE = 0
-    """It had ended by itself."""
+    """It had exited before."""
     ASK = 1
     SIGINT = 2
     SIGTERM = 3
@@ -44,7 +44,7 @@ class StopPolicy(Struct, frozen=True, kw_only=True):
     """Seconds to wait at each level before the next; 0 leaves a level out.
 
     `hurried` is what is left of the present level, and all the later ones get at most, once
-    somebody is in a hurry. `sigkill` bounds the wait for the kernel: a process in an
+    the stop is hurried. `sigkill` bounds the wait for the kernel: a process in an
     uninterruptible system call does not die.
     """
 
@@ -88,7 +88,7 @@ def plan(policy: StopPolicy, *, can_ask: bool) -> tuple[StopStep, ...]:
 
 
 def left_in_hurry(policy: StopPolicy, step: StopStep, elapsed: float) -> float:
-    """Seconds that a step has left when somebody gets into a hurry `elapsed` seconds into it."""
+    """Seconds that a step has left when the stop is hurried `elapsed` seconds into it."""
     left = step.limit - elapsed
     if step.level is not StopLevel.SIGKILL:
         left = min(left, policy.hurried)
@@ -111,10 +111,10 @@ async def stop(
     killed at once as soon as the child itself ends.
 
     Args:
-        child: Whom to stop; one that has ended already is fine.
+        child: The child to stop; it may have exited already.
         policy: The limits.
         ask: Asks it to stop, in its own language; False when it could not be asked.
-        hurry: Set by somebody who does not want to wait any longer.
+        hurry: Set to skip to the next signal.
     """
     level = StopLevel.NONE
     stragglers = 0
@@ -145,8 +145,8 @@ def _signal_session(child: Child, members: list[ProcessStat], number: signal.Sig
     reached = [each for each in members if is_over or each.session == child.pid]
     # A process that is stopped (SIGSTOP, a debugger) sees SIGTERM only when continued.
     for each in (number, signal.SIGCONT) if number is signal.SIGTERM else (number,):
-        # A shell with job control puts its jobs into groups of their own. Nobody gets it twice: to
-        # many programs a second SIGINT means something else.
+        # A shell with job control puts its jobs into groups of their own. No process gets it
+        # twice: to many programs a second SIGINT means something else.
         got_it = child.pid if child.signal_group(each) else None
         signal_each((member.identity for member in reached if member.group != got_it), each)
 

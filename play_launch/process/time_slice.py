@@ -28,8 +28,7 @@ def ask_for_short_turns(pid: int = 0, *, children_too: bool = True) -> bool:
     An answer takes less than a millisecond of processor time. Where sixty starting or ending
     programs want two processors, whose turns are some milliseconds each, it waits for seconds. The
     scheduler of Linux 6.12 and later (EEVDF, "custom slice" in its sources) takes the one first
-    whose turn would be over first, within what is everybody's due; it asks for no right, since
-    nobody gets more.
+    whose turn would be over first, within its fair share, without privileges.
 
     Args:
         pid: A process, whose main thread it is; 0 is the calling thread.
@@ -62,7 +61,7 @@ def ask_for_more_turns() -> bool:
     of its group (sched(7), "The autogroup feature").
 
     Returns:
-        Whether it was permitted. A nice value that somebody gave is left as it is.
+        Whether it was permitted. A nice value that was set is kept.
     """
     if os.getpriority(os.PRIO_PROCESS, 0) != 0:
         return False
@@ -84,10 +83,10 @@ def run_ahead() -> bool:
     processors soon of its own accord. Needs root, CAP_SYS_NICE or RLIMIT_RTPRIO.
 
     Its threads and processes of later have the usual policy (SCHED_RESET_ON_FORK, sched(7)). As
-    whoever holds Python's global lock keeps the others waiting, call it again for new threads.
+    the holder of Python's global lock blocks the others, call it again for new threads.
 
     Returns:
-        Whether it was permitted. A policy or nice value that somebody gave is left as it is.
+        Whether it was permitted. A policy or nice value that was set is kept.
     """
     try:
         for thread in _threads():
@@ -106,7 +105,7 @@ def run_along() -> None:
     with contextlib.suppress(ProcessLookupError):
         for thread in _threads():
             if os.sched_getscheduler(thread) & ~os.SCHED_RESET_ON_FORK == os.SCHED_RR:
-                # Who is not privileged may not take the flag back.
+                # Without privileges, the flag cannot be removed.
                 usual = os.SCHED_OTHER | os.SCHED_RESET_ON_FORK
                 os.sched_setscheduler(thread, usual, os.sched_param(0))
                 ask_for_short_turns(thread, children_too=False)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class RosAccess:
-    """Takes part in ROS, with one hidden node, only as long as somebody needs it."""
+    """Takes part in ROS, with one hidden node, only while it is needed."""
 
     def __init__(self, environment: Mapping[str, str]) -> None:
         """Be in the domain that the variables of the system name."""

@@ -1,4 +1,4 @@
-"""What of the ROS graph somebody waits for, as it comes and goes."""
+"""Changes of the awaited parts of the ROS graph."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ class ManagedNodeClient:
     """Talks to the node of a name; belongs to one event loop.
 
     Attributes:
-        is_offered: Whether somebody has been seen that offers its services.
+        is_offered: Whether its services have been discovered.
     """
 
     def __init__(self, ros: RosThread, name: str, on_state: Callable[[int], None]) -> None:
@@ -87,13 +87,13 @@ class ManagedNodeClient:
 
     async def _call(self, name: str, fill: Callable[[Any], Any]) -> Any:
         def send(_: Node) -> Any:
-            client = self._entities[name]  # gone only when it was closed, and nobody waits any more
+            client = self._entities[name]  # gone only when it was closed, and has no waiters
             return client.call_async(fill(client.srv_type.Request()))
 
         return await self._ros.request(send)
 
     def _hand_over(self, callback: Callable[..., None], *values: Any) -> None:
-        # A loop that has ended in the meantime has nobody who waits.
+        # A loop that has ended in the meantime has no waiters.
         with suppress(RuntimeError):
             self._loop.call_soon_threadsafe(callback, *values)
 

@@ -81,7 +81,7 @@ def typed(text: str, kind: int) -> Any:
     """Read a text as a value of a type, a number of `ParameterType`; NOT_SET: as YAML has it.
 
     Raises:
-        ValueError: When it is none of that type.
+        ValueError: It is not of that type.
     """
     if kind == ParameterType.PARAMETER_STRING:
         return ParameterValue(type=kind, string_value=text)

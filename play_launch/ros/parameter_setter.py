@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 _DOMAIN: Final = "ROS_DOMAIN_ID"
 FIND_LIMIT: Final = 10.0
 """Seconds until a node counts as one that has no parameter services. DDS takes up to three to
-introduce a new participant to those that are there, and longer on a busy machine; whoever is given
-up too early is reloaded although it could have gone on."""
+introduce a new participant to existing ones, and longer on a busy machine; after a shorter
+timeout, nodes would be reloaded without need."""
 ANSWER_LIMIT: Final = 3.0
 """Seconds for the answer of a service that is there."""
 

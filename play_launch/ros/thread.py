@@ -30,7 +30,7 @@ _T = TypeVar("_T")
 _JOIN_LIMIT: Final = 5.0
 """Seconds for the thread's end."""
 _MOST_FAILURES: Final = 1000
-"""After that many the thread ends, and says so."""
+"""After that many the thread ends, with a log message."""
 
 
 class RosThreadError(Exception):
@@ -212,7 +212,7 @@ class RosThread:
                 self._do_work(node)
                 self._wait(waiting)
             self._end("the supervisor's ROS node is closed")
-        except Exception as error:  # noqa: BLE001 - a thread has nobody else to report it
+        except Exception as error:  # noqa: BLE001 - it is reported
             _log.exception("the ROS thread has failed")
             self._end(f"the supervisor's ROS node has failed: {error}")
         finally:
@@ -222,7 +222,7 @@ class RosThread:
             context.try_shutdown()
 
     def _open(self) -> tuple[Context, Node, Waiting]:
-        # Takes long, and only those who talk to containers of others need it.
+        # Takes long, and only stock containers need it.
         import rclpy  # noqa: PLC0415
         from rclpy.context import Context  # noqa: PLC0415
         from rclpy.node import Node  # noqa: PLC0415
@@ -303,7 +303,7 @@ class RosThread:
 
 
 def _hand_over(loop: asyncio.AbstractEventLoop, callback: Callable[..., Any], *values: Any) -> None:
-    # A loop that has ended in the meantime has nobody who waits.
+    # A loop that has ended in the meantime has no waiters.
     with suppress(RuntimeError):
         loop.call_soon_threadsafe(callback, *values)
 

@@ -2,14 +2,14 @@
 
 ::
 
-    <base>/                                   found by itself when delegated, or `base_path`
-        play-launch-supervisor/               who was in <base>, where that is our own group
+    <base>/                                   the delegated group, or `base_path`
+        play-launch-supervisor/               the processes of <base>, if that is our own group
         play-launch-<namespace>-<pid>-<start>/    a session, by its supervisor
             <member>/                         limits of a container with its nodes, or of a process
                 container/                    the process of an isolated container
                 <node>.<attempt>/             the process of an isolated node, its limits
 
 Processes are in leaves only, as the kernel demands of groups with controllers. Every limit is
-written by the supervisor before the process is born, which enters the group by itself, see
+written by the supervisor before the process is born, which is started in the group, see
 ``container_native/src/base/resource_setting.hpp``.
 """

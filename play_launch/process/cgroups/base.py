@@ -39,7 +39,7 @@ _MOUNT_FIX: Final = (
 
 
 class GroupError(Exception):
-    """There are no control groups, or one lacks what was asked for; says why and the fix."""
+    """Control groups, or requested controllers, are missing; the text has cause and fix."""
 
 
 class Hierarchy(Struct, frozen=True):
@@ -65,7 +65,7 @@ class OwnGroup(Struct, frozen=True, kw_only=True):
 
 
 def hierarchy(mountinfo: str, cgroup: str) -> Hierarchy | None:
-    """Find it in ``/proc/self/mountinfo`` and ``/proc/self/cgroup``; None: there is none."""
+    """Parse ``/proc/self/mountinfo`` and ``/proc/self/cgroup``; None without cgroup v2."""
     own = own_path(cgroup)
     inside = PurePosixPath(own)
     if not own or ".." in inside.parts:  # above the root of the namespace that it is seen from
@@ -112,7 +112,7 @@ def own_hierarchy() -> Hierarchy:
 
 
 def no_hierarchy(mountinfo: str, cgroup: str) -> str:
-    """Say why there is none that we are in, and the fix. Pure."""
+    """Return why the own group is unknown, and the fix."""
     mounts = [mount for _, mount in _mounts(mountinfo.splitlines())]
     if not mounts:
         return f"no hierarchy of cgroup v2 is mounted; fix: {_MOUNT_FIX}"
@@ -173,7 +173,7 @@ def delegated_group() -> Path:
 
 
 def obstacle(group: Path, facts: OwnGroup) -> str:
-    """Say why a group that was found by itself cannot be used, and the fix; empty: it can."""
+    """Return why a group found under `auto` is not usable, and the fix; empty if it is."""
     fix = _ROOT_FIX if facts.is_root_user else SCOPE_FIX
     if facts.is_read_only:
         return f"{group} is read-only; fix: {READ_ONLY_FIX}"

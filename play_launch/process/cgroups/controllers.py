@@ -1,4 +1,4 @@
-"""Why a group has not got a controller: somebody above keeps it, or the kernel has none to give."""
+"""Cause of a missing controller: not delegated, used by version 1, or switched off."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ VERSION_2_FIX: Final = (
 
 
 class Lack(Enum):
-    """Who has the controller instead."""
+    """Cause of a missing controller."""
 
     NOT_GIVEN = auto()
     """The groups above do not pass it on, as far as is known."""
     IN_VERSION_1 = auto()
     """A hierarchy of version 1."""
     SWITCHED_OFF = auto()
-    """Nobody: by a parameter of the kernel."""
+    """By a parameter of the kernel."""
 
 
 def lacks(table: str) -> Mapping[str, Lack]:
@@ -46,7 +46,7 @@ def lacks(table: str) -> Mapping[str, Lack]:
 
 
 def lack_of(controller: str) -> Lack:
-    """Say why this machine does not have a controller where it was looked for."""
+    """Return why this machine does not have a controller."""
     text = ""
     with suppress(OSError):
         text = _TABLE.read_text(encoding="utf-8", errors="replace")

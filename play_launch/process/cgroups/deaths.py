@@ -20,12 +20,12 @@ _UNITS: Final = (
 
 
 def why_killed(group: Group) -> str:
-    """Say that somebody in a group was killed for want of memory; empty: nobody was."""
+    """Return the cause of an OOM kill in a group; empty without one."""
     return memory_reason(group.numbers(_EVENTS), group.limits.memory_max)
 
 
 def why_failed(group: Group) -> str:
-    """Say that somebody in a group could not start a process or thread; empty: everybody could."""
+    """Return the failures to start processes or threads in a group; empty without any."""
     events = group.numbers(f"{_PROCESSES}.local") or group.numbers(_PROCESSES)
     return processes_reason(events, group.limits.pids_max)
 

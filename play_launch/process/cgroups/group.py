@@ -192,14 +192,14 @@ class Group:
         return True
 
     def remove(self) -> bool:
-        """Remove the folder and those below it, as far as nobody is in them; whether it is gone."""
+        """Remove the folder and those below it, without processes; whether it is removed."""
         for folder in [*_folders(self.path)][::-1]:
             with suppress(OSError):
                 folder.rmdir()
         return not self.path.exists()
 
     def retire(self) -> None:
-        """Remove it when what it was made for is over; who still dies in it goes with it later."""
+        """Remove the group of an exited member; later, if processes are still exiting."""
         if self.path.is_dir():
             self._on_end(self)
             self.remove()
@@ -207,7 +207,7 @@ class Group:
     def clear(self, seconds: float) -> bool:
         """Kill what is in it and below, and remove it all; blocks. Whether it is gone."""
         deadline = time.monotonic() + seconds
-        # More than once: who was on the way into a group may arrive meanwhile.
+        # More than once: a process may enter a group meanwhile.
         while not self.remove():
             left = deadline - time.monotonic()
             if left <= 0:

@@ -48,7 +48,7 @@ class SessionGroups:
     """
 
     def __init__(self, name: SessionName, lives: Callable[[int, int], bool]) -> None:
-        """Know the session; `lives` says whether a process of that pid and start time does."""
+        """`lives`: whether a process of that pid and start time exists."""
         self._name = name
         self._lives = lives
         self._session: Group | None = None
@@ -122,17 +122,17 @@ class SessionGroups:
         self._enable(session, self._controllers)
 
     def _restore(self, session: Group) -> None:
-        """Make the group of the session anew, if somebody has removed it."""
+        """Make the group of the session again if it was removed."""
         if session.path.is_dir():
             return
-        _log.warning("somebody has removed the control group %s; it is made anew", session.path)
+        _log.warning("the control group %s was removed; it is made again", session.path)
         try:
             self._make_session(session)
         except GroupError as error:
             self._report(str(error))
 
     def _make_room(self) -> None:
-        """Move who is in our own group into a leaf: a group with controllers has no processes."""
+        """Move the processes of our own group, which controllers do not permit, into a leaf."""
         base = Group(self._base)
         if not (self._base / "cgroup.type").exists():
             return  # the root of all groups may have them
@@ -205,14 +205,14 @@ class SessionGroups:
         attempt: int,
         on_end: Callable[[Group], None] = lambda _: None,
     ) -> str:
-        """Kill what a node left whose process has ended, and say why it was killed if it was."""
+        """Kill the rest of an exited node; return why it was killed, empty if it was not."""
         group = self._of_node(container, full_name, attempt, self._limits.pop(attempt, NO_LIMITS))
         if group is None or not group.path.is_dir():
             return ""
         reason = why_killed(group)
         group.kill()
         on_end(group)
-        group.remove()  # where somebody still dies in it, it goes with the container's
+        group.remove()  # with processes still exiting, it is removed with the container's
         return reason
 
     def check(self, full_name: str, pid: int) -> None:
@@ -243,7 +243,7 @@ class SessionGroups:
     def _make(self, full_name: str, group: Group) -> None:
         above = Group(group.path.parent)
         try:
-            above.make()  # of a container, it may have been removed by somebody
+            above.make()  # that of a container may have been removed
             self._enable(above, group.limits.controllers())
             group.make()
         except GroupError as error:
@@ -293,7 +293,7 @@ class SessionGroups:
         for folder in (self._base, *self._base.parents):
             if not is_ours(folder):
                 break
-            with suppress(OSError):  # somebody else uses it by now
+            with suppress(OSError):  # in use
                 folder.rmdir()
 
 

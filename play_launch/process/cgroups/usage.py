@@ -64,7 +64,7 @@ class GroupUsage(Struct, frozen=True, kw_only=True):
             held = f"{self.throttled_seconds or 0:.2f} s"
             parts.append(f"held back by cpu_max in {self.throttled_periods} periods, {held}")
         if self.oom_kills:
-            parts.append(f"{self.oom_kills} killed for want of memory")
+            parts.append(f"{self.oom_kills} killed (OOM)")
         if self.pids_max_hits:
             parts.append(f"pids_max reached {self.pids_max_hits} times")
         return ", ".join(parts)

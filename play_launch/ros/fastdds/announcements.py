@@ -1,10 +1,10 @@
 """Passes the announcements of our participants on, once they can hear the answers.
 
 Fast DDS 2.14 announces a new participant before it takes what it receives: the receivers are
-registered last (``RTPSParticipantImpl::enable``). Who answers within that millisecond is not heard,
+registered last (``RTPSParticipantImpl::enable``). An answer within that millisecond is lost,
 and does not answer again: both meet when the other one announces itself, every 3 s
 (``leaseAnnouncement``). On two cores that was so more often than not. So ours announce themselves
-to a socket of this process. It passes that on to whom Fast DDS would have sent it, but not while a
+to a socket of this process. It forwards that to the addresses of Fast DDS, but not while a
 participant is made.
 
 Where announcements go to is fixed by RTPS 2.2, 9.6.1.1 (ports) and 9.6.1.4 (the multicast group).
@@ -162,7 +162,7 @@ def profile(announce_to: int | None, *, own_transport: bool, on_loopback: bool) 
     """Write a profile of Fast DDS for participants that announce themselves every 0.2 s.
 
     Args:
-        announce_to: UDP port of 127.0.0.1, None for where Fast DDS does by itself.
+        announce_to: UDP port of 127.0.0.1, None for the default of Fast DDS.
         own_transport: Whether it has UDP and nothing else.
         on_loopback: Whether it listens to no multicast.
     """

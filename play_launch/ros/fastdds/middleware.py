@@ -13,10 +13,10 @@ _PREFIX: Final = "rmw_fastrtps_"
 
 
 def is_fastdds(rmw: str) -> bool:
-    """Say whether a middleware, given by its identifier, is Fast DDS."""
+    """Whether a middleware, given by its identifier, is Fast DDS."""
     return rmw.startswith(_PREFIX)
 
 
 def asks_for_fastdds(environment: Mapping[str, str]) -> bool:
-    """Say whether a process with this environment uses Fast DDS, by choice or by default."""
+    """Whether a process with this environment uses Fast DDS, by choice or by default."""
     return is_fastdds(environment.get("RMW_IMPLEMENTATION") or IMPLEMENTATION)

@@ -3,10 +3,10 @@
 **Over UDP.** A participant that listens in shared memory has all others open its queues there. Fast
 DDS 2.14 checks a queue that is opened again within a third of a second by sleeping for a third of a
 second (``SharedMemGlobal::Port::healthy_check``, ``healthy_check_timeout_ms`` is 1000): in its
-thread of events, with a lock that whoever publishes needs. So each command that looked at the
+thread of events, with a lock that publishers need. So each command that looked at the
 parameters of a node held up all nodes of a system for up to 0.33 s. What we exchange is small.
 
-**Soon.** What is announced to whom, and when: see `announcements`.
+**Soon.** For recipients and times of announcements, see `announcements`.
 """
 
 from __future__ import annotations
@@ -39,11 +39,11 @@ _lock = threading.Lock()
 
 
 class Reach(Enum):
-    """To whom our participant is announced by ourselves."""
+    """Recipients of the announcements that play-launch sends itself."""
 
     THIS_MACHINE = auto()
     NETWORKS = auto()
-    NOBODY = auto()
+    DEFAULT = auto()
     """Fast DDS does it."""
 
 
@@ -56,7 +56,7 @@ class OwnParticipant:
     reason: str
     profile: bool = False
     """Whether it gets a profile of ours."""
-    reach: Reach = Reach.NOBODY
+    reach: Reach = Reach.DEFAULT
 
 
 def decide(environment: Mapping[str, str], files: Iterable[str], rmw: str) -> OwnParticipant | None:
@@ -78,7 +78,7 @@ def decide(environment: Mapping[str, str], files: Iterable[str], rmw: str) -> Ow
     only_here = environment.get(_RANGE) == "LOCALHOST" or environment.get(_OLD_RANGE) == "1"
     if environment.get(_PEERS) or environment.get(_RANGE) == "OFF":
         transports = "" if only_here else environment.get(TRANSPORTS, "")
-        return OwnParticipant(transports, "whom it meets is configured", profile=True)
+        return OwnParticipant(transports, "its peers are configured", profile=True)
     if only_here:
         # With LOCALHOST itself rmw_fastrtps adds shared memory to whatever a profile says.
         return OwnParticipant(_UDP, "no profile is set", profile=True, reach=Reach.THIS_MACHINE)
@@ -106,7 +106,7 @@ def as_our_own(environment: Mapping[str, str], rmw: str) -> Iterator[OwnParticip
         if chosen is None or not chosen.profile:
             yield chosen
             return
-        ours, here = chosen.reach is not Reach.NOBODY, chosen.reach is Reach.THIS_MACHINE
+        ours, here = chosen.reach is not Reach.DEFAULT, chosen.reach is Reach.THIS_MACHINE
         port = None
         if ours:
             announcements = _announcements(on_loopback=here)
@@ -115,7 +115,7 @@ def as_our_own(environment: Mapping[str, str], rmw: str) -> Iterator[OwnParticip
         file = until_made.enter_context(NamedTemporaryFile("w", suffix=".xml", encoding="ascii"))
         file.write(profile(port, own_transport=ours, on_loopback=here))
         file.flush()
-        # With another range rmw_fastrtps announces by itself, too.
+        # With another range rmw_fastrtps announces, too.
         variables: dict[str, str | None] = {_PROFILE: file.name, **(_ANY_RANGE if ours else {})}
         until_made.callback(_set, {name: os.environ.get(name) for name in variables})
         _set(variables)

@@ -1,4 +1,4 @@
-"""Whether somebody has configured Fast DDS, in which case he is believed to know better.
+"""Whether Fast DDS is configured by a profile of the user, which is then left alone.
 
 Where its profiles are looked for is documented by Fast DDS 2.14 ("XML profiles: loading and
 applying profiles").

@@ -6,14 +6,14 @@ Fast DDS 2.14 (the RMW of ROS 2 Jazzy) keeps these files in `/dev/shm`:
   flock(2) from before the segment is made until its owner ends.
 - `fastrtps_port<N>`: the queue of one receiver, mapped by every sender, too. Its receiver holds a
   lock on `..._el` (one receiver) or `..._sl` (several).
-- `sem.fastrtps_port<N>_mutex`: a POSIX semaphore that is held while somebody opens or removes
+- `sem.fastrtps_port<N>_mutex`: a POSIX semaphore that is held while a process opens or removes
   that port.
 
 The kernel releases the locks of a killed process and leaves its files, which then fill the memory
-and are stumbled over by whoever gets the same port number next. Fast DDS itself takes a port whose
+and break the next process with the same port number. Fast DDS itself takes a port whose
 lock file is there and unlocked for dead, and resets it; so do we. A port without any lock file
 (its sender opened it anew, or its receiver ended well while the count of users had been spoilt by
-a killed one) is dead when nobody maps it.
+a killed one) is dead when no process maps it.
 
 A port is judged and removed while we hold its semaphore, so none can be opened meanwhile, and
 every lock is held until its file is gone. A participant that is just being created loses the race
@@ -57,7 +57,7 @@ class SweepReport(Struct):
 
     Attributes:
         removed: Names of the files that are gone now.
-        in_use: How many participants' segments and ports somebody alive holds.
+        in_use: How many participants' segments and ports living processes hold.
         failed: Names of dead files that could not be removed, with the reason.
     """
 
@@ -91,7 +91,7 @@ async def sweep_shared_memory() -> SweepReport:
 
 
 def sweep() -> SweepReport:
-    """Remove the segments and ports that nobody alive holds, whoever left them.
+    """Remove the segments and ports that no living process holds.
 
     Takes a few milliseconds, with leftovers about one more per process of the machine. Processes
     of other users cannot be looked into; where they hold a lock, that is respected all the same.
@@ -112,7 +112,7 @@ def sweep() -> SweepReport:
 def _turn() -> Iterator[None]:
     """Let one sweep of the machine be at work at a time: two take each other for users of a port.
 
-    Whoever waits too long goes on all the same; then something stays until the next sweep.
+    After the timeout it continues; then something stays until the next sweep.
     """
     folder = os.open(SHARED_MEMORY, os.O_RDONLY | os.O_CLOEXEC | os.O_DIRECTORY)
     try:
@@ -150,21 +150,21 @@ class _Port:
     def __init__(self, name: str) -> None:
         self.name = name
         self.semaphore = f"sem.{name}_mutex"
-        # None: somebody has it, who may be dead. False: out of our reach.
+        # None: held, maybe by a dead process. False: out of our reach.
         self._mutex: bool | None = None
         self._locks: set[_Lock] = set()
 
     @property
     def is_suspect(self) -> bool:
-        """Whether it may be dead, as far as can be known without looking who maps what."""
+        """Whether it may be dead, as far as can be known without reading the maps of processes."""
         return self._mutex is None or (self._mutex and _Lock.BUSY not in self._locks)
 
     def take(self, held: ExitStack) -> None:
-        """Take what somebody opening it would hold, and what its receiver would hold."""
+        """Lock what a process opening it would hold, and what its receiver would hold."""
         with ExitStack() as taken:
             try:
                 self._mutex = True if _take_semaphore(self.semaphore, taken) else None
-            except OSError:  # it belongs to somebody else
+            except OSError:  # it belongs to another user
                 self._mutex = False
                 return
             if self._mutex:
@@ -174,9 +174,9 @@ class _Port:
                 held.push(taken.pop_all())
 
     def is_dead(self, mapped: _Mappings, held: ExitStack) -> bool:
-        """Whether nobody alive holds it; `mapped` was found after `take`."""
+        """Whether no living process holds it; `mapped` was found after `take`."""
         if self._mutex is None:
-            # Somebody is opening it, or died while doing so: everybody after him waits for 20 s
+            # A process is opening it, or died while doing so: all later ones wait for 20 s
             # then. We map the semaphore ourselves, just for having opened it.
             us = os.getpid()
             here = any(us in mapped.users(name) for name in _names() if _SEGMENT.fullmatch(name))
@@ -188,7 +188,7 @@ class _Port:
         return _Lock.TAKEN in self._locks or not mapped.users(self.name)
 
     def remove(self, mapped: _Mappings, report: SweepReport) -> None:
-        """Remove its files; a semaphore that somebody waits for stays."""
+        """Remove its files; a semaphore with waiting processes stays."""
         for name in (self.name, f"{self.name}_el", f"{self.name}_sl"):
             _remove(name, report)
         if not mapped.users(self.semaphore) - {os.getpid()}:
@@ -206,7 +206,7 @@ def _sweep_ports(names: list[str], report: SweepReport) -> None:
             port.take(held)
         suspects = [port for port in ports if port.is_suspect]
         report.in_use += len(ports) - len(suspects)
-        # Looked up only now: whoever comes later waits for a semaphore that we hold.
+        # Read only now: later processes wait for a semaphore that we hold.
         mapped = _Mappings(None if suspects else [])
         for port in suspects:
             if port.is_dead(mapped, held):
@@ -216,7 +216,7 @@ def _sweep_ports(names: list[str], report: SweepReport) -> None:
 
 
 class _Lock(Enum):
-    """What became of the attempt to lock a file."""
+    """Result of the attempt to lock a file."""
 
     TAKEN = "taken"
     BUSY = "busy"
@@ -237,7 +237,7 @@ def _take_lock(path: Path, held: ExitStack) -> _Lock:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             return _Lock.BUSY
-        # It may have been removed, and made anew by somebody else, before we had the lock.
+        # It may have been removed, and made again by another process, before we had the lock.
         with suppress(FileNotFoundError):
             if os.path.samestat(os.fstat(descriptor), path.stat()):
                 held.push(opened.pop_all())
@@ -259,7 +259,7 @@ def _take_semaphore(name: str, held: ExitStack) -> bool:
     if not semaphore:
         number = ctypes.get_errno()
         raise OSError(number, os.strerror(number), name)
-    # The semaphore is unmapped only when `held` is closed: until then nobody who looks for
+    # The semaphore is unmapped only when `held` is closed: until then no process that looks for
     # dead holders takes us for none.
     held.callback(libc.sem_close, semaphore)
     if libc.sem_trywait(semaphore) != 0:
@@ -283,7 +283,7 @@ class _Mappings:
     """Which processes map which files of `/dev/shm`, at the time this is made.
 
     Files are identified by their inodes. The names in `/proc/<pid>/maps` are of no use: glibc makes
-    a semaphore under a temporary name, and its maker shows that name, deleted, for ever.
+    a semaphore under a temporary name, and its maker shows that name, deleted, until it exits.
     """
 
     def __init__(self, processes: Iterable[str] | None = None) -> None:
@@ -303,13 +303,13 @@ class _Mappings:
     def _read(self, processes: Iterable[str], mapping: re.Pattern[bytes]) -> None:
         for process in processes:
             pid = os.getpid() if process == "self" else int(process)
-            # Gone meanwhile, a kernel thread, or a process of somebody else.
+            # Gone meanwhile, a kernel thread, or a process of another user.
             with suppress(OSError):
                 for match in mapping.finditer(Path(f"/proc/{process}/maps").read_bytes()):
                     self._users.setdefault(int(match[1]), set()).add(pid)
 
     def users(self, name: str) -> set[int]:
-        """Give the pids of those who map the file that has this name now."""
+        """Return the pids of processes that map the file that has this name now."""
         try:
             found = self._users.get((SHARED_MEMORY / name).stat().st_ino, set())
         except FileNotFoundError:
@@ -326,7 +326,7 @@ def _ends_in_time(read: Callable[[], None]) -> bool:
     """Read what processes map, in a thread that the end of the program does not wait for.
 
     The kernel keeps a reader waiting while the process itself waits with its page tables locked, as
-    for the disk of a dead server: for ever, maybe. As long as one waits, no other is begun.
+    for the disk of a dead server: maybe without end. As long as one waits, no other is begun.
     """
     global _stuck_reader  # noqa: PLW0603 - it is the kernel's state, and one for all
     if _stuck_reader is not None and _stuck_reader.is_alive():
@@ -358,7 +358,7 @@ def _remove(name: str, report: SweepReport) -> None:
 
 
 def _is_left(lock: Path) -> bool:
-    """Whether nobody holds the lock that the owner of a segment holds for all of its life."""
+    """Whether no process holds the lock that the owner of a segment holds for all of its life."""
     with ExitStack() as held:
         if _take_lock(lock, held) is not _Lock.TAKEN:
             return False

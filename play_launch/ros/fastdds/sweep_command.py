@@ -1,4 +1,4 @@
-"""How the shared memory of the dead is removed where nobody of ours lives to do it."""
+"""Command that removes the shared memory of dead processes after the supervisor's exit."""
 
 from __future__ import annotations
 
@@ -7,5 +7,5 @@ import sys
 
 def sweep_command() -> list[str]:
     """Give the command; it runs for a moment, in the environment of the supervisor."""
-    # -P: the working directory is anybody's.
+    # -P: the working directory is not trusted.
     return [sys.executable, "-P", "-m", "play_launch.ros.fastdds"]

@@ -1,10 +1,10 @@
 """Participants of this Python process come to an end, and do not wait for themselves.
 
 Where a participant goes while one of its discovery callbacks runs, Fast DDS of the ROS wheels may
-wait in a loop that keeps the mutex from that callback, for seconds or for ever, and rclpy holds
+wait in a loop that keeps the mutex from that callback, for seconds or without end, and rclpy holds
 Python's lock meanwhile: nothing of the process goes on. The cause is a deadline that overflows
 (``overrides/condition_deadline.cpp`` of the container's sources). And where a reader in shared
-memory dies in the midst of a message, a writer may wait for itself for ever
+memory dies in the midst of a message, a writer may wait for itself without end
 (``overrides/owned_lock.cpp``). Our native programs define the functions that Fast DDS waits with
 anew; here they are replaced in the Fast DDS that is loaded.
 """

@@ -145,7 +145,7 @@ def test_groups_that_somebody_removed_are_made_anew(
         with born(made[1], "true") as process:
             assert process.wait() == 0
         (record,) = caplog.records
-        assert record.message.startswith("somebody has removed the control group")
+        assert record.message.endswith(" was removed; it is made again")
         assert Group(groups.folder).remove()
         entry = groups.node("/box", "/n", 1, NO_LIMITS)
         assert entry is not None

@@ -171,12 +171,12 @@ def test_children_do_not_get_what_is_ours(reach: str, monkeypatch: pytest.Monkey
         ({RANGE: "LOCALHOST"}, [], "UDPv4", Reach.THIS_MACHINE),
         ({"ROS_LOCALHOST_ONLY": "1"}, [], "UDPv4", Reach.THIS_MACHINE),
         # Whom it meets is configured.
-        ({RANGE: "OFF"}, [], "", Reach.NOBODY),
-        ({RANGE: "LOCALHOST", "ROS_STATIC_PEERS": "10.0.0.1"}, [], "", Reach.NOBODY),
-        ({"ROS_STATIC_PEERS": "10.0.0.1"}, [], "", Reach.NOBODY),
+        ({RANGE: "OFF"}, [], "", Reach.DEFAULT),
+        ({RANGE: "LOCALHOST", "ROS_STATIC_PEERS": "10.0.0.1"}, [], "", Reach.DEFAULT),
+        ({"ROS_STATIC_PEERS": "10.0.0.1"}, [], "", Reach.DEFAULT),
         # How it meets them is.
-        ({"FASTDDS_BUILTIN_TRANSPORTS": "SHM"}, [], "SHM", Reach.NOBODY),
-        ({"FASTDDS_BUILTIN_TRANSPORTS": ""}, [], "", Reach.NOBODY),
+        ({"FASTDDS_BUILTIN_TRANSPORTS": "SHM"}, [], "SHM", Reach.DEFAULT),
+        ({"FASTDDS_BUILTIN_TRANSPORTS": ""}, [], "", Reach.DEFAULT),
         ({"SKIP_DEFAULT_XML_FILE": "1"}, ["DEFAULT_FASTDDS_PROFILES.xml"], "UDPv4", Reach.NETWORKS),
     ],
 )  # fmt: skip
