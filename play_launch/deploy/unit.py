@@ -65,7 +65,7 @@ LimitNPROC=infinity
 LimitMEMLOCK=infinity
 LimitRTPRIO=99
 LimitNICE=-20
-LimitCORE=infinity
+LimitCORE=0:infinity
 TasksMax=infinity
 
 [Install]
