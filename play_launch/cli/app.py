@@ -1,19 +1,17 @@
-"""The command ``play-launch``.
-
-Everything heavy (pydantic, rclpy, rich's tables) is imported by the verbs when they run, so that
-``--help`` and mistakes on the command line answer at once.
-"""
+"""The command ``play-launch``: commands are imported when they are called."""
 
 from __future__ import annotations
 
-import sys
+import gc
+import os
+from importlib import import_module
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
-from play_launch.cli.session_verbs import SESSION_VERBS
-from play_launch.cli.verbs import ABOUT_RECORDINGS, VERBS
+from play_launch.cli.commands import COMMANDS, Command, Needs
+from play_launch.cli.options import PLAIN
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -22,127 +20,109 @@ if TYPE_CHECKING:
 _EPILOG = """\b
 Examples:
   play-launch check robot.yaml                   find mistakes, start nothing
-  play-launch replay robot.yaml                  bring it up; Ctrl-C stops it
-  play-launch launch PKG FILE name:=value        bring up a launch file of ROS
+  play-launch replay robot.yaml                  start it; Ctrl-C stops it
+  play-launch launch PKG FILE name:=value        start a launch file of ROS
   play-launch dump PKG FILE -o robot.yaml        ... write it as a configuration
   play-launch replay robot.yaml --duration 30s   ... stop it after 30 s
-  play-launch replay robot.yaml --json | jq .    events for programs
+  play-launch replay robot.yaml --json | jq .    events as JSON
 
 \b
 Exit codes:
-  0      everything was up
-  1      a node failed, or something crashed while it was stopped
+  0      success
+  1      failure: a node failed, or a request was refused
   2      wrong usage or configuration; nothing was started
-  3      ended with nodes missing
+  3      the run ended while something was not running
+  4      timeout
+  5      a recording could not be read completely
   128+n  ended by signal n (130 after Ctrl-C)
 """
 
-_PLAIN: dict[str, Any] = {
-    # Plain help: it is wrapped to the terminal's width, and comes up twice as fast.
-    "rich_markup_mode": None,
-    "add_completion": False,
-    # A traceback is for mistakes of ours only, and then Python's own form is the useful one.
-    "pretty_exceptions_enable": False,
-    "context_settings": {"help_option_names": ["-h", "--help"]},
-}
+
+def command_of(command: Command) -> Any:
+    """Import a command and build its parser."""
+    found = getattr(import_module(f"play_launch.cli.{command.module}"), command.function)
+    if not isinstance(found, typer.Typer):
+        function: Callable[..., Any] = found
+        found = typer.Typer(**PLAIN)
+        found.command(command.name)(function)
+    return typer.main.get_command(found)
 
 
-def _typer_of(verb: str) -> typer.Typer:
-    # What the other verbs import would slow down the start of a system.
-    callback: Callable[..., None]
-    match verb:
-        case "replay":
-            from play_launch.cli.replay import replay as callback  # noqa: PLC0415
-        case "launch":
-            from play_launch.cli.launch import launch as callback  # noqa: PLC0415
-        case "dump":
-            from play_launch.cli.dump import dump as callback  # noqa: PLC0415
-        case "check":
-            from play_launch.cli.check import check as callback  # noqa: PLC0415
-        case verb if verb in ABOUT_RECORDINGS:
-            from play_launch.cli import past_sessions  # noqa: PLC0415
-
-            callback = getattr(past_sessions, verb)
-        case "import":
-            from play_launch.cli.import_ import import_system as callback  # noqa: PLC0415
-        case "systemd-unit":
-            from play_launch.cli.systemd_unit import systemd_unit as callback  # noqa: PLC0415
-        case "init":
-            from play_launch.cli.init import init as callback  # noqa: PLC0415
-        case "schema":
-            from play_launch.cli.schema import schema as callback  # noqa: PLC0415
-        case "doctor":
-            from play_launch.cli.doctor import doctor as callback  # noqa: PLC0415
-        case "completion":
-            from play_launch.cli.completion_script import (  # noqa: PLC0415
-                completion as callback,
-            )
-        case "version":
-            from play_launch.cli.version import version as callback  # noqa: PLC0415
-        case "daemon":
-            from play_launch.cli.daemon import daemon_app  # noqa: PLC0415
-
-            return daemon_app
-        case verb if verb in SESSION_VERBS:
-            from play_launch.cli.operate import main as operate  # noqa: PLC0415
-            from play_launch.cli.passed_on import passed_on  # noqa: PLC0415
-
-            return passed_on(verb, SESSION_VERBS[verb][1], operate)
-        case _:
-            from play_launch.cli import graph  # noqa: PLC0415
-            from play_launch.cli.passed_on import passed_on  # noqa: PLC0415
-
-            return passed_on(verb, graph.GROUPS[verb], graph.main)
-    made = typer.Typer(**_PLAIN)
-    made.command()(callback)
-    return made
-
-
-def command_of(verb: str) -> Any:
-    """Give the command of a verb, as typer makes it."""
-    return typer.main.get_command(_typer_of(verb))
-
-
-class _Verbs(TyperGroup):
-    """Imports a verb when it is asked for."""
+class _Commands(TyperGroup):
+    _lists = False
 
     def list_commands(self, ctx: Any) -> list[str]:  # noqa: ARG002 - typer's signature
-        return list(VERBS)
+        return list(COMMANDS)
 
-    def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        if cmd_name not in VERBS:
-            # The error proposes a similar one of `commands`.
-            for verb in VERBS:
-                self.get_command(ctx, verb)
-        elif cmd_name not in self.commands:
-            self.commands[cmd_name] = command_of(cmd_name)
-        return self.commands.get(cmd_name)
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:  # noqa: ARG002 - as above
+        command = COMMANDS.get(cmd_name)
+        if command is None:
+            return None
+        if self._lists:  # no module is imported for a name
+            return TyperCommand(cmd_name, help=command.help)
+        if cmd_name not in self.commands:
+            self.commands[cmd_name] = command_of(command)
+        return self.commands[cmd_name]
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        if args[0] not in COMMANDS and not ctx.resilient_parsing:
+            from difflib import get_close_matches  # noqa: PLC0415 - for an error only
+
+            similar = get_close_matches(args[0], COMMANDS, 1)
+            ctx.fail(
+                f"No such command {args[0]!r}."
+                + (f" Did you mean {similar[0]!r}?" if similar else "")
+            )
+        return super().resolve_command(ctx, args)
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ARG002 - as above
+        width = max(map(len, COMMANDS))
+        for group in dict.fromkeys(each.group for each in COMMANDS.values()):
+            with formatter.section(group):
+                formatter.write_dl(
+                    [
+                        (each.name.ljust(width), each.help)
+                        for each in COMMANDS.values()
+                        if each.group == group
+                    ]
+                )
+
+    def shell_complete(self, ctx: Any, incomplete: str) -> Any:
+        self._lists = True
+        return super().shell_complete(ctx, incomplete)
+
+    def invoke(self, ctx: Any) -> None:
+        """Run the command; its result is the exit code."""
+        name = (*ctx._protected_args, "")[0]  # noqa: SLF001 - not yet resolved
+        if name in COMMANDS and COMMANDS[name].needs is not Needs.CONFIGURATION:
+            gc.enable()  # see `entry`
+        raise typer.Exit(super().invoke(ctx) or 0)
 
 
 app = typer.Typer(
     name="play-launch",
-    cls=_Verbs,
-    help="Bring up a whole ROS 2 system from one YAML file, and record what happens.",
+    cls=_Commands,
+    help="Start a whole ROS 2 system from one YAML file, and record what happens.",
     epilog=_EPILOG,
     no_args_is_help=True,
-    **_PLAIN,
+    **PLAIN,
 )
 
 
-def _version_option(asked: bool) -> None:
-    if asked:
-        from play_launch.cli.version import print_version  # noqa: PLC0415
+def _print_version(is_given: bool) -> None:
+    if is_given:
+        from play_launch.cli.version import version  # noqa: PLC0415 - not for other commands
 
-        print_version(as_json=False)
+        version()
         raise typer.Exit
 
 
 @app.callback()
 def _options(
-    _asked: Annotated[
+    _version: Annotated[
         bool,
         typer.Option(
-            "--version", callback=_version_option, is_eager=True, help="Print versions and exit."
+            "--version", callback=_print_version, is_eager=True, help="Print versions and exit."
         ),
     ] = False,
 ) -> None:
@@ -151,8 +131,8 @@ def _options(
 
 def main() -> None:
     """Run the command and end the process with its exit code."""
-    try:
-        app(prog_name="play-launch")
-    except KeyboardInterrupt:
-        # Before or after the run; during it, the signal is a request to stop.
-        sys.exit(130)
+    if "_PLAY_LAUNCH_COMPLETE" in os.environ:
+        from typer import completion  # noqa: PLC0415 - at Tab only
+
+        completion.completion_init()  # type: ignore[attr-defined]
+    app(prog_name="play-launch")

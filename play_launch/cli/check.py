@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import json
 from enum import StrEnum
-from pathlib import Path  # noqa: TC003 - typer evaluates the annotations
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from msgspec.structs import asdict
 
-from play_launch.cli import shared_options as options  # noqa: TC001 - typer evaluates them
+from play_launch.cli import options
 from play_launch.cli.output import fail, report, say
 from play_launch.supervisor.exit_code import ExitCode
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from play_launch.config.model import ReplayConfig
 
 
@@ -27,15 +24,31 @@ class GraphForm(StrEnum):
     MERMAID = "mermaid"
 
 
-def find_mistakes(
-    config: Path,
-    *,
-    arguments: Sequence[str] = (),
-    as_json: bool = False,
-    graph: GraphForm | None = None,
-    explain: bool = False,
+def check(  # noqa: PLR0917 - options, by name
+    config: options.ConfigFile,
+    arguments: options.ConfigArguments = None,
+    as_json: options.Json = False,
+    graph: Annotated[
+        bool, typer.Option("--graph", help="Print what waits for what (depends_on).")
+    ] = False,
+    explain: Annotated[
+        bool,
+        typer.Option(
+            "--explain",
+            help="Print the resolved configuration, and command and environment of each process.",
+        ),
+    ] = False,
+    form: Annotated[
+        GraphForm | None,
+        typer.Option("--format", help="Of the graph: text (default), or mermaid, a flow chart."),
+    ] = None,
 ) -> int:
-    """Report every mistake in a configuration and return the exit code."""
+    """Find mistakes in a configuration; start nothing.
+
+    Each mistake is reported as `file:line:column: path: message`. Exits with 2 if there is one,
+    with 1 if --explain finds a process that cannot be started. --json prints the problems and the
+    resolved configuration.
+    """
     from play_launch.config.load import load_config  # noqa: PLC0415
     from play_launch.config.problems import ConfigError  # noqa: PLC0415
     from play_launch.config.sources.surroundings import (  # noqa: PLC0415
@@ -43,10 +56,10 @@ def find_mistakes(
         parse_arguments,
     )
 
-    if explain and graph is not None and not as_json:
+    if explain and graph and not as_json:
         fail("--graph and --explain: only --json prints both")
     try:
-        given = parse_arguments(arguments)
+        given = parse_arguments(arguments or ())
     except ValueError as error:
         fail(str(error))
     try:
@@ -61,7 +74,7 @@ def find_mistakes(
     started = _started(loaded) if explain else []
     if as_json:
         values: dict[str, object] = {"valid": True, "problems": [], "config": _resolved(loaded)}
-        if graph is not None:
+        if graph:
             from play_launch.cli.draw_graph import as_values  # noqa: PLC0415
 
             values["graph"] = as_values(loaded)
@@ -71,10 +84,10 @@ def find_mistakes(
             values["processes"] = started
             values["helpers"] = helpers(loaded)
         say(json.dumps(values, ensure_ascii=False))
-    elif graph is not None:
+    elif graph:
         from play_launch.cli.draw_graph import as_mermaid, as_text  # noqa: PLC0415
 
-        say((as_text if graph is GraphForm.TEXT else as_mermaid)(loaded))
+        say((as_mermaid if form is GraphForm.MERMAID else as_text)(loaded))
     elif explain:
         from play_launch.cli.explain_start import as_text as commands  # noqa: PLC0415
         from play_launch.cli.explain_start import helpers  # noqa: PLC0415
@@ -101,7 +114,7 @@ def _started(config: ReplayConfig) -> list[dict[str, Any]]:
 
 
 def describe(config: ReplayConfig) -> str:
-    """Say how big a system is: ``2 containers with 7 nodes, 1 process``."""
+    """Describe the size of a system: ``2 containers with 7 nodes, 1 process``."""
     nodes = sum(len(container.composable_nodes) for container in config.containers)
     parts = []
     if config.containers or not config.nodes:
@@ -116,41 +129,3 @@ def counted(number: int, noun: str) -> str:
     """``1 node``, ``2 nodes``, ``3 processes``."""
     plural = f"{noun}es" if noun.endswith("s") else f"{noun}s"
     return f"{number} {noun if number == 1 else plural}"
-
-
-def check(  # noqa: PLR0917 - typer calls it by keywords
-    config: options.ConfigFile,
-    arguments: options.ConfigArguments = None,
-    as_json: Annotated[
-        bool,
-        typer.Option(
-            "--json", help="One JSON object on stdout: the problems, or the resolved configuration."
-        ),
-    ] = False,
-    graph: Annotated[
-        bool, typer.Option("--graph", help="Print what waits for what (depends_on).")
-    ] = False,
-    explain: Annotated[
-        bool,
-        typer.Option(
-            "--explain",
-            help="Print the resolved configuration, and the command and environment of each "
-            "process that replay would start.",
-        ),
-    ] = False,
-    form: Annotated[
-        GraphForm | None,
-        typer.Option("--format", help="Of the graph: text (default), or mermaid, a flow chart."),
-    ] = None,
-) -> None:
-    """Find mistakes in a configuration; start nothing.
-
-    Every problem is named with its place, `file:line:column: path: message`. Exits with 0 when
-    there is none, else with 2.
-    """
-    drawn = (form or GraphForm.TEXT) if graph else None
-    raise typer.Exit(
-        find_mistakes(
-            config, arguments=arguments or (), as_json=as_json, graph=drawn, explain=explain
-        )
-    )

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final
 
 import msgspec
+import typer
 
-from play_launch.cli.info import DAMAGED, report_damage
+from play_launch.cli import options
+from play_launch.cli.info import report_damage
 from play_launch.cli.output import fail, printable, say
+from play_launch.postmortem import comparison
 from play_launch.postmortem.bag_reader import NotARecordingError
 from play_launch.postmortem.comparison import (
     Change,
@@ -15,7 +19,6 @@ from play_launch.postmortem.comparison import (
     CrashChange,
     Measure,
     ParameterChange,
-    compare,
 )
 from play_launch.postmortem.parameters import shortened
 from play_launch.postmortem.report.comparison import Words, comparison_page, scaled
@@ -26,7 +29,6 @@ from play_launch.supervisor.exit_code import ExitCode
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from pathlib import Path
 
 _MOST_LINES: Final = 50
 """Of one section."""
@@ -38,15 +40,37 @@ _SAYS: Final = {
 }
 
 
-def compare_sessions(
-    first: Path, second: Path, output: Path | None = None, *, as_json: bool
+def compare(
+    first: Annotated[
+        Path, typer.Argument(metavar="A", help="The earlier session.", show_default=False)
+    ],
+    second: Annotated[
+        Path, typer.Argument(metavar="B", help="The later session.", show_default=False)
+    ],
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FILE",
+            help="Write an HTML page with all numbers as well.",
+            show_default=False,
+        ),
+    ] = None,
+    as_json: options.Json = False,
 ) -> int:
-    """Print what differs, and write it as a page to ``output``; return the exit code."""
+    """Compare two sessions: bring-up, restarts, crashes, memory and CPU of each node.
+
+    Exits with 1 if the second one is worse: a new crash, a node that is not loaded, one more
+    restart, or an increase by half of time (and a second), memory (and 64 MB) or CPU (and 10 % of a
+    core); also if the page cannot be written. Exits with 2 if a file is not a recording, with 5 if
+    one could not be read completely.
+    """
     try:
         stories = read_story(first), read_story(second)
     except NotARecordingError as error:
         fail(str(error))
-    found = compare(*stories)
+    found = comparison.compare(*stories)
     words = _words(found)
     if output is not None:
         try:
@@ -70,7 +94,7 @@ def compare_sessions(
             say(printable(line, colour=False), beside=output)
     damaged = [report_damage(story.session.reader) for story in stories]
     if any(damaged):
-        return DAMAGED
+        return ExitCode.DAMAGED
     return ExitCode.NODE_FAILED if found.is_worse else ExitCode.OK
 
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import msgspec
+import typer
 
+from play_launch.cli import options
 from play_launch.cli.check import counted
-from play_launch.cli.info import DAMAGED
 from play_launch.cli.output import fail, printable, say
 from play_launch.cli.target import complain
 from play_launch.postmortem.bag_reader import NotARecordingError
@@ -18,13 +19,26 @@ from play_launch.postmortem.crash_groups import CrashGroup, CrashGroups
 from play_launch.postmortem.story import read_story
 from play_launch.recording.folder import part_file
 from play_launch.recording.part import ACTIVE_SUFFIX
+from play_launch.supervisor.exit_code import ExitCode
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
 
-def list_crashes(folder: Path, *, as_json: bool) -> int:
-    """Print the groups; return the exit code."""
+def crashes(
+    folder: Annotated[
+        Path,
+        typer.Argument(
+            metavar="DIR", help="A log folder with sessions, or one file.", show_default=False
+        ),
+    ],
+    as_json: options.Json = False,
+) -> int:
+    """Group the crashes of many sessions: crashes with equal signatures are one group.
+
+    A signature is the signal or exception and the innermost functions of your own code, without
+    addresses. Exits with 2 if there is no recording, with 5 if one could not be read completely.
+    """
     if not folder.exists():
         fail(f"{folder}: no such folder")
     groups = CrashGroups()
@@ -43,11 +57,11 @@ def list_crashes(folder: Path, *, as_json: bool) -> int:
         fail(f"{folder}: there is no recording (*.mcap) in it")
     found = groups.sorted()
     if as_json:
-        crashes = [
+        listed = [
             {"id": each.signature.id, "title": str(each.signature)} | msgspec.to_builtins(each)
             for each in found
         ]
-        values = {"sessions": count, "unread": unread, "crashes": crashes}
+        values = {"sessions": count, "unread": unread, "crashes": listed}
         say(msgspec.json.encode(values).decode())
     else:
         for each in found:
@@ -56,7 +70,7 @@ def list_crashes(folder: Path, *, as_json: bool) -> int:
         say(f"{counted(len(found), 'signature')} in {counted(count, 'session')}")
     for text in unread:
         complain(f"warning: {text}")
-    return DAMAGED if unread else 0
+    return ExitCode.DAMAGED if unread else 0
 
 
 def recordings(folder: Path, unread: list[str]) -> list[Path]:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from play_launch.cli import options
 from play_launch.cli.daemon_patch import patch, unpatch
 from play_launch.cli.output import fail, say, wants_colour
 from play_launch.supervisor.exit_code import ExitCode
@@ -17,44 +18,43 @@ if TYPE_CHECKING:
     from play_launch.graph_daemon.contract import DaemonAddress
     from play_launch.graph_daemon.port import PortOwner
 
-daemon_app = typer.Typer(
-    name="daemon",
-    help="Graph daemon for ros2 commands that stays responsive while many nodes start. "
-    "It serves at the address of ros2cli's own daemon, so 'ros2 node list' and the like "
-    "use it as it is.",
+daemon = typer.Typer(
+    help="The graph daemon: answers 'ros2 node list' and the like at the address of ros2cli's own "
+    "daemon, and stays responsive while many nodes start.",
     no_args_is_help=True,
-    rich_markup_mode=None,
-    add_completion=False,
+    **options.PLAIN,
 )
 
-_IdleTimeout = Annotated[
-    str,
+IdleTimeout = Annotated[
+    float,
     typer.Option(
-        help="End after this time without a request: 2h, 30min; 0s for never.", metavar="TIME"
+        parser=options.duration_or_zero,
+        help="Exit after this time without a request: 2h, 30min; 0s for never.",
+        metavar="TIME",
+        show_default=False,
     ),
 ]
-_Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 _NOT_RUNNING = ExitCode.NODE_FAILED
 
 
 def start(
     restart: Annotated[
-        bool, typer.Option("--restart", help="Replace one that runs, for new settings.")
+        bool, typer.Option("--restart", help="Replace a running one, for new settings.")
     ] = False,
-    idle_timeout: _IdleTimeout = "2h",
+    idle_timeout: IdleTimeout = 7200.0,
 ) -> None:
     """Start the daemon of this ROS_DOMAIN_ID, and wait until it knows the graph.
 
     If ros2cli's own daemon runs, it is replaced. If ours runs already, it is kept, with a warning
     where its settings are not yours.
     """
-    address, seconds = _address(), _seconds(idle_timeout)
+    address = _address()
     _require_ros()
     from play_launch.graph_daemon.port import PortHeldError  # noqa: PLC0415
     from play_launch.graph_daemon.start_stop import StartError, start_daemon  # noqa: PLC0415
 
     try:
-        started = start_daemon(address, idle_timeout=seconds, restart=restart, notify=warn)
+        started = start_daemon(address, idle_timeout=idle_timeout, restart=restart, notify=warn)
     except (PortHeldError, StartError, OSError) as error:
         fail(f"{error}", ExitCode.NODE_FAILED)
     if started.process is not None:
@@ -87,7 +87,7 @@ def stop() -> None:
         say(f"{whose} of domain {address.domain} was stopped")
 
 
-def status(as_json: _Json = False) -> None:
+def status(as_json: options.Json = False) -> None:
     """Report which daemon runs for this ROS_DOMAIN_ID, and its state.
 
     Warns where its settings are not those of your environment: then it sees another graph than
@@ -122,9 +122,9 @@ def status(as_json: _Json = False) -> None:
         raise typer.Exit(_NOT_RUNNING)
 
 
-def run(idle_timeout: _IdleTimeout = "0s") -> None:
+def run(idle_timeout: IdleTimeout = 0.0) -> None:
     """Run the daemon here, in the foreground, until Ctrl-C; for services and containers."""
-    address, seconds = _address(), _seconds(idle_timeout)
+    address = _address()
     _require_ros()
     import logging  # noqa: PLC0415
 
@@ -144,17 +144,17 @@ def run(idle_timeout: _IdleTimeout = "0s") -> None:
         )
     for message in port.messages:
         say(message)
-    daemon = Daemon(address, idle_timeout=seconds)
+    server = Daemon(address, idle_timeout=idle_timeout)
 
     def report(what: str) -> None:
         if what == WARM:
             say(f"serving {address.url}")
 
-    daemon.run(port.listener, report)
+    server.run(port.listener, report)
 
 
 for _verb in (start, stop, status, run, patch, unpatch):
-    daemon_app.command()(_verb)
+    daemon.command()(_verb)
 
 
 def describe(address: DaemonAddress, owner: PortOwner) -> list[str]:
@@ -211,15 +211,6 @@ def _address() -> DaemonAddress:
         return daemon_address()
     except DomainError as error:
         fail(f"{error} by the environment; set another one")
-
-
-def _seconds(text: str) -> float:
-    from play_launch.config.values import parse_duration  # noqa: PLC0415
-
-    try:
-        return parse_duration(text)
-    except ValueError as error:
-        fail(f"--idle-timeout: {error}")
 
 
 def _require_ros() -> None:

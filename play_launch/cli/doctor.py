@@ -5,10 +5,9 @@ from __future__ import annotations
 import json
 import sys
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Final
 
-import typer
-
+from play_launch.cli import options
 from play_launch.cli.output import say, surviving_the_reader, wants_colour
 from play_launch.supervisor.exit_code import ExitCode
 
@@ -23,12 +22,12 @@ _COLOURS: Final = {"ok": "green", "warn": "yellow", "fail": "red"}
 
 
 def doctor(
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object, for machines.")] = False,
-) -> None:
-    """Check this machine: what works, what does not, its impact, and the fix.
+    as_json: options.Json = False,
+) -> int:
+    """Check this machine: what works, what does not, the impact, and the fix.
 
-    Our container is started once; nothing is changed. Exits with 0 when a system can be
-    brought up, else with 1.
+    The container program is started once; nothing is changed. Exits with 1 if no system can be
+    started here.
     """
     from play_launch.doctor.finding import can_run  # noqa: PLC0415
     from play_launch.doctor.report import examine  # noqa: PLC0415
@@ -42,7 +41,7 @@ def doctor(
         with surviving_the_reader():
             print_findings(findings, sys.stdout, colour=wants_colour(sys.stdout))
             sys.stdout.flush()
-    raise typer.Exit(ExitCode.OK if runs else ExitCode.NODE_FAILED)
+    return ExitCode.OK if runs else ExitCode.NODE_FAILED
 
 
 def print_findings(findings: Sequence[Finding], stream: IO[str], *, colour: bool) -> None:

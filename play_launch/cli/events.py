@@ -4,50 +4,42 @@ from __future__ import annotations
 
 import json
 import sys
-from typing import TYPE_CHECKING, Any
+from typing import Annotated, Any
 
-from play_launch.cli.operate import OK, add_names, report_end
+import typer
+
+from play_launch.cli import options
+from play_launch.cli.connection import connected, report_end
 from play_launch.cli.output import lines_of
 
-if TYPE_CHECKING:
-    from argparse import ArgumentParser, Namespace
 
-    from play_launch.control.client import ControlClient
-
-
-def add_arguments(parser: ArgumentParser, verb: str) -> None:  # noqa: ARG001 - as for all verbs
-    """Declare what it takes."""
-    add_names(parser, "only events about these", optional=True)
-    parser.add_argument(
-        "-f", "--follow", action="store_true", help="go on with what happens, until Ctrl-C"
-    )
-    parser.add_argument("--new", action="store_true", help="leave out what has happened before")
-    parser.add_argument(
-        "--kind",
-        action="append",
-        default=[],
-        dest="kinds",
-        metavar="KIND",
-        help="only this kind: node, container, process, component, log, action, graph, managed; "
-        "output, process_sample, group_sample and system_sample are left out unless named; may be "
-        "repeated",
-    )
-
-
-def run(client: ControlClient, options: Namespace) -> int:
+def events(  # noqa: PLR0917 - options, by name
+    names: options.Names = None,
+    follow: options.Follow = False,
+    new: Annotated[bool, typer.Option("--new", help="Leave out earlier events.")] = False,
+    kind: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--kind",
+            metavar="KIND",
+            help="Only this kind: node, container, process, component, log, action, graph, "
+            "managed, output, process_sample, group_sample, system_sample; the last four are "
+            "printed only if named. May be repeated.",
+            show_default=False,
+        ),
+    ] = None,
+    session: options.Session = None,
+    as_json: options.Json = False,
+) -> int:
     """Print events, one a line."""
-    arguments = {
-        "names": options.names,
-        "kinds": options.kinds,
-        "follow": options.follow,
-        "only_new": options.new,
-    }
-    for message in client.stream("events", arguments):
-        if "result" in message:
-            return OK
-        line = json_line(message) if options.json else text_line(message)
-        sys.stdout.write(f"{line}\n")
-        sys.stdout.flush()
+    arguments = {"names": names or [], "kinds": kind or [], "follow": follow, "only_new": new}
+    with connected(session) as client:
+        for message in client.stream("events", arguments):
+            if "result" in message:
+                return 0
+            line = json_line(message) if as_json else text_line(message)
+            sys.stdout.write(f"{line}\n")
+            sys.stdout.flush()
     return report_end(client.hello)
 
 
@@ -55,7 +47,8 @@ def text_line(message: dict[str, Any]) -> str:
     """Write a message of the stream for people."""
     if "event" in message:
         return lines_of(message["event"])
-    return f"{message.get('missed', 0)} events were too many to send; the recording has them"
+    skipped = message.get("missed", 0)
+    return f"skipped {skipped} events (this client is too slow); they are in the recording"
 
 
 def json_line(message: dict[str, Any]) -> str:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import msgspec
 
-from play_launch.cli.info import DAMAGED, report_damage
+from play_launch.cli import options
+from play_launch.cli.info import report_damage
 from play_launch.cli.output import fail, printable, say
 from play_launch.cli.story_words import paragraphs
 from play_launch.postmortem.bag_reader import NotARecordingError
@@ -15,12 +14,14 @@ from play_launch.postmortem.locate import located
 from play_launch.postmortem.story import read_story
 from play_launch.supervisor.exit_code import ExitCode
 
-if TYPE_CHECKING:
-    from pathlib import Path
 
+def explain(file: options.Recording, as_json: options.Json = False) -> int:
+    """Explain what went wrong in a session: first failure, cause, source line, affected nodes.
 
-def explain(file: Path, *, as_json: bool) -> int:
-    """Print what went wrong; return the exit code."""
+    Exits with 0 if nothing went wrong, with 1 if something did, with 2 if the file is not a
+    recording, and with 5 if the recording could not be read completely. Source lines need addr2line
+    (binutils) and the libraries of the session on this machine.
+    """
     try:
         story = read_story(file)
     except NotARecordingError as error:
@@ -49,5 +50,5 @@ def explain(file: Path, *, as_json: bool) -> int:
         for line in paragraphs(findings, session):
             say(printable(line, colour=False))
     if report_damage(reader):
-        return DAMAGED
+        return ExitCode.DAMAGED
     return ExitCode.NODE_FAILED if wrong else ExitCode.OK

@@ -5,9 +5,13 @@ from __future__ import annotations
 from contextlib import ExitStack, closing
 from importlib.util import find_spec
 from itertools import chain
-from typing import TYPE_CHECKING, Final
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final, Literal
 
-from play_launch.cli.info import DAMAGED, report_damage
+import typer
+
+from play_launch.cli import options
+from play_launch.cli.info import report_damage
 from play_launch.cli.output import fail, say
 from play_launch.postmortem.bag_reader import NotARecordingError
 from play_launch.postmortem.export.tables import WRITERS, rows
@@ -18,18 +22,36 @@ from play_launch.recording.folder import beside
 from play_launch.supervisor.exit_code import ExitCode
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from play_launch.postmortem.export.tables import TableWriter
 
 TRACE: Final = "perfetto"
-FORMATS: Final = (TRACE, *WRITERS)
+Format = Literal["perfetto", "csv", "parquet"]
 
 
-def export_session(file: Path, form: str, output: Path | None) -> int:
-    """Write a recording in another format; return the exit code."""
-    if form not in FORMATS:
-        fail(f"--format {form}: use one of {', '.join(FORMATS)}")
+def export(
+    file: options.Recording,
+    form: Annotated[
+        Format,
+        typer.Option(
+            "--format", help="perfetto: a trace for Perfetto and chrome://tracing. Others: tables."
+        ),
+    ] = "perfetto",
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="PATH",
+            help="The file of a trace, the folder of tables. Default: beside the recording.",
+            show_default=False,
+        ),
+    ] = None,
+) -> int:
+    """Convert a recording to a trace, or to tables.
+
+    Damaged and unfinished recordings (.active) are read as far as possible; exits with 5 then, with
+    2 if the file is not a recording, with 1 if nothing could be written.
+    """
     if form == "parquet" and find_spec("pyarrow") is None:
         fail("--format parquet needs pyarrow: pip install 'play-launch-py[parquet]', or use csv")
     if form != TRACE and output is not None and is_passed_on(output):
@@ -47,7 +69,7 @@ def export_session(file: Path, form: str, output: Path | None) -> int:
     except OSError as error:  # the folder of the tables
         fail(f"{error.filename or target}: {error.strerror or error}", ExitCode.NODE_FAILED)
     say(f"{target}: {written}", beside=target)
-    return DAMAGED if report_damage(session.reader) else 0
+    return ExitCode.DAMAGED if report_damage(session.reader) else 0
 
 
 def _write_trace(session: PastSession, target: Path) -> str:

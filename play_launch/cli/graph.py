@@ -1,17 +1,18 @@
-"""``play-launch node | topic | service``: the ROS graph, from the daemon.
+"""``play-launch node | topic | service``: the ROS graph, from the graph daemon.
 
-These verbs do without typer, pydantic and rclpy: their use is to be fast, and importing any of
-those takes longer than the answer. Options and output are those of ``ros2 node list`` and its
-like, so that people need not learn them.
+They import neither pydantic nor rclpy, which takes longer than the answer. Options and output are
+those of ``ros2 node list`` and the like.
 """
 
 from __future__ import annotations
 
-import argparse
 import sys
 from itertools import pairwise
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Annotated, Final, NamedTuple
 
+import typer
+
+from play_launch.cli import options
 from play_launch.cli.output import printable, redirect_to_devnull
 from play_launch.graph_daemon.contract import DomainError, daemon_address
 from play_launch.graph_daemon.graph_client import (
@@ -23,22 +24,12 @@ from play_launch.graph_daemon.graph_client import (
     NodeName,
     RemoteError,
 )
+from play_launch.supervisor.exit_code import ExitCode
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Iterable
 
     from play_launch.graph_daemon.contract import DaemonAddress
-
-GROUPS: Final = {
-    "node": "Nodes of the running system: list, info.",
-    "topic": "Topics of the running system: list.",
-    "service": "Services of the running system: list.",
-}
-"""The first words that are ours, and what help says about them."""
-
-OK: Final = 0
-FAILED: Final = 1
-USAGE: Final = 2
 
 _HIDDEN: Final = "_"
 _SECTIONS: Final = (
@@ -52,39 +43,170 @@ _SECTIONS: Final = (
 """Title, name in JSON and the daemon's method, in the order of ``ros2 node info``."""
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Run one of the verbs; ``arguments`` start with its group. Returns the exit code."""
-    options = parser_of_group(arguments[0]).parse_args(arguments[1:])
-    try:
-        status = _run(options)
-        sys.stdout.flush()
-    except BrokenPipeError:
-        # The reader has seen enough (`| head`).
-        redirect_to_devnull(sys.stdout)
-        status = OK
-    return status
+node = typer.Typer(help="List nodes; show one.", no_args_is_help=True, **options.PLAIN)
+topic = typer.Typer(help="List topics.", no_args_is_help=True, **options.PLAIN)
+service = typer.Typer(help="List services.", no_args_is_help=True, **options.PLAIN)
+
+All = Annotated[bool, typer.Option("--all", "-a", help="Include hidden ones.")]
+ShowTypes = Annotated[bool, typer.Option("--show-types", "-t", help="Print types as well.")]
+CallTimeout = Annotated[
+    float,
+    typer.Option(
+        "--call-timeout",
+        parser=options.duration,
+        metavar="TIME",
+        help="Limit for an answer of the daemon.",
+        show_default=f"{DEFAULT_TIMEOUT:g}s",
+    ),
+]
+NoStart = Annotated[bool, typer.Option("--no-start", help="Do not start a daemon if none runs.")]
 
 
-def _run(options: argparse.Namespace) -> int:
-    verb: Callable[[GraphClient, argparse.Namespace], int] = options.verb
+@node.command("list")
+def node_list(
+    count: Annotated[
+        bool, typer.Option("--count-nodes", "-c", help="Print their number only.")
+    ] = False,
+    with_hidden: All = False,
+    call_timeout: CallTimeout = DEFAULT_TIMEOUT,
+    no_start: NoStart = False,
+    as_json: options.Json = False,
+) -> int:
+    """List the nodes."""
+
+    def show(client: GraphClient) -> int:
+        nodes = _visible(client.nodes(), with_hidden=with_hidden)
+        names = [each.full_name for each in nodes]
+        if count:
+            _say(str(len(names)))
+        elif as_json:
+            _print_json(
+                [
+                    {"name": n.name, "namespace": n.namespace, "full_name": n.full_name}
+                    for n in nodes
+                ]
+            )
+        else:
+            _print_lines(names)
+        twice = sorted({name for name, after in pairwise(names) if name == after})
+        if twice:
+            _warn(f"several nodes have the same name, which ROS does not allow: {', '.join(twice)}")
+        return ExitCode.OK
+
+    return _asked(show, call_timeout, no_start=no_start)
+
+
+@node.command("info")
+def node_info(
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar="NODE", help="Full name, for example /sensing/camera.", show_default=False
+        ),
+    ],
+    with_hidden: Annotated[
+        bool, typer.Option("--include-hidden", help="Include hidden names.")
+    ] = False,
+    call_timeout: CallTimeout = DEFAULT_TIMEOUT,
+    no_start: NoStart = False,
+    as_json: options.Json = False,
+) -> int:
+    """Show publishers, subscriptions, services and actions of a node."""
+    wanted = name if name.startswith("/") else f"/{name}"
+    return _asked(
+        lambda client: _info(client, wanted, with_hidden=with_hidden, as_json=as_json),
+        call_timeout,
+        no_start=no_start,
+    )
+
+
+@topic.command("list")
+def topic_list(  # noqa: PLR0917 - options, by name
+    count: Annotated[
+        bool, typer.Option("--count-topics", "-c", help="Print their number only.")
+    ] = False,
+    show_types: ShowTypes = False,
+    with_hidden: Annotated[
+        bool, typer.Option("--all", "-a", "--include-hidden-topics", help="Include hidden ones.")
+    ] = False,
+    call_timeout: CallTimeout = DEFAULT_TIMEOUT,
+    no_start: NoStart = False,
+    as_json: options.Json = False,
+) -> int:
+    """List the topics."""
+    shown = _Shown(count, show_types, with_hidden, as_json)
+    return _asked(
+        lambda client: _list(client.names_and_types("get_topic_names_and_types"), shown),
+        call_timeout,
+        no_start=no_start,
+    )
+
+
+@service.command("list")
+def service_list(  # noqa: PLR0917 - options, by name
+    count: Annotated[
+        bool, typer.Option("--count-services", "-c", help="Print their number only.")
+    ] = False,
+    show_types: ShowTypes = False,
+    with_hidden: Annotated[
+        bool, typer.Option("--all", "-a", "--include-hidden-services", help="Include hidden ones.")
+    ] = False,
+    call_timeout: CallTimeout = DEFAULT_TIMEOUT,
+    no_start: NoStart = False,
+    as_json: options.Json = False,
+) -> int:
+    """List the services."""
+    shown = _Shown(count, show_types, with_hidden, as_json)
+    return _asked(
+        lambda client: _list(client.names_and_types("get_service_names_and_types"), shown),
+        call_timeout,
+        no_start=no_start,
+    )
+
+
+@topic.callback()
+@service.callback()
+def _group() -> None:
+    """Keep the name of a single subcommand on the command line."""
+
+
+class _Shown(NamedTuple):
+    only_count: bool
+    types: bool
+    with_hidden: bool
+    as_json: bool
+
+
+def _asked(
+    show: Callable[[GraphClient], int],
+    call_timeout: float,
+    *,
+    no_start: bool,
+) -> int:
+    """Query the daemon, which is started if none runs, and print; return the exit code."""
     try:
         address = daemon_address()
-        client = GraphClient(address, options.call_timeout)
+        client = GraphClient(address, call_timeout)
         try:
-            return verb(client, options)
+            status = show(client)
         except NoDaemonError as error:
-            if options.no_start:
+            if no_start:
                 _report(f"{error}; start one with 'play-launch daemon start'")
-                return FAILED
-        _start(address)
-        options.no_start = True
-        return verb(client, options)
+                return ExitCode.NODE_FAILED
+            _start(address)
+            status = show(client)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        # The reader has enough (`| head`).
+        redirect_to_devnull(sys.stdout)
+        return ExitCode.OK
     except DomainError as error:
         _report(str(error))
-        return USAGE
+        return ExitCode.USAGE
     except DaemonError as error:
         _report(str(error))
-    return FAILED
+        return ExitCode.NODE_FAILED
+    return status
 
 
 def _start(address: DaemonAddress) -> None:
@@ -102,130 +224,53 @@ def _start(address: DaemonAddress) -> None:
         _warn(message)
 
 
-def parser_of_group(group: str) -> argparse.ArgumentParser:
-    """Build the parser of one group only; the others would take time for nothing."""
-    parser = argparse.ArgumentParser(prog=f"play-launch {group}", description=GROUPS[group])
-    # Named, or argparse would lay out a usage line first.
-    verbs = parser.add_subparsers(required=True, metavar="VERB", prog=parser.prog)
-    verb = _verb(verbs, "list", f"List the {group}s.", _LISTS[group])
-    verb.add_argument(
-        "-c", f"--count-{group}s", dest="count", action="store_true", help="print their number only"
-    )
-    if group == "node":
-        verb.add_argument("-a", "--all", action="store_true", help="list hidden ones, too")
-        info = _verb(verbs, "info", "Show what a node publishes, subscribes and serves.", node_info)
-        info.add_argument("node", help="its full name, for example /sensing/camera")
-        info.add_argument(
-            "--include-hidden", dest="all", action="store_true", help="show hidden names, too"
-        )
-    else:
-        verb.add_argument("-t", "--show-types", action="store_true", help="with their types")
-        verb.add_argument(
-            "-a",
-            "--all",
-            f"--include-hidden-{group}s",
-            dest="all",
-            action="store_true",
-            help="list hidden ones, too",
-        )
-    return parser
-
-
-def _verb(
-    verbs: argparse._SubParsersAction[argparse.ArgumentParser],
-    name: str,
-    text: str,
-    run: Callable[[GraphClient, argparse.Namespace], int],
-) -> argparse.ArgumentParser:
-    verb = verbs.add_parser(name, help=text, description=text)
-    verb.set_defaults(verb=run)
-    verb.add_argument("--json", action="store_true", help="for machines")
-    verb.add_argument(
-        "--call-timeout",
-        type=_seconds,
-        default=DEFAULT_TIMEOUT,
-        metavar="S",
-        help=f"seconds that the daemon has for an answer ({DEFAULT_TIMEOUT:g})",
-    )
-    verb.add_argument(
-        "--no-start", action="store_true", help="do not start a daemon where none runs"
-    )
-    return verb
-
-
-def list_nodes(client: GraphClient, options: argparse.Namespace) -> int:
-    """``play-launch node list``."""
-    nodes = _visible(client.nodes(), with_hidden=options.all)
-    names = [node.full_name for node in nodes]
-    if options.count:
-        _say(str(len(names)))
-    elif options.json:
-        _print_json(
-            [{"name": n.name, "namespace": n.namespace, "full_name": n.full_name} for n in nodes]
-        )
-    else:
-        _print_lines(names)
-    twice = sorted({name for name, after in pairwise(names) if name == after})
-    if twice:
-        _warn(f"several nodes bear the same name, which confuses ROS: {', '.join(twice)}")
-    return OK
-
-
-def list_topics(client: GraphClient, options: argparse.Namespace) -> int:
-    """``play-launch topic list``."""
-    return _list(client.names_and_types("get_topic_names_and_types"), options)
-
-
-def list_services(client: GraphClient, options: argparse.Namespace) -> int:
-    """``play-launch service list``."""
-    return _list(client.names_and_types("get_service_names_and_types"), options)
-
-
-_LISTS: Final = {"node": list_nodes, "topic": list_topics, "service": list_services}
-
-
-def _list(found: list[Named], options: argparse.Namespace) -> int:
-    shown = [entry for entry in found if options.all or not _is_hidden(entry.name)]
-    if options.count:
+def _list(found: list[Named], shown_as: _Shown) -> int:
+    shown = [entry for entry in found if shown_as.with_hidden or not _is_hidden(entry.name)]
+    if shown_as.only_count:
         _say(str(len(shown)))
-    elif options.json:
+    elif shown_as.as_json:
         _print_json([_plain(entry) for entry in shown])
-    elif options.show_types:
+    elif shown_as.types:
         _print_lines(f"{entry.name} [{', '.join(entry.types)}]" for entry in shown)
     else:
         _print_lines(entry.name for entry in shown)
-    return OK
+    return ExitCode.OK
 
 
-def node_info(client: GraphClient, options: argparse.Namespace) -> int:
-    """``play-launch node info``."""
-    wanted = options.node if options.node.startswith("/") else f"/{options.node}"
-    bearers = [node for node in client.nodes() if node.full_name == wanted]
-    if not bearers:
+def _info(client: GraphClient, wanted: str, *, with_hidden: bool, as_json: bool) -> int:
+    same = [each for each in client.nodes() if each.full_name == wanted]
+    if not same:
         _report(f"there is no node {wanted}")
-        return FAILED
-    if len(bearers) > 1:
-        _warn(f"{len(bearers)} nodes bear the name {wanted}; this is about one of them")
-    node = bearers[0]
+        return ExitCode.NODE_FAILED
+    if len(same) > 1:
+        _warn(f"{len(same)} nodes have the name {wanted}; this is one of them")
+    found_node = same[0]
     sections: dict[str, list[Named]] = {}
     try:
         for _, key, method in _SECTIONS:
-            found = client.names_and_types(method, node.name, node.namespace)
-            sections[key] = [e for e in found if options.all or not _is_hidden(e.name)]
+            found = client.names_and_types(method, found_node.name, found_node.namespace)
+            sections[key] = [e for e in found if with_hidden or not _is_hidden(e.name)]
     except RemoteError as error:
-        if node in client.nodes():
+        if found_node in client.nodes():
             raise
-        _report(f"the node {wanted} has gone meanwhile ({error.text})")
-        return FAILED
-    if options.json:
+        _report(f"the node {wanted} has exited meanwhile ({error.text})")
+        return ExitCode.NODE_FAILED
+    if as_json:
         facts = {key: [_plain(entry) for entry in found] for key, found in sections.items()}
-        _print_json({"name": node.name, "namespace": node.namespace, "full_name": wanted, **facts})
-        return OK
+        _print_json(
+            {
+                "name": found_node.name,
+                "namespace": found_node.namespace,
+                "full_name": wanted,
+                **facts,
+            }
+        )
+        return ExitCode.OK
     _say(wanted)
     for title, key, _ in _SECTIONS:
         _say(f"  {title}:")
         _print_lines(f"    {entry.name}: {', '.join(entry.types)}" for entry in sections[key])
-    return OK
+    return ExitCode.OK
 
 
 def _visible(nodes: Iterable[NodeName], *, with_hidden: bool) -> list[NodeName]:
@@ -268,10 +313,3 @@ def _warn(message: str) -> None:
 def _one_line(text: str) -> str:
     """Make a line of what holds names: those come from any program in the network."""
     return printable(text.replace("\n", " "), colour=False)
-
-
-def _seconds(text: str) -> float:
-    value = float(text.removesuffix("s").strip())
-    if not 0 < value < 1e6:
-        raise ValueError
-    return value

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from pathlib import Path  # noqa: TC003 - typer evaluates the annotations
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from play_launch.cli import shared_options as options  # noqa: TC001 - typer evaluates them
+from play_launch.cli import options
 from play_launch.cli.output import fail
-from play_launch.cli.write_config import hand_over
+from play_launch.cli.write_config import write_config
 
 
-def import_system(
+def import_(
     file: Annotated[
         Path,
         typer.Argument(
@@ -22,15 +22,15 @@ def import_system(
     output: options.Output = None,
     stock: Annotated[
         bool,
-        typer.Option("--stock", help="Containers keep their programs, as stock containers."),
+        typer.Option("--stock", help="Containers keep their own programs (stock)."),
     ] = False,
     strict: options.Strict = False,
-    as_json: options.ConfigurationAsJson = False,
-) -> None:
-    """Turn a dump of the program play_launch (Rust) into a configuration.
+    as_json: options.Json = False,
+) -> int:
+    """Convert a dump of the program play_launch (Rust) to a configuration.
 
-    What could not be carried over is reported, a line each. Exits with 2 if the result has mistakes
-    that `check` finds, with --strict also if anything was lost.
+    What cannot be converted is reported, a line each. Exits with 2 if the result has mistakes that
+    `check` finds, with --strict also if anything was lost.
     """
     from play_launch.launch_files.importing import read  # noqa: PLC0415 - not for other verbs
 
@@ -38,4 +38,4 @@ def import_system(
         imported = read.import_system(file, stock=stock)
     except read.NotImportableError as error:
         fail(str(error))
-    raise typer.Exit(hand_over(imported, output, strict=strict, as_json=as_json))
+    return write_config(imported, output, strict=strict, as_json=as_json)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 from collections import Counter
 from datetime import datetime
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
+from play_launch.cli import options
 from play_launch.cli.check import counted
 from play_launch.cli.output import fail, printable, say
 from play_launch.cli.target import complain
@@ -15,26 +16,26 @@ from play_launch.postmortem.crash_groups import crashes_of
 from play_launch.postmortem.story import read_story
 from play_launch.recording.bag import PART_METADATA
 from play_launch.recording.topic_requests import DROPS_METADATA
+from play_launch.supervisor.exit_code import ExitCode
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from play_launch.postmortem.bag_reader import BagReader
     from play_launch.postmortem.story import Story
 
-DAMAGED: Final = 3
-"""Exit code: not everything could be read."""
 
+def info(file: options.Recording, as_json: options.Json = False) -> int:
+    """Summarise a recording: session, duration, nodes, crashes, restarts, messages of each topic.
 
-def sum_up(file: Path, *, as_json: bool) -> int:
-    """Print the summary of a recording; return the exit code."""
+    Damaged and unfinished recordings (.active) are read as far as possible; exits with 5 then, with
+    2 if the file is not a recording.
+    """
     try:
         story = read_story(file, only_failures=True)
     except NotARecordingError as error:
         fail(str(error))
     found = session_object(story)
     say(json.dumps(found) if as_json else "\n".join(_lines(found)))
-    return DAMAGED if report_damage(story.session.reader) else 0
+    return ExitCode.DAMAGED if report_damage(story.session.reader) else 0
 
 
 def report_damage(reader: BagReader) -> bool:

@@ -49,11 +49,11 @@ containers:
 
 
 def init(
-    file: Annotated[Path, typer.Argument(metavar="[FILE]", help="Where to write it.")] = Path(
+    file: Annotated[Path, typer.Argument(metavar="[FILE]", help="The file to write.")] = Path(
         "robot.yaml"
     ),
 ) -> None:
-    """Write a commented configuration to begin with; a file that is there is kept."""
+    """Write a commented configuration to begin with; an existing file is kept."""
     is_stdout = is_standard_output(file)
     values = {"SCHEMA": str(SCHEMA_FILE), "FILE": "robot.yaml" if is_stdout else file.name}
     text = re.sub("SCHEMA|FILE", lambda found: values[found[0]], _STARTER)

@@ -6,11 +6,13 @@ import sys
 from collections import deque
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Final, Literal, NamedTuple
 
 import msgspec
+import typer
 
-from play_launch.cli.info import DAMAGED, report_damage
+from play_launch.cli import options
+from play_launch.cli.info import report_damage
 from play_launch.cli.output import clock_times, fail, printable, redirect_to_devnull
 from play_launch.cli.show.json_style import encode
 from play_launch.cli.show.lines import Line, line_of
@@ -36,6 +38,7 @@ if TYPE_CHECKING:
 
 _AROUND: Final = 5.0
 """Seconds on either side of a moment."""
+Level = Literal["debug", "info", "warn", "error", "fatal"]
 _LEVELS: Final = {"debug": DEBUG, "info": INFO, "warn": WARN, "error": ERROR, "fatal": FATAL}
 _TOPICS: Final = frozenset(topic.name for topic in topics.ALL_TOPICS)
 """Samples are no events to be read one by one."""
@@ -51,13 +54,50 @@ class Filter(NamedTuple):
     around: str | None
 
 
-def show_timeline(file: Path, chosen: Filter, *, as_json: bool) -> int:
-    """Print the events of a recording; return the exit code."""
-    least = _LEVELS.get(chosen.level)
-    if least is None:
-        fail(f"--level {chosen.level}: use one of {', '.join(_LEVELS)}")
+def inspect(  # noqa: PLR0917 - options, by name
+    file: options.Recording,
+    node: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="Only this node, container or process; * and ? are patterns. May be repeated.",
+            show_default=False,
+        ),
+    ] = None,
+    level: Annotated[
+        Level, typer.Option(help="Only events and lines of this level and above.")
+    ] = "info",
+    since: Annotated[
+        str | None,
+        typer.Option(
+            metavar="TIME",
+            help="From this time on: after the start (12.5s, 2min), or of the day (14:03:07).",
+            show_default=False,
+        ),
+    ] = None,
+    until: Annotated[
+        str | None, typer.Option(metavar="TIME", help="Up to this time.", show_default=False)
+    ] = None,
+    around: Annotated[
+        str | None,
+        typer.Option(
+            metavar="TIME", help="Five seconds before and after this time.", show_default=False
+        ),
+    ] = None,
+    as_json: options.Json = False,
+) -> int:
+    """Print the events of a recording: starts, loads, crashes, restarts, output and log.
+
+    Changes of parameters are included, and with --level debug all values of parameters that nodes
+    reported. Times are seconds after the start. --json prints one object a line, as replay --json.
+
+    Damaged and unfinished recordings (.active) are read as far as possible; exits with 5 then, with
+    2 if the file is not a recording.
+    """
+    chosen = Filter(tuple(node or ()), level, since, until, around)
+    least = _LEVELS[level]
     if chosen.around is not None and (chosen.since, chosen.until) != (None, None):
-        fail("--around already says since when and until when")
+        fail("--around cannot be combined with --since and --until")
     session, parameters = PastSession(file), Parameters()
     window: Window | None = None
     try:
@@ -69,8 +109,8 @@ def show_timeline(file: Path, chosen: Filter, *, as_json: bool) -> int:
                 and message.log_time in window
                 and _concerns(happened, chosen.names)
             ):
-                since = (message.log_time - session.started_ns) / 1e9
-                for line in _shown(happened, message.log_time, since, least, as_json=as_json):
+                seconds = (message.log_time - session.started_ns) / 1e9
+                for line in _shown(happened, message.log_time, seconds, least, as_json=as_json):
                     sys.stdout.write(f"{line}\n")
         sys.stdout.flush()
     except NotARecordingError as error:
@@ -79,7 +119,7 @@ def show_timeline(file: Path, chosen: Filter, *, as_json: bool) -> int:
         # The reader has seen enough (`| head`); the rest of the file need not be read.
         redirect_to_devnull(sys.stdout)
         return ExitCode.OK
-    return DAMAGED if report_damage(session.reader) else 0
+    return ExitCode.DAMAGED if report_damage(session.reader) else 0
 
 
 @dataclass(frozen=True, slots=True)

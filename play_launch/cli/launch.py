@@ -6,14 +6,15 @@ import os
 import shlex
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from play_launch.cli import shared_options as options  # noqa: TC001 - typer evaluates them
+from play_launch.cli import options
 from play_launch.cli.output import fail
 from play_launch.cli.target import (
-    USUAL_LIMIT,
+    USUAL_TIMEOUT,
+    ContainerType,
     complain,
     evaluated,
     report_losses,
@@ -25,27 +26,29 @@ from play_launch.deploy.notification import claim
 from play_launch.launch_files.configuration.options import Containers, Options
 from play_launch.supervisor.exit_code import ExitCode
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
-
-def bring_up_launch_file(
-    target: Sequence[str],
-    *,
-    container_type: Containers = Containers.SAME,
-    dry_run: bool = False,
-    strict: bool = False,
-    show_args: bool = False,
-    launch_prefix: str = "",
-    launch_prefix_filter: str = "",
-    show_all: bool = False,
-    timeout: str = USUAL_LIMIT,
-    log_dir: Path | None = None,
-    duration: str | None = None,
-    quiet: bool = False,
-    as_json: bool = False,
+def launch(  # noqa: PLR0917 - options, by name
+    target: options.LaunchFile,
+    container_type: ContainerType = Containers.SAME,
+    dry_run: Annotated[
+        bool,
+        typer.Option("--dry-run", "-n", help="Print the commands that would be started."),
+    ] = False,
+    strict: options.Strict = False,
+    show_args: options.ShowArgs = False,
+    launch_prefix: options.LaunchPrefix = "",
+    launch_prefix_filter: options.LaunchPrefixFilter = "",
+    show_all: options.ShowAllOutput = False,
+    timeout: options.EvaluationTimeout = USUAL_TIMEOUT,
+    log_dir: options.LogDir = None,
+    duration: options.Duration = None,
+    quiet: options.Quiet = False,
+    as_json: options.Json = False,
 ) -> int:
-    """Evaluate a launch file, bring up what it describes, and return the exit code."""
+    """Start a ROS launch file and record it, as `ros2 launch` would.
+
+    Everything else is as with `replay`; `dump` writes the configuration that is used.
+    """
     # What the launch file starts while it is evaluated is no service either.
     manager = claim(os.environ)
     found = target_of(
@@ -79,53 +82,10 @@ def bring_up_launch_file(
             path.parent.mkdir(exist_ok=True)
             path.write_bytes(content)
         if dry_run:
-            from play_launch.cli.check import find_mistakes  # noqa: PLC0415
+            from play_launch.cli.check import check  # noqa: PLC0415
 
             # What cannot be started is reported; a dry run starts nothing in any case.
-            return find_mistakes(config, explain=True, as_json=as_json)
+            return check(config, explain=True, as_json=as_json)
         from play_launch.cli.replay import bring_up  # noqa: PLC0415
 
         return bring_up(config, log_dir, duration, quiet=quiet, as_json=as_json, manager=manager)
-
-
-def launch(  # noqa: PLR0917 - typer calls it by keywords
-    target: options.LaunchFile,
-    container_type: options.ContainerType = Containers.SAME,
-    dry_run: Annotated[
-        bool,
-        typer.Option(
-            "--dry-run", "-n", help="Print what would be started, with commands; start nothing."
-        ),
-    ] = False,
-    strict: options.Strict = False,
-    show_args: options.ShowArgs = False,
-    launch_prefix: options.LaunchPrefix = "",
-    launch_prefix_filter: options.LaunchPrefixFilter = "",
-    show_all: options.ShowAllOutput = False,
-    timeout: options.EvaluationTimeout = USUAL_LIMIT,
-    log_dir: options.LogDir = None,
-    duration: options.Duration = None,
-    quiet: options.Quiet = False,
-    as_json: options.EventsAsJson = False,
-) -> None:
-    """Evaluate a launch file, bring up what it describes, and record it, as `ros2 launch` would.
-
-    Everything else is as with `replay`: `dump` writes the configuration that is used.
-    """
-    raise typer.Exit(
-        bring_up_launch_file(
-            target,
-            container_type=container_type,
-            dry_run=dry_run,
-            strict=strict,
-            show_args=show_args,
-            launch_prefix=launch_prefix,
-            launch_prefix_filter=launch_prefix_filter,
-            show_all=show_all,
-            timeout=timeout,
-            log_dir=log_dir,
-            duration=duration,
-            quiet=quiet,
-            as_json=as_json,
-        )
-    )

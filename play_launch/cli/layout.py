@@ -3,26 +3,39 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, Final
+from pathlib import Path
+from typing import Annotated, Literal
 
-from play_launch.cli.info import DAMAGED, report_damage
+import typer
+
+from play_launch.cli.info import report_damage
 from play_launch.cli.output import fail, say
 from play_launch.postmortem.bag_reader import NotARecordingError
 from play_launch.postmortem.export.foxglove import foxglove_layout
 from play_launch.postmortem.export.plotjuggler import plotjuggler_layout
 from play_launch.postmortem.export.subjects import NO_SUBJECT, chosen
 from play_launch.postmortem.session import PastSession
+from play_launch.supervisor.exit_code import ExitCode
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
-TOOLS: Final = ("foxglove", "plotjuggler")
+Tool = Literal["foxglove", "plotjuggler"]
 
 
-def show_layout(tool: str, file: Path | None) -> int:
-    """Print a layout; with a recording, one for its nodes; return the exit code."""
-    if tool not in TOOLS:
-        fail(f"there is no layout for {tool}: use {' or '.join(TOOLS)}")
+def layout(
+    tool: Annotated[Tool, typer.Argument(metavar="TOOL", show_default=False)],
+    file: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="[FILE]",
+            help="A session.mcap: the layout then shows its nodes.",
+            show_default=False,
+        ),
+    ] = None,
+) -> int:
+    """Print a layout with which Foxglove or PlotJuggler shows a recording.
+
+    TOOL is foxglove or plotjuggler. Of many nodes the layout shows those that failed and those that
+    used the most CPU time.
+    """
     subjects, code = NO_SUBJECT, 0
     if file is not None:
         session = PastSession(file)
@@ -30,7 +43,7 @@ def show_layout(tool: str, file: Path | None) -> int:
             subjects = chosen(session)
         except NotARecordingError as error:
             fail(str(error))
-        code = DAMAGED if report_damage(session.reader) else 0
+        code = ExitCode.DAMAGED if report_damage(session.reader) else 0
     if tool == "foxglove":
         say(json.dumps(foxglove_layout(subjects), indent=2))
     else:

@@ -4,96 +4,120 @@ from __future__ import annotations
 
 import json
 import sys
-from argparse import SUPPRESS
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
-from play_launch.cli.operate import FAILED, OK, seconds
+import typer
+
+from play_launch.cli import options
+from play_launch.cli.connection import connected
 from play_launch.control.protocol import Code, ControlError
+from play_launch.supervisor.exit_code import ExitCode
 
 if TYPE_CHECKING:
-    from argparse import ArgumentParser, Namespace
+    from collections.abc import Callable
 
     from play_launch.control.client import ControlClient
+    from play_launch.ros.node_parameters import NodeParameters
 
-_LIMIT: Final = 5.0
-_NAME: Final = "full name, or its last part where only one has it"
+_TIMEOUT: Final = 5.0
 
+param = typer.Typer(
+    help="Get, set and dump parameters of running nodes.", no_args_is_help=True, **options.PLAIN
+)
 
-def add_arguments(parser: ArgumentParser, verb: str) -> None:  # noqa: ARG001 - as for all verbs
-    """Declare what it takes."""
-    verbs = parser.add_subparsers(required=True, metavar="get|set|dump", dest="what")
-    get = verbs.add_parser("get", help="print the values of parameters of a node")
-    get.add_argument("node", help=_NAME)
-    get.add_argument("parameters", nargs="+", metavar="PARAMETER")
-    set_ = verbs.add_parser("set", help="set a parameter of a node")
-    set_.add_argument("node", help=_NAME)
-    set_.add_argument("parameter", metavar="PARAMETER")
-    set_.add_argument("value", help="as YAML; read as the type that the parameter has")
-    dump = verbs.add_parser("dump", help="print all parameters of nodes as a parameter file")
-    dump.add_argument("nodes", nargs="*", metavar="NODE", help="by default all")
-    for each in (get, set_, dump):
-        # Also behind the words of the operation.
-        each.add_argument("--session", default=SUPPRESS, help=SUPPRESS)
-        each.add_argument("--json", action="store_true", default=SUPPRESS, help="for programs")
-        each.add_argument("--timeout", type=seconds, default=_LIMIT, metavar="S", help="of a call")
+Node = Annotated[
+    str,
+    typer.Argument(
+        metavar="NODE",
+        help="Full name, or its last part if that is unambiguous.",
+        show_default=False,
+        autocompletion=options.complete_units,
+    ),
+]
+Timeout = Annotated[float, options.timeout("Limit for each request to a node.", "5s")]
 
 
-def run(client: ControlClient, options: Namespace) -> int:
-    """Do what ``options.what`` says."""
-    from play_launch.cli.session_environment import enter_environment_of  # noqa: PLC0415 - slow
+def complete_parameters(ctx: typer.Context, incomplete: str) -> Any:
+    """Complete names of parameters of the node that is on the line."""
+    from play_launch.cli.completion import parameters  # noqa: PLC0415 - at Tab only
 
-    wanted = options.nodes if options.what == "dump" else [options.node]
-    rows = client.ask("ps", {"names": wanted})
-    is_node = {"component": "loaded", "process": "running"}
-    nodes = [row["name"] for row in rows if is_node.get(row["kind"]) == row["state"]]
-    if not nodes:
-        found = ", ".join(f"{row['name']} is a {row['kind']}, {row['state']}" for row in rows)
-        is_any = f": {found}" if wanted else ""
-        raise ControlError(
-            Code.REFUSED, f"only loaded components and running processes have parameters{is_any}"
-        )
-    if options.what != "dump" and len(nodes) > 1:
-        raise ControlError(Code.AMBIGUOUS_NAME, f"{wanted[0]} are {len(nodes)} nodes; name one")
-    enter_environment_of(client)
-    from play_launch.ros.node_parameters import NodeParameters  # noqa: PLC0415 - slow
-    from play_launch.ros.node_services import NodeServiceError  # noqa: PLC0415
-
-    with NodeParameters(options.timeout) as parameters:
-        try:
-            match options.what:
-                case "get":
-                    _print_values(parameters.get(nodes[0], options.parameters), options)
-                case "set":
-                    parameters.set(nodes[0], options.parameter, options.value)
-                    if options.json:
-                        _print_values(parameters.get(nodes[0], [options.parameter]), options)
-                case _:
-                    return _dump(parameters, nodes, options, is_picked=bool(wanted))
-        except (NodeServiceError, ValueError) as error:
-            raise ControlError(Code.FAILED, str(error)) from None
-    return OK
+    return parameters(ctx, incomplete)
 
 
-def _print_values(values: dict[str, Any], options: Namespace) -> None:
-    if options.json:
-        sys.stdout.write(f"{json.dumps(values)}\n")
-        return
-    for name, value in values.items():
-        text = value if isinstance(value, str) else json.dumps(value)
-        sys.stdout.write(f"{name}: {text}\n" if len(values) > 1 else f"{text}\n")
+@param.command("get")
+def get_(
+    node: Node,
+    parameters: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="PARAMETER...", show_default=False, autocompletion=complete_parameters
+        ),
+    ],
+    timeout: Timeout = _TIMEOUT,
+    session: options.Session = None,
+    as_json: options.Json = False,
+) -> None:
+    """Print the values of parameters of a node."""
+    with connected(session) as client:
+        nodes = _nodes(client, [node], is_one=True)
+        values = _asked(client, timeout, lambda ros: ros.get(nodes[0], parameters))
+    _print_values(values, as_json=as_json)
 
 
-def _dump(parameters: Any, nodes: list[str], options: Namespace, *, is_picked: bool) -> int:
-    from play_launch.ros.node_services import NodeServiceError  # noqa: PLC0415 - as above
+@param.command("set")
+def set_(  # noqa: PLR0917 - options, by name
+    node: Node,
+    parameter: Annotated[
+        str,
+        typer.Argument(metavar="PARAMETER", show_default=False, autocompletion=complete_parameters),
+    ],
+    value: Annotated[
+        str,
+        typer.Argument(
+            metavar="VALUE", help="As YAML, of the type that the parameter has.", show_default=False
+        ),
+    ],
+    timeout: Timeout = _TIMEOUT,
+    session: options.Session = None,
+    as_json: options.Json = False,
+) -> None:
+    """Set a parameter of a node."""
+
+    def change(ros: NodeParameters) -> dict[str, Any]:
+        ros.set(nodes[0], parameter, value)
+        return ros.get(nodes[0], [parameter]) if as_json else {}
+
+    with connected(session) as client:
+        nodes = _nodes(client, [node], is_one=True)
+        values = _asked(client, timeout, change)
+    if as_json:
+        _print_values(values, as_json=True)
+
+
+@param.command()
+def dump(
+    nodes: options.Names = None,
+    timeout: Timeout = _TIMEOUT,
+    session: options.Session = None,
+    as_json: options.Json = False,
+) -> int:
+    """Print all parameters of nodes as a parameter file."""
+    from play_launch.ros.node_services import NodeServiceError  # noqa: PLC0415 - slow
 
     found: dict[str, Any] = {}
     missing: list[str] = []
-    for node in nodes:
-        try:
-            found[node] = parameters.dump(node)
-        except NodeServiceError as error:
-            missing.append(str(error))
-    if options.json:
+
+    def read(ros: NodeParameters) -> None:
+        for node in _chosen:
+            try:
+                found[node] = ros.dump(node)
+            except NodeServiceError as error:
+                missing.append(str(error))
+
+    with connected(session) as client:
+        _chosen = _nodes(client, nodes or [])
+        _asked(client, timeout, read)
+    if as_json:
         sys.stdout.write(f"{json.dumps(found)}\n")
     elif found:
         import yaml  # noqa: PLC0415 - not for the others
@@ -101,5 +125,45 @@ def _dump(parameters: Any, nodes: list[str], options: Namespace, *, is_picked: b
         values = {node: {"ros__parameters": each} for node, each in found.items()}
         sys.stdout.write(yaml.safe_dump(values, sort_keys=True, default_flow_style=None))
     for each in missing:
-        sys.stderr.write(f"{'error' if is_picked else 'left out'}: {each}\n")
-    return FAILED if missing and (is_picked or not found) else OK
+        sys.stderr.write(f"{'error' if nodes else 'left out'}: {each}\n")
+    return ExitCode.NODE_FAILED if missing and (nodes or not found) else ExitCode.OK
+
+
+def _nodes(client: ControlClient, wanted: list[str], *, is_one: bool = False) -> list[str]:
+    """Return the full names of nodes that run."""
+    rows = client.ask("ps", {"names": wanted})
+    is_node = {"component": "loaded", "process": "running"}
+    nodes = [row["name"] for row in rows if is_node.get(row["kind"]) == row["state"]]
+    if not nodes:
+        found = ", ".join(f"{row['name']} is a {row['kind']}, {row['state']}" for row in rows)
+        listed = f": {found}" if wanted else ""
+        raise ControlError(
+            Code.REFUSED, f"only loaded components and running processes have parameters{listed}"
+        )
+    if is_one and len(nodes) > 1:
+        raise ControlError(Code.AMBIGUOUS_NAME, f"{wanted[0]} are {len(nodes)} nodes; name one")
+    return nodes
+
+
+def _asked(client: ControlClient, timeout: float, request: Callable[[NodeParameters], Any]) -> Any:
+    """Call services of nodes in the session's domain; raises ControlError."""
+    from play_launch.cli.session_environment import enter_environment_of  # noqa: PLC0415 - slow
+
+    enter_environment_of(client)
+    from play_launch.ros.node_parameters import NodeParameters  # noqa: PLC0415 - slow
+    from play_launch.ros.node_services import NodeServiceError  # noqa: PLC0415
+
+    with NodeParameters(timeout) as ros:
+        try:
+            return request(ros)
+        except (NodeServiceError, ValueError) as error:
+            raise ControlError(Code.FAILED, str(error)) from None
+
+
+def _print_values(values: dict[str, Any], *, as_json: bool) -> None:
+    if as_json:
+        sys.stdout.write(f"{json.dumps(values)}\n")
+        return
+    for name, value in values.items():
+        text = value if isinstance(value, str) else json.dumps(value)
+        sys.stdout.write(f"{name}: {text}\n" if len(values) > 1 else f"{text}\n")

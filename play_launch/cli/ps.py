@@ -5,15 +5,11 @@ from __future__ import annotations
 import json
 import os
 import sys
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
-from play_launch.cli.operate import OK, add_names
+from play_launch.cli import options
+from play_launch.cli.connection import connected
 from play_launch.cli.output import duration, printable
-
-if TYPE_CHECKING:
-    from argparse import ArgumentParser, Namespace
-
-    from play_launch.control.client import ControlClient
 
 _TITLES: Final = ("NAME", "KIND", "STATE", "PID", "UPTIME", "RESTARTS", "CPU", "MEMORY")
 _LEFT: Final = 3
@@ -25,20 +21,19 @@ _LEAST: Final = 20
 """Characters of details, also where the terminal is too narrow for them."""
 
 
-def add_arguments(parser: ArgumentParser, verb: str) -> None:  # noqa: ARG001 - as for all verbs
-    """Declare what it takes."""
-    add_names(parser, "only these", optional=True)
-
-
-def run(client: ControlClient, options: Namespace) -> int:
-    """Print the table, or its rows as JSON."""
-    rows = client.ask("ps", {"names": options.names})
-    if options.json:
+def ps(
+    names: options.Names = None,
+    session: options.Session = None,
+    as_json: options.Json = False,
+) -> None:
+    """List containers, nodes and processes: state, process, restarts, CPU, memory."""
+    with connected(session) as client:
+        rows = client.ask("ps", {"names": names or []})
+    if as_json:
         sys.stdout.write(f"{json.dumps(rows)}\n")
     else:
         width = os.get_terminal_size(1).columns if sys.stdout.isatty() else None
         sys.stdout.write(table(rows, width))
-    return OK
 
 
 def table(rows: list[dict[str, Any]], width: int | None = None) -> str:

@@ -2,31 +2,57 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import Annotated
 
-from play_launch.cli.info import DAMAGED, report_damage
+import typer
+
+from play_launch.cli.info import report_damage
 from play_launch.cli.output import fail, say
 from play_launch.cli.target import complain
-from play_launch.postmortem.recover import RecoverError, default_output, recover
+from play_launch.postmortem.recover import RecoverError, default_output
+from play_launch.postmortem.recover import recover as recover_file
 from play_launch.supervisor.exit_code import ExitCode
 
-if TYPE_CHECKING:
-    from pathlib import Path
 
+def recover(
+    file: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FILE",
+            help="A session.mcap.active, a damaged .mcap, or the folder of a session.",
+            show_default=False,
+        ),
+    ],
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FILE",
+            help="The file to write. Default: the name without .active, or x.recovered.mcap.",
+            show_default=False,
+        ),
+    ] = None,
+) -> int:
+    """Write everything readable of a damaged or unfinished recording to a new, indexed file.
 
-def write_anew(file: Path, output: Path | None) -> int:
-    """Recover a recording; return the exit code."""
+    The file itself is not changed. In a folder, unfinished files are replaced by complete ones; a
+    file that is damaged within is kept as .damaged. Exits with 0 if nothing was lost, with 5 if
+    something could not be read, with 1 if nothing was written. A recording that is being written is
+    refused.
+    """
     try:
         if file.is_dir():
             return _complete_folder(file, output)
-        recovered = recover(file, output or default_output(file))
+        recovered = recover_file(file, output or default_output(file))
     except RecoverError as error:
         fail(str(error), ExitCode.NODE_FAILED)
     say(f"{recovered.path}: {recovered.messages:,} messages", beside=recovered.path)
     if not recovered.reader.damages:
         return 0
     report_damage(recovered.reader)
-    return DAMAGED
+    return ExitCode.DAMAGED
 
 
 def _complete_folder(folder: Path, output: Path | None) -> int:
@@ -52,4 +78,4 @@ def _complete_folder(folder: Path, output: Path | None) -> int:
         say(f"{one.path}: {one.messages:,} messages")
         for damage in one.damages:
             complain(f"warning: {one.path}: {damage}")
-    return DAMAGED if any(one.damages for one in completed) else 0
+    return ExitCode.DAMAGED if any(one.damages for one in completed) else 0

@@ -5,15 +5,15 @@ from __future__ import annotations
 import contextlib
 import os
 from datetime import datetime
-from pathlib import Path  # noqa: TC003 - typer evaluates the annotations
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from msgspec.structs import replace
 
-from play_launch.cli import shared_options as options  # noqa: TC001 - typer evaluates them
+from play_launch.cli import options
 from play_launch.cli.output import fail
 from play_launch.deploy.notification import claim
+from play_launch.runtime import prestart
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -23,10 +23,55 @@ if TYPE_CHECKING:
     from play_launch.deploy.notification import ServiceManager
 
 
+def replay(  # noqa: PLR0917 - options, by name
+    config: Annotated[
+        Path,
+        typer.Argument(
+            metavar="CONFIG",
+            help="The YAML file, or the session.mcap of a session to start again.",
+            show_default=False,
+        ),
+    ],
+    arguments: options.ConfigArguments = None,
+    log_dir: options.LogDir = None,
+    duration: options.Duration = None,
+    quiet: options.Quiet = False,
+    as_json: options.Json = False,
+    watch: Annotated[
+        bool,
+        typer.Option("--watch", help="Apply the configuration whenever a file of it changes."),
+    ] = False,
+) -> int:
+    """Start a system, keep it running, and record it.
+
+    Containers start in parallel and load their nodes; crashed ones are restarted within the limits
+    of the configuration. Ctrl-C, SIGTERM or SIGHUP stops everything in order, a second one at once.
+    At the end a table shows the state of each node, and where the recording is: an MCAP file for
+    `ros2 bag info`, Foxglove and PlotJuggler. --json prints one object a line for each event.
+
+    From a recording, the system starts again as it was configured then: the configuration and the
+    parameter files are in it. Differences of this machine are reported.
+
+    After a mistake in the configuration nothing is started; each problem is reported with its line.
+    """
+    manager = claim(os.environ)
+    prestart.begin(config)
+    return bring_up(
+        config,
+        log_dir,
+        duration,
+        arguments=arguments or (),
+        quiet=quiet,
+        as_json=as_json,
+        watch=watch,
+        manager=manager,
+    )
+
+
 def bring_up(
     config: Path,
     log_dir: Path | None = None,
-    duration: str | None = None,
+    duration: float | None = None,
     *,
     arguments: Sequence[str] = (),
     quiet: bool = False,
@@ -34,13 +79,9 @@ def bring_up(
     watch: bool = False,
     manager: ServiceManager | None = None,
 ) -> int:
-    """Run a system until its end and return the exit code; mistakes end the process.
-
-    ``manager`` is who started us as a service, if the environment does not name it any more.
-    """
-    manager = manager or claim(os.environ)
+    """Run a system until its end and return the exit code; mistakes end the process."""
     if watch and is_recording(config):
-        fail(f"--watch: {config} is a recording, which nobody edits; leave --watch out")
+        fail(f"--watch: {config} is a recording, which does not change; leave out --watch")
     loaded = _load(config, duration, arguments)
     _require_machine()
     _require_ros()
@@ -67,19 +108,16 @@ def bring_up(
         fail(str(error))
 
 
-def _load(path: Path, duration: str | None, arguments: Sequence[str]) -> ReplayConfig:
+def _load(path: Path, duration: float | None, arguments: Sequence[str]) -> ReplayConfig:
+    from msgspec.structs import replace  # noqa: PLC0415 - after the first process
+
     from play_launch.config.load import load_config  # noqa: PLC0415
     from play_launch.config.problems import ConfigError  # noqa: PLC0415
     from play_launch.config.sources.surroundings import (  # noqa: PLC0415
         Surroundings,
         parse_arguments,
     )
-    from play_launch.config.values import parse_positive_duration  # noqa: PLC0415
 
-    try:
-        seconds = None if duration is None else parse_positive_duration(duration)
-    except ValueError as error:
-        fail(f"--duration: {error}")
     try:
         given = parse_arguments(arguments)
     except ValueError as error:
@@ -93,7 +131,7 @@ def _load(path: Path, duration: str | None, arguments: Sequence[str]) -> ReplayC
             loaded = load_config(path, Surroundings(arguments=given))
     except ConfigError as error:
         fail(f"{path} cannot be used, nothing was started\n{error.for_people()}")
-    return loaded if seconds is None else replace(loaded, duration=seconds)
+    return loaded if duration is None else replace(loaded, duration=duration)
 
 
 def _watched(path: Path, arguments: Sequence[str]) -> Watched:
@@ -186,49 +224,3 @@ def _require_ros() -> None:
             f"ROS does not work in this Python: {problem}. Source a ROS 2 installation that fits "
             "this Python, or install the wheels (pip install 'play-launch-py[jazzy]')"
         )
-
-
-def replay(  # noqa: PLR0917 - typer calls it by keywords
-    config: Annotated[
-        Path,
-        typer.Argument(
-            metavar="CONFIG",
-            help="The YAML file, or the session.mcap of a session to start again.",
-            show_default=False,
-        ),
-    ],
-    arguments: options.ConfigArguments = None,
-    log_dir: options.LogDir = None,
-    duration: options.Duration = None,
-    quiet: options.Quiet = False,
-    as_json: options.EventsAsJson = False,
-    watch: Annotated[
-        bool,
-        typer.Option(
-            "--watch", help="Apply the configuration whenever it, or a file it names, changes."
-        ),
-    ] = False,
-) -> None:
-    """Bring up a system, keep it running, record it.
-
-    Containers start in parallel and load their nodes; dead ones are brought back within the limits
-    of the configuration. Ctrl-C (or SIGTERM, SIGHUP) stops everything in order, a second one
-    hurries. At the end a table says what was up, and where the recording is: an MCAP file that
-    `ros2 bag info`, Foxglove and PlotJuggler read.
-
-    From a recording, the system starts again as it was configured then: the configuration and the
-    parameter files are in it. What differs on this machine is reported.
-
-    With a mistake in the configuration nothing is started; every problem is named with its place.
-    """
-    raise typer.Exit(
-        bring_up(
-            config,
-            log_dir,
-            duration,
-            arguments=arguments or (),
-            quiet=quiet,
-            as_json=as_json,
-            watch=watch,
-        )
-    )

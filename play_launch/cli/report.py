@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from play_launch.cli.info import DAMAGED, report_damage
+from play_launch.cli import options
+from play_launch.cli.info import report_damage
 from play_launch.cli.output import fail, say
 from play_launch.cli.story_words import details, headline
 from play_launch.postmortem.bag_reader import NotARecordingError
@@ -23,13 +24,17 @@ from play_launch.supervisor.exit_code import ExitCode
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
-    from pathlib import Path
 
     from play_launch.postmortem.findings import Finding
 
 
-def write_report(file: Path, output: Path | None) -> int:
-    """Write the page of a recording; return the exit code."""
+def report(file: options.Recording, output: options.OutputBeside = None) -> int:
+    """Write an HTML page about a recording: events, timeline, CPU and memory, log, configuration.
+
+    It is one file for any browser, and needs no network. An existing file is replaced. Damaged and
+    unfinished recordings (.active) are read as far as possible; the page names the damage, and
+    exits with 5 then, with 2 if the file is not a recording, with 1 if the page cannot be written.
+    """
     output = output or beside(file, ".html")
     session = PastSession(file)
     telling, gathering = Telling(session), Gathering(session)
@@ -47,7 +52,7 @@ def write_report(file: Path, output: Path | None) -> int:
     except OutputError as error:
         fail(str(error), ExitCode.NODE_FAILED)
     say(f"{output}: {size / 1e6:.1f} MB", beside=output)
-    return DAMAGED if report_damage(session.reader) else 0
+    return ExitCode.DAMAGED if report_damage(session.reader) else 0
 
 
 def _points(findings: Sequence[Finding], started_ns: int) -> Iterator[Point]:

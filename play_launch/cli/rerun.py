@@ -7,15 +7,16 @@ import re
 import struct
 from difflib import SequenceMatcher
 from itertools import pairwise, zip_longest
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
 
 import msgspec
+import typer
 
+from play_launch.cli import options
 from play_launch.cli.check import counted
-from play_launch.cli.info import DAMAGED, report_damage
+from play_launch.cli.info import report_damage
 from play_launch.cli.output import fail, printable, say
 from play_launch.cli.target import complain
-from play_launch.config.values import parse_duration
 from play_launch.container.cdr.layout import CdrError
 from play_launch.container.cdr.messages import STATE_EVENT
 from play_launch.postmortem.bag_reader import NotARecordingError
@@ -48,14 +49,6 @@ _NO_END: Final = "its end is missing"
 _WHAT: Final = ("kind", "key", "state")
 
 
-class Choice(NamedTuple):
-    """What is compared and shown."""
-
-    until: str | None
-    shows_all: bool
-    as_json: bool
-
-
 class Recorded(NamedTuple):
     """What a recording holds: inputs without a gap, and what followed."""
 
@@ -76,35 +69,49 @@ class Difference(NamedTuple):
     new: Fields | None
 
 
-def show_rerun(file: Path, chosen: Choice) -> int:
-    """Print what differs; return the exit code."""
-    until = None
-    if chosen.until is not None:
-        try:
-            until = parse_duration(chosen.until)
-        except ValueError as error:
-            fail(f"--until {chosen.until}: {error}")
+def rerun(
+    file: options.Recording,
+    until: Annotated[
+        float | None,
+        typer.Option(
+            parser=options.duration,
+            metavar="TIME",
+            help="Only up to this time after the start: 12.5s, 2min.",
+            show_default=False,
+        ),
+    ] = None,
+    diff: Annotated[
+        bool, typer.Option("--diff", help="Print all differences, not only the first one.")
+    ] = False,
+    as_json: options.Json = False,
+) -> int:
+    """Repeat the supervisor's decisions of a session with this version, and compare them.
+
+    Nothing is started: results of processes and nodes are read from the recording. Exits with 0 if
+    all changes of state are as recorded, with 1 if not, with 2 if the file is not a recording, and
+    with 5 if inputs are missing, as in a recording of an older version.
+    """
     session = PastSession(file)
     try:
         recorded = _recorded(session)
     except NotARecordingError as error:
         fail(str(error))
     report_damage(session.reader)
-    rerun = Rerun(recorded, until)
+    repeated = Rerun(recorded, until)
     differences: list[Difference] = []
-    for found in rerun.differences():
+    for found in repeated.differences():
         differences.append(found)
-        if not chosen.shows_all:
+        if not diff:
             break
-    flaw = "" if rerun.is_cut else recorded.flaw
-    if chosen.as_json:
-        say(msgspec.json.encode(_object(file, rerun, differences, flaw)).decode())
+    flaw = "" if repeated.is_cut else recorded.flaw
+    if as_json:
+        say(msgspec.json.encode(_object(file, repeated, differences, flaw)).decode())
     else:
-        for line in _lines(rerun, differences, flaw):
+        for line in _lines(repeated, differences, flaw):
             say(printable(line, colour=False))
     if differences:
         return ExitCode.NODE_FAILED
-    return DAMAGED if flaw else ExitCode.OK
+    return ExitCode.DAMAGED if flaw else ExitCode.OK
 
 
 def _recorded(session: PastSession) -> Recorded:

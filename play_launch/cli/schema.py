@@ -17,12 +17,12 @@ SCHEMA_FILE = Path(__file__).resolve().parents[1] / "config" / "config.schema.js
 def schema(
     show_path: Annotated[
         bool,
-        typer.Option("--path", help="Print the path of the installed schema instead, for editors."),
+        typer.Option("--path", help="Print the path of the installed file, for editors."),
     ] = False,
 ) -> None:
     """Print the JSON Schema of configurations.
 
-    An editor with the language server for YAML takes it from the first line of a file:
+    Editors with the YAML language server read its path from the first line of a file:
     `# yaml-language-server: $schema=PATH`. `play-launch init` writes that line.
     """
     say(str(SCHEMA_FILE) if show_path else schema_text().rstrip("\n"))

@@ -1,36 +1,28 @@
-"""``play-launch snapshot``: have a running session write what it holds in memory."""
+"""``play-launch snapshot``: write the pre-crash buffer of a running session."""
 
 from __future__ import annotations
 
 import json
 import sys
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
-from play_launch.cli.operate import OK
+from play_launch.cli import options
+from play_launch.cli.connection import connected
 
-if TYPE_CHECKING:
-    from argparse import ArgumentParser, Namespace
-
-    from play_launch.control.client import ControlClient
-
-_LONGEST: Final = 40.0
+_TIMEOUT: Final = 40.0
 """Seconds: gigabytes may have to be written."""
 
 
-def add_arguments(parser: ArgumentParser, verb: str) -> None:
-    """It takes nothing of its own."""
-
-
-def run(client: ControlClient, options: Namespace) -> int:
-    """Have the last seconds of the topics of record.before_crash written into the recording."""
-    written = client.ask("snapshot", limit=_LONGEST)
-    if options.json:
+def snapshot(session: options.Session = None, as_json: options.Json = False) -> None:
+    """Write the pre-crash buffer (record.before_crash) into the recording now."""
+    with connected(session) as client:
+        written = client.ask("snapshot", limit=_TIMEOUT)
+    if as_json:
         sys.stdout.write(f"{json.dumps(written)}\n")
-        return OK
+        return
     from play_launch.cli.output import size  # noqa: PLC0415 - not for --json
 
     sys.stdout.write(
         f"{client.hello.folder}: {written['messages']:,} messages, {size(written['bytes'])}, "
         f"of {written['seconds']:.1f} s\n"
     )
-    return OK

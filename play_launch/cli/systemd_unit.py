@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from play_launch.cli import shared_options as options  # noqa: TC001 - typer evaluates them
+from play_launch.cli import options
 from play_launch.cli.output import fail, say
 from play_launch.cli.target import complain
 from play_launch.postmortem.whole_file import is_standard_output
@@ -27,28 +27,17 @@ _COMMAND = "play-launch"
 def systemd_unit(
     config: options.ConfigFile,
     arguments: options.ConfigArguments = None,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE",
-            help="Where to write the unit; by default to stdout.",
-            show_default=False,
-        ),
-    ] = None,
+    output: options.Output = None,
     for_user: Annotated[
         bool,
-        typer.Option("--user", help="For your own manager (systemctl --user), not the system's."),
+        typer.Option("--user", help="For systemctl --user."),
     ] = False,
-    log_dir: Annotated[
-        Path | None, typer.Option(help="As of replay.", metavar="DIR", show_default=False)
-    ] = None,
+    log_dir: options.LogDir = None,
 ) -> None:
-    """Write a unit by which systemd starts, monitors and stops a system.
+    """Write a systemd unit that starts, supervises and stops a system.
 
-    Run it as the user, in the folder and in the shell in which `play-launch replay CONFIG` works:
-    the unit has this user, this folder, and the shell's variables of ROS.
+    Run this as the user, in the folder and in the shell in which `play-launch replay CONFIG` works:
+    the unit contains this user, this folder, and the ROS variables of the shell.
     """
     from play_launch.deploy.unit import Service, unit_text  # noqa: PLC0415
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path  # noqa: TC003 - msgspec reads the annotations
-from typing import TYPE_CHECKING, Final
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final, TypeAlias
 
+import typer
 from msgspec import Struct
 
 from play_launch.cli.check import counted
 from play_launch.cli.output import fail, printable, say
+from play_launch.launch_files.configuration.options import Containers
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -18,8 +20,16 @@ if TYPE_CHECKING:
     from play_launch.launch_files.records import Argument, Description
 
 
-USUAL_LIMIT: Final = "2min"
-"""How long an evaluation may take; Autoware's largest takes a few seconds."""
+USUAL_TIMEOUT: Final = 120.0
+"""Seconds for an evaluation; Autoware's largest takes a few seconds."""
+ContainerType: TypeAlias = Annotated[
+    Containers,
+    typer.Option(
+        "--container-type",
+        help="For containers of rclcpp_components: isolated gives each node a process of its "
+        "own, stock uses their programs, same uses ours with the same behaviour.",
+    ),
+]
 _OF_LAUNCH: Final = frozenset(
     {
         "emulate_tty",
@@ -80,19 +90,16 @@ def _arguments(texts: Sequence[str]) -> dict[str, str]:
     return found
 
 
-def evaluated(target: Target, timeout: str, *, only_arguments: bool = False) -> Description:
+def evaluated(target: Target, timeout: float, *, only_arguments: bool = False) -> Description:
     """Return what the launch file describes; mistakes end the process."""
-    from play_launch.config.values import parse_positive_duration  # noqa: PLC0415
     from play_launch.container.ros import NotInstalledError  # noqa: PLC0415
     from play_launch.launch_files.evaluation import evaluate  # noqa: PLC0415
     from play_launch.launch_files.records import LaunchFileError  # noqa: PLC0415
 
     try:
-        limit = parse_positive_duration(timeout)
-    except ValueError as error:
-        fail(f"--timeout: {error}")
-    try:
-        found = evaluate(target.path, target.arguments, limit=limit, only_arguments=only_arguments)
+        found = evaluate(
+            target.path, target.arguments, limit=timeout, only_arguments=only_arguments
+        )
     except (LaunchFileError, NotInstalledError) as error:
         fail(str(error))
     except OSError as error:

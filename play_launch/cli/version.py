@@ -4,25 +4,13 @@ from __future__ import annotations
 
 import json
 import os
-from typing import Annotated
 
-import typer
-
+from play_launch.cli import options
 from play_launch.cli.output import say
 
 
-def version(
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object, for machines.")] = False,
-) -> None:
-    """Print versions, for a report of a problem.
-
-    Those of play-launch, of Python's packages and of ROS, and where the container's program is.
-    """
-    print_version(as_json=as_json)
-
-
-def print_version(*, as_json: bool) -> None:
-    """Print versions, one a line, play-launch first; a program that is missing is named so."""
+def version(as_json: options.Json = False) -> None:
+    """Print versions for a bug report: play-launch, Python packages, ROS, the container program."""
     from play_launch.container.ros import (  # noqa: PLC0415
         MixedInstallationError,
         NotInstalledError,

@@ -5,20 +5,21 @@ from __future__ import annotations
 import json
 import sys
 import time
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, NamedTuple
 
-from play_launch.cli.operate import NOT_IN_TIME, OK, add_names, seconds
+import typer
+
+from play_launch.cli import options as cli_options
+from play_launch.cli.connection import connected
+from play_launch.supervisor.exit_code import ExitCode
 
 if TYPE_CHECKING:
-    from argparse import ArgumentParser, Namespace
-
     from play_launch.control.client import ControlClient
     from play_launch.ros.node_services import NodeServices
 
 LOADED: Final = "loaded"
 READY: Final = "ready"
 ACTIVE: Final = "active"
-_USUAL_LIMIT: Final = 60.0
 _SPARE: Final = 1.0
 """Seconds that the answer may be later than the limit."""
 _LEAST: Final = 0.001
@@ -33,52 +34,59 @@ _LIFECYCLE: Final = "lifecycle_msgs/srv/GetState"
 _GET_STATE: Final = "/get_state"
 
 
-def add_arguments(parser: ArgumentParser, verb: str) -> None:  # noqa: ARG001 - as for all verbs
-    """Declare what it takes."""
-    add_names(parser, "only for these; by default for all but what a person stopped", optional=True)
-    parser.add_argument(
-        "--for",
-        dest="condition",
-        choices=(LOADED, READY, ACTIVE),
-        default=LOADED,
-        help="loaded: containers and processes run, nodes are loaded (the default); ready: and the "
-        "nodes are in the ROS graph; active: and managed (lifecycle) nodes are active",
-    )
-    parser.add_argument(
-        "--timeout",
-        type=seconds,
-        default=_USUAL_LIMIT,
-        metavar="S",
-        help=f"seconds in all, those until a session begins included ({_USUAL_LIMIT:g})",
-    )
+class _Options(NamedTuple):
+    names: list[str]
+    condition: str
+    deadline: float
 
 
-def run(client: ControlClient, options: Namespace) -> int:
-    """Wait; a failure ends it at once."""
-    began = options.deadline - options.timeout
-    up = _up(client, options)
-    waits_for: list[str] = []
-    if options.condition != LOADED:
-        up, waits_for = _wait_in_the_graph(client, options, up)
+def wait(
+    names: cli_options.Names = None,
+    condition: Annotated[
+        Literal["loaded", "ready", "active"],
+        typer.Option(
+            "--for",
+            help="loaded: containers and processes run, nodes are loaded. ready: nodes are in the "
+            "ROS graph as well. active: managed (lifecycle) nodes are active as well.",
+        ),
+    ] = "loaded",
+    timeout: Annotated[
+        float, cli_options.timeout("Limit, including the wait for a session.", "60s")
+    ] = 60.0,
+    session: cli_options.Session = None,
+    as_json: cli_options.Json = False,
+) -> int:
+    """Wait until a system is up; a failed node ends the wait at once.
+
+    Without names it waits for everything that was not stopped by an operator. Exits with 4 after
+    the timeout.
+    """
+    began = time.monotonic()
+    options = _Options(names or [], condition, began + timeout)
+    with connected(session, deadline=options.deadline) as client:
+        up = _up(client, options)
+        missing: list[str] = []
+        if condition != LOADED:
+            up, missing = _wait_in_the_graph(client, options, up)
     seconds = time.monotonic() - began
-    if options.json:
+    if as_json:
         values: dict[str, Any] = {
-            "reached": not waits_for,
-            "for": options.condition,
+            "reached": not missing,
+            "for": condition,
             "seconds": round(seconds, 3),
             "names": up,
-            "missing": waits_for,
+            "missing": missing,
         }
         sys.stdout.write(f"{json.dumps(values)}\n")
-    elif not waits_for:
-        sys.stdout.write(f"{len(up)} {options.condition} after {seconds:.1f} s\n")
-    if waits_for:
-        sys.stderr.write(f"error: not {options.condition}: {', '.join(waits_for)}\n")
-        return NOT_IN_TIME
-    return OK
+    elif not missing:
+        sys.stdout.write(f"{len(up)} {condition} after {seconds:.1f} s\n")
+    if missing:
+        sys.stderr.write(f"error: not {condition}: {', '.join(missing)}\n")
+        return ExitCode.TIMEOUT
+    return ExitCode.OK
 
 
-def _up(client: ControlClient, options: Namespace) -> list[str]:
+def _up(client: ControlClient, options: _Options) -> list[str]:
     """Wait for what the session knows of, and return the names of what is up."""
     left = max(options.deadline - time.monotonic(), _LEAST)
     arguments = {"names": options.names, "timeout": left}
@@ -90,7 +98,7 @@ def _up(client: ControlClient, options: Namespace) -> list[str]:
 
 
 def _wait_in_the_graph(
-    client: ControlClient, options: Namespace, up: list[str]
+    client: ControlClient, options: _Options, up: list[str]
 ) -> tuple[list[str], list[str]]:
     """Return what is up, and what of it is not as it should be in time.
 

@@ -1,4 +1,4 @@
-"""Hands over a configuration that was made from something else: to a file, or to stdout."""
+"""Writing of a configuration that was converted, to a file or to stdout."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from play_launch.launch_files.configuration.write import Written
 
 
-def hand_over(
+def write_config(
     made: Written,
     output: Path | None,
     *,

@@ -23,8 +23,6 @@ import signal
 from enum import IntEnum
 from typing import TYPE_CHECKING, Final
 
-from play_launch.supervisor.events import ProcessEventKind
-
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
@@ -32,12 +30,17 @@ if TYPE_CHECKING:
 
 
 class ExitCode(IntEnum):
-    """What the codes mean."""
+    """Exit codes of all commands; docs/exit-codes.md explains them."""
 
     OK = 0
     NODE_FAILED = 1
+    """Failure: of a node, of a request; or `diff`, `compare`, `explain` found something."""
     USAGE = 2
     NODES_MISSING = 3
+    """Something that was declared does not run, and has not failed."""
+    TIMEOUT = 4
+    DAMAGED = 5
+    """A recording could not be read completely."""
     SIGNAL_BASE = 128
 
 
@@ -67,6 +70,8 @@ def exit_code(view: SystemView, final: SystemView, signum: int | None) -> int:
 
 def crashed_while_stopped(view: SystemView, final: SystemView) -> list[str]:
     """Name what ran when the end began, and crashed before it had stopped; see `exit_code`."""
+    from play_launch.supervisor.events import ProcessEventKind  # noqa: PLC0415 - commands use ExitCode
+
     return [
         *(
             name

@@ -33,7 +33,6 @@ main()
 """
 LATER = {
     "composition_interfaces",
-    "difflib",
     "em",
     "email",
     "importlib.metadata",
@@ -59,7 +58,6 @@ LATER = {
     "rich",
     "rosidl_generator_py",
     "textual",
-    "typer",
 }
 """Packages and modules, with what is below them, that have no place before the first process."""
 

@@ -21,12 +21,12 @@ import zstandard
 from mcap.opcode import Opcode
 from msgspec.structs import replace
 
-from play_launch.cli.compare import compare_sessions
+from play_launch.cli.compare import compare
 from play_launch.cli.explain import explain
-from play_launch.cli.info import sum_up
-from play_launch.cli.inspect import Filter, show_timeline
-from play_launch.cli.recover import write_anew
-from play_launch.cli.report import write_report
+from play_launch.cli.info import info
+from play_launch.cli.inspect import inspect
+from play_launch.cli.recover import recover
+from play_launch.cli.report import report as write_report
 from play_launch.container.cdr.messages import PROCESS_STATS
 from play_launch.postmortem.bag_reader import BagReader
 from play_launch.recording import topics
@@ -46,13 +46,11 @@ from tests.support.replay import COMMAND
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-PARTIAL = 3
+PARTIAL = 5
 NOTHING = {1, 2}
 LONGEST = 20
 """Seconds for one reading of a small file; more is a hang."""
 STEP = 1000
-
-EVERYTHING = Filter((), "debug", None, None, None)
 
 
 class Verb(NamedTuple):
@@ -70,19 +68,19 @@ def but_for_findings(code: int) -> int:
 
 VERBS = {
     "info": Verb(
-        lambda bag, _: sum_up(bag, as_json=False),
+        lambda bag, _: info(bag, as_json=False),
         lambda bag, _: ("info", bag),
     ),
     "info --json": Verb(
-        lambda bag, _: sum_up(bag, as_json=True),
+        lambda bag, _: info(bag, as_json=True),
         lambda bag, _: ("info", "--json", bag),
     ),
     "inspect": Verb(
-        lambda bag, _: show_timeline(bag, EVERYTHING, as_json=False),
+        lambda bag, _: inspect(bag, level="debug", as_json=False),
         lambda bag, _: ("inspect", "--level", "debug", bag),
     ),
     "inspect --json": Verb(
-        lambda bag, _: show_timeline(bag, EVERYTHING, as_json=True),
+        lambda bag, _: inspect(bag, level="debug", as_json=True),
         lambda bag, _: ("inspect", "--json", bag),
     ),
     "explain": Verb(
@@ -94,11 +92,11 @@ VERBS = {
         lambda bag, _: ("explain", "--json", bag),
     ),
     "compare": Verb(
-        lambda bag, _: compare_sessions(bag, bag, as_json=False),
+        lambda bag, _: compare(bag, bag, as_json=False),
         lambda bag, _: ("compare", bag, bag),
     ),
     "compare --output": Verb(
-        lambda bag, output: compare_sessions(bag, bag, output, as_json=False),
+        lambda bag, output: compare(bag, bag, output, as_json=False),
         lambda bag, output: ("compare", bag, bag, "-o", output),
     ),
     "report": Verb(
@@ -106,7 +104,7 @@ VERBS = {
         lambda bag, output: ("report", bag, "-o", output),
     ),
     "recover": Verb(
-        write_anew,
+        recover,
         lambda bag, output: ("recover", bag, "-o", output),
     ),
 }

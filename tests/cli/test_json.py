@@ -6,9 +6,10 @@ import json
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
-from play_launch.cli.completion.commands import Command, program
-from play_launch.cli.session_verbs import SESSION_VERBS
+from play_launch.cli.app import command_of
+from play_launch.cli.commands import COMMANDS, Needs
 from tests.support.replay import COMMAND, replaying
 from tests.support.scenes import TALKER_AND_SLEEPER
 from tests.support.waiting import until
@@ -24,26 +25,30 @@ record:
 """
 
 
-def leaves(command: Command, path: str = "") -> Iterator[tuple[str, Command]]:
-    if not command.verbs:
+def leaves(command: Any, path: str) -> Iterator[tuple[str, Any]]:
+    below = getattr(command, "commands", None)
+    if below is None:
         yield path, command
-    for name, make in command.verbs.items():
-        yield from leaves(make(), f"{path} {name}".strip())
+    for name, each in (below or {}).items():
+        yield from leaves(each, f"{path} {name}")
 
 
-def test_every_verb_that_answers_has_json() -> None:
+def test_every_command_that_answers_has_json() -> None:
     without = {
         path
-        for path, command in leaves(program())
-        if not any("--json" in option.names for option in command.options)
+        for each in COMMANDS.values()
+        for path, command in leaves(command_of(each), each.name)
+        if not any("--json" in parameter.opts for parameter in command.params)
     }
-    assert without == CHANGES_ONLY | WRITES_A_FILE
+    assert without == CHANGES_ONLY | WRITES_A_FILE | FOR_PEOPLE
 
 
 FOR_PEOPLE = {"top"}
-"""It says so, and names the verbs for programs."""
+
+SESSION_COMMANDS = {each.name for each in COMMANDS.values() if each.needs is Needs.SESSION}
 ASKED = {
     "ps": [],
+    "status": ["talker"],
     "events": [],
     "logs": [],
     "wait": [],
@@ -66,7 +71,7 @@ ASKED = {
 def test_all_verbs_for_a_running_session_print_json(
     tmp_path: Path,
 ) -> None:
-    assert {verb.partition(" ")[0] for verb in ASKED} == SESSION_VERBS.keys() - FOR_PEOPLE
+    assert {verb.partition(" ")[0] for verb in ASKED} == SESSION_COMMANDS - FOR_PEOPLE
     (tmp_path / "system.yaml").write_text(SYSTEM, encoding="utf-8")
     with replaying(tmp_path / "system.yaml", tmp_path / "logs") as replay:
         session = str(tmp_path / "logs" / "latest")

@@ -185,9 +185,9 @@ def test_what_cannot_be_done_is_refused_with_the_reason(config: Path, tmp_path: 
             (("signal", "NONSENSE", "/chat"), 2, "unknown signal"),
             (("signal", "USR1", "/camera"), 1, "not running as a separate process"),
             (("events", "--kind", "nonsense"), 2, "there are no events 'nonsense'"),
-            (("start", "/chat", "--timeout", "-1"), 2, "more than 0"),
-            (("wait", "--timeout", "nan"), 2, "more than 0"),
-            (("param", "get", "/talker", "rate", "--timeout", "1e300"), 2, "more than 0"),
+            (("start", "/chat", "--timeout", "-1"), 2, "cannot be negative"),
+            (("wait", "--timeout", "nan"), 2, "expected a duration"),
+            (("param", "get", "/talker", "rate", "--timeout", "1e300"), 2, "expected a duration"),
         ):
             assert words in ask(*arguments, code=code), arguments
         ask("stop", "chat")
@@ -204,7 +204,7 @@ def test_a_process_that_is_deaf_to_signals_is_stopped_all_the_same(
     with running(config, tmp_path / "logs"):
         assert "deaf now" in ask("logs", "/deaf")
         found = psutil.Process(rows("/deaf")["/deaf"]["pid"])
-        assert "not done within 0.2 s: /deaf" in ask("stop", "deaf", "--timeout", "0.2", code=3)
+        assert "not done within 0.2 s: /deaf" in ask("stop", "deaf", "--timeout", "0.2", code=4)
         assert ask("stop", "deaf") == "/deaf: stopped\n"
         assert not alive([found])
         assert rows("/deaf")["/deaf"]["signal"] == signal.SIGKILL
@@ -439,7 +439,7 @@ def test_nodes_are_waited_for_and_parameters_offered(config: Path, tmp_path: Pat
 
     with running(config, tmp_path / "logs"):
         assert json.loads(ask("wait", "--for", "ready", "--json"))["reached"] is True
-        overdue = ask("wait", "--for", "ready", "sleeper", "--timeout", "2", code=3)
+        overdue = ask("wait", "--for", "ready", "sleeper", "--timeout", "2", code=4)
         assert "not ready: /sleeper" in overdue
         until(lambda: offered("param get talker ") >= {"rate", "text"}, "the node's answer")
         assert offered("param set /talker ra") == {"rate"}

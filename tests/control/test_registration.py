@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from play_launch.cli.operate import report_end
+from play_launch.cli.connection import report_end
 from play_launch.control import registration
 from play_launch.control.client import Hello
 from play_launch.control.protocol import PROTOCOL, Code, ControlError, encode

@@ -7,12 +7,13 @@ import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from xmlrpc.client import Fault
 
 import pytest
 
 from play_launch.cli import graph
+from play_launch.cli.app import app
 from play_launch.graph_daemon import start_stop
 from play_launch.graph_daemon.contract import DaemonAddress
 from tests.graph_daemon.scripted_daemon import LIMIT, ScriptedDaemon, answering, scripted
@@ -45,8 +46,16 @@ CAMERA = """\
     /act: p/action/A
   Action Clients:
 """
-WARNED = "warning: several nodes bear the same name, which confuses ROS: "
+WARNED = "warning: several nodes have the same name, which ROS does not allow: "
 Ask = Callable[..., int]
+
+
+def command_line(arguments: Sequence[str]) -> int:
+    """Run a command in this process and return its exit code."""
+    with pytest.raises(SystemExit) as end:
+        app(list(arguments), prog_name="play-launch")
+    assert isinstance(end.value.code, int)
+    return end.value.code
 
 
 @pytest.fixture
@@ -58,7 +67,7 @@ def ask(monkeypatch: pytest.MonkeyPatch) -> Iterator[Ask]:
         daemon = ScriptedDaemon(answering(answers))
         daemons.append(daemon)
         monkeypatch.setattr(graph, "daemon_address", lambda: daemon.address)
-        return graph.main(arguments)
+        return command_line(arguments)
 
     yield run
     for daemon in daemons:
@@ -121,7 +130,7 @@ def test_two_nodes_of_one_name_are_listed_and_warned_about(
     assert ask("node", "list", answers=twice) == 0
     out, err = capsys.readouterr()
     assert out == "/n\n/n\n"
-    assert err.startswith("warning: several nodes bear the same name")
+    assert err.startswith("warning: several nodes have the same name")
 
 
 CURSED = "cursed\x9b2J\x7f\nforged"
@@ -187,7 +196,7 @@ def test_info_about_a_node_that_goes_meanwhile(
     listings = iter([[["n", "/"]], []])
     gone: dict[str, object] = {"get_node_names_and_namespaces": lambda: next(listings)}
     assert ask("node", "info", "/n", answers=gone) == 1
-    assert "error: the node /n has gone meanwhile" in capsys.readouterr().err
+    assert "error: the node /n has exited meanwhile" in capsys.readouterr().err
 
 
 def test_a_fault_about_a_node_that_is_there_is_reported(
@@ -206,7 +215,7 @@ def test_without_a_daemon_the_fix_is_shown(
 ) -> None:
     address = free_address()
     monkeypatch.setattr(graph, "daemon_address", lambda: address)
-    assert graph.main(["node", "list", "--no-start"]) == 1
+    assert command_line(["node", "list", "--no-start"]) == 1
     place = f"127.0.0.1:{address.port}"
     fix = "start one with 'play-launch daemon start'"
     text = f"error: no daemon runs for ROS domain 0 ({place}); {fix}\n"
@@ -229,7 +238,7 @@ def test_without_a_daemon_ours_is_started(
             return start_stop.Started(started=True, pid=1, messages=("took over",))
 
         monkeypatch.setattr(start_stop, "start_daemon", start)
-        assert graph.main(["node", "list"]) == 0
+        assert command_line(["node", "list"]) == 0
         assert len(started) == 1
     out, err = capsys.readouterr()
     assert out
@@ -245,7 +254,7 @@ def test_a_daemon_that_cannot_be_started_is_reported(
     address = free_address()
     monkeypatch.setattr(graph, "daemon_address", lambda: address)
     monkeypatch.setattr(start_stop, "start_daemon", start)
-    assert graph.main(["topic", "list"]) == 1
+    assert command_line(["topic", "list"]) == 1
     assert capsys.readouterr().err.endswith("error: no rclpy here\n")
 
 
@@ -259,7 +268,7 @@ def test_a_silent_daemon_is_reported_after_the_timeout(
 
     with scripted(behave) as daemon:
         monkeypatch.setattr(graph, "daemon_address", lambda: daemon.address)
-        assert graph.main(["node", "list", "--call-timeout", "0.2"]) == 1
+        assert command_line(["node", "list", "--call-timeout", "0.2"]) == 1
         release.set()
     assert "did not answer within 0.2 s" in capsys.readouterr().err
 
@@ -268,7 +277,7 @@ def test_a_domain_that_is_none_is_wrong_usage(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", "300")
-    assert graph.main(["node", "list"]) == 2
+    assert command_line(["node", "list"]) == 2
     assert "ROS_DOMAIN_ID" in capsys.readouterr().err
 
 
@@ -283,10 +292,8 @@ def test_a_domain_that_is_none_is_wrong_usage(
     ],
 )
 def test_wrong_usage(arguments: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as end:
-        graph.main(arguments.split())
-    assert end.value.code == 2
-    assert capsys.readouterr().err.startswith("usage: play-launch")
+    assert command_line(arguments.split()) == 2
+    assert capsys.readouterr().err.startswith("Usage: play-launch")
 
 
 # Runs the command on the port that is given, and says at its end what it has imported.
@@ -300,7 +307,7 @@ graph.daemon_address = lambda: At(0)
 try:
     entry.main()
 finally:
-    heavy = {"typer", "click", "rich", "pydantic", "rclpy", "xmlrpc", "asyncio", "http", "yaml"}
+    heavy = {"rich", "pydantic", "rclpy", "xmlrpc", "asyncio", "http", "yaml"}
     print("imported:", *sorted((heavy | {"psutil"}) & set(sys.modules)), file=sys.stderr)
 """
 
@@ -344,7 +351,7 @@ def test_a_reader_that_has_seen_enough_is_no_error() -> None:
 
 def test_help_lists_the_verbs_and_leads_to_them() -> None:
     for arguments, text in (
-        (["--help"], "Nodes of the running system"),
+        (["--help"], "List nodes; show one."),
         (["node", "--help"], "list"),
         (["node", "info", "--help"], "--include-hidden"),
     ):

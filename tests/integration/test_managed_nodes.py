@@ -256,7 +256,7 @@ def test_waiting_for_one_that_nobody_activates(tmp_path: Path) -> None:
     with replaying(config, tmp_path / "logs") as replay:
         read_until(replay, event="node", node="/watched", state="loaded")
         until(lambda: answers(replay), "a session that answers")
-        early = ask(replay, *WAIT, "--timeout", "3", code=3)
+        early = ask(replay, *WAIT, "--timeout", "3", code=4)
         assert json.loads(early.stdout)["missing"] == ["/watched"]
         subprocess.run([sys.executable, "-c", HELPER], check=True, timeout=90)
         assert json.loads(ask(replay, *WAIT, code=0).stdout)["missing"] == []

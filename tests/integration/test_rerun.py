@@ -15,7 +15,7 @@ import msgspec
 import pytest
 from mcap.writer import Writer
 
-from play_launch.cli.rerun import Choice, show_rerun
+from play_launch.cli.rerun import rerun as rerun_here
 from play_launch.container.cdr.messages import PARAMETER_VALUE
 from play_launch.postmortem.bag_reader import BagReader
 from play_launch.recording import topics
@@ -198,7 +198,7 @@ def test_another_rule_leads_to_something_else(
     session: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(restart, "_pause", lambda *_: 3600.0)
-    assert show_rerun(session, Choice(None, shows_all=False, as_json=True)) == 1
+    assert rerun_here(session, as_json=True) == 1
     (first,) = json.loads(capsys.readouterr().out)["differences"]
     assert (first["unit"], first["input"]["type"]) == ("/chat", "Exited")
     assert first["fields"] == ["reason"]

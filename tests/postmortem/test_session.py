@@ -14,7 +14,7 @@ from msgspec.structs import replace
 
 from play_launch.cli.explain import explain
 from play_launch.cli.info import session_object
-from play_launch.cli.report import write_report
+from play_launch.cli.report import report as write_report
 from play_launch.cli.story_words import headline
 from play_launch.container.cdr.layout import Layout
 from play_launch.container.cdr.messages import PROCESS_STATS, log_message

@@ -1,5 +1,125 @@
-"""Completes command lines of ``play-launch`` in bash, zsh and fish.
+"""Completion of command lines in bash, zsh and fish by typer; candidates come from sessions."""
 
-The scripts of the shells give the line up to the cursor to ``play-launch completion --answer`` and
-get candidates, so that they know no verb and no option, and do not age.
-"""
+from __future__ import annotations
+
+import os
+import sys
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Final
+
+import typer
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from play_launch.control.sessions import Seen
+
+COMPLETE_VARIABLE: Final = "_PLAY_LAUNCH_COMPLETE"
+_MEMBERS, _COMPONENTS = frozenset({"container", "process"}), frozenset({"component"})
+_NODES: Final = frozenset({"component", "process"})
+_KINDS: Final = {
+    **dict.fromkeys(("start", "stop", "restart"), _MEMBERS),
+    **dict.fromkeys(("load", "unload", "reload"), _COMPONENTS),
+    **dict.fromkeys(("get", "set", "dump"), _NODES),
+}
+"""Kinds that a command works on; all for the others."""
+
+
+class Shell(StrEnum):
+    """Shells whose completion typer supports."""
+
+    BASH = "bash"
+    ZSH = "zsh"
+    FISH = "fish"
+
+
+def completion(
+    shell: Annotated[Shell, typer.Argument(metavar="SHELL", show_default=False)],
+) -> None:
+    r"""Print the completion script of a shell, which is bash, zsh or fish.
+
+    \b
+    bash  play-launch completion bash > ~/.local/share/bash-completion/completions/play-launch
+    zsh   play-launch completion zsh > "${fpath[1]}/_play-launch"
+    fish  play-launch completion fish > ~/.config/fish/completions/play-launch.fish
+
+    \b
+    For this shell alone: source <(play-launch completion bash)
+    """
+    from typer import completion as of_typer  # noqa: PLC0415 - not at Tab
+
+    script: str = of_typer.get_completion_script(  # type: ignore[attr-defined]
+        prog_name="play-launch", complete_var=COMPLETE_VARIABLE, shell=shell
+    )
+    sys.stdout.write(f"{script}\n")
+
+
+def sessions(incomplete: str) -> list[tuple[str, str]]:
+    """List names and pids of the running sessions."""
+    found = []
+    for each in _seen("ps", ()):
+        found += [(each.name, each.folder), (str(each.pid), f"{each.name}, {each.folder}")]
+    return [pair for pair in found if pair[0].startswith(incomplete)]
+
+
+def units(ctx: typer.Context, incomplete: str) -> list[tuple[str, str]]:
+    """List names of containers, nodes and processes: full ones, or last parts."""
+    kinds = _KINDS.get(ctx.info_name or "")
+    given = {*(ctx.params.get("names") or ())}
+    found: dict[str, str] = {}
+    for each in _meant(ctx, "ps", ()):
+        for row in each.rows:
+            name = str(row["name"])
+            if incomplete and incomplete[0] != "/":
+                name = name.rpartition("/")[2]
+            if (kinds is None or row["kind"] in kinds) and name not in given:
+                found[name] = f"{row['kind']}, {row['state']}"
+    return [pair for pair in found.items() if pair[0].startswith(incomplete)]
+
+
+def parameters(ctx: typer.Context, incomplete: str) -> list[str]:
+    """List the parameters of the node on the line, as far as its session knows them."""
+    node = ctx.params.get("node") or ""
+    given = ctx.params.get("parameters") or ()
+    found = [
+        str(name)
+        for each in _meant(ctx, "parameters", (node,))
+        for row in each.rows
+        for name in row["parameters"]
+    ]
+    return [name for name in found if name.startswith(incomplete) and name not in given]
+
+
+def launch_files(ctx: typer.Context, incomplete: str) -> list[str]:
+    """List packages, or launch files of the package on the line; a shell completes paths itself."""
+    from play_launch.config.ament_index import ament_prefixes  # noqa: PLC0415 - slow
+    from play_launch.config.sources.surroundings import share_folder  # noqa: PLC0415
+    from play_launch.launch_files.find import launch_files as files_of  # noqa: PLC0415
+
+    given = [each for each in ctx.params.get("target") or () if ":=" not in each]
+    names: set[str] = set()
+    if len(given) == 1 and not Path(given[0]).is_file():
+        share = share_folder(given[0])
+        names = set(files_of(share)) if share is not None else set()
+    elif not given and "/" not in incomplete:
+        for prefix in (Path(sys.prefix), *ament_prefixes(os.environ)):
+            index = prefix / "share/ament_index/resource_index/packages"
+            names |= {each.name for each in index.iterdir()} if index.is_dir() else set()
+        names |= {each.name for each in Path().iterdir()}
+    return sorted(name for name in names if name.startswith(incomplete))
+
+
+def _meant(ctx: typer.Context, operation: str, names: tuple[str, ...]) -> Iterator[Seen]:
+    """Query the sessions that ``--session`` on the line selects."""
+    session = str(ctx.params.get("session") or "").rstrip("/")
+    for each in _seen(operation, names):
+        folder = each.folder.rstrip("/")
+        if not session or session in {each.name, str(each.pid), folder, Path(folder).name}:
+            yield each
+
+
+def _seen(operation: str, names: tuple[str, ...]) -> Any:
+    from play_launch.control.sessions import glance  # noqa: PLC0415 - at Tab only
+
+    return glance(operation, names)

@@ -10,12 +10,12 @@ import sys
 import termios
 from typing import IO, TYPE_CHECKING, Final
 
-from play_launch.cli.operate import report_end
+from play_launch.cli import options
+from play_launch.cli.connection import connected, report_end
 from play_launch.cli.output import is_terminal, wants_colour
 from play_launch.control.protocol import Code, ControlError
 
 if TYPE_CHECKING:
-    from argparse import ArgumentParser, Namespace
     from collections.abc import Callable, Iterator, Mapping
     from types import FrameType
 
@@ -27,28 +27,22 @@ _LEAVE_TIMEOUT: Final = 3.0
 _SIGNALS: Final = (signal.SIGTERM, signal.SIGHUP, signal.SIGINT)
 
 
-def add_arguments(parser: ArgumentParser, verb: str) -> None:  # noqa: ARG001 - as for all verbs
-    """Declare the arguments."""
-    parser.epilog = "? lists the keys. Leaving the screen changes nothing in the session."
+def top(session: options.Session = None) -> int:
+    """Watch and operate a session on a screen; ? lists the keys.
 
-
-def run(client: ControlClient, options: Namespace) -> int:
-    """Show the screen until the user leaves it or the session ends; raises ControlError."""
-    if options.json:
-        raise ControlError(
-            Code.BAD_ARGUMENTS,
-            "top has no JSON; use play-launch ps --json and play-launch events -f --json",
-        )
-    if reason := objection((sys.stdout, sys.stdin, sys.stderr), os.environ):
-        raise ControlError(Code.BAD_ARGUMENTS, reason)
-    try:
-        import textual  # noqa: F401, PLC0415 - an extra
-    except ModuleNotFoundError:
-        raise ControlError(
-            Code.BAD_ARGUMENTS,
-            "top needs Textual, which is not installed; pip install 'play-launch-py[top]'",
-        ) from None
-    end = asyncio.run(_show(client))
+    Leaving it changes nothing in the session. For programs: ps --json, events -f --json.
+    """
+    with connected(session) as client:
+        if reason := objection((sys.stdout, sys.stdin, sys.stderr), os.environ):
+            raise ControlError(Code.BAD_ARGUMENTS, reason)
+        try:
+            import textual  # noqa: F401, PLC0415 - an extra
+        except ModuleNotFoundError:
+            raise ControlError(
+                Code.BAD_ARGUMENTS,
+                "top needs Textual, which is not installed; pip install 'play-launch-py[top]'",
+            ) from None
+        end = asyncio.run(_show(client))
     if end.signal:
         return 128 + end.signal
     return report_end(client.hello, end.reason) if end.is_lost else 0

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from play_launch.cli.export import export_session
-from play_launch.cli.report import write_report
+from play_launch.cli.export import export as export_session
+from play_launch.cli.report import report as write_report
 from play_launch.control.registration import CONTROL_SOCKET
 from play_launch.postmortem.archive.folders import REMOVING, list_sessions, session_entry
 from play_launch.postmortem.archive.removal import finish_removals, remove_session

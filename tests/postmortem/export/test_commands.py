@@ -59,7 +59,7 @@ def test_a_damaged_recording_is_exported_as_far_as_it_can_be_read(tmp_path: Path
         ("layout", "foxglove", path),
     ):
         result = run(*arguments, folder=tmp_path)
-        assert result.returncode == 3
+        assert result.returncode == 5
         assert "warning: " in result.stderr
         assert "Traceback" not in result.stderr
     assert any(event["ph"] == "X" for event in read_trace(tmp_path / "session.trace.json"))

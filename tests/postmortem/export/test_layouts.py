@@ -9,7 +9,7 @@ from xml.etree import ElementTree as ET
 
 from mcap.reader import make_reader
 
-from play_launch.cli.layout import show_layout
+from play_launch.cli.layout import layout as show_layout
 from play_launch.container.cdr.messages import PROCESS_STATS, STATE_EVENT, SYSTEM_STATS
 from play_launch.postmortem.export.foxglove import foxglove_layout
 from play_launch.postmortem.export.plotjuggler import plotjuggler_layout

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from play_launch.cli import export as export_verb
-from play_launch.cli.export import export_session
+from play_launch.cli.export import export as export_session
 from play_launch.postmortem.export import tables
 from play_launch.supervisor.events import (
     GroupSample,

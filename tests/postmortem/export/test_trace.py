@@ -9,7 +9,7 @@ from typing import Any
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from play_launch.cli.export import export_session
+from play_launch.cli.export import export as export_session
 from play_launch.config.node_key import NodeKey
 from play_launch.supervisor.events import (
     ComponentEvent,

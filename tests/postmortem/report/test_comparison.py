@@ -145,7 +145,7 @@ def test_what_cannot_be_read_is_said_of_its_session(tmp_path: Path) -> None:
     whole = scene().record(tmp_path / "whole.mcap")
     path = scene().record(tmp_path / "cut.mcap", finished=False)
     result = run("compare", whole, path, "-o", tmp_path / "page.html")
-    assert result.returncode == 3
+    assert result.returncode == 5
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert "Of the second session: The recording was not closed in order" in page
     assert "Of the first session" not in page

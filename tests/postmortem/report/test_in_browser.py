@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from benchmarks.browser import Browser, find_browser
-from play_launch.cli.report import write_report
+from play_launch.cli.report import report as write_report
 from play_launch.postmortem.report.text import shown
 from play_launch.postmortem.session import PastSession
 from tests.postmortem.report.recordings import HOSTILE, gather, hostile, ordinary, page_of, record

@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from play_launch.cli.report import write_report
+from play_launch.cli.report import report as write_report
 from play_launch.postmortem.bag_reader import NotARecordingError
 from play_launch.postmortem.whole_file import OutputError
 from play_launch.supervisor.events import LogRecord
@@ -243,7 +243,7 @@ def test_a_damaged_recording_has_a_page_that_says_so(tmp_path: Path) -> None:
     active.parent.mkdir()
     active.write_bytes(events[: len(events) // 2])
     result = run(active)
-    assert result.returncode == 3, result.stderr
+    assert result.returncode == 5, result.stderr
     assert "the file ends within a record" in result.stderr
     facts = facts_of(read(active.with_name("session.html")))
     assert "Not everything could be read" in facts["notices"][0]

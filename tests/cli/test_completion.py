@@ -10,6 +10,7 @@ import select
 import shutil
 import signal
 import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -117,10 +118,18 @@ def answers(folder: Path) -> bool:
 
 
 def offered(line: str) -> list[str]:
-    command = [str(COMMAND), "completion", "--answer", "fish", f"play-launch {line}"]
-    shown = subprocess.run(command, check=True, capture_output=True, text=True, timeout=LIMIT)
+    words = ["play-launch", *line.split(" ")]
+    asked = {"COMP_WORDS": "\n".join(words), "COMP_CWORD": str(len(words) - 1)}
+    shown = subprocess.run(
+        [COMMAND],
+        check=True,
+        capture_output=True,
+        text=True,
+        timeout=LIMIT,
+        env={**os.environ, **asked, "_PLAY_LAUNCH_COMPLETE": "complete_bash"},
+    )
     assert shown.stderr == ""
-    return [each.partition("\t")[0] for each in shown.stdout.splitlines()[1:]]
+    return shown.stdout.split()
 
 
 def until_offered(line: str, expected: set[str]) -> None:
@@ -134,27 +143,12 @@ def test_keys_complete_verbs_options_and_live_names(terminal: Terminal, tmp_path
     assert terminal.words(b"play-launch replay --dur\t1s")[2:] == ["--duration", "1s"]
     assert terminal.words(b"play-launch wait --for act\t")[2:] == ["--for", "active"]
     assert terminal.words(b"play-launch check my\t")[2:] == ["my_robot.yaml"]
-    assert terminal.words(b"play-launch stop /t\t")[2:] == ["/t"], "no session, no name"
+    assert terminal.words(b"play-launch stop /tal\t")[2:] == ["/tal"], "no session, no name"
     with running(tmp_path, "robot"):
-        terminal.completes(b"play-launch stop /t\t", ["/talker"])
+        terminal.completes(b"play-launch stop /tal\t", ["/talker"])
         terminal.completes(b"play-launch stop tal\t /sensing/f\t", ["talker", "/sensing/front"])
         terminal.completes(b"play-launch ps --session ro\t", ["--session", "robot"])
-    assert terminal.words(b"play-launch stop /t\t")[2:] == ["/t"]
-
-
-@pytest.mark.parametrize("terminal", ["bash"], indirect=True)
-def test_bash_gets_patterns_quoted_and_words_with_breaks(
-    terminal: Terminal, tmp_path: Path
-) -> None:
-    with running(tmp_path, "robot"):
-        every = ["/talker", "/sensing/front", "/sensing/rear", "/sensing/*"]
-        terminal.completes(b"play-launch ps " + ALL, every)
-        terminal.completes(b"play-launch ps /se" + ALL, every[1:])
-        terminal.completes(b"play-launch ps '/tal\t", ["/talker"])
-        terminal.completes(b"play-launch ps --session=ro\t", ["--session=robot"])
-        terminal.completes(b"play-launch wait --for=rea\t", ["--for=ready"])
-        terminal.completes(b"play-launch ps /*f\t", ["/sensing/front"])
-    assert terminal.words(b"play-launch ps " + ALL)[2:] == []
+    assert terminal.words(b"play-launch stop /tal\t")[2:] == ["/tal"]
 
 
 def test_a_session_that_hangs_offers_nothing_and_holds_up_nobody(tmp_path: Path) -> None:
@@ -171,3 +165,36 @@ def test_a_session_that_hangs_offers_nothing_and_holds_up_nobody(tmp_path: Path)
         until_offered("stop /t", {"/talker"})
     assert offered("stop /t") == []
     assert offered("ps --session ") == []
+
+
+def test_tab_imports_no_ros_and_only_the_command_on_the_line() -> None:
+    program = (
+        "import os, sys\n"
+        "from play_launch.cli.app import main\n"
+        "try:\n    main()\nexcept SystemExit:\n    pass\n"
+        "slow = {'rclpy', 'launch', 'pydantic_core', 'asyncio', 'textual', 'mcap'}\n"
+        "print(sorted(slow & set(sys.modules)))\n"
+    )
+    for line in ("", "st", "stop ", "replay --d"):
+        words = ["play-launch", *line.split(" ")]
+        asked = {"COMP_WORDS": "\n".join(words), "COMP_CWORD": str(len(words) - 1)}
+        shown = subprocess.run(
+            [sys.executable, "-c", program],
+            check=True,
+            capture_output=True,
+            text=True,
+            env={**os.environ, **asked, "_PLAY_LAUNCH_COMPLETE": "complete_bash"},
+        )
+        assert shown.stdout.splitlines()[-1] == "[]"
+
+
+def test_packages_and_their_launch_files_are_offered(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "share/ament_index/resource_index/packages").mkdir(parents=True)
+    (tmp_path / "share/ament_index/resource_index/packages/my_robot").touch()
+    (tmp_path / "share/my_robot/launch").mkdir(parents=True)
+    (tmp_path / "share/my_robot/launch/bringup.launch.py").write_text("raise SystemExit(1)")
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
+    assert offered("launch my_r") == ["my_robot"]
+    assert offered("dump my_robot ") == ["bringup.launch.py"]
