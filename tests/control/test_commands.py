@@ -435,7 +435,13 @@ def test_parameters_are_read_and_set(
 
 def test_nodes_are_waited_for_and_parameters_offered(config: Path, tmp_path: Path) -> None:
     def offered(line: str) -> set[str]:
-        return set(ask("completion", "--answer", "fish", f"play-launch {line}").splitlines()[1:])
+        words = ["play-launch", *line.split(" ")]
+        asked = {"COMP_WORDS": "\n".join(words), "COMP_CWORD": str(len(words) - 1)}
+        environment = {**os.environ, **asked, "_PLAY_LAUNCH_COMPLETE": "complete_bash"}
+        shown = subprocess.run(
+            [COMMAND], check=True, capture_output=True, text=True, env=environment, timeout=60
+        )
+        return set(shown.stdout.split())
 
     with running(config, tmp_path / "logs"):
         assert json.loads(ask("wait", "--for", "ready", "--json"))["reached"] is True
