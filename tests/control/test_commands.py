@@ -438,10 +438,7 @@ def test_nodes_are_waited_for_and_parameters_offered(config: Path, tmp_path: Pat
         words = ["play-launch", *line.split(" ")]
         asked = {"COMP_WORDS": "\n".join(words), "COMP_CWORD": str(len(words) - 1)}
         environment = {**os.environ, **asked, "_PLAY_LAUNCH_COMPLETE": "complete_bash"}
-        shown = subprocess.run(
-            [COMMAND], check=True, capture_output=True, text=True, env=environment, timeout=60
-        )
-        return set(shown.stdout.split())
+        return set(subprocess.check_output([COMMAND], text=True, env=environment).split())
 
     with running(config, tmp_path / "logs"):
         assert json.loads(ask("wait", "--for", "ready", "--json"))["reached"] is True
