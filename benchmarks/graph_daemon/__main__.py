@@ -34,7 +34,7 @@ FULL = Size(
     calls=300,
     load_seconds=4.0,
     burst_rounds=8,
-    patience=70.0,
+    wait_limit=70.0,
 )
 SMALL = Size(
     processes=8,
@@ -43,7 +43,7 @@ SMALL = Size(
     calls=50,
     load_seconds=1.0,
     burst_rounds=3,
-    patience=20.0,
+    wait_limit=20.0,
 )
 
 
@@ -64,7 +64,7 @@ def measure(daemon: Daemon, stock: Daemon | None, size: Size, storms: int) -> Fi
             report_progress(f"{daemon.name}: measured {', '.join(found)}")
             figures |= found
         # A daemon that hangs on the silent client hangs no more, and goes on with a full graph.
-        measures.warm(address, crowd.names, size.patience)
+        measures.warm(address, crowd.names, size.wait_limit)
         figures |= measures.address_change(address, crowd.names, size)
         figures |= measures.stop_and_stock_start(daemon, stock, address, size)
     return figures | measure_storms(daemon, size, storms)

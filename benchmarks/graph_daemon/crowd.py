@@ -20,7 +20,7 @@ _MADE = "made"
 _START_LIMIT = 120.0
 _TRANSPORT = {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}
 """Of the crowd alone. In a storm over shared memory with Fast DDS 2.14, nodes that want to renew a
-port (``SharedMemManager::Port::regenerate_port``) wait for ever for its lock, in most attempts.
+port (``SharedMemManager::Port::regenerate_port``) wait forever for its lock, in most attempts.
 The daemons choose for themselves; discovery is over UDP either way."""
 ATTEMPTS = 3
 """How often a crowd is started that does not come up."""

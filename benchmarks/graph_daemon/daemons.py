@@ -59,7 +59,7 @@ class Daemon:
         try:
             return self.run("daemon", "stop")[0]
         except subprocess.TimeoutExpired:
-            # It answers nobody any more.
+            # It hangs.
             for pid in _listeners(daemon_address().port):
                 os.kill(pid, signal.SIGKILL)
             return _LIMIT

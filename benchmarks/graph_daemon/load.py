@@ -32,7 +32,7 @@ NODES = request("get_node_names_and_namespaces")
 
 @dataclass
 class Result:
-    """What came of some calls."""
+    """Latencies and failures of some calls."""
 
     latencies: list[float] = field(default_factory=list)
     """Seconds of each call that was answered."""

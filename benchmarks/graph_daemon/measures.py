@@ -1,4 +1,4 @@
-"""What is measured of a daemon; all times in seconds."""
+"""Measurements of a daemon; all times in seconds."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ class Size:
     calls: int
     load_seconds: float
     burst_rounds: int
-    patience: float
+    wait_limit: float
     """How long to wait for something that may never come."""
 
 
-def warm(address: DaemonAddress, names: set[str], patience: float) -> float:
+def warm(address: DaemonAddress, names: set[str], wait_limit: float) -> float:
     """Wait until all nodes are in one answer; returns how long it took, infinity for never."""
     began = time.monotonic()
-    while time.monotonic() - began < patience:
+    while time.monotonic() - began < wait_limit:
         with contextlib.suppress(OSError):
             if nodes(address) >= names:
                 return time.monotonic() - began
@@ -66,9 +66,9 @@ def at_rest(address: DaemonAddress, size: Size) -> Figures:
 
 
 def beside_a_silent_client(address: DaemonAddress, size: Size) -> Figures:
-    """The longest of ten calls while one client has connected and says nothing."""
+    """The longest of ten calls while one client has connected and sends nothing."""
     with socket.create_connection((address.host, address.port)):
-        result = call_all(address, NODES, at_once=1, calls=10, limit=size.patience / 10)
+        result = call_all(address, NODES, at_once=1, calls=10, limit=size.wait_limit / 10)
     longest = max(result.latencies, default=float("inf")) if not result.failures else float("inf")
     return {"beside a silent client, longest": longest}
 
@@ -79,9 +79,9 @@ def late_join(daemon: Daemon, address: DaemonAddress, names: set[str], size: Siz
     daemon.start()
     # An answer that is not complete is worse than a late one.
     missing = len(names - nodes(address))
-    seen = warm(address, names, size.patience)
+    seen = warm(address, names, size.wait_limit)
     return {
-        "late join, all nodes after": time.monotonic() - began if seen < size.patience else seen,
+        "late join, all nodes after": time.monotonic() - began if seen < size.wait_limit else seen,
         "late join, nodes missing at first": missing,
     }
 
@@ -95,7 +95,7 @@ def address_change(address: DaemonAddress, names: set[str], size: Size) -> Figur
     fewest, short = before, 0.0
     began = last = time.monotonic()
     try:
-        while time.monotonic() - began < size.patience / 2:
+        while time.monotonic() - began < size.wait_limit / 2:
             with contextlib.suppress(OSError):
                 now = len(nodes(address) & names)
                 fewest = min(fewest, now)
@@ -138,7 +138,7 @@ def storm(address: DaemonAddress, size: Size) -> Figures | None:
             latencies += one.latencies
             failures += one.failures
             time.sleep(0.1)
-        deadline = time.monotonic() + (size.patience if crowd.made.keys() == crowd.names else 0.0)
+        deadline = time.monotonic() + (size.wait_limit if crowd.made.keys() == crowd.names else 0.0)
         while not crowd.names <= seen.keys() and time.monotonic() < deadline:
             time.sleep(0.05)
         over.set()
@@ -178,7 +178,7 @@ def stop_and_stock_start(
     call_all(address, NODES, at_once=8, calls=200)
     daemon.stop()
     began = time.monotonic()
-    while time.monotonic() - began < size.patience:
+    while time.monotonic() - began < size.wait_limit:
         if stock is None:
             with socket.socket() as like_stock, contextlib.suppress(OSError):
                 like_stock.bind((address.host, address.port))

@@ -113,6 +113,6 @@ def _beside(name: str, factor: float, ours: Figures, stock: Figures) -> Goal:
     measured = f"{written(name, mine)} beside {written(name, theirs)}"
     if math.isfinite(ratio):
         measured += f": {ratio:.1f} x"
-    # Nobody can be better than none.
+    # No ratio exceeds that to zero.
     met = ratio >= factor or (is_count(name) and not mine)
     return Goal(name, f"{factor:.1f} x better", measured, met)

@@ -3,7 +3,7 @@
     python -m benchmarks.graph_daemon.rest [--repetitions N] [--seconds N]
 
 54 nodes in 15 processes, in a network namespace of its own. Each repetition is a while in which
-nobody asks, and one in which a client asks as a replay does that records the graph. In full: about
+no client asks, and one with the requests of a replay that records the graph. In full: about
 10 minutes.
 """
 
@@ -36,7 +36,7 @@ SIZE = Size(
     calls=0,
     load_seconds=0.0,
     burst_rounds=0,
-    patience=60.0,
+    wait_limit=60.0,
 )
 
 
@@ -49,7 +49,7 @@ def taken(pid: int) -> Counter[str]:
     return times
 
 
-def nobody_asks(seconds: float) -> None:
+def no_client_asks(seconds: float) -> None:
     time.sleep(seconds)
 
 
@@ -89,7 +89,7 @@ def main() -> None:
     arguments = parser.parse_args()
     if not is_inside():
         enter_namespace("benchmarks.graph_daemon.rest")
-    kinds = {"nobody asks": nobody_asks, "a replay asks": a_replay_asks}
+    kinds = {"no client asks": no_client_asks, "a replay asks": a_replay_asks}
     found: dict[str, list[dict[str, float]]] = {name: [] for name in kinds}
     with tempfile.TemporaryDirectory() as logs:
         os.environ["ROS_LOG_DIR"] = logs
@@ -97,7 +97,7 @@ def main() -> None:
         OURS.start()
         try:
             with risen_crowd(SIZE) as crowd:
-                warm(address, crowd.names, SIZE.patience)
+                warm(address, crowd.names, SIZE.wait_limit)
                 pid = settled(address)
                 for number in range(arguments.repetitions):
                     report_progress(f"repetition {number + 1} of {arguments.repetitions}")

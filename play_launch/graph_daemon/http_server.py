@@ -138,7 +138,7 @@ class Server(socketserver.ThreadingMixIn, socketserver.TCPServer):
             client.shutdown(how)
 
     def handle_error(self, request: Any, client_address: Any) -> None:  # noqa: ARG002
-        """Log a defect of the daemon; a client that has gone is none."""
+        """Log a defect of the daemon; clients that disconnect are ignored."""
         if not isinstance(sys.exc_info()[1], OSError):
             _log.exception("%s: a connection was reset by a defect of the daemon", client_address)
 

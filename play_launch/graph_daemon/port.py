@@ -97,7 +97,7 @@ class PortOwner:
     """The fields of `DaemonStatus` for our daemon. Where its process is of the same user,
     ``settings`` are those of its environment that discovery depends on."""
     problem: str = ""
-    """Why it is none of the two daemons."""
+    """The reason why it is neither of the two daemons."""
 
     def __str__(self) -> str:
         if not self.pid:

@@ -1,7 +1,7 @@
 """``ros2cli.xmlrpc.local_server``: a server that one slow client cannot stop.
 
 Upstream takes one connection after the other and reads each to its end, so that a client which
-connects and says nothing stops everybody, and its queue holds five. Here connections are read and
+connects and sends nothing stops all others, and its queue holds five. Here connections are read and
 written as they are ready, a request is handled once it is all there, and the answers about the
 graph are given again for a fifth of a second. The client closes first: otherwise the port would be
 taken for a minute (TIME_WAIT), or a large answer cut off by the reset that upstream ends with.
@@ -78,7 +78,7 @@ def apply(module: ModuleType) -> None:
 
 
 def handle_request(self: Any) -> None:
-    """Serve whoever is ready, and come back after a heartbeat at the latest.
+    """Serve the connections that are ready; return after a heartbeat at the latest.
 
     Calls the server's ``handle_timeout`` as upstream's method does: when no request was answered
     for ``timeout`` seconds. Also when rclpy was shut down by a signal, which the daemon of Humble
@@ -142,13 +142,13 @@ class Loop:
         self._connections: dict[socket.socket, Connection] = {}
         self._answers: dict[bytes, tuple[float, bytes]] = {}
         self._selector = selectors.DefaultSelector()
-        # Whoever made the server may not have had this overlay.
+        # The process that made the server may not have had this overlay.
         server.socket.listen(BACKLOG)
         server.socket.setblocking(False)
         self._selector.register(server.socket, selectors.EVENT_READ)
 
     def turn(self, wait: float) -> None:
-        """Wait up to ``wait`` seconds for anybody, and serve all who are ready."""
+        """Wait up to ``wait`` seconds, and serve the connections that are ready."""
         for key, events in self._selector.select(wait):
             if key.fileobj is self._server.socket:
                 self._accept()
@@ -159,7 +159,7 @@ class Loop:
             self._drop(connection)
 
     def close(self) -> None:
-        """Let go of all connections."""
+        """Close all connections."""
         for connection in list(self._connections.values()):
             self._drop(connection)
         self._selector.close()
@@ -292,7 +292,7 @@ class _Kept(io.BytesIO):
 
 
 def _request_length(received: bytearray) -> int | None:
-    """Say how long the request is: 0 while its head is not complete, None if it is too large."""
+    """Return the length of the request: 0 while its head is not complete, None if it is too large."""
     end = received.find(b"\r\n\r\n")
     if end < 0:
         return 0 if len(received) < LARGEST_HEAD else None
