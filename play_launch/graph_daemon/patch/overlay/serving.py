@@ -292,7 +292,7 @@ class _Kept(io.BytesIO):
 
 
 def _request_length(received: bytearray) -> int | None:
-    """Return the length of the request: 0 while its head is not complete, None if it is too large."""
+    """Return the length of the request: 0 while its head is incomplete, None if too large."""
     end = received.find(b"\r\n\r\n")
     if end < 0:
         return 0 if len(received) < LARGEST_HEAD else None
