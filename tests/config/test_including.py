@@ -247,7 +247,7 @@ def test_mistakes_are_reported_where_they_stand_with_the_chain() -> None:
             "f/base.yaml:2:10: include: f/x/../main.yaml includes",
         ),
         ("version: 1\nversion: 1\n", "f/base.yaml:2:1: version: the key"),
-        ("%YAML 1.2\n%A\n%B\n%C\n---\nversion: 1\n", "f/base.yaml:4:1: (yaml): more than 3"),
+        ("%YAML 1.2\n%A\n---\nversion: 1\n", "f/base.yaml:2:3: (yaml): found unknown directive"),
         ("\x00", "f/base.yaml:1:1: (file): a NUL byte"),
     ],
 )

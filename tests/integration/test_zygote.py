@@ -130,7 +130,7 @@ def test_what_is_no_file_is_refused_and_not_waited_for(tmp_path: Path) -> None:
         [COMMAND, "replay", str(pipe)], check=False, capture_output=True, text=True, timeout=60
     )
     assert result.returncode == 2
-    assert "not a regular file" in result.stderr
+    assert "is no regular file" in result.stderr
 
 
 def test_a_mistake_in_the_configuration_leaves_nothing(tmp_path: Path) -> None:

@@ -132,6 +132,8 @@ def test_being_asked_does_no_harm(semaphore: int) -> None:
     process = forked(b"load-7", lambda: LIBC.sem_wait(ctypes.c_void_p(semaphore)))
     try:
         until_asleep(process, "load-7")
+        while not thread_wait(process, ""):  # it may be in state S and still on a processor
+            os.sched_yield()
         said = {thread_wait(process, name) for name in ("", "load-7") for _ in range(100)}
         other = thread_wait(process, "load-8")
         LIBC.sem_post(ctypes.c_void_p(semaphore))

@@ -26,7 +26,7 @@ from tests.postmortem.test_session import EVERYTHING, record
 from tests.recording.test_states import EVENTS, PROCESS_SAMPLES, SYSTEM_SAMPLES
 
 
-def exported(events: list[RunEvent], form: str, folder: Path) -> dict[str, Path]:
+def exported(events: list[RunEvent], form: export_verb.Format, folder: Path) -> dict[str, Path]:
     path = record(folder / "x.mcap", events)
     assert export_session(path, form, None) == 0
     return {file.stem: file for file in (folder / f"x-{form}").glob("*")}
