@@ -47,7 +47,7 @@ def prepare_standard_streams() -> None:
 
 
 def _kept_to_ourselves(stdout: IO[str]) -> io.TextIOWrapper:
-    """Return a stream like ``stdout`` that no library knows; whoever writes to 1 gets stderr."""
+    """Return a stream like ``stdout`` unknown to libraries; writes to descriptor 1 go to stderr."""
     assert isinstance(stdout, io.TextIOWrapper)
     stdout.flush()
     # Children do not inherit the copy. Python closes neither this one nor descriptor 1.
@@ -76,7 +76,7 @@ def _null(number: int, mode: str) -> IO[str]:
 
 
 def redirect_to_devnull(stream: IO[str]) -> None:
-    """Point a standard stream to nowhere, after it took no more.
+    """Point a standard stream to the null device after a write failed.
 
     Otherwise Python would fail once more while it flushes at exit, and end with status 120.
     """
@@ -88,12 +88,12 @@ def redirect_to_devnull(stream: IO[str]) -> None:
 
 
 def is_about_output(error: OSError) -> bool:
-    """Whether an error says that a stream takes no more: a full disk, a terminal that is gone."""
+    """Whether a stream cannot be written: a full disk, a closed terminal."""
     return error.errno in _TAKES_NO_MORE and error.filename is None
 
 
 def report_write_error(error: OSError) -> None:
-    """Report on stderr, if that takes it, that stdout takes no more; the command cannot go on."""
+    """Report on stderr, if possible, that stdout cannot be written."""
     redirect_to_devnull(sys.stdout)
     try:
         sys.stderr.write(f"error: cannot write the output: {error.strerror}\n")
@@ -129,7 +129,7 @@ def printable(text: str, *, colour: bool) -> str:
 
 
 def wants_colour(stream: IO[str]) -> bool:
-    """Whether to colour what goes to ``stream``: a terminal that can, and nobody objects.
+    """Whether to colour what goes to ``stream``: a terminal with colours, and no NO_COLOR.
 
     ``NO_COLOR`` (see https://no-color.org) and a terminal of a type without colours (``TERM=dumb``,
     ``TERM=vt100``) object; ``FORCE_COLOR`` insists.
@@ -150,7 +150,7 @@ def has_colours(term: str) -> bool:
     except ImportError:  # Python can be built without
         return True
     try:
-        # The descriptor is for settings of its own, which nobody asks for.
+        # The descriptor is only used for terminal settings, which are not read here.
         curses.setupterm(term, 1)
     except curses.error:
         return True
@@ -158,7 +158,7 @@ def has_colours(term: str) -> bool:
 
 
 def is_terminal(stream: IO[str]) -> bool:
-    """Whether a person looks at ``stream``; a closed one is none."""
+    """Whether ``stream`` is a terminal; a closed stream is none."""
     try:
         return stream.isatty()
     except ValueError:
@@ -207,7 +207,7 @@ def surviving_the_loss_of_stdout() -> Iterator[None]:
 
 
 def fail(message: str, code: int = 2) -> NoReturn:
-    """Report on stderr what is wrong and end with ``code``."""
+    """Report an error on stderr and exit with ``code``."""
     report(message)
     sys.exit(code)
 

@@ -69,7 +69,7 @@ def paragraphs(findings: Sequence[Finding], session: PastSession) -> Iterator[st
 
 
 def headline(finding: Finding, started_ns: int) -> str:
-    """Say who, what, how often and when: ``/talker in /box crashed 3 times, first at 0.636 s``."""
+    """Subject, event, count, time: ``/talker in /box crashed 3 times, first at 0.636 s``."""
     at = f"{round((finding.at_ns - started_ns) / _SECOND, 3) + 0.0:.3f} s"  # no -0.000
     times = len(finding.times_ns)
     at += " after the start"
@@ -115,7 +115,7 @@ def details(finding: Finding) -> Iterator[str]:
     if finding.parameters:
         yield from _parameters(finding.parameters, finding.at_ns)
     if finding.hit and finding.kind is not Kind.STARVED:  # its cause names them
-        yield f"Also hit: {_names(finding.hit)}."
+        yield f"Also affected: {_names(finding.hit)}."
     if finding.done:
         yield f"What followed: {_followed(finding.done)}."
     if finding.away:
@@ -220,7 +220,7 @@ def _away(finding: Finding) -> str:
         return f"It took {duration(finding.away[-1].ns or 0)}."
     texts = [_absence(who, absences) for who, absences in by_name.items()]
     more = f" and {len(texts) - _MANY} others" if len(texts) > _MANY else ""
-    return f"Away: {', '.join(texts[:_MANY])}{more}."
+    return f"Downtime: {', '.join(texts[:_MANY])}{more}."
 
 
 def _absence(who: str, absences: Sequence[Away]) -> str:

@@ -133,7 +133,7 @@ def test_plain_lines_have_a_time_and_a_source() -> None:
     assert [line.split(" ", 1)[1] for line in lines] == [
         "[/c] /c/n0 loaded (1/1)",
         "[/a] hello",
-        "[play-launch] 3 lines were too many to show; the recording has them",
+        "[play-launch] skipped 3 lines (the terminal is too slow); they are in the recording",
     ]
 
 

@@ -74,7 +74,7 @@ def test_the_words_of_a_finding(bad: Path) -> None:
     assert lines[0] == "/talker in /box crashed 2 times, first at 10.000 s after the start."
     assert "a null pointer was used" in lines[1]
     assert "demo::tick (libdemo.so+0x2)" in lines[2]
-    assert "  Away: /talker 2 times, 1.0 s in all, 500 ms at most." in lines
+    assert "  Downtime: /talker 2 times, 1.0 s in all, 500 ms at most." in lines
     assert "    #0 demo::tick()+0x1 (libdemo.so+0x2)" in lines
 
 

@@ -219,7 +219,7 @@ def test_who_was_held_back_by_limits_is_in_the_summary() -> None:
     }
     stream = io.StringIO()
     print_summary(SYSTEM, SYSTEM, RECORDING, stream=stream, colour=False, used=used)
-    _, _, table = stream.getvalue().partition("held back by its limits")
+    _, _, table = stream.getvalue().partition("throttled by cgroup limits")
     rows = [line.split() for line in table.splitlines()]
     assert ["/bad/n0", "4.50", "s", "1.25", "s", "0", "0"] in rows
     assert ["/listener", "0.00", "s", "2", "3"] in rows

@@ -271,7 +271,7 @@ def test_a_container_that_a_node_poisoned_when_it_was_killed(tmp_path: Path) -> 
     check(lines, "/holder in /lab crashed", "SIGKILL", "play_launch_demo::Locker", "robot.yaml:8")
     text = explain(replay.bag).stdout
     assert "/lab was killed: a node died with a lock" in text
-    assert "Also hit: /lab, /waiting" in text
+    assert "Also affected: /lab, /waiting" in text
 
 
 def test_a_full_disk(tmp_path: Path) -> None:

@@ -55,7 +55,7 @@ class DisplayLimits(Struct, frozen=True):
     lines: int = 5_000
     """Lines of output waiting to be shown; further ones are left out and counted."""
     other_events: int = 100_000
-    """Room for other events; it is used up only when nobody reads what is shown."""
+    """Room for other events; it is used up only if stdout is not read."""
     batch: float = 0.05
     """Seconds between two writes."""
 
@@ -63,7 +63,7 @@ class DisplayLimits(Struct, frozen=True):
 class Display:
     """Takes events on any thread and shows them from one of its own.
 
-    A terminal can be stopped (Ctrl-S) and a pipe can be full; both would block whoever writes.
+    A terminal can be stopped (Ctrl-S) and a pipe can be full; both would block the writing thread.
     When stdout takes no more (its reader has gone, the disk is full, the terminal was closed),
     showing ends, and the run goes on.
     """
@@ -129,7 +129,7 @@ class Display:
             self._gone = True
             redirect_to_devnull(sys.stdout)
             if not isinstance(error, BrokenPipeError):
-                _log.warning("nothing more is shown, stdout takes no more: %s", error.strerror)
+                _log.warning("the display is off: stdout cannot be written: %s", error.strerror)
         finally:
             # Also after a mistake of ours: the cursor must come back.
             with contextlib.suppress(OSError, ValueError):

@@ -1,4 +1,4 @@
-"""What an event says to a person who reads along, in lines that stay."""
+"""Lines of `replay` for events."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Line(Struct, frozen=True):
     text: str
     level: int = INFO
     is_progress: bool = False
-    """It only says what a live view shows anyway."""
+    """It repeats what the live view shows."""
 
 
 def line_of(event: RunEvent, before: SystemView, after: SystemView) -> Line | None:
@@ -121,10 +121,10 @@ def _node_line(event: NodeStateChanged, before: SystemView, after: SystemView) -
         case NodeState.LOAD_FAILED | NodeState.CRASHED | NodeState.GAVE_UP if not repeated:
             text = f"{event.node} {_VERBS[event.state]}{reason}"
             return Line(event.stamp_ns, event.container, text, ERROR)
-        # Who had crashed was gone before its container went.
+        # A node that had crashed was down before its container exited.
         case NodeState.LOST if not repeated and not (was and was.state is NodeState.CRASHED):
             return Line(event.stamp_ns, event.container, f"{event.node} lost{reason}", WARN)
-        # In an orderly stop nobody wonders; an unload that was asked for has no reason.
+        # An orderly stop needs no reason; an unload that was asked for has no reason.
         case NodeState.UNLOADED if reason and container.state is ContainerState.RUNNING:
             return Line(event.stamp_ns, event.container, f"{event.node} unloaded{reason}", WARN)
         case _:
@@ -141,7 +141,7 @@ _VERBS: Final = {
 def _process_line(event: ProcessEvent, before: SystemView) -> Line | None:
     match event.kind:
         case ProcessEventKind.STARTED:
-            # Without a pid it is a container that somebody else starts.
+            # Without a pid it is an attached container.
             text = f"started, pid {event.pid}" if event.pid else "attaching"
             return Line(event.stamp_ns, event.name, text, is_progress=True)
         case ProcessEventKind.EXITED:

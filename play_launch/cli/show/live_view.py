@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from play_launch.supervisor.view import ContainerView, SystemView
 
 _OTHER_ROWS: Final = 3
-"""Rows that are kept free: the totals, the line that says what is left out, and the prompt."""
+"""Rows that are kept free: the totals, the line about omitted rows, and the prompt."""
 _TROUBLE: Final = frozenset({ContainerState.BACKOFF, ContainerState.GAVE_UP})
 
 

@@ -13,7 +13,7 @@ _SIGNS: Final = {"remove": "-", "add": "+", "load": "+", "start": "+"}
 _COLOURS: Final = {"-": "\x1b[31m", "+": "\x1b[32m", "~": "\x1b[33m"}
 _WHY: Final = {
     "nothing": "taken over at once",
-    "set": "the node is asked to take it; else it is reloaded or restarted",
+    "set": "set at run time; reloaded or restarted if the node rejects it",
     "reload": "read when the node is loaded",
     "restart": "read when the process is started",
     "next run": "not changed while the session runs: from the next replay on",
@@ -98,7 +98,7 @@ def _awaited(rule: Any) -> str:
 
 
 def outcome_line(outcome: Mapping[str, Any]) -> str:
-    """Say what became of a step."""
+    """Format the result of a step."""
     step = outcome["step"]
     name = step["name"] or step["kind"]
     reason = f": {outcome['reason']}" if outcome["reason"] else ""

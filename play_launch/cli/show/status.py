@@ -105,7 +105,7 @@ def process_at_end(before: ProcessView, after: ProcessView, *, dismissed: bool =
 
 
 def stop_problem(process: ProcessView) -> str:
-    """Say how a process ended that was asked to end; empty: as it should."""
+    """Describe an unexpected end of a stopped process; empty if it exited as expected."""
     asked = {128 + number for number in _ASKED_BY}
     is_well = process.signal in _ASKED_BY or (
         not process.signal and process.exit_code in {0, *asked}
@@ -116,7 +116,7 @@ def stop_problem(process: ProcessView) -> str:
 
 
 def ending(exit_code: int, signal: int) -> str:
-    """Say how a process ended."""
+    """Describe the end of a process."""
     return str(Exit(code=exit_code, signal=signal))
 
 

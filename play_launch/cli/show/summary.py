@@ -171,7 +171,7 @@ def _process_object(
 
 
 def _end_object(process: ProcessView) -> dict[str, object]:
-    """Say how its last process ended; null where that is not known, or it never did."""
+    """Return the end of its last process; null if unknown or still running."""
     has_ended = process.kind is ProcessEventKind.EXITED
     is_known = not process.signal and process.exit_code != UNKNOWN_STATUS
     return {
@@ -189,7 +189,9 @@ def _has_failed(process: ProcessView, view: SystemView) -> bool:
 
 
 def _held_back(used: Used) -> Table:
-    table = _table("held back by its limits", "CPU time", "throttled", "OOM kills", "pids_max hits")
+    table = _table(
+        "throttled by cgroup limits", "CPU time", "throttled", "OOM kills", "pids_max hits"
+    )
     for (kind, key), total in used.items():
         name = NodeKey.parsed(key).name if kind is SubjectKind.NODE else key
         table.add_row(

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from play_launch.cli.show.display import Shown
 
 _REDRAW: Final = 0.5
-"""Seconds between two frames while somebody waits for something."""
+"""Seconds between two frames while something is pending."""
 _ERROR_COLOUR: Final = "\x1b[31m"
 _WARNING_COLOUR: Final = "\x1b[33m"
 _NAME_COLOURS: Final = tuple(f"\x1b[{code}m" for code in (36, 35, 34, 32, 96, 95, 94, 92))
@@ -55,7 +55,7 @@ class PlainStyle:
 
 
 class LiveStyle:
-    """On a terminal: lines scroll by above a view that says what is up and what is missing."""
+    """On a terminal: lines scroll by above a view of what is up and what is missing."""
 
     def __init__(self, console: Console, *, quiet: bool, colour: bool) -> None:
         """``console`` is a terminal; ``quiet`` leaves the output of nodes away."""
@@ -113,8 +113,8 @@ def _wants(event: RunEvent, *, quiet: bool) -> bool:
 
 
 def missed_line(missed: int) -> Line:
-    """Say that lines are left out."""
-    text = f"{missed} lines were too many to show; the recording has them"
+    """Make the line about skipped lines."""
+    text = f"skipped {missed} lines (the terminal is too slow); they are in the recording"
     return Line(time.time_ns(), OWN_NAME, text, WARN)
 
 
