@@ -126,6 +126,7 @@ def run(idle_timeout: IdleTimeout = 0.0) -> None:
     """Run the daemon here, in the foreground, until Ctrl-C; for services and containers."""
     address = _address()
     _require_ros()
+    import asyncio  # noqa: PLC0415
     import logging  # noqa: PLC0415
 
     from play_launch.graph_daemon.contract import WARM  # noqa: PLC0415
@@ -150,7 +151,7 @@ def run(idle_timeout: IdleTimeout = 0.0) -> None:
         if what == WARM:
             say(f"serving {address.url}")
 
-    server.run(port.listener, report)
+    asyncio.run(server.run(port.listener, report))
 
 
 for _verb in (start, stop, status, run, patch, unpatch):

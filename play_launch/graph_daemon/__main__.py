@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import asyncio
 import contextlib
 import logging
 import os
@@ -39,7 +40,7 @@ def main() -> None:
                 with contextlib.suppress(OSError):
                     ready.close()
 
-        daemon.run(socket.socket(fileno=options.listener), report)
+        asyncio.run(daemon.run(socket.socket(fileno=options.listener), report))
 
 
 if __name__ == "__main__":

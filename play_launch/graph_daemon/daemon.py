@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import json
 import logging
 import os
@@ -105,7 +107,7 @@ class Daemon:
         self._replacing: threading.Thread | None = None
         self._replacements = 0
 
-    def run(self, listener: socket.socket, report: Callable[[str], None]) -> None:
+    async def run(self, listener: socket.socket, report: Callable[[str], None]) -> None:
         """Serve until a client, a signal or idleness ends it; for the main thread.
 
         Args:
@@ -135,18 +137,21 @@ class Daemon:
         self._known, self._addresses_checked = addresses(), self._started
         self._service.use(self._build())
         self._server = Server(listener, self._service.answer)
+        self._is_over = asyncio.Event()
         for number in _SIGNALS:
-            signal.signal(number, lambda *_: self._ended.set())
+            asyncio.get_running_loop().add_signal_handler(number, self._is_over.set)
+        self._server.start()
         report(LISTENING)
         try:
-            while not self._ended.is_set():
-                self._server.timeout = _QUIET_TICK if self._service.is_warm else _TICK
-                self._server.handle_request()
+            while not self._is_over.is_set():
+                with contextlib.suppress(TimeoutError):
+                    async with asyncio.timeout(_QUIET_TICK if self._service.is_warm else _TICK):
+                        await self._is_over.wait()
                 self._check(report)
         finally:
             self._ended.set()
             self._service.close()
-            self._server.close()
+            await self._server.close()
             if self._replacing is not None:
                 self._replacing.join()
             self._service.graph.close()
@@ -188,7 +193,7 @@ class Daemon:
 
     def _shut_down(self) -> None:
         # At once: when its caller has the answer, the port refuses connections.
-        self._ended.set()
+        self._is_over.set()
         self._server.stop_listening()
 
     def _check(self, report: Callable[[str], None]) -> None:
@@ -197,7 +202,7 @@ class Daemon:
             report(WARM)
         if self._idle_timeout and now - self._service.last_request > self._idle_timeout:
             _log.info("no request for %g s", self._idle_timeout)
-            self._ended.set()
+            self._is_over.set()
         if now - self._addresses_checked < _ADDRESS_INTERVAL:
             return
         self._addresses_checked = now

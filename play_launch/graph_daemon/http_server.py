@@ -1,207 +1,311 @@
-"""The standard library's HTTP server, a thread a connection, with bounds for local clients.
+"""Serves any number of clients from one thread, within bounds; lets each close first.
 
-The side that closes a TCP connection first keeps its port in TIME_WAIT for a minute, and ros2cli's
-daemon cannot start while our port is busy. So the client closes first, or the connection is reset.
+A thread a connection, as the standard library's server has it, answers a storm of starting nodes
+five times later (docs/decisions/graph-daemon.md).
+
+The side that closes a TCP connection first keeps its port busy for a minute (TIME_WAIT), and
+ros2cli's daemon cannot start while our port is busy. So a connection is closed after the client's
+end of it, or else by a reset: at its deadline, or when it takes too much. Until the client's end
+has come the socket is set to be reset on closing, so that even a killed daemon leaves nothing
+behind.
+
+Connections read from their sockets in sequence, without asyncio's streams: those read up to 256 KiB
+of each client ahead, here it is 16 KiB, and what is not read yet waits in the kernel.
 """
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
-import http.server
+import functools
 import logging
-import re
+import resource
 import socket
-import socketserver
 import struct
-import sys
-import threading
-import time
-import zlib
-from typing import TYPE_CHECKING, Any, Final
+from collections import OrderedDict
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
 
-from play_launch.graph_daemon.contract import BACKLOG, PATH
+from play_launch.graph_daemon.contract import BACKLOG
+from play_launch.graph_daemon.http_head import (
+    CONSENT,
+    END_OF_HEAD,
+    LONGEST_HEAD,
+    Rejection,
+    parse_head,
+    response,
+    unpack,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Awaitable, Callable
 
-LARGEST_BODY: Final = 32 * 1024
-"""Bytes of a request's body, also after unpacking; a call of ros2cli has some hundred."""
-CLIENT_TIMEOUT: Final = 10.0
-"""Seconds without progress for a request, for an answer, and for closing after the last one."""
-CONNECTIONS: Final = 256
-"""Connections at once, each with a thread; where one more comes, the oldest is reset."""
-_CLOSE_TIMEOUT: Final = 1.0
-"""Seconds for answers that are under way when the daemon ends."""
-_ACCEPT_PAUSE: Final = 0.1
-_OUR_HOST: Final = re.compile(r"(?:127\.0\.0\.1|localhost|\[::1\])(?::[0-9]{1,5})?", re.IGNORECASE)
-_LENGTH: Final = re.compile(r"[0-9]{1,18}")
+    from play_launch.graph_daemon.http_head import Head
+
+_READ_AT_ONCE: Final = 16 * 1024
 _RESET_ON_CLOSE: Final = struct.pack("ii", 1, 0)
 _CLOSE_IN_ORDER: Final = struct.pack("ii", 0, 0)
+_ACCEPTED_AT_ONCE: Final = 64
+_PAUSE: Final = 1.0
+"""Seconds until clients are accepted again where no descriptor or memory was left for one."""
+_SPARE_FILES: Final = 64
+"""Descriptors that the rest of the process needs."""
 _log = logging.getLogger(__name__)
 
 
-class Server(socketserver.ThreadingMixIn, socketserver.TCPServer):
-    """Passes the body of each request to ``answer``, in a thread for each connection.
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What clients may take."""
+
+    deadline: float = 10.0
+    """Seconds for a request, or for taking its answer; an idle connection is kept as long."""
+    connections: int = 1000
+    """Where one more comes, the one that has made no progress for longest is reset."""
+    memory: int = 64 * 1024 * 1024
+    """Bytes of requests and answers that are held for all clients; beyond it, the same."""
+    farewell: float = 1.0
+    """Seconds that clients are given to take their answers and close when the daemon ends."""
+
+
+class Server:
+    """Accepts clients on a listening socket and passes their requests on.
 
     Args:
         listener: Bound and listening; it belongs to the server from now on.
-        answer: Returns the body of the response; called in the connections' threads.
-        connections: Limit of connections at once.
+        answer: Called with the body of a request; returns the body of the response.
+        limits: What clients may take.
     """
-
-    daemon_threads = True
-    block_on_close = False
 
     def __init__(
         self,
         listener: socket.socket,
-        answer: Callable[[bytes], bytes],
-        connections: int = CONNECTIONS,
+        answer: Callable[[bytes], Awaitable[bytes]],
+        limits: Limits | None = None,
     ) -> None:
         self.answer = answer
         self.requests = 0
-        """Number of requests that were answered."""
+        """How many requests were answered."""
         self.resets = 0
-        """Number of connections that were reset because there were too many."""
-        self._free = threading.Semaphore(connections)
-        self._open: dict[socket.socket, bool] = {}
-        """The connections, oldest first, and whether they are being ended from here."""
-        self._changed = threading.Condition()
-        super().__init__(listener.getsockname(), _Handler, bind_and_activate=False)
-        self.socket.close()
-        self.socket = listener
-        listener.listen(BACKLOG)
+        """How many connections were reset for their deadline, or because there were too many."""
+        self.held = 0
+        """Bytes of requests and answers that are held for all clients."""
+        self.is_closing = False
+        """Whether it stopped listening."""
+        self._listener = listener
+        self._limits = limits or Limits()
+        self._most = min(self._limits.connections, _files_allowed(self._limits.connections))
+        self._clients: OrderedDict[Connection, asyncio.Task[None]] = OrderedDict()
+        """The one that has made no progress for longest is the first."""
+        self._tasks: set[asyncio.Task[None]] = set()
+        """Those of connections that were reset, too, until they have ended."""
 
     @property
     def connections(self) -> int:
-        """The number of connections."""
-        return len(self._open)
+        """How many clients there are."""
+        return len(self._clients)
+
+    def start(self) -> None:
+        """Accept clients from now on."""
+        self._loop = asyncio.get_running_loop()
+        self._listener.setblocking(False)
+        self._listener.listen(BACKLOG)
+        self._listen()
 
     def stop_listening(self) -> None:
-        """Refuse connections from now on; for any thread."""
-        with contextlib.suppress(OSError):
-            self.socket.shutdown(socket.SHUT_RDWR)
+        """Accept those that have come, and no more; the port refuses connections then."""
+        if not self.is_closing:
+            self.is_closing = True
+            self._loop.remove_reader(self._listener)
+            with contextlib.suppress(OSError):
+                while True:
+                    self._welcome(self._listener.accept()[0])
+            self._listener.close()
+
+    async def close(self) -> None:
+        """Stop listening, give answers that are under way, and reset the other connections."""
+        self.stop_listening()
+        for group in ([client for client in self._clients if client.is_idle], self._clients):
+            for connection in list(group):
+                self._forget(connection).cancel()
+            if self._tasks:
+                await asyncio.wait(self._tasks, timeout=self._limits.farewell)
+
+    def _listen(self) -> None:
+        if not self.is_closing:
+            self._loop.add_reader(self._listener, self._accept)
+
+    def _accept(self) -> None:
+        # A bounded number, so that those already here have their turn.
+        try:
+            for _ in range(_ACCEPTED_AT_ONCE):
+                self._welcome(self._listener.accept()[0])
+        except BlockingIOError:
+            pass
+        except OSError as error:
+            _log.warning("clients are not accepted for %g s: %s", _PAUSE, error)
+            self._loop.remove_reader(self._listener)
+            self._loop.call_later(_PAUSE, self._listen)
+
+    def _welcome(self, client: socket.socket) -> None:
+        client.setblocking(False)
+        if len(self._clients) >= self._most:
+            self._reset(next(iter(self._clients)))
+        connection = Connection(self, client, self._limits.deadline)
+        task = self._loop.create_task(connection.serve())
+        self._clients[connection] = task
+        self._tasks.add(task)
+        task.add_done_callback(functools.partial(self._ended, connection))
+
+    def _ended(self, connection: Connection, task: asyncio.Task[None]) -> None:
+        connection.close()
+        self._tasks.discard(task)
+        if connection in self._clients:
+            self._forget(connection)
+        error = None if task.cancelled() else task.exception()
+        if isinstance(error, TimeoutError):
+            self.resets += 1
+        elif error is not None and not isinstance(error, OSError):
+            _log.error("a connection was reset by a defect of the daemon", exc_info=error)
+
+    def _reset(self, connection: Connection) -> None:
+        self.resets += 1
+        self._forget(connection).cancel()
+
+    def _forget(self, connection: Connection) -> asyncio.Task[None]:
+        self.held -= connection.held
+        return self._clients.pop(connection)
+
+    # What connections call.
+
+    def progressed(self, connection: Connection) -> None:
+        """Put it behind those that have made no progress for longer."""
+        self.requests += 1
+        if connection in self._clients:
+            self._clients.move_to_end(connection)
+
+    def hold(self, connection: Connection, size: int) -> None:
+        """Count what a connection holds; reset the oldest clients while all hold too much."""
+        if connection not in self._clients:
+            return
+        self.held += size - connection.held
+        connection.held = size
+        while self.held > self._limits.memory:
+            # A client that holds nothing would free nothing.
+            self._reset(next(other for other in self._clients if other.held))
+
+
+class Connection:
+    """Reads at most one request and `_READ_AT_ONCE`; the rest waits in the kernel.
+
+    Args:
+        server: What it belongs to.
+        client: A socket that does not block.
+        deadline: Seconds for a request and its answer; an idle client is kept as long.
+    """
+
+    def __init__(self, server: Server, client: socket.socket, deadline: float) -> None:
+        self._server = server
+        self._socket = client
+        self._deadline = deadline
+        self._loop = asyncio.get_running_loop()
+        self._received = bytearray()
+        self.held = 0
+        """Bytes of requests and answers; counted by the server."""
+        self.is_idle = False
+        """Whether the client was answered, and nothing of another request has come."""
+        self._linger(_RESET_ON_CLOSE)
+        client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    async def serve(self) -> None:
+        """Answer until the client ends the connection.
+
+        Raises ``TimeoutError`` for a client that stands still, and ``OSError`` when it is gone.
+        """
+        try:
+            keep = True
+            while keep:
+                async with asyncio.timeout(self._deadline):
+                    keep = await self._exchange()
+                self._server.progressed(self)
+                self.is_idle = keep and not self._received
+            async with asyncio.timeout(self._deadline):
+                while True:
+                    self._received.clear()
+                    await self._receive()
+        except EOFError:
+            self._linger(_CLOSE_IN_ORDER)
 
     def close(self) -> None:
-        """Stop listening, finish answers that are under way, and end all connections."""
-        self.stop_listening()
-        self.server_close()
-        with self._changed:
-            for client in self._open:
-                self._end(client, socket.SHUT_RD)
-            self._changed.wait_for(lambda: not self._open, _CLOSE_TIMEOUT)
+        """Close in order after the client's end, else reset."""
+        self._socket.close()
 
-    def get_request(self) -> tuple[socket.socket, Any]:
-        """Accept a connection; without a free descriptor, pause instead of spinning."""
+    async def _exchange(self) -> bool:
+        """Answer one request; whether another may follow."""
         try:
-            client, address = self.socket.accept()
-        except OSError as error:
-            if self.socket.fileno() >= 0 and not isinstance(error, BlockingIOError):
-                time.sleep(_ACCEPT_PAUSE)
-            raise
-        client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESET_ON_CLOSE)
-        return client, address
+            head = parse_head(await self._read_head())
+            body = await self._read_body(head)
+        except Rejection as rejection:
+            self._received.clear()
+            await self._send(rejection.response)
+            return False
+        reply = await self._server.answer(body)
+        keep = head.keep_alive and not self._server.is_closing
+        await self._send(response(reply, keep_alive=keep))
+        return keep
 
-    def process_request(self, request: Any, client_address: Any) -> None:
-        """Start a thread for the connection, if need be in place of the oldest connection."""
-        if not self._free.acquire(blocking=False):
-            self.resets += 1
-            with self._changed:
-                oldest = next((client for client, ending in self._open.items() if not ending), None)
-                if oldest is not None:
-                    self._end(oldest, socket.SHUT_RDWR)
-            if not self._free.acquire(timeout=_CLOSE_TIMEOUT):
-                request.close()
-                return
-        with self._changed:
-            self._open[request] = False
-        super().process_request(request, client_address)
+    async def _read_head(self) -> bytes:
+        searched = 0
+        while True:
+            # Python's clients end a request with CRLF; some old ones send one more.
+            while self._received[:2] == b"\r\n":
+                del self._received[:2]
+            # A pattern of four bytes may have begun in what was searched before.
+            found = END_OF_HEAD.search(self._received, max(0, searched - 3))
+            searched = len(self._received)
+            if (found.end() if found else searched) > LONGEST_HEAD:
+                raise Rejection(431, "Request Header Fields Too Large")
+            if found:
+                text = bytes(self._received[: found.start()])
+                del self._received[: found.end()]
+                return text
+            await self._receive()
 
-    def shutdown_request(self, request: Any) -> None:
-        """Wait until the client has closed its side, and close ours; else reset it."""
-        with contextlib.suppress(OSError):
-            request.settimeout(CLIENT_TIMEOUT)
-            while request.recv(LARGEST_BODY):
-                pass
-            if self._open.get(request) is False:
-                request.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _CLOSE_IN_ORDER)
-        request.close()
-        with self._changed:
-            if self._open.pop(request, None) is not None:
-                self._free.release()
-            self._changed.notify_all()
+    async def _read_body(self, head: Head) -> bytes:
+        if head.awaits_consent:
+            await self._send(CONSENT)
+        while len(self._received) < head.length:
+            await self._receive()
+        body = bytes(self._received[: head.length])
+        del self._received[: head.length]
+        return unpack(body) if head.is_packed else body
 
-    def _end(self, client: socket.socket, how: int) -> None:
-        """Wake the thread of a connection, which resets it."""
-        self._open[client] = True
-        with contextlib.suppress(OSError):
-            client.shutdown(how)
+    async def _receive(self) -> None:
+        """Read what has come; raises ``EOFError`` at the client's end."""
+        # However fast one client sends, the others have their turn.
+        await asyncio.sleep(0)
+        data = await self._loop.sock_recv(self._socket, _READ_AT_ONCE)
+        if not data:
+            raise EOFError
+        self.is_idle = False
+        self._received += data
+        self._server.hold(self, len(self._received))
 
-    def handle_error(self, request: Any, client_address: Any) -> None:  # noqa: ARG002
-        """Log a defect of the daemon; clients that disconnect are ignored."""
-        if not isinstance(sys.exc_info()[1], OSError):
-            _log.exception("%s: a connection was reset by a defect of the daemon", client_address)
+    async def _send(self, data: bytes) -> None:
+        self._server.hold(self, len(self._received) + len(data))
+        await self._loop.sock_sendall(self._socket, data)
+        self._server.hold(self, len(self._received))
 
-
-class _Handler(http.server.BaseHTTPRequestHandler):
-    server: Server
-    protocol_version = "HTTP/1.1"
-    timeout = CLIENT_TIMEOUT
-    disable_nagle_algorithm = True
-
-    def do_POST(self) -> None:
-        status = self._rejection()
-        body = None if status else self.rfile.read(int(self.headers["Content-Length"]))
-        if body is not None and len(body) < int(self.headers["Content-Length"]):
-            self.close_connection = True
-            return
-        if body is not None and self._encoding() == "gzip":
-            body, status = _unpacked(body)
-        if body is None:
-            self.send_error(status)
-            return
-        reply = self.server.answer(body)
-        self.server.requests += 1
-        ending = "Connection: close\r\n\r\n" if self.close_connection else "\r\n"
-        head = (
-            f"HTTP/1.1 200 OK\r\nContent-Type: text/xml\r\nContent-Length: {len(reply)}\r\n{ending}"
-        )
-        self.wfile.write(head.encode("ascii") + reply)
-
-    def _rejection(self) -> int:
-        """Return the status of a request that is refused by its head; 0 for any other."""
-        headers = self.headers
-        # Only browsers send an origin: a page of the web may neither ask nor end the daemon, nor
-        # may one whose host name was made to point to this machine.
-        hosts = headers.get_all("Host", ["localhost"])
-        if "Origin" in headers or not all(_OUR_HOST.fullmatch(host.strip()) for host in hosts):
-            return 403
-        if self.path != PATH:
-            return 404
-        if "Transfer-Encoding" in headers or self._encoding() not in {"identity", "gzip"}:
-            return 501
-        lengths = {length.strip() for length in headers.get_all("Content-Length", [])}
-        if len(lengths) != 1:
-            return 400 if lengths else 411
-        (length,) = lengths
-        if not _LENGTH.fullmatch(length):
-            return 400
-        return 413 if int(length) > LARGEST_BODY else 0
-
-    def _encoding(self) -> str:
-        return str(self.headers.get("Content-Encoding", "identity")).lower()
-
-    def log_message(self, format: str, *arguments: Any) -> None:  # noqa: A002 - the library's name
-        """Log nothing: there are thousands of requests."""
+    def _linger(self, how: bytes) -> None:
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, how)
 
 
-def _unpacked(packed: bytes) -> tuple[bytes | None, int]:
-    """Unpack gzip; None with a status when it is broken or unpacks to too much."""
-    unpacker = zlib.decompressobj(wbits=16 + zlib.MAX_WBITS)
-    try:
-        body = unpacker.decompress(packed, LARGEST_BODY + 1)
-    except zlib.error:
-        return None, 400
-    if not unpacker.eof or len(body) > LARGEST_BODY:
-        return None, 400
-    return body, 0
+def _files_allowed(wanted: int) -> int:
+    """Raise the limit of open files as far as it is needed and may be; return what it allows."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    needed = wanted + _SPARE_FILES
+    if soft != resource.RLIM_INFINITY and soft < needed:
+        raised = needed if hard == resource.RLIM_INFINITY else min(needed, hard)
+        with contextlib.suppress(OSError, ValueError):
+            resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, raised), hard))
+            soft = max(soft, raised)
+    return wanted if soft == resource.RLIM_INFINITY else max(1, soft - _SPARE_FILES)

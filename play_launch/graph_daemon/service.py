@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import json
 import logging
@@ -47,7 +48,7 @@ class _Reply(NamedTuple):
 
 
 class GraphService:
-    """The daemon without its sockets; for any thread.
+    """The daemon without its sockets. Everything but `changed` and `use` is for the loop's thread.
 
     Args:
         functions: The methods of the graph, by name.
@@ -81,7 +82,7 @@ class GraphService:
         self._counting = threading.Lock()
         self._querying = threading.Lock()
         self._pulse = Pulse(time.monotonic())
-        self._warm = threading.Event()
+        self._warm = asyncio.Event()
         self._counted: tuple[int, float, Population] | None = None
         self._replies: dict[bytes, _Reply] = {}
         self._size = 0
@@ -146,7 +147,7 @@ class GraphService:
             self._counted = known = generation, now, self._count_population()
         return known[2]._replace(participants_here=self._participants_here())
 
-    def answer(self, body: bytes) -> bytes:
+    async def answer(self, body: bytes) -> bytes:
         """Answer a request: at once, or, if it is about the graph, when that is warm."""
         self.last_request = time.monotonic()
         if reply := self._cached(body):
@@ -157,11 +158,10 @@ class GraphService:
             return dump_fault(error)
         if method not in GRAPH_METHODS and method != JSON_METHOD:
             return self._call(method, arguments)
-        self._warm.wait()
+        if not self.is_warm:
+            await self._warm.wait()
+            return await self.answer(body)  # others may have had the same request
         with self._querying:
-            # While this thread waited, another may have had the same request.
-            if reply := self._cached(body):
-                return reply
             # From before the query: what changes meanwhile may not be in the reply.
             generation, asked = self._generation, time.monotonic()
             reply = self._call(method, arguments)
