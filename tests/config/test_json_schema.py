@@ -56,7 +56,7 @@ def test_samples_name_the_schema_and_fit_it(file: Path) -> None:
     first = re.match(r"# yaml-language-server: \$schema=(\S+)\n", text)
     assert first is not None
     # That of the checkout, which an editor finds beside the sample; installed is a copy of it.
-    assert (file.parent / first[1]).read_bytes() == SCHEMA_FILE.read_bytes()
+    assert (file.resolve().parent / first[1]).read_bytes() == SCHEMA_FILE.read_bytes()
     assert not problems(yaml.safe_load(text), json_schema())
 
 

@@ -246,4 +246,4 @@ def test_a_recording_is_not_watched(tmp_path: Path) -> None:
         text=True,
     )
     assert result.returncode == 2
-    assert "leave --watch out" in result.stderr
+    assert "leave out --watch" in result.stderr

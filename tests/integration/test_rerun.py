@@ -136,7 +136,7 @@ def test_what_comes_after_a_time_is_not_compared(session: Path) -> None:
     assert found["inputs"] < rerun(session)[1]["inputs"]
     result = ran("rerun", session, "--until", "soon")
     assert (result.returncode, result.stdout) == (2, "")
-    assert "--until soon" in result.stderr
+    assert "--until" in result.stderr
 
 
 def test_an_input_that_is_missing_is_noticed(session: Path, tmp_path: Path) -> None:
@@ -145,7 +145,7 @@ def test_an_input_that_is_missing_is_noticed(session: Path, tmp_path: Path) -> N
         session, tmp_path / "x.mcap", lambda rows: [row for row in rows if row[0] != number]
     )
     code, found = rerun(target)
-    assert (code, found["same"], found["differences"]) == (3, False, [])
+    assert (code, found["same"], found["differences"]) == (5, False, [])
     assert found["incomplete"] == f"inputs {number} to {number} are missing"
     # What was before it is the same, and can be compared alone.
     assert rerun(target, "--until", f"{found['until_s'] - 0.001}s")[0] == 0
@@ -158,13 +158,13 @@ def test_other_verbs_read_it_and_one_without_inputs_is_incomplete(
     for verb in ("info", "inspect", "explain", "export"):
         assert ran(verb, folder).returncode in ({0, 1} if verb == "explain" else {0}), verb
     last = max(folder.glob("session_*.mcap"), key=lambda path: int(path.stem.split("_")[1]))
-    assert ran("rerun", last).returncode == 3
+    assert ran("rerun", last).returncode == 5
     last.rename(f"{last}.active")
     assert ran("recover", folder).returncode == 0
     assert rerun(folder)[0] == 0
     old = rewritten(session, tmp_path / "old.mcap", lambda _: [])
     code, found = rerun(old)
-    assert (code, found["inputs"]) == (3, 0)
+    assert (code, found["inputs"]) == (5, 0)
     assert "older version" in found["incomplete"]
 
 
@@ -215,4 +215,4 @@ def test_a_session_that_was_killed_is_compared_as_far_as_it_came(tmp_path: Path)
         replay.process.send_signal(signal.SIGKILL)
         replay.process.wait()
     code, found = rerun(kept)
-    assert (code, found["differences"], found["incomplete"]) == (3, [], "its end is missing")
+    assert (code, found["differences"], found["incomplete"]) == (5, [], "its end is missing")

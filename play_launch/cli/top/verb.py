@@ -12,7 +12,7 @@ from typing import IO, TYPE_CHECKING, Final
 
 from play_launch.cli import options
 from play_launch.cli.connection import connected, report_end
-from play_launch.cli.output import is_terminal, wants_colour
+from play_launch.cli.output import is_terminal, redirect_to_devnull, wants_colour
 from play_launch.control.protocol import Code, ControlError
 
 if TYPE_CHECKING:
@@ -43,6 +43,9 @@ def top(session: options.Session = None) -> int:
                 "top needs Textual, which is not installed; pip install 'play-launch-py[top]'",
             ) from None
         end = asyncio.run(_show(client))
+    if end.signal == signal.SIGHUP:  # the terminal is gone
+        redirect_to_devnull(sys.stdout)
+        redirect_to_devnull(sys.stderr)
     if end.signal:
         return 128 + end.signal
     return report_end(client.hello, end.reason) if end.is_lost else 0

@@ -70,14 +70,18 @@ def test_a_damaged_recording_is_exported_as_far_as_it_can_be_read(tmp_path: Path
     [
         (("export", "text.mcap"), 2, "text.mcap: it is not an MCAP file"),
         (("export", "missing.mcap"), 2, "missing.mcap: No such file or directory"),
-        (("export", "session.mcap", "--format", "xml"), 2, "use one of perfetto, csv, parquet"),
+        (
+            ("export", "session.mcap", "--format", "xml"),
+            2,
+            "not one of 'perfetto', 'csv', 'parquet'",
+        ),
         (("export", "session.mcap", "-o", "no/x.json"), 1, "no/x.json: No such file or directory"),
         (
             ("export", "session.mcap", "--format", "csv", "-o", "text.mcap"),
             1,
             "text.mcap: File exists",
         ),
-        (("layout", "rviz"), 2, "use foxglove or plotjuggler"),
+        (("layout", "rviz"), 2, "not one of 'foxglove', 'plotjuggler'"),
         (("layout", "foxglove", "text.mcap"), 2, "it is not an MCAP file"),
     ],
 )
