@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from typing import Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
@@ -12,6 +12,9 @@ from play_launch.cli import options
 from play_launch.cli.connection import connected
 from play_launch.cli.output import printable
 from play_launch.control.protocol import ControlError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 _DONE: Final = {
     "start": "started",
@@ -30,64 +33,25 @@ Timeout = Annotated[
 ]
 
 
-def start(
-    names: options.Units,
-    timeout: Timeout = 60.0,
-    session: options.Session = None,
-    as_json: options.Json = False,
-) -> None:
-    """Start stopped containers or processes, and wait until they run."""
-    _operate("start", names, timeout, session, as_json=as_json)
+def _command(operation: str, about: str) -> Callable[..., None]:
+    def run(
+        names: options.Units,
+        timeout: Timeout = 60.0,
+        session: options.Session = None,
+        as_json: options.Json = False,
+    ) -> None:
+        _operate(operation, names, timeout, session, as_json=as_json)
+
+    run.__doc__ = about
+    return run
 
 
-def stop(
-    names: options.Units,
-    timeout: Timeout = 60.0,
-    session: options.Session = None,
-    as_json: options.Json = False,
-) -> None:
-    """Stop containers or processes; everything else continues."""
-    _operate("stop", names, timeout, session, as_json=as_json)
-
-
-def restart(
-    names: options.Units,
-    timeout: Timeout = 60.0,
-    session: options.Session = None,
-    as_json: options.Json = False,
-) -> None:
-    """Stop containers or processes and start them again."""
-    _operate("restart", names, timeout, session, as_json=as_json)
-
-
-def load(
-    names: options.Units,
-    timeout: Timeout = 60.0,
-    session: options.Session = None,
-    as_json: options.Json = False,
-) -> None:
-    """Load composable nodes that are not loaded."""
-    _operate("load", names, timeout, session, as_json=as_json)
-
-
-def unload(
-    names: options.Units,
-    timeout: Timeout = 60.0,
-    session: options.Session = None,
-    as_json: options.Json = False,
-) -> None:
-    """Unload composable nodes."""
-    _operate("unload", names, timeout, session, as_json=as_json)
-
-
-def reload(
-    names: options.Units,
-    timeout: Timeout = 60.0,
-    session: options.Session = None,
-    as_json: options.Json = False,
-) -> None:
-    """Unload composable nodes and load them again."""
-    _operate("reload", names, timeout, session, as_json=as_json)
+start = _command("start", "Start stopped containers or processes, and wait until they run.")
+stop = _command("stop", "Stop containers or processes; everything else continues.")
+restart = _command("restart", "Stop containers or processes and start them again.")
+load = _command("load", "Load composable nodes that are not loaded.")
+unload = _command("unload", "Unload composable nodes.")
+reload = _command("reload", "Unload composable nodes and load them again.")
 
 
 def signal(

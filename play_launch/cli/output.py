@@ -158,7 +158,7 @@ def has_colours(term: str) -> bool:
 
 
 def is_terminal(stream: IO[str]) -> bool:
-    """Whether ``stream`` is a terminal; a closed stream is none."""
+    """Whether ``stream`` is a terminal; a closed stream is not."""
     try:
         return stream.isatty()
     except ValueError:

@@ -44,8 +44,8 @@ POLL: Final = 0.5
 LONGEST_POLL: Final = 2.0
 """Seconds between them while it does not."""
 ORPHAN_TIMEOUT: Final = 60.0
-"""Seconds without a request after which the daemon ends by itself: each session sends requests all
-the time, so then the last one has ended."""
+"""Seconds without a request after which the daemon exits: each session sends requests all the time,
+so then the last one has ended."""
 BETWEEN_STARTS: Final = 10.0
 """Seconds from one start of the daemon to the next at least."""
 _LAST_POLL_TIMEOUT: Final = 2.0
@@ -80,7 +80,7 @@ async def observe_graph(environment: Mapping[str, str], sink: EventSink) -> None
     """Keep a daemon running, and publish a `GraphChanged` for each change, until cancelled.
 
     A daemon that runs is used as it is; one that has ended is started again. It is never stopped:
-    other sessions may use it, and without requests it ends by itself.
+    other sessions may use it, and without requests it exits.
 
     Args:
         environment: That of the system's processes, for domain and discovery.

@@ -172,7 +172,7 @@ def test_tab_imports_no_ros_and_only_the_command_on_the_line() -> None:
         "import os, sys\n"
         "from play_launch.cli.app import main\n"
         "try:\n    main()\nexcept SystemExit:\n    pass\n"
-        "slow = {'rclpy', 'launch', 'asyncio', 'textual', 'mcap'}\n"
+        "slow = {'rclpy', 'launch', 'pydantic_core', 'asyncio', 'textual', 'mcap'}\n"
         "print(sorted(slow & set(sys.modules)))\n"
     )
     for line in ("", "st", "stop ", "replay --d"):

@@ -71,4 +71,4 @@ def test_ps_imports_next_to_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     lines = [line for line in done.stderr.splitlines() if line.startswith("import time:")]
     imported = {line.rpartition("|")[2].strip() for line in lines}
     assert "typer" in imported
-    assert not imported & {"rich", "asyncio", "msgspec", "yaml", "rclpy"}
+    assert not imported & {"rich", "asyncio", "msgspec", "pydantic", "yaml", "rclpy"}

@@ -307,7 +307,7 @@ graph.daemon_address = lambda: At(0)
 try:
     entry.main()
 finally:
-    heavy = {"rich", "rclpy", "xmlrpc", "asyncio", "http", "yaml"}
+    heavy = {"rich", "pydantic", "rclpy", "xmlrpc", "asyncio", "http", "yaml"}
     print("imported:", *sorted((heavy | {"psutil"}) & set(sys.modules)), file=sys.stderr)
 """
 

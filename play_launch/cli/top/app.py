@@ -57,7 +57,7 @@ _FRAME: Final = 0.1
 _SHOWN_SILENCE: Final = 2.0
 """Seconds without an answer that are reported."""
 _BATCH: Final = 500
-"""Lines that are written into the log at once; of more, the last ones are."""
+"""Lines that are written into the log at once; of more, the last ones are, and the rest counted."""
 
 
 class End(Struct, frozen=True):
@@ -123,6 +123,8 @@ class TopApp(App[End]):
         self.log_filter = LogFilter()
         self.lines: deque[LogLine] = deque(maxlen=LINES_LIMIT)
         self._new_lines: deque[LogLine] = deque(maxlen=_BATCH)
+        self._undrawn = 0
+        """Lines since the last update that did not fit into the batch."""
         self._last = LastLines()
         self._dropped = 0
         """Lines older than the kept ones."""
@@ -188,6 +190,7 @@ class TopApp(App[End]):
         self.lines.append(line)
         self._last.add(line)
         if self.log_filter.wants(line):
+            self._undrawn += len(self._new_lines) == _BATCH
             self._new_lines.append(line)
         self._is_stale = True
 
@@ -343,6 +346,7 @@ class TopApp(App[End]):
         self.log_view.clear()
         self._follows_log = True
         self._new_lines.clear()
+        self._undrawn = 0
         if found := [shown(line) for line in self.lines if self.log_filter.wants(line)]:
             self.log_view.write(Text("\n").join(found))
 
@@ -356,6 +360,10 @@ class TopApp(App[End]):
         self._detail.set_class(bool(self._message), "-message")
         if self._new_lines:
             text = Text("\n").join(map(shown, self._new_lines))
+            if self._undrawn:
+                missing = f"({self._undrawn} lines not drawn; l, or choosing a row, draws all)\n"
+                text = Text(missing).append_text(text)
+                self._undrawn = 0
             self.log_view.write(text, scroll_end=self._follows_log)
             self._new_lines.clear()
         self._log_title.update(Text(self._log_title_text()))

@@ -126,5 +126,5 @@ class LastLines:
             name = name.rpartition(".")[0]
 
     def of(self, subject: Subject) -> str:
-        """Return the last line; empty if there is none."""
+        """Return the last line; empty without one."""
         return self._last.get(subject, "")

@@ -57,7 +57,7 @@ def objection(streams: tuple[IO[str], IO[str], IO[str]], environment: Mapping[st
     for stream, name in zip(streams, names, strict=True):
         if not is_terminal(stream):
             return (
-                f"top needs a terminal, and {name} is none; play-launch ps lists what runs, and "
+                f"top needs a terminal, and {name} is not one; play-launch ps lists what runs, and "
                 "play-launch logs -f follows the output"
             )
     term = environment.get("TERM", "")

@@ -254,7 +254,7 @@ def _report_cycle(cycle: list[str], places: dict[tuple[str, str], At]) -> None:
     steps = []
     first: At | None = None
     for unit, other in pairwise(cycle):
-        # A node needs its container by itself, and all nodes of a container include each.
+        # A node needs its container anyway, and all nodes of a container include each.
         at = places.get((unit, other)) or places.get((unit, other.partition(":/")[0]))
         first = first or at
         steps.append(f"{unit} ({at.node.place})" if at is not None else unit)

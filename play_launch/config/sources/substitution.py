@@ -40,7 +40,7 @@ class SubstitutionError(ValueError):
 
 
 class Lookup(Struct, frozen=True):
-    """Where values come from: each gives the value of a name, None if there is none."""
+    """Where values come from: each gives the value of a name, None without one."""
 
     variable: Callable[[str], str | None]
     argument: Callable[[str], str | None]

@@ -88,7 +88,7 @@ class Reading(Struct, frozen=True):
 
 
 def compose(text: str, file: str, report: Report, reading: Reading | None = None) -> Node | None:
-    """Return the tree of the only document in `text`, or None if there is none.
+    """Return the tree of the only document in `text`, or None without one.
 
     Problems go to `report`: what is wrong with the syntax ends the reading, a key given twice
     or a tag of no use does not.

@@ -63,7 +63,7 @@ def write(folder: Path) -> None:
 
 
 def remove(folder: Path) -> bool:
-    """Remove the overlay from ``folder``; False when there is none. Raises ``PatchError``."""
+    """Remove the overlay from ``folder``; False if it is not there. Raises ``PatchError``."""
     present = is_written(folder)
     try:
         (folder / STARTER).unlink(missing_ok=True)

@@ -88,7 +88,6 @@ _PARTS: Final = {
     "composable_node": _tag("pkg plugin name", "namespace" + _IF, "param remap extra_arg"),
 }
 _ARGUMENT_OF_INCLUDE: Final = _tag("name value")
-CONTAINERS_OF_ACTIONS: Final = frozenset(tag for tag, each in ACTIONS.items() if each.has_actions)
 
 
 def check(root: Entity) -> None:

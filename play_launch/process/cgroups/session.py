@@ -66,13 +66,8 @@ class SessionGroups:
         """Of the nodes that have a group, by their attempts."""
 
     @property
-    def is_on(self) -> bool:
-        """Whether processes get groups."""
-        return self._session is not None
-
-    @property
     def folder(self) -> Path | None:
-        """Of the session's own group, with all others in it; None: there are none."""
+        """Of the session's own group, with all others in it; None if processes get none."""
         return None if self._session is None else self._session.path
 
     def begin(self, policy: GroupPolicy, controllers: Iterable[str]) -> None:

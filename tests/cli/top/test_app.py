@@ -310,6 +310,17 @@ def test_the_log_is_chosen_and_scrolled(tmp_path: Path) -> None:
     acted(tmp_path, act)
 
 
+def test_lines_of_a_flood_that_are_not_drawn_are_counted(tmp_path: Path) -> None:
+    async def act(scene: Scene) -> None:
+        for number in range(700):  # all between two updates
+            scene.app.on_line(output(f"line {number}"))
+        await scene.until(lambda: "line 699" in "".join(scene.lines("log")), "the last line")
+        await scene.press("tab", "home")
+        assert scene.lines("log")[0] == "(200 lines not drawn; l, or choosing a row, draws all)"
+
+    acted(tmp_path, act)
+
+
 def test_hostile_names_and_lines_keep_the_screen_in_order(tmp_path: Path) -> None:
     async def act(scene: Scene) -> None:
         name = "/\x1b[2J\x1b]0;title\x07猫" + "猫" * 80 + "\u202eend"

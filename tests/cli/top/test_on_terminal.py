@@ -171,7 +171,7 @@ def test_where_no_screen_can_be_the_error_names_what_needs_none(robot: Replay) -
     command = [str(COMMAND), "top", "--session", str(robot.pid)]
     piped = subprocess.run(command, check=False, capture_output=True, text=True, timeout=60)
     assert (piped.returncode, piped.stdout) == (2, "")
-    assert "standard output is none; play-launch ps lists" in piped.stderr
+    assert "standard output is not one; play-launch ps lists" in piped.stderr
     with top_of(robot, TERM="dumb") as terminal:
         assert terminal.end() == 2
         assert "TERM=dumb cannot" in " ".join(terminal.lines())

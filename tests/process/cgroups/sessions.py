@@ -26,7 +26,7 @@ def session_groups() -> SessionGroups:
 def begun(base: Path, **policy: bool) -> SessionGroups:
     groups = session_groups()
     groups.begin(GroupPolicy(enabled=True, base_path=base, **policy), ())
-    assert groups.is_on
+    assert groups.folder is not None
     return groups
 
 

@@ -30,7 +30,7 @@ def test_a_base_that_is_none(
     policy = GroupPolicy(enabled=True, base_path=base / path)
     groups = session_groups()
     groups.begin(policy, ())
-    assert not groups.is_on
+    assert groups.folder is None
     assert groups.member("/a", NO_LIMITS) is None
     groups.end()
     (record,) = caplog.records
@@ -87,7 +87,7 @@ Path(sys.argv[1], "cgroup.procs").write_text("0")
 os.setgroups([]); os.setresgid(65534, 65534, 65534); os.setresuid(65534, 65534, 65534)
 groups = session_groups()
 groups.begin(GroupPolicy(enabled=True), {"pids"})
-print(groups.is_on, flush=True)
+print(groups.folder is not None, flush=True)
 sys.stdin.readline()
 groups.end()
 """
