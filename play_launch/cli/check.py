@@ -51,7 +51,7 @@ def check(  # noqa: PLR0917 - options, by name
     """
     from play_launch.config.load import load_config  # noqa: PLC0415
     from play_launch.config.problems import ConfigError  # noqa: PLC0415
-    from play_launch.config.sources.surroundings import (  # noqa: PLC0415
+    from play_launch.config.substitutions import (  # noqa: PLC0415
         Surroundings,
         parse_arguments,
     )

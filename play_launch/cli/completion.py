@@ -93,8 +93,10 @@ def parameters(ctx: typer.Context, incomplete: str) -> list[str]:
 
 def launch_files(ctx: typer.Context, incomplete: str) -> list[str]:
     """List packages, or launch files of the package on the line; a shell completes paths itself."""
-    from play_launch.config.ament_index import ament_prefixes  # noqa: PLC0415 - slow
-    from play_launch.config.sources.surroundings import share_folder  # noqa: PLC0415
+    from play_launch.config.substitutions import (  # noqa: PLC0415 - slow
+        ament_prefixes,
+        share_folder,
+    )
     from play_launch.launch_files.find import launch_files as files_of  # noqa: PLC0415
 
     given = [each for each in ctx.params.get("target") or () if ":=" not in each]

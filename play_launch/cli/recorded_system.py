@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from play_launch.cli.output import printable
-from play_launch.config.ament_index import ament_prefixes
+from play_launch.config.substitutions import ament_prefixes
 from play_launch.control.protocol import ROS_VARIABLES
 from play_launch.postmortem.recorded_config import RecordedConfig, recorded_config
 from play_launch.recording.facts import REDACTED, versions

@@ -113,7 +113,7 @@ def _load(path: Path, duration: float | None, arguments: Sequence[str]) -> Repla
 
     from play_launch.config.load import load_config  # noqa: PLC0415
     from play_launch.config.problems import ConfigError  # noqa: PLC0415
-    from play_launch.config.sources.surroundings import (  # noqa: PLC0415
+    from play_launch.config.substitutions import (  # noqa: PLC0415
         Surroundings,
         parse_arguments,
     )
@@ -135,7 +135,7 @@ def _load(path: Path, duration: float | None, arguments: Sequence[str]) -> Repla
 
 
 def _watched(path: Path, arguments: Sequence[str]) -> Watched:
-    from play_launch.config.sources.surroundings import parse_arguments  # noqa: PLC0415
+    from play_launch.config.substitutions import parse_arguments  # noqa: PLC0415
     from play_launch.control.config_watch import Watched  # noqa: PLC0415
 
     return Watched(path, parse_arguments(arguments))

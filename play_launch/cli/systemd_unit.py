@@ -70,7 +70,7 @@ def systemd_unit(
 def _loaded(path: Path, arguments: Sequence[str]) -> ReplayConfig:
     from play_launch.config.load import load_config  # noqa: PLC0415
     from play_launch.config.problems import ConfigError  # noqa: PLC0415
-    from play_launch.config.sources.surroundings import (  # noqa: PLC0415
+    from play_launch.config.substitutions import (  # noqa: PLC0415
         Surroundings,
         parse_arguments,
     )

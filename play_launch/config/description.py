@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 from msgspec import Struct
 
-from play_launch.config.group_limits import GroupPolicy
 from play_launch.config.model import (
     ComposableNodeConfig,
     ContainerConfig,
@@ -19,11 +18,11 @@ from play_launch.config.model import (
     ParameterConfig,
     RecordConfig,
     ReplayConfig,
+    RestartLimits,
     SourceFile,
 )
 from play_launch.config.node_key import NodeKey
-from play_launch.config.policies import RestartLimits
-from play_launch.config.resources import Resources
+from play_launch.config.resources import GroupPolicy, Resources
 
 if TYPE_CHECKING:
     from play_launch.config.model import ParameterPayload

@@ -1,4 +1,4 @@
-"""Load a configuration file."""
+"""Load a configuration file: read it, check it, and resolve it into the model."""
 
 from __future__ import annotations
 
@@ -7,18 +7,39 @@ from typing import TYPE_CHECKING
 
 from msgspec.structs import replace
 
-from play_launch.config.model import SourceFile, TakenValues
+from play_launch.config.includes import Documents
+from play_launch.config.model import (
+    ContainerType,
+    ReplayConfig,
+    SourceFile,
+    StopLimits,
+    TakenValues,
+)
 from play_launch.config.problems import ConfigError, Problem, Report
-from play_launch.config.resolve.system import resolve_document
-from play_launch.config.source import Refused, read_bytes
-from play_launch.config.sources.documents import Documents
-from play_launch.config.sources.surroundings import Surroundings, Taken
+from play_launch.config.resolve.nodes import NodeNames, Shared, resolve_container, resolve_process
+from play_launch.config.resolve.order import StartRules
+from play_launch.config.resolve.parameter_files import ParameterFiles
+from play_launch.config.resolve.policy import (
+    ISOLATED_KEYS,
+    GroupRules,
+    Policy,
+    node_process,
+    refined_resources,
+)
+from play_launch.config.resolve.record import resolve_record
+from play_launch.config.schema import DocumentSection, LoadingSection
+from play_launch.config.section import items_of, validate_mapping, well_formed
+from play_launch.config.source import Refused, path_from, read_bytes
+from play_launch.config.substitutions import Surroundings, Taken
+from play_launch.config.tree import At, Mapping, Sequence
+from play_launch.config.values import resolve_environment
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from play_launch.config.model import ReplayConfig
+    from play_launch.config.model import ContainerConfig, ProcessConfig
+    from play_launch.config.tree import Node
 
 
 def load_config(
@@ -63,3 +84,103 @@ def parse_config(
     )
     included = tuple(SourceFile(path, text) for path, text in documents.included.items())
     return replace(config, included_files=included, taken=values)
+
+
+_LOADING = "composable_node_loading"
+
+
+def resolve_document(
+    root: Node,
+    source: Path,
+    content: bytes,
+    report: Report,
+    read: Callable[[Path], bytes | Refused] = read_bytes,
+) -> ReplayConfig | None:
+    """Return the configuration in `root`; None, or nothing to rely on, if `report` got problems.
+
+    What it was put together from is for the caller to add.
+    """
+    at = At(root, "", report)
+    document = validate_mapping(DocumentSection, at)
+    if not isinstance(root, Mapping):
+        return None
+    environment = resolve_environment(at.value("environment"))
+    names = NodeNames()
+    start_rules = StartRules(names.__contains__)
+    if document is None:
+        given = well_formed(LoadingSection, at.value(_LOADING))
+    else:
+        given = document.composable_node_loading
+    loading = given or LoadingSection()
+    groups = GroupRules(loading.cgroups, at.blame(_LOADING).value("cgroups"))
+    shared = Shared(ParameterFiles(report, read), environment, start_rules, names, groups)
+    containers = _containers(at, shared, loading)
+    nodes = _processes(at, shared)
+    rules = start_rules.resolved(containers, nodes)
+    _refuse_nothing(at)
+    if document is None:
+        return None
+    stop = {} if document.stop is None else document.stop.given
+    log_dir = None
+    if document.log_dir is not None:
+        log_dir = path_from(at.blame("log_dir"), document.log_dir)
+    return ReplayConfig(
+        name=source.stem if document.name is None else document.name,
+        source=source,
+        text=content,
+        parameter_files=shared.files.read,
+        duration=document.duration,
+        log_dir=log_dir,
+        graph_daemon=bool(document.graph_daemon),
+        environment=MappingProxyType(environment),
+        stop=replace(StopLimits(), **stop),
+        record=resolve_record(document.record),
+        cgroups=groups.policy,
+        containers=containers,
+        nodes=nodes,
+        start_rules=MappingProxyType(rules),
+        managed=MappingProxyType(start_rules.managed(rules)),
+    )
+
+
+def _containers(at: At, shared: Shared, loading: LoadingSection) -> tuple[ContainerConfig, ...]:
+    at_loading = at.blame(_LOADING)
+    policy = Policy().refined(loading, at_loading)
+    process = node_process(policy.isolation)
+    resources = shared.groups.defaults(policy.resources, process)
+    resources = refined_resources(resources, loading.resources, at_loading, process)
+    policy = replace(policy, resources=resources)
+    items = items_of(at.value("containers"), "containers")
+    resolved = [resolve_container(item, shared, policy) for item in items]
+    complete = tuple(one for one in resolved if one is not None)
+    if len(complete) == len(resolved):
+        shared.groups.refuse_unused()
+        _refuse_unread(at_loading, loading, {one.container_type for one in complete})
+    return complete
+
+
+def _refuse_unread(at: At, loading: LoadingSection, kinds: set[ContainerType]) -> None:
+    """Report keys of `composable_node_loading` that no container reads."""
+    unread: dict[str, str] = {}
+    if not any(kind.is_multi_threaded for kind in kinds):
+        unread["thread_num"] = "mt or isolated_mt"
+    if not any(kind.is_isolated for kind in kinds):
+        unread |= dict.fromkeys((*ISOLATED_KEYS, "resources"), "isolated or isolated_mt")
+    if kinds <= {ContainerType.STOCK}:
+        unread["probe_timeout"] = "standard, mt, isolated or isolated_mt"
+    for key, readers in unread.items():
+        value = at.value(key)
+        if value is not None and getattr(loading, key) is not None:
+            message = f"no container has container_type {readers}, so nothing reads {key}"
+            value.problem(message)
+
+
+def _processes(at: At, shared: Shared) -> tuple[ProcessConfig, ...]:
+    resolved = [resolve_process(item, shared) for item in items_of(at.value("nodes"), "nodes")]
+    return tuple(one for one in resolved if one is not None)
+
+
+def _refuse_nothing(at: At) -> None:
+    lists = [at.value("containers"), at.value("nodes")]
+    if all(one is None or (isinstance(one.node, Sequence) and not one.node.items) for one in lists):
+        at.problem("nothing to start; give containers or nodes")

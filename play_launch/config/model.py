@@ -1,4 +1,3 @@
-# ruff: noqa: TC001, TC003 - msgspec resolves the annotations to read recorded inputs
 """The configuration after validation: immutable, defaults filled in, names resolved.
 
 Nothing in here reads YAML. Durations are seconds, full names are absolute ROS names.
@@ -15,10 +14,49 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 from msgspec import Struct, field
 
 from play_launch.config.dependency import StartRule
-from play_launch.config.group_limits import GroupPolicy
 from play_launch.config.node_key import NodeKey
-from play_launch.config.policies import Autostart, OnCrash, OnExit, RestartLimits
-from play_launch.config.resources import Resources
+from play_launch.config.resources import GroupPolicy, Resources
+
+
+class OnExit(StrEnum):
+    """Consequence of the exit of an ordinary process: ``on_exit``."""
+
+    IGNORE = "ignore"
+    RESTART = "restart"
+    SHUTDOWN = "shutdown"
+
+
+class RestartLimits(Struct, frozen=True):
+    """How often something is started again: at most `max_restarts` times `within` seconds."""
+
+    max_restarts: int = 5
+    within: float = 60.0
+    """Length of the window in seconds; also how long a life is healthy."""
+    initial: float = 0.1
+    """First pause in seconds."""
+    maximum: float = 30.0
+    """Longest pause in seconds."""
+    first_at_once: bool = False
+    """Whether the first restart after a healthy life comes without a pause."""
+
+
+class OnCrash(StrEnum):
+    """What follows when a node of an isolated container crashes: ``on_crash``."""
+
+    RELOAD = "reload"
+    IGNORE = "ignore"
+    STOP_CONTAINER = "stop_container"
+    SHUTDOWN = "shutdown"
+
+
+class Autostart(StrEnum):
+    """State that a managed node is brought to: ``autostart``."""
+
+    CONFIGURE = "configure"
+    ACTIVATE = "activate"
+
+
+# ruff: noqa: TC001, TC003 - msgspec resolves the annotations to read recorded inputs
 
 
 class ContainerType(StrEnum):

@@ -10,8 +10,7 @@ from play_launch.config.resources import SchedulerPolicy
 from play_launch.config.section import Section, nested, optional, raw, required
 
 if TYPE_CHECKING:
-    from play_launch.config.group_limits import CpuMax
-    from play_launch.config.resources import IoPriority
+    from play_launch.config.resources import CpuMax, IoPriority
 
 
 class SchedulerSection(Section):

@@ -6,9 +6,15 @@ import math
 import re
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from play_launch.config.group_limits import NO_LIMIT, CpuMax
 from play_launch.config.problems import excerpt
-from play_launch.config.resources import IoClass, IoPriority, ResourceLimit, nice_limit
+from play_launch.config.resources import (
+    NO_LIMIT,
+    CpuMax,
+    IoClass,
+    IoPriority,
+    ResourceLimit,
+    nice_limit,
+)
 from play_launch.config.values import parse_duration, parse_size
 
 if TYPE_CHECKING:

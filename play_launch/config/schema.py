@@ -12,8 +12,15 @@ from typing import Any
 
 from play_launch.config import kinds
 from play_launch.config.dependency import OnTimeout, UnitCondition
-from play_launch.config.model import ContainerType, Isolation, MemoryDomains, Output
-from play_launch.config.policies import Autostart, OnCrash, OnExit
+from play_launch.config.model import (
+    Autostart,
+    ContainerType,
+    Isolation,
+    MemoryDomains,
+    OnCrash,
+    OnExit,
+    Output,
+)
 from play_launch.config.resolve.record import RecordSection
 from play_launch.config.resource_schema import CgroupsSection, ResourcesSection
 from play_launch.config.section import Section, merging, nested, optional, raw, required

@@ -1,4 +1,4 @@
-"""What a section is: a class with one attribute for each key of a mapping in the file.
+"""A section is a class with one attribute for each key of a mapping in the file.
 
 The core of pydantic checks the values. Its models would read the same from annotations, but what
 reads them takes longer to import than everything else before the first process.
@@ -7,15 +7,21 @@ reads them takes longer to import than everything else before the first process.
 from __future__ import annotations
 
 from functools import cache
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar
 
-from pydantic_core import SchemaValidator, core_schema
+from pydantic_core import SchemaValidator, ValidationError, core_schema
+
+from play_launch.config.problems import excerpt
+from play_launch.config.tree import Mapping, Scalar, ScalarKind, Sequence, describe_node
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator
     from typing import Self
 
-    from pydantic_core import CoreSchema
+    from pydantic_core import CoreSchema, ErrorDetails
+
+    from play_launch.config.problems import Report
+    from play_launch.config.tree import At, Entry, Node
 
 
 class Key(NamedTuple):
@@ -65,7 +71,7 @@ def nested(section: type[Section], description: str, *examples: object) -> Any:
 class Section:
     """A mapping of the configuration. A subclass has the keys of its base after its own."""
 
-    keys: ClassVar[Mapping[str, Key]] = {}
+    keys: ClassVar[dict[str, Key]] = {}
 
     def __init_subclass__(cls) -> None:
         own = {name: key for name, key in vars(cls).items() if isinstance(key, Key)}
@@ -74,11 +80,11 @@ class Section:
             # What an instance has without the key.
             setattr(cls, name, None)
 
-    def __init__(self, values: Mapping[str, object] | None = None) -> None:
+    def __init__(self, values: dict[str, Any] | None = None) -> None:
         vars(self).update(values or {})
 
     @classmethod
-    def of(cls, values: Mapping[str, object]) -> Self:
+    def of(cls, values: dict[str, Any]) -> Self:
         """Check the values of a mapping; raise pydantic's ValidationError with all mistakes."""
         section: Self = cls._validator().validate_python(values)
         return section
@@ -103,3 +109,178 @@ class Section:
     def _validator(cls) -> SchemaValidator:
         # Made when it is first used: no configuration has all of them.
         return SchemaValidator(cls.schema())
+
+
+SomeSection = TypeVar("SomeSection", bound=Section)
+
+_LONGEST_KEY_TO_GUESS = 40
+_MOST_GUESSES = 100  # guessing takes long beside everything else; a file with more is no typo
+_YAML_1_1_BOOL = {"yes": "true", "on": "true", "y": "true", "no": "false", "off": "false"}
+_RENAMED = {"otherwise": "on_timeout", "respawn": "on_exit: restart"}
+_WRAPPERS = frozenset({"nullable", "function-after"})
+_EXPECTED = {
+    "string_type": "a string",
+    "int_type": "an integer",
+    "bool_type": "true or false",
+    "list_type": "a list",
+    "dict_type": "a mapping",
+}
+
+
+def validate_mapping(section: type[SomeSection], at: At) -> SomeSection | None:
+    """Return what stands there as `section`, or None after every problem in it was reported."""
+    if not isinstance(at.node, Mapping):
+        at.expected(f"a mapping ({_keys(section)})")
+        return None
+    values: dict[str, object] = {}
+    refused = False
+    for entry, value in at.entries():
+        key = section.keys.get(entry.key)
+        if key is not None and key.merging:
+            continue
+        if key is not None and key.raw:
+            values[entry.key] = entry.value
+            continue
+        values[entry.key] = _plain(entry.value, None if key is None else key.schema)
+        if key is not None:
+            refused |= _refuse_tags(value)
+    try:
+        checked = section.of(values)
+    except ValidationError as error:
+        for details in error.errors(include_url=False, include_input=False):
+            _report_error(details, section, at)
+        return None
+    return None if refused else checked
+
+
+def well_formed(section: type[SomeSection], at: At | None) -> SomeSection | None:
+    """Return `section` of the keys whose values are right; None where no mapping stands there.
+
+    For reading on after a mistake, in a section that requires no key: the rest of what is said
+    there still decides what is wrong elsewhere.
+    """
+    if at is None or not isinstance(at.node, Mapping):
+        return None
+    values = {
+        entry.key: _plain(entry.value, section.keys[entry.key].schema)
+        for entry, _ in at.entries()
+        if entry.key in section.keys
+    }
+    try:
+        return section.of(values)
+    except ValidationError as error:
+        wrong = {each["loc"][0] for each in error.errors(include_url=False, include_input=False)}
+        return section.of({key: value for key, value in values.items() if key not in wrong})
+
+
+def items_of(at: At | None, what: str) -> Iterator[At]:
+    """Yield each element of the list; report anything else."""
+    if at is None:
+        return
+    if not isinstance(at.node, Sequence) or at.node.array_tag is not None:
+        at.expected(f"a list of {what}")
+        return
+    yield from at.elements()
+
+
+def _plain(node: Node, schema: Any) -> object:
+    """Return what stands at `node` without places, as pydantic takes it.
+
+    Where `schema` has a string, what was substituted is one.
+    """
+    while schema is not None and schema["type"] in _WRAPPERS:
+        schema = schema["schema"]
+    kind = None if schema is None else schema["type"]
+    if isinstance(node, Scalar):
+        return node.text if node.substituted and kind == "str" else node.value
+    if isinstance(node, Sequence):
+        items = schema["items_schema"] if kind == "list" else None
+        return [_plain(item, items) for item in node.items]
+    fields = schema["fields"] if kind == "typed-dict" else {}
+    return {
+        entry.key: _plain(entry.value, fields[entry.key]["schema"] if entry.key in fields else None)
+        for entry in node.entries
+    }
+
+
+def _refuse_tags(at: At) -> bool:
+    """Report tags that mean something for parameters only."""
+    tag = None
+    if isinstance(at.node, Sequence):
+        tag = at.node.array_tag
+    elif isinstance(at.node, Scalar) and at.node.kind is ScalarKind.BINARY:
+        tag = "!!binary"
+    if tag is None:
+        return False
+    at.problem(f"the tag {tag} is for parameters only")
+    return True
+
+
+def _report_error(details: ErrorDetails, section: type[Section], at: At) -> None:
+    entry: Entry | None = None
+    owner = section
+    steps = list(details["loc"])
+    missing = details["type"] == "missing"
+    last = steps.pop() if missing else None
+    for index, step in enumerate(steps):
+        if isinstance(at.node, Mapping):
+            entry = at.node.entry(str(step))
+            if entry is None:
+                break
+            if index < len(steps) - 1:
+                key = owner.keys.get(entry.key)
+                owner = owner if key is None or key.section is None else key.section
+            at = at.below(entry.key, entry.value)
+        elif isinstance(at.node, Sequence) and isinstance(step, int):
+            at = at.element(step)
+    if missing:
+        at.problem(f"the key {excerpt(str(last))} is missing")
+    elif details["type"] == "extra_forbidden" and entry is not None:
+        at.problem(_unknown_key(entry.key, owner, at.report), entry.place)
+    elif not at.is_invalid:
+        at.problem(_message(details, at.node))
+
+
+def _keys(section: type[Section]) -> str:
+    return ", ".join(section.keys)
+
+
+def _unknown_key(key: str, section: type[Section], report: Report) -> str:
+    known = list(section.keys)
+    message = f"unknown key {excerpt(key)}"
+    if key in _RENAMED:
+        return f"{message}; did you mean {excerpt(_RENAMED[key])}?"
+    if len(key) <= _LONGEST_KEY_TO_GUESS and len(report) < _MOST_GUESSES:
+        import difflib  # noqa: PLC0415 - a good file needs no guesses
+
+        close = difflib.get_close_matches(key.lower().replace("-", "_"), known, n=1)
+        if close:
+            return f"{message}; did you mean {excerpt(close[0])}?"
+    return f"{message}; known here: {', '.join(known)}"
+
+
+def _message(details: ErrorDetails, node: Node) -> str:
+    kind = details["type"]
+    context = details.get("ctx", {})
+    if kind == "value_error":
+        return str(context["error"])
+    if kind in _EXPECTED:
+        message = f"expected {_EXPECTED[kind]}, given {describe_node(node)}"
+        if kind == "string_type" and isinstance(node, Scalar) and node.kind in _QUOTABLE:
+            message += f"; quote it: {excerpt(node.text)}"
+        if isinstance(node, Scalar) and node.substituted and not node.plain:
+            message += "; write the substitution without quotes"
+        if kind == "bool_type" and isinstance(node, Scalar):
+            meant = _YAML_1_1_BOOL.get(node.text.lower())
+            message += f"; write {meant}" if meant is not None else ""
+        return message
+    if kind == "greater_than_equal":
+        return f"must be at least {context['ge']}, given {describe_node(node)}"
+    if kind == "less_than_equal":
+        return f"must be at most {context['le']}, given {describe_node(node)}"
+    if kind == "too_short":
+        return "the list cannot be empty"
+    return f"{details['msg']}, given {describe_node(node)}"
+
+
+_QUOTABLE = frozenset({ScalarKind.INTEGER, ScalarKind.FLOAT, ScalarKind.BOOL})

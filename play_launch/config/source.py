@@ -13,7 +13,7 @@ from msgspec import Struct
 from play_launch.config.problems import Place
 
 if TYPE_CHECKING:
-    from play_launch.config.yaml.tree import At
+    from play_launch.config.tree import At
 
 LARGEST_FILE = 4 * 1024 * 1024
 """Bytes; keeps reading under a few seconds and is far more than any hand-written system."""

@@ -15,11 +15,10 @@ import shlex
 from typing import TYPE_CHECKING, Final
 
 from play_launch.config.problems import excerpt
-from play_launch.config.yaml.scalars import ScalarKind
-from play_launch.config.yaml.tree import Mapping, Scalar, describe_node
+from play_launch.config.tree import Mapping, Scalar, ScalarKind, describe_node
 
 if TYPE_CHECKING:
-    from play_launch.config.yaml.tree import At
+    from play_launch.config.tree import At
 
 LONGEST_DURATION = 365 * 24 * 3600.0
 """Seconds. Longer waits overflow timers."""

@@ -17,7 +17,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from play_launch.config.ament_index import ament_prefixes
+from play_launch.config.substitutions import ament_prefixes
 from play_launch.ros.fastdds.middleware import IMPLEMENTATION
 
 if TYPE_CHECKING:

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Final
 
 import anyio
 
+from play_launch.config.model import Autostart
 from play_launch.config.node_key import NodeKey
-from play_launch.config.policies import Autostart
 from play_launch.control.messages import ActionResult, Results, SignalRequest
 from play_launch.control.protocol import COMMAND_LIMIT, Code, ControlError
 from play_launch.control.units import chosen, full_name, members_of, nodes_of

@@ -12,7 +12,7 @@ from msgspec import Struct
 from play_launch.config.load import load_config
 from play_launch.config.problems import ConfigError
 from play_launch.config.source import Refused, read_bytes
-from play_launch.config.sources.surroundings import Surroundings
+from play_launch.config.substitutions import Surroundings
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Iterable, Mapping

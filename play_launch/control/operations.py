@@ -12,7 +12,7 @@ from msgspec import Struct
 
 from play_launch.config.load import load_config, parse_config
 from play_launch.config.problems import ConfigError
-from play_launch.config.sources.surroundings import Surroundings, parse_arguments, share_folder
+from play_launch.config.substitutions import Surroundings, parse_arguments, share_folder
 from play_launch.container.cdr.layout import CdrError
 from play_launch.container.cdr.messages import NODE_PARAMETERS
 from play_launch.control.actions import Action, ActionLog, Actions

@@ -11,7 +11,7 @@ import sysconfig
 import tempfile
 from typing import TYPE_CHECKING, Final
 
-from play_launch.config.ament_index import ament_prefixes
+from play_launch.config.substitutions import ament_prefixes
 from play_launch.container.channel import ControlChannel, ControlError, control_pair
 from play_launch.container.command import ExecutableNotFoundError, find_executable
 from play_launch.container.environment import (

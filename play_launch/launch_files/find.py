@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from play_launch.config.sources.surroundings import share_folder
+from play_launch.config.substitutions import share_folder
 from play_launch.launch_files.reading import UnreadableError, text_of
 from play_launch.launch_files.records import Failure, LaunchFileError
 

@@ -14,8 +14,12 @@ from typing import Final, TypeAlias
 import msgspec
 from msgspec import Struct, field
 
-from play_launch.config.model import FOR_ALL, ParameterType, ParameterValue
-from play_launch.config.policies import Autostart  # noqa: TC001 - msgspec reads the annotations
+from play_launch.config.model import (
+    FOR_ALL,
+    Autostart,
+    ParameterType,
+    ParameterValue,
+)
 
 FORMAT: Final = 1
 """The version of the JSON."""

@@ -16,7 +16,7 @@ from msgspec import Struct
 from play_launch.config.load import parse_config
 from play_launch.config.problems import ConfigError, Place, Problem
 from play_launch.config.source import MCAP_MESSAGE, Refused, read_bytes
-from play_launch.config.sources.surroundings import Surroundings, share_folder
+from play_launch.config.substitutions import Surroundings, share_folder
 from play_launch.postmortem.bag_reader import BagReader, NotARecordingError
 from play_launch.postmortem.declared import RESOLVED
 from play_launch.recording.resolved_form import kept

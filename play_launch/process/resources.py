@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
-from play_launch.config.group_limits import cpu_text
 from play_launch.config.resources import (
     POLICY_NUMBERS,
     IoPriority,
@@ -22,6 +21,7 @@ from play_launch.config.resources import (
     Resources,
     Scheduler,
     SchedulerPolicy,
+    cpu_text,
     limit_text,
 )
 

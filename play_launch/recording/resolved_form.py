@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 from msgspec.structs import replace
 
 from play_launch.config.description import describe
-from play_launch.config.yaml.scalars import ScalarRefusedError, resolve_scalar
+from play_launch.config.tree import ScalarRefusedError, resolve_scalar
 from play_launch.recording.facts import REDACTED, is_secret
 from play_launch.supervisor.events import ActionEvent, ProcessEvent
 

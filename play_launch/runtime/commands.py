@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Final
 from msgspec import Struct
 from msgspec.structs import replace
 
-from play_launch.config.ament_index import ament_prefixes
 from play_launch.config.model import ContainerConfig, ContainerType, Isolation, ProcessConfig
 from play_launch.config.resources import NO_RESOURCES, Resources
+from play_launch.config.substitutions import ament_prefixes
 from play_launch.container.channel import CONTROL_FD_VARIABLE
 from play_launch.container.command import (
     ExecutableNotFoundError,

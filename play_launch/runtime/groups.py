@@ -23,9 +23,9 @@ from play_launch.supervisor.events import SubjectKind
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from play_launch.config.group_limits import CpuMax, GroupLimits
     from play_launch.config.model import ComposableNodeConfig, ProcessConfig, ReplayConfig
     from play_launch.config.node_key import NodeKey
+    from play_launch.config.resources import CpuMax, GroupLimits
     from play_launch.process.guard import SessionGuard
     from play_launch.supervisor.events import GroupSample
 

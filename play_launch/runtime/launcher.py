@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 from msgspec.structs import replace
 
-from play_launch.config.ament_index import ament_prefixes
 from play_launch.config.model import ContainerType
+from play_launch.config.substitutions import ament_prefixes
 from play_launch.container.channel import CONTROL_FD_VARIABLE, ControlChannel, control_pair
 from play_launch.container.command import ExecutableNotFoundError
 from play_launch.container.messages import Hello

@@ -10,7 +10,7 @@ from __future__ import annotations
 from enum import StrEnum, auto
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from play_launch.config.policies import Autostart
+from play_launch.config.model import Autostart
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final, assert_never
 
 from msgspec.structs import replace
 
-from play_launch.config.policies import OnCrash
+from play_launch.config.model import OnCrash
 from play_launch.supervisor import process_rules, quarantine
 from play_launch.supervisor.conditions import readiness
 from play_launch.supervisor.events import NodeState

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Final, assert_never
 
 from msgspec.structs import replace
 
-from play_launch.config.model import ContainerConfig
-from play_launch.config.policies import OnExit
+from play_launch.config.model import ContainerConfig, OnExit
 from play_launch.supervisor import node_rules, quarantine
 from play_launch.supervisor.conditions import readiness
 from play_launch.supervisor.inputs import End, Kill, Spawn, Stop

@@ -13,7 +13,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 if TYPE_CHECKING:
-    from play_launch.config.policies import RestartLimits
+    from play_launch.config.model import RestartLimits
 
 _EXPONENT_LIMIT: Final = 60
 

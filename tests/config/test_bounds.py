@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 import yaml
 
+from play_launch.config import compose
 from play_launch.config.load import parse_config
 from play_launch.config.problems import ConfigError
-from play_launch.config.yaml import compose
 
 NODE = "version: 1\nnodes:\n- command: [x]\n  parameters: "
 

@@ -9,8 +9,14 @@ import pytest
 
 from play_launch.config.description import describe
 from play_launch.config.load import parse_config
-from play_launch.config.model import ContainerConfig, ContainerType, Isolation, MemoryDomains
-from play_launch.config.policies import OnCrash, RestartLimits
+from play_launch.config.model import (
+    ContainerConfig,
+    ContainerType,
+    Isolation,
+    MemoryDomains,
+    OnCrash,
+    RestartLimits,
+)
 from play_launch.config.problems import ConfigError
 
 TEXT = """

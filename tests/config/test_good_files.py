@@ -12,12 +12,13 @@ from play_launch.config.description import describe
 from play_launch.config.load import load_config, parse_config
 from play_launch.config.model import (
     ContainerType,
+    OnExit,
     Output,
     ParameterConfig,
     ReplayConfig,
+    RestartLimits,
     StopLimits,
 )
-from play_launch.config.policies import OnExit, RestartLimits
 
 GOOD = Path(__file__).parent / "good"
 FULL = GOOD / "full.yaml"

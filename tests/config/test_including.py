@@ -12,13 +12,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from play_launch.config.compose import MOST_VALUES
 from play_launch.config.description import describe
+from play_launch.config.includes import DEEPEST_INCLUSION, MOST_INCLUSIONS
 from play_launch.config.load import load_config, parse_config
 from play_launch.config.problems import ConfigError, Place
 from play_launch.config.source import Refused
-from play_launch.config.sources.documents import DEEPEST_INCLUSION, MOST_INCLUSIONS
-from play_launch.config.sources.surroundings import MOST_SUBSTITUTED, Surroundings
-from play_launch.config.yaml.compose import MOST_VALUES
+from play_launch.config.substitutions import MOST_SUBSTITUTED, Surroundings
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -17,11 +17,13 @@ from play_launch.config.model import (
     BeforeCrashConfig,
     ContainerConfig,
     ContainerType,
+    OnCrash,
+    OnExit,
     ParameterType,
     RecordConfig,
+    RestartLimits,
     StopLimits,
 )
-from play_launch.config.policies import OnCrash, OnExit, RestartLimits
 from play_launch.config.problems import ConfigError
 from play_launch.config.resolve import record
 from play_launch.config.schema import DependencySection

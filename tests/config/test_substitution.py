@@ -13,17 +13,15 @@ from hypothesis import strategies as st
 from play_launch.config.load import parse_config
 from play_launch.config.model import ParameterType
 from play_launch.config.problems import ConfigError
-from play_launch.config.sources.substitution import (
+from play_launch.config.substitutions import (
     DEEPEST_DEFAULT,
+    MOST_SUBSTITUTED,
     Lookup,
     SubstitutionError,
-    may_hold_substitutions,
-    substitute,
-)
-from play_launch.config.sources.surroundings import (
-    MOST_SUBSTITUTED,
     Surroundings,
+    may_hold_substitutions,
     parse_arguments,
+    substitute,
 )
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from play_launch.config.group_limits import CpuMax, GroupLimits, GroupPolicy
+from play_launch.config.resources import CpuMax, GroupLimits, GroupPolicy
 from play_launch.process.cgroups.base import GroupError
 from play_launch.process.cgroups.deaths import why_killed
 from play_launch.process.cgroups.group import Group

@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from play_launch.config.model import ParameterType, ParameterValue
-from play_launch.config.policies import Autostart
+from play_launch.config.model import Autostart, ParameterType, ParameterValue
 from play_launch.launch_files import records
 from play_launch.launch_files.records import (
     Composable,

@@ -11,8 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from play_launch.config.dependency import Condition, OnTimeout
-from play_launch.config.model import ParameterType, ParameterValue
-from play_launch.config.policies import Autostart, OnExit
+from play_launch.config.model import Autostart, OnExit, ParameterType, ParameterValue
 from play_launch.launch_files import records
 from play_launch.launch_files.configuration.options import Containers, Options
 from play_launch.launch_files.configuration.write import Written, written

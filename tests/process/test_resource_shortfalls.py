@@ -11,7 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from play_launch.config.group_limits import cpu_text
 from play_launch.config.resource_values import LIMIT_FORMS, parse_cpus
 from play_launch.config.resources import (
     IoClass,
@@ -20,6 +19,7 @@ from play_launch.config.resources import (
     Resources,
     Scheduler,
     SchedulerPolicy,
+    cpu_text,
     nice_limit,
 )
 from play_launch.process.resources import HeldResources, held_resources, shortfalls

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from play_launch.config.ament_index import ament_prefixes
+from play_launch.config.substitutions import ament_prefixes
 from play_launch.container.environment import child_environment
 from play_launch.container.ros import component_container, ros_installation
 from tests.container.conftest import spawn

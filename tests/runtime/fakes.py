@@ -13,11 +13,13 @@ from msgspec.structs import replace
 from play_launch.config.model import (
     ComposableNodeConfig,
     ContainerConfig,
+    OnCrash,
+    OnExit,
     ProcessConfig,
     ReplayConfig,
+    RestartLimits,
 )
 from play_launch.config.node_key import NodeKey
-from play_launch.config.policies import OnCrash, OnExit, RestartLimits
 from play_launch.container.channel import (
     ChannelClosedError,
     ControlError,
@@ -328,7 +330,6 @@ class FakeLauncher(NativeLauncher):
     processes: dict[str, list[FakeProcess]] = field(default_factory=dict)
     on_process: Callable[[FakeProcess], None] = lambda process: None
     libraries: dict[str, str] = field(default_factory=dict)
-    """Of nodes, by name."""
     probes: list[tuple[str, FakeProcess]] = field(default_factory=list)
     on_probe: Callable[[str, FakeProcess, OutputCallback], None] = found_good
     failures: dict[str, StartError] = field(default_factory=dict)

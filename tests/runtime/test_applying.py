@@ -16,13 +16,14 @@ from play_launch.config.model import (
     ComposableNodeConfig,
     ContainerConfig,
     ContainerType,
+    OnCrash,
     ParameterConfig,
     ParameterType,
     ParameterValue,
     ProcessConfig,
     ReplayConfig,
+    RestartLimits,
 )
-from play_launch.config.policies import OnCrash, RestartLimits
 from play_launch.container.messages import Load, Unload
 from play_launch.runtime.applying import BusyError
 from play_launch.runtime.commands import StartError

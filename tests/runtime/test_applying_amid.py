@@ -11,14 +11,15 @@ from msgspec.structs import replace
 
 from play_launch.config.dependency import Condition
 from play_launch.config.model import (
+    Autostart,
     ComposableNodeConfig,
     ManagedConfig,
+    OnExit,
     ParameterConfig,
     ParameterType,
     ParameterValue,
 )
 from play_launch.config.node_key import NodeKey
-from play_launch.config.policies import Autostart, OnExit
 from play_launch.container.messages import Load
 from play_launch.process.exit import Exit
 from play_launch.runtime.commands import StartError

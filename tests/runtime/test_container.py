@@ -5,7 +5,7 @@ import asyncio
 import pytest
 from msgspec.structs import replace
 
-from play_launch.config.policies import OnExit
+from play_launch.config.model import OnExit
 from play_launch.container.channel import ChannelClosedError, ProtocolViolationError
 from play_launch.container.messages import (
     Load,

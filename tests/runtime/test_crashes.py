@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from play_launch.config.model import OnCrash, RestartLimits
 from play_launch.config.node_key import NodeKey
-from play_launch.config.policies import OnCrash, RestartLimits
 from play_launch.container.messages import Load
 from play_launch.supervisor.events import (
     ComponentEventKind,

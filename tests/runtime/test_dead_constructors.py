@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from msgspec.structs import replace
 
+from play_launch.config.model import RestartLimits
 from play_launch.config.node_key import NodeKey
-from play_launch.config.policies import RestartLimits
 from play_launch.container.messages import PROTOCOL_VERSION, Hello, Load
 from play_launch.supervisor.events import (
     ComponentEventKind,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import psutil
 
-from play_launch.config.policies import OnExit
+from play_launch.config.model import OnExit
 from play_launch.supervisor.events import ContainerState, OutputLine, ProcessEventKind
 from tests.support.tracing import stopped_by_a_tracer
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, NoReturn
 import pytest
 
 from play_launch.config.dependency import Condition
+from play_launch.config.model import OnExit
 from play_launch.config.node_key import NodeKey
-from play_launch.config.policies import OnExit
 from play_launch.container.messages import Load, Rejected
 from play_launch.process.exit import Exit
 from play_launch.ros.access import RosAccess

@@ -10,9 +10,8 @@ from types import MappingProxyType
 import pytest
 from msgspec.structs import replace
 
-from play_launch.config.model import ManagedConfig, ReplayConfig
+from play_launch.config.model import Autostart, ManagedConfig, ReplayConfig
 from play_launch.config.node_key import NodeKey
-from play_launch.config.policies import Autostart
 from play_launch.ros.access import RosAccess
 from play_launch.ros.graph_source import GraphSource, Wanted
 from play_launch.ros.managed_node import ManagedNodeClient

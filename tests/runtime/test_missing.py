@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from play_launch.cli.show.lines import line_of
-from play_launch.config.policies import OnExit
+from play_launch.config.model import OnExit
 from play_launch.process.exit import Exit
 from play_launch.supervisor.events import (
     ComponentEventKind,

@@ -20,14 +20,15 @@ from play_launch.config.model import (
     ComposableNodeConfig,
     ContainerConfig,
     ContainerType,
+    OnExit,
     ParameterConfig,
     ParameterType,
     ParameterValue,
     ProcessConfig,
+    RestartLimits,
     StopLimits,
 )
 from play_launch.config.node_key import NodeKey
-from play_launch.config.policies import OnExit, RestartLimits
 from play_launch.ros.fastdds.shared_memory import SweepReport
 from play_launch.runtime.launcher import NativeLauncher
 from play_launch.runtime.publisher import Publisher, StopRequests
@@ -148,7 +149,6 @@ def test_a_killed_container_comes_back_with_its_nodes() -> None:
 
 
 def test_a_fault_of_our_own_stops_one_container_in_order_and_no_other() -> None:
-    """As when rclpy raises what nobody expects, on the link to one container."""
 
     class BrokenLink:
         def __init__(self, link: ControlLink) -> None:

@@ -12,9 +12,8 @@ import pytest
 from msgspec.structs import replace
 
 from play_launch.config.dependency import Condition, Dependency, OnTimeout, StartRule
-from play_launch.config.model import ReplayConfig
+from play_launch.config.model import OnExit, ReplayConfig
 from play_launch.config.node_key import NodeKey
-from play_launch.config.policies import OnExit
 from play_launch.process.exit import Exit
 from play_launch.ros.access import RosAccess
 from play_launch.ros.graph_source import GraphSource, Wanted

@@ -6,7 +6,7 @@ import pytest
 from msgspec.structs import replace
 
 from play_launch.config.dependency import Condition, Dependency, StartRule
-from play_launch.config.policies import OnExit
+from play_launch.config.model import OnExit
 from play_launch.control.units import rows_of
 from play_launch.process.exit import Exit
 from play_launch.runtime.commands import StartError

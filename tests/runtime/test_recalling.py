@@ -11,8 +11,7 @@ import pytest
 from msgspec.structs import replace
 
 from play_launch.config.dependency import Condition, Dependency, StartRule
-from play_launch.config.model import ReplayConfig
-from play_launch.config.policies import OnExit
+from play_launch.config.model import OnExit, ReplayConfig
 from play_launch.control.actions import Action, ActionLog, Actions
 from play_launch.control.feed import Feed
 from play_launch.control.messages import ActionRequest, ActionResult, Caller, Results

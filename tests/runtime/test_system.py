@@ -6,8 +6,7 @@ import signal
 import pytest
 from msgspec.structs import replace
 
-from play_launch.config.model import ProcessConfig
-from play_launch.config.policies import OnExit
+from play_launch.config.model import OnExit, ProcessConfig
 from play_launch.container.messages import Incoming
 from play_launch.process.exit import Exit
 from play_launch.process.lines import OutputCallback

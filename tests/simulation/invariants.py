@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from typing import TYPE_CHECKING, Final
 
-from play_launch.config.policies import OnCrash, OnExit
+from play_launch.config.model import OnCrash, OnExit
 from play_launch.supervisor import inputs as said
 from play_launch.supervisor.events import (
     ContainerState,

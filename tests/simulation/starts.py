@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from play_launch.config.dependency import Condition, OnTimeout
-from play_launch.config.model import ContainerType
+from play_launch.config.model import ContainerType, OnExit
 from play_launch.config.node_key import NodeKey
-from play_launch.config.policies import OnExit
 from play_launch.supervisor.events import ManagedNodeChanged, NodeState
 from play_launch.supervisor.goal_life import ManagedState
 

@@ -17,18 +17,21 @@ from play_launch.config.dependency import (
     StartRule,
 )
 from play_launch.config.model import (
+    Autostart,
     ComposableNodeConfig,
     ContainerConfig,
     ContainerType,
     ManagedConfig,
+    OnCrash,
+    OnExit,
     ParameterConfig,
     ParameterType,
     ParameterValue,
     ProcessConfig,
     ReplayConfig,
+    RestartLimits,
 )
 from play_launch.config.node_key import NodeKey
-from play_launch.config.policies import Autostart, OnCrash, OnExit, RestartLimits
 
 if TYPE_CHECKING:
     from collections.abc import Container

@@ -11,16 +11,18 @@ from play_launch.config.model import (
     ComposableNodeConfig,
     ContainerConfig,
     ContainerType,
+    OnCrash,
+    OnExit,
     ParameterConfig,
     ParameterType,
     ParameterValue,
     ProcessConfig,
     RecordConfig,
     ReplayConfig,
+    RestartLimits,
     StopLimits,
 )
 from play_launch.config.node_key import NodeKey
-from play_launch.config.policies import OnCrash, OnExit, RestartLimits
 
 VALUES = st.sampled_from(
     [

@@ -3,7 +3,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from play_launch.config.policies import RestartLimits
+from play_launch.config.model import RestartLimits
 from play_launch.supervisor.restart import GiveUp, Restart, RestartHistory, decide
 
 JITTER = st.floats(0, 1, exclude_max=True)

@@ -9,13 +9,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from play_launch.config.model import (
+    Autostart,
     ComposableNodeConfig,
     ContainerConfig,
     ManagedConfig,
     ReplayConfig,
 )
 from play_launch.config.node_key import NodeKey
-from play_launch.config.policies import Autostart
 from play_launch.supervisor.difference import Snapshot, events_between
 from play_launch.supervisor.events import ManagedNodeChanged
 from play_launch.supervisor.goal_life import ManagedAction, ManagedInput, ManagedState, step

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from play_launch.config.load import parse_config
-from play_launch.config.policies import RestartLimits
+from play_launch.config.model import RestartLimits
 from play_launch.supervisor.plan import plan
 from play_launch.supervisor.steps import Action, Kind, Need, after
 

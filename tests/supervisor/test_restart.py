@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from play_launch.config.policies import RestartLimits
+from play_launch.config.model import RestartLimits
 from play_launch.supervisor.restart import GiveUp, Restart, RestartHistory, decide
 
 BOUNDS = st.builds(

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from play_launch.config.ament_index import ament_prefixes
+from play_launch.config.substitutions import ament_prefixes
 from play_launch.container.command import ExecutableNotFoundError, find_executable
 from play_launch.container.environment import child_environment
 from play_launch.container.ros import ros_installation

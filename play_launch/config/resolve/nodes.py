@@ -1,4 +1,4 @@
-"""Composable nodes and ordinary processes, and their names."""
+"""Containers, composable nodes and ordinary processes, and their names."""
 
 from __future__ import annotations
 
@@ -8,43 +8,54 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
+from msgspec.structs import replace
 
-from play_launch.config.model import ComposableNodeConfig, Output, ProcessConfig
+from play_launch.config.model import (
+    ComposableNodeConfig,
+    ContainerConfig,
+    ContainerType,
+    OnExit,
+    Output,
+    ProcessConfig,
+    RestartLimits,
+)
 from play_launch.config.node_key import NodeKey
-from play_launch.config.policies import OnExit, RestartLimits
+from play_launch.config.problems import excerpt
+from play_launch.config.resolve.parameter_files import resolve_process_parameters
 from play_launch.config.resolve.parameters import resolve_parameters
-from play_launch.config.resolve.policy import refined_restart, refuse_unread
-from play_launch.config.resolve.process_parameters import resolve_process_parameters
-from play_launch.config.resolve.remappings import resolve_remappings
-from play_launch.config.resolve.resources import (
+from play_launch.config.resolve.policy import (
+    ISOLATED_KEYS,
     Process,
     node_process,
     refined_resources,
+    refined_restart,
+    refuse,
     refuse_inherited,
+    refuse_unread,
 )
 from play_launch.config.resources import Resources
-from play_launch.config.schema import ComposableNodeSection, ProcessSection
+from play_launch.config.schema import ComposableNodeSection, ContainerSection, ProcessSection
+from play_launch.config.section import items_of, validate_mapping
 from play_launch.config.source import path_from
-from play_launch.config.validation import validate_mapping
+from play_launch.config.tree import Mapping, Sequence, describe_node
 from play_launch.config.values import (
     LONGEST_FULL_NAME,
     check_namespace,
     check_node_name,
+    check_topic,
     join_full_name,
     resolve_environment,
 )
-from play_launch.config.yaml.tree import Mapping
 
 if TYPE_CHECKING:
     from collections.abc import Mapping as Variables
 
-    from play_launch.config.model import ContainerType
-    from play_launch.config.problems import Place
-    from play_launch.config.resolve.cgroups import GroupRules
+    from play_launch.config.problems import Place, Report
     from play_launch.config.resolve.order import StartRules
     from play_launch.config.resolve.parameter_files import ParameterFiles
-    from play_launch.config.resolve.policy import Policy
-    from play_launch.config.yaml.tree import At
+    from play_launch.config.resolve.policy import GroupRules, Policy
+    from play_launch.config.tree import At, Node
+
 
 _COMMAND_OR_PACKAGE = "give either command, or package and executable"
 _NUMBERED: Final = re.compile(r":[0-9]+$")
@@ -232,3 +243,193 @@ def _check_combinations(at: At) -> None:
         if key in given:
             entry, value = given[key]
             value.problem(message, entry.place)
+
+
+STOCK_PACKAGE: Final = "rclcpp_components"
+STOCK_EXECUTABLE: Final = "component_container"
+_KEYS: Final = ("package", "executable", "arguments", "attach")
+_OUR_KEYS: Final = ("probe_timeout",)
+"""Keys that say something for play-launch's own containers only."""
+_FOR_STARTING: Final = (
+    "package",
+    "executable",
+    "arguments",
+    "environment",
+    "log_level",
+    "ros_arguments",
+    "process_parameters",
+    "prefix",
+    "cwd",
+    "output",
+    "on_exit",
+    "resources",
+)
+"""Keys about starting a container; one that runs already reads none of them."""
+
+
+def resolve_container(at: At, shared: Shared, policy: Policy) -> ContainerConfig | None:
+    """Return the container at `at`, None after problems; `policy` is that of all containers."""
+    section = validate_mapping(ContainerSection, at)
+    if not isinstance(at.node, Mapping):
+        return None
+    shared.names.declare(at)
+    variables = resolve_environment(at.value("environment"))
+    sections = resolve_process_parameters(at.value("process_parameters"), shared.files)
+    if section is None:
+        _composable_nodes(at, shared, policy, "", None)
+        return None
+    policy = policy.refined(section, at)
+    kind = policy.container_type
+    refuse_unread(ISOLATED_KEYS, kind, at)
+    namespace = section.namespace or "/"
+    full_name = join_full_name(namespace, section.name)
+    composable_nodes = _composable_nodes(at, shared, policy, full_name, kind)
+    if not kind.is_multi_threaded:
+        policy = replace(policy, thread_num=None)
+        why = f"is for container_type mt and isolated_mt, this container is {kind}"
+        refuse(("thread_num",), why, at)
+    if section.on_exit is OnExit.IGNORE:
+        fix = "for a container that does not come back: restart: {max_restarts: 0}"
+        at.blame("on_exit").problem(f"containers have restart and shutdown; {fix}")
+    stock = _stock_program(section, kind, at)
+    process = Process.PROGRAM if kind is ContainerType.STOCK else Process.CONTAINER
+    shared.start_rules.declare(full_name, at, section.start_delay)
+    return ContainerConfig(
+        name=section.name,
+        namespace=namespace,
+        full_name=full_name,
+        container_type=kind,
+        thread_num=policy.thread_num,
+        isolation=policy.isolation,
+        memory_domains=policy.memory_domains,
+        core_dumps=policy.core_dumps,
+        package=stock.package,
+        executable=stock.executable,
+        arguments=stock.arguments,
+        attach=stock.attach,
+        process_parameters=sections,
+        prefix=tuple(section.prefix or ()),
+        cwd=None if section.cwd is None else path_from(at.blame("cwd"), section.cwd),
+        output=section.output or Output.BOTH,
+        on_exit=section.on_exit or OnExit.RESTART,
+        log_level=section.log_level,
+        environment=MappingProxyType({**shared.environment, **variables}),
+        ros_arguments=tuple(section.ros_arguments or ()),
+        restart=policy.restart,
+        resources=refined_resources(Resources(), section.resources, at, process),
+        loading_timeout=policy.loading_timeout,
+        probe_timeout=policy.probe_timeout,
+        composable_nodes=composable_nodes,
+        line=at.node.place.line,
+        file=at.node.place.file,
+    )
+
+
+def _composable_nodes(
+    at: At, shared: Shared, policy: Policy, container: str, kind: ContainerType | None
+) -> tuple[ComposableNodeConfig, ...]:
+    items = items_of(at.value("composable_nodes"), "composable nodes")
+    resolved = [resolve_composable_node(item, shared, policy, container, kind) for item in items]
+    return tuple(one for one in resolved if one is not None)
+
+
+class _StockProgram(Struct, frozen=True, kw_only=True):
+    """What a stock container is; all empty for one of play-launch's own."""
+
+    package: str = ""
+    executable: str = ""
+    arguments: tuple[str, ...] = ()
+    attach: bool = False
+
+
+def _stock_program(section: ContainerSection, kind: ContainerType, at: At) -> _StockProgram:
+    """Return what `section` says; report keys that nothing would read."""
+    if kind is not ContainerType.STOCK:
+        refuse(_KEYS, f"is for container_type stock, this container is {kind}", at)
+        return _StockProgram()
+    refuse(_OUR_KEYS, "is not for container_type stock, whose libraries are not probed", at)
+    if section.attach:
+        why = "is for a container that is started here, not for attach: true"
+        refuse(_FOR_STARTING, why, at)
+        return _StockProgram(attach=True)
+    return _StockProgram(
+        package=section.package or STOCK_PACKAGE,
+        executable=section.executable or STOCK_EXECUTABLE,
+        arguments=tuple(section.arguments or ()),
+    )
+
+
+_FORMS = 'expected a remapping such as "chatter:=/sensing/chatter" or {from: chatter, to: /chatter}'
+_SPECIAL = {"__node": "name", "__name": "name", "__ns": "namespace"}
+
+
+def resolve_remappings(at: At | None) -> tuple[tuple[str, str], ...]:
+    """Return the (from, to) pairs that stand there, in their order.
+
+    Taken are a mapping `{from: to}`, and a list of `from:=to`, `[from, to]` or
+    `{from: ..., to: ...}`.
+    """
+    if at is None:
+        return ()
+    collected = _Collected(at.report)
+    if isinstance(at.node, Mapping):
+        for entry, value in at.entries():
+            target = _string(value)
+            if target is not None:
+                collected.add(value, (entry.key, entry.place), (target, entry.value.place))
+    elif isinstance(at.node, Sequence) and at.node.array_tag is None:
+        for item in at.elements():
+            _add_item(item, collected)
+    elif not at.is_invalid:
+        at.problem(f"{_FORMS}, in a list, given {describe_node(at.node)}")
+    return tuple(collected.pairs)
+
+
+class _Collected:
+    def __init__(self, report: Report) -> None:
+        self.pairs: list[tuple[str, str]] = []
+        self._report = report
+        self._places: dict[str, Place] = {}
+
+    def add(self, at: At, source: tuple[str, Place], target: tuple[str, Place]) -> None:
+        before = len(self._report)
+        name, place = source
+        if name in _SPECIAL:
+            at.problem(f"{name} cannot be remapped here; use the key {_SPECIAL[name]}", place)
+            return
+        for side, side_place in (source, target):
+            try:
+                check_topic(side)
+            except ValueError as error:
+                at.problem(str(error), side_place)
+        if name in self._places:
+            first = self._places[name]
+            at.problem(f"{excerpt(name)} is remapped twice, first at {first}", place)
+        self._places.setdefault(name, place)
+        if len(self._report) == before:
+            self.pairs.append((name, target[0]))
+
+
+def _add_item(at: At, collected: _Collected) -> None:
+    item = at.node
+    sides: tuple[Node, ...] = ()
+    if isinstance(item, Mapping) and item.by_key.keys() == {"from", "to"}:
+        sides = (item.by_key["from"].value, item.by_key["to"].value)
+    elif isinstance(item, Sequence) and item.array_tag is None and len(item.items) == 2:
+        sides = item.items
+    if not sides:
+        source, separator, target = (at.string or "").partition(":=")
+        if separator:
+            collected.add(at, (source.strip(), item.place), (target.strip(), item.place))
+        elif not at.is_invalid:
+            at.problem(f"{_FORMS}, given {describe_node(item)}")
+        return
+    names = [_string(replace(at, node=side)) for side in sides]
+    if names[0] is not None and names[1] is not None:
+        collected.add(at, (names[0], sides[0].place), (names[1], sides[1].place))
+
+
+def _string(at: At) -> str | None:
+    if at.string is None:
+        at.expected("a topic or service name")
+    return at.string

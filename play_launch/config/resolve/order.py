@@ -16,12 +16,11 @@ from play_launch.config.dependency import (
     StartRule,
     UnitCondition,
 )
-from play_launch.config.model import ManagedConfig
-from play_launch.config.policies import OnExit
+from play_launch.config.model import ManagedConfig, OnExit
 from play_launch.config.problems import excerpt
 from play_launch.config.schema import DependencySection
+from play_launch.config.section import items_of, validate_mapping
 from play_launch.config.source import path_from
-from play_launch.config.validation import items_of, validate_mapping
 from play_launch.config.values import NEVER
 
 if TYPE_CHECKING:
@@ -29,7 +28,7 @@ if TYPE_CHECKING:
 
     from play_launch.config.model import ContainerConfig, ProcessConfig
     from play_launch.config.schema import ComposableNodeSection, ProcessSection
-    from play_launch.config.yaml.tree import At
+    from play_launch.config.tree import At
 
 _SUBJECTS: Final = ("name", "node", "topic", "service", "file")
 _CLOSE_ENOUGH: Final = 0.6

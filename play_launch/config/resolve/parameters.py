@@ -10,13 +10,12 @@ from typing import TYPE_CHECKING
 
 from play_launch.config.model import ParameterConfig, ParameterType, ParameterValue
 from play_launch.config.problems import excerpt
-from play_launch.config.yaml.scalars import ScalarKind
-from play_launch.config.yaml.tree import Mapping, Scalar, Sequence, describe_node
+from play_launch.config.tree import Mapping, Scalar, ScalarKind, Sequence, describe_node
 
 if TYPE_CHECKING:
     from play_launch.config.problems import Place
     from play_launch.config.resolve.parameter_files import ParameterFiles
-    from play_launch.config.yaml.tree import At, Node
+    from play_launch.config.tree import At, Node
 
 _KEY_OF_PARAMETER_FILES = "ros__parameters"
 _SMALLEST_INTEGER = -(2**63)

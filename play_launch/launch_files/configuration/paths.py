@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from play_launch.config.sources.surroundings import share_folder
+from play_launch.config.substitutions import share_folder
 
 
 class Paths:

@@ -10,8 +10,7 @@ from play_launch.config.model import FOR_ALL, ParameterConfig, ParameterType
 from play_launch.config.problems import Place, Report
 from play_launch.config.resolve.parameter_files import ParameterFiles
 from play_launch.config.source import Refused, read_bytes
-from play_launch.config.yaml.scalars import ScalarKind
-from play_launch.config.yaml.tree import At, Scalar
+from play_launch.config.tree import At, Scalar, ScalarKind
 from play_launch.container.command import parameter_file_text
 from play_launch.launch_files.configuration.yaml_text import Verbatim
 from play_launch.launch_files.losses import Losses

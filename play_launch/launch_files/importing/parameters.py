@@ -5,11 +5,11 @@ from __future__ import annotations
 import re
 from typing import Final
 
+from play_launch.config.compose import compose
 from play_launch.config.model import ParameterType, ParameterValue
 from play_launch.config.problems import Report, excerpt
 from play_launch.config.resolve.parameters import flatten
-from play_launch.config.yaml.compose import compose
-from play_launch.config.yaml.tree import At, Entry, Mapping, Sequence
+from play_launch.config.tree import At, Entry, Mapping, Sequence
 from play_launch.launch_files.records import Parameter, parameter
 
 _INTEGER: Final = re.compile(r"[-+]?[0-9]+", re.ASCII)

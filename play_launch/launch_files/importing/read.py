@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING, Any, Final
 
+from play_launch.config.compose import Reading, Tally, compose
 from play_launch.config.problems import Report
 from play_launch.config.source import Refused, decode, read_bytes
-from play_launch.config.yaml.compose import Reading, Tally, compose
-from play_launch.config.yaml.tree import Mapping, Scalar
+from play_launch.config.tree import Mapping, Scalar
 from play_launch.launch_files.configuration.options import Containers, Options
 from play_launch.launch_files.configuration.write import written
 from play_launch.launch_files.importing.launch_dump import is_launch_dump, read_launch_dump
@@ -18,7 +18,7 @@ from play_launch.launch_files.losses import Losses
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from play_launch.config.yaml.tree import Node
+    from play_launch.config.tree import Node
     from play_launch.launch_files.configuration.write import Written
 
 LARGEST: Final = 64 * 2**20

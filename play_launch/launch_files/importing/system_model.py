@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from play_launch.config.policies import Autostart
+from play_launch.config.model import Autostart
 from play_launch.launch_files.importing.fields import (
     Fields,
     file_text,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from msgspec import Struct, field
 
-from play_launch.config.sources.surroundings import share_folder
+from play_launch.config.substitutions import share_folder
 from play_launch.launch_files.losses import Losses
 from play_launch.launch_files.markup.template import Call, parse
 from play_launch.launch_files.markup.trouble import Exceeded, Trouble

@@ -8,7 +8,7 @@ import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from play_launch.config.ament_index import ament_prefixes
+from play_launch.config.substitutions import ament_prefixes
 from play_launch.launch_files.log_folder import log_folder
 from play_launch.launch_files.markup import expression
 from play_launch.launch_files.markup.run_command import run_command

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Final
 
 import msgspec
 
-from play_launch.config.ament_index import ament_prefixes
+from play_launch.config.substitutions import ament_prefixes
 from play_launch.container.ros import spawn_guard
 from play_launch.launch_files.records import Description, Failure, LaunchFileError, Origin, Place
 from play_launch.launch_files.records import decode as decode_records

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from launch_ros.events.lifecycle import ChangeState, StateTransition
 from lifecycle_msgs.msg import Transition, TransitionEvent
 
-from play_launch.config.policies import Autostart
+from play_launch.config.model import Autostart
 from play_launch.launch_files.records import Event, StartCondition
 
 if TYPE_CHECKING:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from play_launch.config.group_limits import NO_LIMIT
+from play_launch.config.resources import NO_LIMIT
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -9,7 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from play_launch.config.group_limits import NO_LIMITS, GroupLimits, cpu_text, cpus_in
+from play_launch.config.resources import NO_LIMITS, GroupLimits, cpu_text, cpus_in
 from play_launch.process.cgroups.base import GroupError
 from play_launch.process.cgroups.controllers import lack_of
 from play_launch.process.cgroups.marks import enabled_for_us, forget_enabled, note_enabled

@@ -8,7 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from play_launch.config.group_limits import NO_LIMITS
+from play_launch.config.resources import NO_LIMITS
 from play_launch.process.cgroups.base import (
     GroupError,
     Hierarchy,
@@ -31,7 +31,7 @@ from play_launch.process.cgroups.sweep import sweep
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from play_launch.config.group_limits import GroupLimits, GroupPolicy
+    from play_launch.config.resources import GroupLimits, GroupPolicy
 
 _END_LIMIT: Final = 10.0
 """Seconds for what is left of a session to die."""

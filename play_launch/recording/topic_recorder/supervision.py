@@ -12,7 +12,7 @@ import signal
 from functools import partial
 from typing import TYPE_CHECKING, Final, Protocol
 
-from play_launch.config.policies import RestartLimits
+from play_launch.config.model import RestartLimits
 from play_launch.container.ros import MixedInstallationError, NotInstalledError
 from play_launch.process.program import SpawnError
 from play_launch.recording.topic_recorder import packets

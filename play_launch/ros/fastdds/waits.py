@@ -18,7 +18,7 @@ import sys
 from pathlib import Path
 from typing import Final
 
-from play_launch.config.ament_index import ament_prefixes
+from play_launch.config.substitutions import ament_prefixes
 
 _log = logging.getLogger(__name__)
 

@@ -12,13 +12,13 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
+from play_launch.config.compose import Reading, compose
 from play_launch.config.description import describe
 from play_launch.config.load import load_config
 from play_launch.config.model import ParameterType, ReplayConfig
 from play_launch.config.problems import ConfigError, Report
-from play_launch.config.sources.substitution import Lookup, substitute
-from play_launch.config.yaml.compose import Reading, compose
-from play_launch.config.yaml.tree import At, Mapping
+from play_launch.config.substitutions import Lookup, substitute
+from play_launch.config.tree import At, Mapping
 from play_launch.launch_files.configuration.write import Written
 from play_launch.launch_files.configuration.yaml_text import yaml_text
 from play_launch.launch_files.importing.parameters import typed_values

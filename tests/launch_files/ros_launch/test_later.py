@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from play_launch.config.policies import Autostart
+from play_launch.config.model import Autostart
 from play_launch.launch_files.records import AtExit, Description, Event, StartCondition
 from play_launch.launch_files.ros_launch.evaluate import is_installed
 from tests.launch_files.ros_launch.prefix import Prefix, prefix, processes

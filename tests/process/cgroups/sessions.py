@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from play_launch.config.group_limits import GroupPolicy
+from play_launch.config.resources import GroupPolicy
 from play_launch.process.cgroups.names import SessionName
 from play_launch.process.cgroups.session import SessionGroups
 from play_launch.process.identity import ProcessIdentity, read_stat

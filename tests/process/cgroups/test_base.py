@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from play_launch.config.group_limits import NO_LIMITS, GroupPolicy
+from play_launch.config.resources import NO_LIMITS, GroupPolicy
 from play_launch.process.cgroups.base import GroupError
 from play_launch.process.cgroups.names import SessionName
 from play_launch.process.cgroups.session import SessionGroups
@@ -79,7 +79,7 @@ def test_what_a_killed_supervisor_did_to_the_base_is_undone_and_no_more(base: Pa
 ORDINARY_USER = """
 import logging, os, sys
 from pathlib import Path
-from play_launch.config.group_limits import GroupPolicy
+from play_launch.config.resources import GroupPolicy
 from tests.process.cgroups.sessions import session_groups
 
 logging.basicConfig(format="%(message)s")

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from play_launch.config.group_limits import NO_LIMITS, CpuMax, GroupLimits, GroupPolicy
+from play_launch.config.resources import NO_LIMITS, CpuMax, GroupLimits, GroupPolicy
 from play_launch.process.cgroups.base import GroupError
 from play_launch.process.cgroups.group import Group
 from play_launch.process.cgroups.names import SUPERVISOR

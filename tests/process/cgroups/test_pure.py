@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from play_launch.config.group_limits import NO_LIMIT, GroupLimits, cpu_text, cpus_in
+from play_launch.config.resources import NO_LIMIT, GroupLimits, cpu_text, cpus_in
 from play_launch.process.cgroups.base import (
     Hierarchy,
     OwnGroup,

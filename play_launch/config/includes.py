@@ -1,4 +1,4 @@
-"""Reads a configuration and the files that it includes, and makes one tree of them."""
+"""Read a configuration and the files that it includes, and merge them into one tree."""
 
 from __future__ import annotations
 
@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING, Final
 from msgspec import Struct
 from msgspec.structs import replace
 
+from play_launch.config.compose import Reading, Tally, compose
 from play_launch.config.problems import Place, excerpt
 from play_launch.config.source import Refused, decode, path_from
-from play_launch.config.sources.merge import INCLUDE, has_nothing, merge
-from play_launch.config.sources.surroundings import Given
-from play_launch.config.yaml.compose import Reading, Tally, compose
-from play_launch.config.yaml.tree import At, Mapping, Scalar, Sequence
+from play_launch.config.substitutions import Given
+from play_launch.config.tree import At, Entry, Mapping, Scalar, ScalarKind, Sequence
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -21,8 +20,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from play_launch.config.problems import Report
-    from play_launch.config.sources.surroundings import Taken
-    from play_launch.config.yaml.tree import Node
+    from play_launch.config.substitutions import Taken
+    from play_launch.config.tree import Node
+
 
 DEEPEST_INCLUSION: Final = 20
 """Files that include one another, the first one not counted."""
@@ -185,3 +185,106 @@ def _check_version(at: At) -> None:
         at.problem('the key "version" is missing')
     elif not (isinstance(version.node, Scalar) and version.node.value == 1):
         version.expected("version 1")
+
+
+INCLUDE: Final = "include"
+_BY_NAME: Final = {
+    "containers": "container",
+    "composable_nodes": "composable node",
+    "nodes": "node",
+}
+_SOURCES: Final = frozenset({"parameters", "process_parameters", "extra_arguments"})
+
+
+def merge(base: Mapping, over: At) -> Mapping:
+    """Return a document, or an entry of a list, merged over an included one; report mistakes."""
+    assert isinstance(over.node, Mapping)
+    merged = _key_by_key(base, over)
+    merged.pop(INCLUDE, None)
+    # An entry is where it is declared first, the document is the file that was given.
+    place = base.place if base.by_key and over.path else over.node.place
+    return Mapping(place, merged)
+
+
+def _key_by_key(base: Mapping, over: At) -> dict[str, Entry]:
+    merged = dict(base.by_key)
+    for entry, value in over.entries():
+        node = _merged(entry.key, base.value(entry.key), value)
+        merged[entry.key] = Entry(entry.key, entry.place, node)
+    return merged
+
+
+def _merged(key: str, before: Node | None, over: At) -> Node:
+    if key in _BY_NAME and isinstance(over.node, Sequence):
+        included = before if isinstance(before, Sequence) else Sequence(over.node.place, ())
+        return _merged_entries(_BY_NAME[key], included, over)
+    if key in _SOURCES and before is not None:
+        return _further_sources(before, over.node)
+    if isinstance(before, Mapping) and isinstance(over.node, Mapping):
+        return Mapping(over.node.place, _key_by_key(before, over))
+    return over.node
+
+
+def _further_sources(before: Node, over: Node) -> Node:
+    """Return the sources of both; of a mapping that is repeated key by key, the later wins."""
+    items: list[Node] = []
+    for node in (before, over):
+        is_list = isinstance(node, Sequence) and node.array_tag is None
+        items += node.items if is_list and isinstance(node, Sequence) else (node,)
+    return Sequence(over.place, tuple(items))
+
+
+def _merged_entries(what: str, included: Sequence, over: At) -> Sequence:
+    entries: list[Node] = list(included.items)
+    taken: set[int] = set()
+    for item in over.elements():
+        if not isinstance(item.node, Mapping):
+            entries.append(item.node)
+            continue
+        candidates = [number for number in _named_alike(item, included) if number not in taken]
+        if len(candidates) > 1:
+            name = excerpt(_text(item.node, "name") or "")
+            item.problem(
+                f"{len(candidates)} included {what}s are called {name}; give the namespace too"
+            )
+        elif candidates:
+            (number,) = candidates
+            base = included.items[number]
+            assert isinstance(base, Mapping)
+            entries[number] = merge(base, item)
+        else:
+            entries.append(merge(Mapping(item.node.place, {}), item))
+        taken.update(candidates)
+    return Sequence(over.node.place, tuple(entries))
+
+
+def _named_alike(item: At, included: Sequence) -> list[int]:
+    """Return the numbers of the included entries that the entry may mean.
+
+    Its namespace is compared only if it gives one.
+    """
+    assert isinstance(item.node, Mapping)
+    name, namespace = _text(item.node, "name"), _text(item.node, "namespace")
+    if not name:
+        return []
+    return [
+        number
+        for number, node in enumerate(included.items)
+        if isinstance(node, Mapping)
+        and _text(node, "name") == name
+        and (namespace is None or _absolute(namespace) == _absolute(_text(node, "namespace")))
+    ]
+
+
+def _absolute(namespace: str | None) -> str:
+    return "/" + (namespace or "").strip("/")
+
+
+def _text(mapping: Mapping, key: str) -> str | None:
+    node = mapping.value(key)
+    return node.text if isinstance(node, Scalar) else None
+
+
+def has_nothing(node: Node) -> bool:
+    """Whether the node is the null of an empty file."""
+    return isinstance(node, Scalar) and node.kind is ScalarKind.NULL

@@ -18,14 +18,18 @@ from msgspec import Struct, field
 from msgspec.structs import replace
 
 from play_launch.config.problems import Place, excerpt, join_path
-from play_launch.config.sources.substitution import may_hold_substitutions
-from play_launch.config.yaml.scalars import (
+from play_launch.config.substitutions import may_hold_substitutions
+from play_launch.config.tree import (
+    Entry,
+    Mapping,
+    Node,
+    Scalar,
     ScalarKind,
+    Sequence,
     resolve_scalar,
     shown_tag,
     unknown_tag,
 )
-from play_launch.config.yaml.tree import Entry, Mapping, Node, Scalar, Sequence
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -1,1 +1,0 @@
-"""What a configuration is put together from: included files, arguments, variables, packages."""

@@ -1,1 +1,0 @@
-"""YAML 1.2 as a tree in which every key and value knows its place."""
