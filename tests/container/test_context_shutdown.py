@@ -6,13 +6,16 @@ from typing import TYPE_CHECKING
 
 import pytest
 from play_launch_msgs.msg import ComponentEvent
+from std_msgs.msg import String
 
-from tests.support.isolated import MODES, only_these_remain, start_isolated, survives
+from tests.support.isolated import MODES, only_these_remain, start, survives
 
 if TYPE_CHECKING:
     from tests.support.control_peer import StartContainer
+    from tests.support.ros import Probe
 
-LOADED, UNLOADED, CRASHED = ComponentEvent.LOADED, ComponentEvent.UNLOADED, ComponentEvent.CRASHED
+UNLOADED, CRASHED = ComponentEvent.UNLOADED, ComponentEvent.CRASHED
+LOAD_FAILED = ComponentEvent.LOAD_FAILED
 
 both_modes = pytest.mark.parametrize("mode", MODES)
 ways = pytest.mark.parametrize("how", ["context", "rcl"])
@@ -25,7 +28,7 @@ places = pytest.mark.parametrize("where", ["callback", "constructor", "thread"])
 def test_an_isolated_node_ends_alone(
     spawn: StartContainer, mode: str, how: str, where: str
 ) -> None:
-    container = start_isolated(spawn, mode)
+    container = start(spawn, mode)
     with survives(container):
         talker = container.loaded("Talker")
         quitter = container.loaded("Quitter", parameters={"how": how, "where": where})
@@ -45,7 +48,7 @@ def test_an_isolated_node_ends_alone(
 
 
 def test_a_node_that_does_not_come_to_its_end_is_pressed(spawn: StartContainer) -> None:
-    container = start_isolated(spawn)
+    container = start(spawn)
     with survives(container):
         talker = container.loaded("Talker")
         container.loaded("Quitter", parameters={"lingers": True})
@@ -55,13 +58,11 @@ def test_a_node_that_does_not_come_to_its_end_is_pressed(spawn: StartContainer) 
 
 @ways
 @places
-@pytest.mark.parametrize(
-    "arguments", [(), ("--use_multi_threaded_executor",)], ids=["standard", "mt"]
-)
+@pytest.mark.parametrize("mode", ["standard", "mt"])
 def test_a_node_that_shares_its_process_ends_the_container_by_name(
-    spawn: StartContainer, arguments: tuple[str, ...], how: str, where: str
+    spawn: StartContainer, mode: str, how: str, where: str
 ) -> None:
-    container = spawn(*arguments)
+    container = start(spawn, mode)
     talker = container.loaded("Talker")
     container.load("Quitter", parameters={"how": how, "where": where}, node_name="quitter")
     event = container.event(UNLOADED, unique_id=talker.unique_id)
@@ -82,3 +83,50 @@ def test_a_node_with_memory_of_its_own_ends_alone(spawn: StartContainer) -> None
         assert event.plugin_name.endswith("Quitter")
         assert "/quitter shut the ROS context down" in event.error_message
         assert only_these_remain(container, talker.pid)
+
+
+@both_modes
+@pytest.mark.parametrize("in_constructor", [False, True], ids=["callback", "constructor"])
+def test_a_node_that_shuts_rclcpp_down_ends_alone(
+    spawn: StartContainer, components: str, mode: str, in_constructor: bool, probe: Probe
+) -> None:
+    container = start(spawn, mode)
+    with survives(container):
+        container.loaded("Talker", package=components)
+        parameters = {"how": "shutdown", "after": 0.001, "in_constructor": in_constructor}
+        crasher = container.loaded("Crasher", package=components, parameters=parameters)
+        event = container.event(UNLOADED, unique_id=crasher.unique_id)
+        assert "ended itself" in event.error_message
+        probe.collect(String, "/chatter", 5)
+        assert container.status().crashes == 0
+
+
+@both_modes
+def test_a_node_that_shuts_its_context_down_ends_alone(
+    spawn: StartContainer, components: str, mode: str, probe: Probe
+) -> None:
+    how = {"how": "shutdown_context"}
+    container = start(spawn, mode)
+    with survives(container):
+        container.loaded("Talker", package=components)
+        crasher = container.loaded("Crasher", package=components, parameters={**how, "after": 0.0})
+        event = container.event(UNLOADED, unique_id=crasher.unique_id)
+        assert "ended itself" in event.error_message
+        # rclcpp cannot be kept from its work there but by an exception.
+        container.load("Crasher", package=components, parameters={**how, "in_constructor": True})
+        assert "ends alone" in container.event(LOAD_FAILED).error_message
+        probe.collect(String, "/chatter", 5)
+        assert container.status().crashes == 0
+
+
+@pytest.mark.parametrize("mode", ["standard", "mt"])
+@pytest.mark.parametrize("how", ["shutdown", "shutdown_context"])
+def test_a_node_that_shuts_rclcpp_down_ends_a_shared_container(
+    spawn: StartContainer, components: str, mode: str, how: str
+) -> None:
+    container = start(spawn, mode)
+    talker = container.loaded("Talker", package=components)
+    container.load("Crasher", package=components, parameters={"how": how, "after": 0.001})
+    event = container.event(UNLOADED, unique_id=talker.unique_id)
+    assert "/crasher shut the ROS context down" in event.error_message
+    assert container.wait() == 79, container.log.read_text()

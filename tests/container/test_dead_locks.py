@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import pytest
 from play_launch_msgs.msg import ComponentEvent, ControlStatus, ControlUnload
 
-from tests.support.isolated import MODES, start_isolated, survives
+from tests.support.isolated import MODES, start, survives
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -62,7 +62,7 @@ def holder(container: Container, lock: str) -> ComponentEvent:
 def test_a_neighbour_waits_for_a_dead_node(
     spawn: StartContainer, mode: str, held: str, wanted: str, number: signal.Signals
 ) -> None:
-    container = start_isolated(spawn, mode)
+    container = start(spawn, mode)
     dying = holder(container, held)
     waiting = locker(container, "waiting", wanted)
     assert not container.status().dead_locks
@@ -75,7 +75,7 @@ def test_a_neighbour_waits_for_a_dead_node(
 
 
 def test_a_lock_that_a_living_node_keeps_is_none_of_the_dead(spawn: StartContainer) -> None:
-    container = start_isolated(spawn)
+    container = start(spawn)
     held = [
         holder(container, "mutex"),
         locker(container, "waiting", "mutex"),
@@ -102,7 +102,7 @@ def test_what_a_dead_node_was_initialising_is_begun_anew(
     how: str,
     in_constructor: bool,
 ) -> None:
-    container = start_isolated(spawn, mode)
+    container = start(spawn, mode)
     parameters = {
         "in": place,
         "how": how,
@@ -123,7 +123,7 @@ def test_what_a_dead_node_was_initialising_is_begun_anew(
 
 @both_modes
 def test_a_node_tells_whether_it_comes_round(spawn: StartContainer, mode: str) -> None:
-    container = start_isolated(spawn, mode)
+    container = start(spawn, mode)
     with survives(container):
         idle = container.loaded("Crasher")
         slow = container.load("SlowConstructor", parameters={"seconds": 3600.0})

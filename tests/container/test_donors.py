@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import pytest
 from std_msgs.msg import String
 
-from tests.support.isolated import MODES, start_isolated, survives
+from tests.support.isolated import MODES, start, survives
 from tests.support.ros import Probe
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ def states(container: Container) -> str:
 
 @pytest.mark.parametrize("mode", MODES)
 def test_idle_nodes_are_no_load(spawn: StartContainer, mode: str) -> None:
-    container = start_isolated(spawn, mode)
+    container = start(spawn, mode)
     with survives(container):
         for i in range(NODES):
             container.loaded("Echo", node_name=f"idle_{i}")
@@ -45,7 +45,7 @@ def test_idle_nodes_are_no_load(spawn: StartContainer, mode: str) -> None:
 
 
 def test_a_container_stops_and_goes_on(spawn: StartContainer) -> None:
-    container = start_isolated(spawn)
+    container = start(spawn)
     with survives(container), Probe() as probe:
         talkers = [container.loaded("Talker", node_name=f"talker_{i}") for i in range(3)]
         for _ in range(5):

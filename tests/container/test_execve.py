@@ -13,7 +13,7 @@ from tests.support.isolated import (
     MODES,
     is_gone,
     only_these_remain,
-    start_isolated,
+    start,
     survives,
 )
 from tests.support.ros import Probe
@@ -45,7 +45,7 @@ def found_out(container: Container, kind: int) -> ComponentEvent:
 @both_modes
 @pytest.mark.parametrize("how", WAYS)
 def test_execve_ends_the_node_at_once(spawn: StartContainer, mode: str, how: str) -> None:
-    container = start_isolated(spawn, mode)
+    container = start(spawn, mode)
     with survives(container), Probe() as probe:
         talker = container.loaded("Talker", parameters={"rate": 100.0})
         vandal = container.loaded("Vandal", parameters={"how": how})
@@ -61,7 +61,7 @@ def test_execve_ends_the_node_at_once(spawn: StartContainer, mode: str, how: str
 
 @both_modes
 def test_execve_past_the_c_library_is_found_out(spawn: StartContainer, mode: str) -> None:
-    container = start_isolated(spawn, mode)
+    container = start(spawn, mode)
     with survives(container), Probe() as probe:
         talker = container.loaded("Talker", parameters={"rate": 100.0})
         vandal = container.loaded("Vandal", parameters={"how": "execve_by_system_call"})
@@ -75,7 +75,7 @@ def test_execve_past_the_c_library_is_found_out(spawn: StartContainer, mode: str
 
 @pytest.mark.parametrize("how", ["execve", "execve_by_system_call"])
 def test_execve_in_a_constructor_is_a_failed_load(spawn: StartContainer, how: str) -> None:
-    container = start_isolated(spawn)
+    container = start(spawn)
     with survives(container):
         container.load("Vandal", parameters={"how": how, "in_constructor": True})
         failed = found_out(container, LOAD_FAILED)
@@ -84,7 +84,7 @@ def test_execve_in_a_constructor_is_a_failed_load(spawn: StartContainer, how: st
 
 @both_modes
 def test_execve_of_nothing_fails_as_always(spawn: StartContainer, mode: str) -> None:
-    container = start_isolated(spawn, mode)
+    container = start(spawn, mode)
     with survives(container), Probe() as probe:
         vandal = container.loaded("Vandal", parameters={"how": "execve_nothing"})
         probe.collect(String, "/vandal", 5)

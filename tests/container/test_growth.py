@@ -12,7 +12,7 @@ import psutil
 import pytest
 from play_launch_msgs.msg import ComponentEvent
 
-from tests.support.isolated import MODES, only_these_remain, start_isolated, survives
+from tests.support.isolated import MODES, only_these_remain, start, survives
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -84,7 +84,7 @@ def growth(samples: Sequence[Usage], field: str) -> float:
 def test_a_thousand_crashes_and_reloads_leave_nothing_behind(
     spawn: StartContainer, mode: str
 ) -> None:
-    container = start_isolated(spawn, mode)
+    container = start(spawn, mode)
     samples: list[Usage] = []
     with survives(container):
         talker = container.loaded("Talker")

@@ -18,7 +18,7 @@ from tests.support.isolated import (
     children,
     is_gone,
     only_these_remain,
-    start_isolated,
+    start,
     start_time,
     survives,
 )
@@ -48,7 +48,7 @@ def numbers(report: String) -> dict[str, int]:
 
 @both_modes
 def test_every_node_is_a_process(spawn: StartContainer, mode: str) -> None:
-    container = start_isolated(spawn, mode)
+    container = start(spawn, mode)
     with survives(container), Probe() as probe:
         events = [container.loaded("Talker", node_name=f"talker_{i}") for i in range(3)]
         pids = {event.pid for event in events}
@@ -80,7 +80,7 @@ def test_every_node_is_a_process(spawn: StartContainer, mode: str) -> None:
 
 @both_modes
 def test_the_hello_tells_the_mechanism(spawn: StartContainer, mode: str) -> None:
-    container = start_isolated(spawn, mode)
+    container = start(spawn, mode)
     (hello,) = container.seen
     assert (hello.mode, hello.mechanism) == (mode, "shared_memory")
     assert bool(hello.notes) is (find_allocator().library is None)
@@ -100,7 +100,7 @@ def test_glibc_malloc_is_noted(spawn: StartContainer) -> None:
 
 @both_modes
 def test_messages_go_by_pointer_between_processes(spawn: StartContainer, mode: str) -> None:
-    container = start_isolated(spawn, mode)
+    container = start(spawn, mode)
     with survives(container), Probe() as probe:
         sink = container.loaded(
             "ImageSink", parameters={"report_every": 10}, extra_arguments=BY_POINTER
@@ -126,7 +126,7 @@ def test_messages_go_by_pointer_between_processes(spawn: StartContainer, mode: s
 
 @both_modes
 def test_a_slow_constructor_blocks_nobody(spawn: StartContainer, mode: str) -> None:
-    container = start_isolated(spawn, mode)
+    container = start(spawn, mode)
     slow = container.load("SlowConstructor", parameters=FOREVER, node_name="slow")
     loading = container.event(LOADING, attempt=slow)
     talker = container.loaded("Talker")
@@ -150,7 +150,7 @@ def test_a_slow_constructor_blocks_nobody(spawn: StartContainer, mode: str) -> N
 def test_a_node_is_unloaded_while_it_constructs(
     spawn: StartContainer, mode: str, how: type[ControlUnload | ControlCancel]
 ) -> None:
-    container = start_isolated(spawn, mode)
+    container = start(spawn, mode)
     with survives(container):
         attempt = container.load("SlowConstructor", parameters={"seconds": 0.3}, node_name="slow")
         loading = container.event(LOADING, attempt=attempt)
@@ -167,7 +167,7 @@ def test_a_node_is_unloaded_while_it_constructs(
 def test_a_node_whose_constructor_hangs_is_unloaded(
     spawn: StartContainer, mode: str, mechanism: str, how: type[ControlUnload | ControlCancel]
 ) -> None:
-    container = start_isolated(spawn, mode, "--isolation", mechanism)
+    container = start(spawn, mode, "--isolation", mechanism)
     with survives(container):
         attempt = container.load("SlowConstructor", parameters=FOREVER, node_name="slow")
         loading = container.event(LOADING, attempt=attempt)
@@ -181,7 +181,7 @@ def test_a_node_whose_constructor_hangs_is_unloaded(
 
 
 def test_a_failed_load_leaves_no_process(spawn: StartContainer) -> None:
-    container = start_isolated(spawn)
+    container = start(spawn)
     with survives(container):
         cases = {
             container.load("ThrowingConstructor"): "no such camera",
@@ -195,17 +195,3 @@ def test_a_failed_load_leaves_no_process(spawn: StartContainer) -> None:
             assert event.signal == 0
         assert only_these_remain(container)
         assert container.status().crashes == 0
-
-
-@both_modes
-def test_many_loads_at_once(spawn: StartContainer, mode: str) -> None:
-    container = start_isolated(spawn, mode)
-    with survives(container):
-        attempts = {container.load("Talker", node_name=f"talker_{i}") for i in range(30)}
-        pids = set()
-        while attempts:
-            event = container.event(LOADED)
-            attempts.remove(event.attempt)
-            pids.add(event.pid)
-        assert len(pids) == 30
-        assert children(container) == pids

@@ -18,7 +18,7 @@ from tests.support.isolated import (
     children,
     is_gone,
     only_these_remain,
-    start_isolated,
+    start,
     survives,
 )
 from tests.support.ros import Probe
@@ -33,13 +33,13 @@ FOREVER = {"seconds": 3600.0}
 both_modes = pytest.mark.parametrize("mode", MODES)
 
 
-def start(spawn: StartContainer, mode: str = "isolated") -> Container:
-    return start_isolated(spawn, mode, "--isolation", "process")
+def start_separate(spawn: StartContainer, mode: str = "isolated") -> Container:
+    return start(spawn, mode, "--isolation", "process")
 
 
 @both_modes
 def test_every_node_is_a_program(spawn: StartContainer, mode: str) -> None:
-    container = start(spawn, mode)
+    container = start_separate(spawn, mode)
     (hello,) = container.seen
     assert (hello.mode, hello.mechanism) == (mode, "process")
     with survives(container), Probe() as probe:
@@ -57,7 +57,7 @@ def test_every_node_is_a_program(spawn: StartContainer, mode: str) -> None:
 
 
 def test_a_name_that_is_asked_for_is_given_once(spawn: StartContainer) -> None:
-    container = start(spawn)
+    container = start_separate(spawn)
     with survives(container):
         talker = container.loaded("Talker")
         container.load("Talker", node_name="talker")
@@ -68,7 +68,7 @@ def test_a_name_that_is_asked_for_is_given_once(spawn: StartContainer) -> None:
 
 @pytest.mark.parametrize(("how", "number"), [("segv", 11), ("kill", 9), ("exit", 0)])
 def test_a_crash_is_told(spawn: StartContainer, how: str, number: int) -> None:
-    container = start(spawn)
+    container = start_separate(spawn)
     with survives(container), Probe() as probe:
         talker = container.loaded("Talker")
         crasher = container.loaded("Crasher")
@@ -88,7 +88,7 @@ def test_a_crash_is_told(spawn: StartContainer, how: str, number: int) -> None:
 
 def test_a_helper_that_outlives_its_node_does_not_hide_the_crash(spawn: StartContainer) -> None:
     """It holds the node's end of the channel open."""
-    container = start(spawn)
+    container = start_separate(spawn)
     with survives(container), Probe() as probe:
         forker = container.loaded("Forker")
         (helper,) = children(container) - {forker.pid}
@@ -111,7 +111,7 @@ def test_a_helper_that_outlives_its_node_does_not_hide_the_crash(spawn: StartCon
 
 
 def test_what_fails_while_loading(spawn: StartContainer) -> None:
-    container = start(spawn)
+    container = start_separate(spawn)
     with survives(container):
         container.load("ThrowingConstructor")
         assert "no such camera" in container.event(LOAD_FAILED).error_message
@@ -123,7 +123,7 @@ def test_what_fails_while_loading(spawn: StartContainer) -> None:
 
 
 def test_a_load_is_cancelled(spawn: StartContainer) -> None:
-    container = start(spawn)
+    container = start_separate(spawn)
     with survives(container):
         container.load("SlowConstructor", parameters={"seconds": 0.3})
         loading = container.event(LOADING)
@@ -133,7 +133,7 @@ def test_a_load_is_cancelled(spawn: StartContainer) -> None:
 
 
 def test_the_end_of_the_channel_ends_everything(spawn: StartContainer) -> None:
-    container = start(spawn)
+    container = start_separate(spawn)
     container.loaded("Talker")
     container.load("SlowConstructor", parameters=FOREVER)
     container.event(LOADING, plugin_name="play_launch_demo::SlowConstructor")
@@ -151,7 +151,7 @@ def test_the_end_of_the_channel_ends_everything(spawn: StartContainer) -> None:
 
 
 def test_a_killed_container_takes_its_nodes_along(spawn: StartContainer) -> None:
-    container = start(spawn)
+    container = start_separate(spawn)
     talker = container.loaded("Talker")
     handle = os.pidfd_open(talker.pid)
     container.process.kill()

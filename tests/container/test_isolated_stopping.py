@@ -17,7 +17,7 @@ from tests.support.isolated import (
     children,
     is_gone,
     only_these_remain,
-    start_isolated,
+    start,
     survives,
 )
 from tests.support.shared_memory import segments_of
@@ -48,7 +48,7 @@ def assert_nothing_left(pids: set[int], shared: set[Path]) -> None:
 def test_a_stop_unloads_everything(
     spawn: StartContainer, mode: str, how: signal.Signals | None
 ) -> None:
-    container = start_isolated(spawn, mode)
+    container = start(spawn, mode)
     ids = {container.loaded(plugin).unique_id for plugin in ("Talker", "Listener", "Echo")}
     pids, shared = children(container), segments_of([container.process.pid])
     assert len(pids) == 3
@@ -69,7 +69,7 @@ def test_a_stop_unloads_everything(
 def test_the_end_of_the_channel_ends_everything(
     spawn: StartContainer, mode: str, busy: bool
 ) -> None:
-    container = start_isolated(spawn, mode)
+    container = start(spawn, mode)
     container.loaded("Talker")
     if busy:
         container.load("SlowConstructor", parameters=FOREVER)
@@ -84,7 +84,7 @@ def test_the_end_of_the_channel_ends_everything(
 
 
 def test_a_constructor_that_does_not_return_is_cut_off(spawn: StartContainer) -> None:
-    container = start_isolated(spawn, "isolated", "--stop_timeout", "1")
+    container = start(spawn, "isolated", "--stop_timeout", "1")
     container.loaded("Talker")
     container.load("SlowConstructor", parameters=FOREVER, node_name="sleeper")
     container.event(LOADING, full_node_name="/sleeper")
@@ -101,7 +101,7 @@ def test_a_constructor_that_does_not_return_is_cut_off(spawn: StartContainer) ->
 
 @both_modes
 def test_a_killed_container_takes_its_nodes_along(spawn: StartContainer, mode: str) -> None:
-    container = start_isolated(spawn, mode)
+    container = start(spawn, mode)
     container.loaded("Talker")
     container.load("SlowConstructor", parameters=FOREVER)
     container.event(LOADING, plugin_name="play_launch_demo::SlowConstructor")
@@ -114,7 +114,7 @@ def test_a_killed_container_takes_its_nodes_along(spawn: StartContainer, mode: s
 
 @both_modes
 def test_a_node_that_does_not_leave_is_ended(spawn: StartContainer, mode: str) -> None:
-    container = start_isolated(spawn, mode, failpoints="container.before_unload=hang")
+    container = start(spawn, mode, failpoints="container.before_unload=hang")
     with survives(container):
         stuck = container.loaded("Talker", node_name="stuck")
         container.send(ControlUnload(unique_id=stuck.unique_id))
@@ -126,7 +126,7 @@ def test_a_node_that_does_not_leave_is_ended(spawn: StartContainer, mode: str) -
 
 
 def test_reloading_leaves_nothing_behind(spawn: StartContainer) -> None:
-    container = start_isolated(spawn)
+    container = start(spawn)
     used: list[tuple[int, int]] = []
     with survives(container):
         for _ in range(100):

@@ -7,7 +7,10 @@ from statistics import median
 from typing import TYPE_CHECKING
 
 import psutil
+import pytest
 from play_launch_msgs.msg import ComponentEvent, ControlUnload, NodeStatus
+
+from tests.support.isolated import ALL_MODES, MODES, children, start
 
 if TYPE_CHECKING:
     from tests.support.control_peer import Container, StartContainer
@@ -30,18 +33,23 @@ def test_a_slow_constructor_blocks_nobody(container: Container) -> None:
     assert [node.state for node in container.status().nodes] == [NodeStatus.CONSTRUCTING]
 
 
-def test_many_loads_at_once(spawn: StartContainer) -> None:
-    container = spawn("--use_multi_threaded_executor")
-    attempts = {container.load("Talker", node_name=f"talker_{i}") for i in range(54)}
-    loaded: dict[int, int] = {}
+@pytest.mark.parametrize("mode", ALL_MODES)
+def test_many_loads_at_once(spawn: StartContainer, package: str, mode: str) -> None:
+    container = start(spawn, mode)
+    names = [f"talker_{i}" for i in range(30)]
+    attempts = {container.load("Talker", package=package, node_name=name) for name in names}
+    loaded: dict[int, ComponentEvent] = {}
     while len(loaded) < len(attempts):
         event = container.event(LOADED)
-        loaded[event.attempt] = event.unique_id
+        loaded[event.attempt] = event
     assert set(loaded) == attempts
-    assert len(set(loaded.values())) == len(attempts)
+    assert len({event.unique_id for event in loaded.values()}) == len(attempts)
     nodes = container.status().nodes
-    assert {node.full_node_name for node in nodes} == {f"/talker_{i}" for i in range(54)}
-    assert container.shut_down() == 0
+    assert {node.full_node_name for node in nodes} == {f"/{name}" for name in names}
+    if mode in MODES:
+        assert children(container) == {event.pid for event in loaded.values()}
+        assert len(children(container)) == len(attempts)
+    assert container.shut_down() == 0, container.log.read_text()
 
 
 def test_loading_again_and_again_leaves_nothing_behind(spawn: StartContainer) -> None:

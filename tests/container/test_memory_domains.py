@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import pytest
 from play_launch_msgs.msg import ComponentEvent, ControlHello, ControlUnload
 
-from tests.support.isolated import MODES, start_isolated, survives
+from tests.support.isolated import MODES, start, survives
 from tests.support.waiting import until
 
 if TYPE_CHECKING:
@@ -47,8 +47,8 @@ STRAYS = [
 HARMLESS = ["look", "own_signal_handler", "none"]
 
 
-def start(spawn: StartContainer, choice: str, mode: str = "isolated") -> Container:
-    return start_isolated(spawn, mode, "--memory_domains", choice)
+def start_guarded(spawn: StartContainer, choice: str, mode: str = "isolated") -> Container:
+    return start(spawn, mode, "--memory_domains", choice)
 
 
 def hello(container: Container) -> ControlHello:
@@ -68,7 +68,7 @@ def has_survived(container: Container, how: str) -> None:
 
 @lacks_keys
 def test_without_keys_private_memory_is_ordinary_memory(spawn: StartContainer) -> None:
-    container = start(spawn, "auto")
+    container = start_guarded(spawn, "auto")
     assert any(
         "private memory of nodes is ordinary memory" in note for note in hello(container).notes
     )
@@ -104,7 +104,7 @@ def test_an_unknown_choice_is_refused(spawn: StartContainer) -> None:
 @needs_keys
 @both_modes
 def test_a_stray_write_ends_the_culprit_alone(spawn: StartContainer, mode: str) -> None:
-    container = start(spawn, "required", mode)
+    container = start_guarded(spawn, "required", mode)
     with survives(container):
         mapper = container.loaded("Mapper", **BY_POINTER, parameters={"report_every": 1000})
         container.loaded("Surveyor", **BY_POINTER)
@@ -131,7 +131,7 @@ def test_a_stray_write_ends_the_culprit_alone(spawn: StartContainer, mode: str) 
 
 @needs_keys
 def test_a_constructor_and_a_destructor_are_no_exception(spawn: StartContainer) -> None:
-    container = start(spawn, "auto")
+    container = start_guarded(spawn, "auto")
     with survives(container):
         container.loaded("Mapper")
         attempt = container.load("Trespasser", parameters={"in_constructor": True})
@@ -147,7 +147,7 @@ def test_a_constructor_and_a_destructor_are_no_exception(spawn: StartContainer) 
 
 @needs_keys
 def test_messages_go_by_pointer_as_without(spawn: StartContainer) -> None:
-    container = start(spawn, "required")
+    container = start_guarded(spawn, "required")
     with survives(container):
         container.loaded("Mapper", **BY_POINTER)
         container.loaded("Surveyor", **BY_POINTER, parameters={"burst": 1000})
@@ -156,7 +156,7 @@ def test_messages_go_by_pointer_as_without(spawn: StartContainer) -> None:
 
 @needs_keys
 def test_more_nodes_than_keys_share_them(spawn: StartContainer) -> None:
-    container = start(spawn, "auto")
+    container = start_guarded(spawn, "auto")
     with survives(container):
         for number in range(17):
             container.loaded("Mapper", node_name=f"mapper_{number}")
@@ -170,7 +170,7 @@ def test_more_nodes_than_keys_share_them(spawn: StartContainer) -> None:
 def test_a_node_without_a_key_of_its_own_is_refused_where_that_is_required(
     spawn: StartContainer,
 ) -> None:
-    container = start(spawn, "required")
+    container = start_guarded(spawn, "required")
     with survives(container):
         for number in range(15):
             container.load("Mapper", node_name=f"mapper_{number}")
@@ -196,7 +196,7 @@ def ended(container: Container, attempt: int) -> ComponentEvent:
 
 @needs_keys
 def test_who_comes_back_has_a_key_although_all_are_taken(spawn: StartContainer) -> None:
-    container = start(spawn, "required")
+    container = start_guarded(spawn, "required")
     with survives(container):
         loaded: list[ComponentEvent] = []
         while True:

@@ -12,8 +12,9 @@ from play_launch_msgs.msg import ComponentEvent, ControlCancel, ControlUnload, N
 
 from tests.support.isolated import (
     MODES,
+    allocator_environment,
     only_these_remain,
-    start_isolated,
+    start,
     start_time,
     survives,
 )
@@ -58,10 +59,7 @@ def lives(container: Container) -> list[list[int]]:
 
 @pytest.mark.parametrize("way", EVERY_WAY)
 def test_many_that_turn_out_to_have_one_name_stay(spawn: StartContainer, way: str) -> None:
-    if way == "standard":
-        container = spawn()
-    else:
-        container = start_isolated(spawn, "isolated", *EVERY_WAY[way][1:])
+    container = spawn(*EVERY_WAY[way], environment=allocator_environment())
     count = 4 if way == "process" else 12
     with survives(container):
         # Their names are only known once they are constructed.
@@ -95,7 +93,7 @@ def test_many_that_turn_out_to_have_one_name_stay(spawn: StartContainer, way: st
 def test_a_node_is_killed_at_a_certain_place(
     spawn: StartContainer, mode: str, place: str, end: int, text: str
 ) -> None:
-    container = start_isolated(spawn, mode, failpoints=f"container.{place}=kill")
+    container = start(spawn, mode, failpoints=f"container.{place}=kill")
     with survives(container):
         attempt = container.load("Talker")
         if end == UNLOADED:
@@ -126,7 +124,7 @@ def test_a_node_is_killed_at_a_certain_place(
 def test_a_destructor_that_faults_is_a_crash(
     spawn: StartContainer, mode: str, how: str, end: int, signum: int, code: int
 ) -> None:
-    container = start_isolated(spawn, mode)
+    container = start(spawn, mode)
     with survives(container):
         node = container.loaded("Crasher", parameters={"how": how, "in_destructor": True})
         container.send(ControlUnload(unique_id=node.unique_id))
@@ -155,7 +153,7 @@ def terminate(node: NodeStatus) -> None:
 @both_modes
 def test_a_signal_ends_nodes_at_any_instant(spawn: StartContainer, mode: str) -> None:
     """From before they construct until after they have left."""
-    container = start_isolated(spawn, mode)
+    container = start(spawn, mode)
     with survives(container):
         chance = random.Random(7)
         keeper = container.loaded("Talker")
@@ -187,7 +185,7 @@ def test_a_signal_ends_nodes_at_any_instant(spawn: StartContainer, mode: str) ->
 
 @both_modes
 def test_who_must_leave_at_once_and_does_not_is_ended(spawn: StartContainer, mode: str) -> None:
-    container = start_isolated(spawn, mode, failpoints="container.before_unload=hang")
+    container = start(spawn, mode, failpoints="container.before_unload=hang")
     with survives(container):
         attempt = container.load("SlowConstructor", parameters={"seconds": 0.3})
         loading = container.event(LOADING, attempt=attempt)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 from play_launch_msgs.msg import ComponentEvent
 
-from tests.support.isolated import MODES, start_isolated, survives
+from tests.support.isolated import MODES, start, survives
 
 if TYPE_CHECKING:
     from tests.support.control_peer import StartContainer
@@ -18,7 +18,7 @@ LOAD_FAILED = ComponentEvent.LOAD_FAILED
 
 @pytest.mark.parametrize("mode", MODES)
 def test_a_node_that_is_kept_out(spawn: StartContainer, mode: str) -> None:
-    container = start_isolated(spawn, mode)
+    container = start(spawn, mode)
     with survives(container):
         # Without the word, it runs where it is.
         container.loaded("Talker", node_name="anywhere", resources=[f"cgroup {GONE}"])

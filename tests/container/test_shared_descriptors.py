@@ -14,7 +14,7 @@ from play_launch_msgs.msg import ComponentEvent, ControlQuery
 from std_msgs.msg import String
 
 from play_launch.ros.fastdds.shared_memory import sweep
-from tests.support.isolated import MODES, start_isolated, survives
+from tests.support.isolated import MODES, start, survives
 from tests.support.ros import Probe
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ def open_files(container: Container) -> dict[str, str]:
 def test_a_node_cannot_spoil_the_container_s_descriptors(
     spawn: StartContainer, mode: str, how: str
 ) -> None:
-    container = start_isolated(spawn, mode)
+    container = start(spawn, mode)
     with survives(container), Probe() as probe:
         container.loaded("Talker", parameters={"rate": 100.0})
         probe.collect(String, "/chatter", 5)
@@ -71,7 +71,7 @@ def test_a_node_cannot_spoil_the_container_s_descriptors(
 
 
 def test_a_channel_that_is_closed_from_within_is_called_that(spawn: StartContainer) -> None:
-    container = start_isolated(spawn)
+    container = start(spawn)
     container.loaded("Vandal", parameters={"how": "close_by_system_calls"})
     while container.control_socket in open_files(container).values():
         time.sleep(0.01)

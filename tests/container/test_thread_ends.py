@@ -10,7 +10,7 @@ import pytest
 from play_launch_msgs.msg import ComponentEvent, ControlUnload
 from std_msgs.msg import String
 
-from tests.support.isolated import MODES, only_these_remain, start_isolated, survives
+from tests.support.isolated import MODES, only_these_remain, start, survives
 from tests.support.ros import Probe
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def assert_told(event: ComponentEvent, deed: str) -> None:
 def test_a_destructor_of_an_unloaded_node_ends_that_node_only(
     spawn: StartContainer, mode: str, leftover: str, deed: str
 ) -> None:
-    container = start_isolated(spawn, mode)
+    container = start(spawn, mode)
     with survives(container), Probe() as probe:
         neighbour = container.loaded("Talker", parameters={"rate": 100.0})
         node = container.loaded("Leftovers", parameters={leftover: deed})
@@ -64,7 +64,7 @@ def test_a_destructor_of_an_unloaded_node_ends_that_node_only(
 @both_modes
 @pytest.mark.parametrize("deed", ["nothing", "fault"])
 def test_a_signal_from_outside(spawn: StartContainer, mode: str, deed: str) -> None:
-    container = start_isolated(spawn, mode)
+    container = start(spawn, mode)
     with survives(container):
         node = container.loaded("Leftovers", parameters={"object": deed, "value": deed})
         os.kill(node.pid, SIGTERM)
@@ -76,7 +76,7 @@ def test_a_signal_from_outside(spawn: StartContainer, mode: str, deed: str) -> N
 @both_modes
 @pytest.mark.parametrize("deed", DEEDS)
 def test_a_stop_of_the_container(spawn: StartContainer, mode: str, deed: str) -> None:
-    container = start_isolated(spawn, mode)
+    container = start(spawn, mode)
     with survives(container):
         for leftover in LEFTOVERS:
             container.loaded("Leftovers", node_name=leftover, parameters={leftover: deed})
@@ -85,7 +85,7 @@ def test_a_stop_of_the_container(spawn: StartContainer, mode: str, deed: str) ->
 
 @pytest.mark.parametrize("who", ["self", "other"])
 def test_a_cancelled_first_thread_is_the_end_of_its_node(spawn: StartContainer, who: str) -> None:
-    container = start_isolated(spawn)
+    container = start(spawn)
     with survives(container), Probe() as probe:
         neighbour = container.loaded("Talker", parameters={"rate": 100.0})
         for _ in range(2):

@@ -1,9 +1,9 @@
-"""Containers whose nodes have processes of their own."""
+"""Containers in each of the four modes, and what remains of them."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -16,6 +16,7 @@ MODES = {
     "isolated": ("--isolated",),
     "isolated_mt": ("--isolated", "--use_multi_threaded_executor"),
 }
+ALL_MODES = {"standard": (), "mt": ("--use_multi_threaded_executor",), **MODES}
 
 
 def allocator_environment() -> dict[str, str]:
@@ -23,12 +24,20 @@ def allocator_environment() -> dict[str, str]:
     return for_isolation({}, find_allocator().library)
 
 
-def start_isolated(
-    spawn: StartContainer, mode: str = "isolated", *arguments: str, failpoints: str = ""
+def start(
+    spawn: StartContainer,
+    mode: str = "isolated",
+    *arguments: str,
+    failpoints: str = "",
+    environment: Mapping[str, str] | None = None,
 ) -> Container:
-    """A container in that mode, with the allocator it should have."""
+    """A container in that mode, with the allocator that isolated modes should have."""
+    allocator = allocator_environment() if mode in MODES else {}
     return spawn(
-        *MODES[mode], *arguments, failpoints=failpoints, environment=allocator_environment()
+        *ALL_MODES[mode],
+        *arguments,
+        failpoints=failpoints,
+        environment={**allocator, **(environment or {})},
     )
 
 

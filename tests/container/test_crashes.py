@@ -33,18 +33,13 @@ import pytest
 from play_launch_msgs.msg import ComponentEvent, ControlUnload
 from std_msgs.msg import String
 
-from tests.support.isolated import (
-    MODES,
-    is_gone,
-    only_these_remain,
-    start_isolated,
-    survives,
-)
-from tests.support.ros import Probe
+from play_launch.ros.fastdds.shared_memory import sweep
+from tests.support.isolated import MODES, is_gone, only_these_remain, start, survives
 from tests.support.waiting import until
 
 if TYPE_CHECKING:
     from tests.support.control_peer import Container, StartContainer
+    from tests.support.ros import Probe
 
 LOADED, LOAD_FAILED, CRASHED, UNLOADED = (
     ComponentEvent.LOADED,
@@ -52,6 +47,7 @@ LOADED, LOAD_FAILED, CRASHED, UNLOADED = (
     ComponentEvent.CRASHED,
     ComponentEvent.UNLOADED,
 )
+SDK = "play_launch_demo"
 WAYS = {
     "segv": SIGSEGV,
     "abrt": SIGABRT,
@@ -62,11 +58,14 @@ WAYS = {
     "term": SIGTERM,
     "exception": SIGABRT,
     "exit": 0,
+}
+RARE_WAYS = {
     "sys": SIGSYS,
     "xcpu": SIGXCPU,
     "trap": SIGTRAP,
     "traced_by_parent": SIGSEGV,
 }
+"""Those that the Crasher of our SDK knows besides."""
 TRACED = {"segv", "abrt", "exception", "traced_by_parent"}
 """Ways to die in the thread that runs the callback; the others are signals to the process."""
 
@@ -100,54 +99,86 @@ MOMENTARY = 2
 
 def assert_death(event: ComponentEvent, how: str) -> None:
     """The event tells of that way to die, and where the component did it."""
-    assert event.signal == WAYS[how]
+    assert event.signal == (WAYS | RARE_WAYS)[how]
     assert event.exit_code == (3 if how == "exit" else 0)
-    if WAYS[how]:
-        assert signal.Signals(WAYS[how]).name in event.error_message
+    if event.signal:
+        assert signal.Signals(event.signal).name in event.error_message
     if how in TRACED:
-        assert any("play_launch_demo::" in line and "die" in line for line in event.backtrace), (
-            event.backtrace
-        )
+        assert any(
+            f"{event.package_name}::" in line and "die" in line for line in event.backtrace
+        ), event.backtrace
 
 
-def assert_cleaned_up(container: Container, *, crashes: int, leaked: int = 0) -> None:
-    """The container has counted the crashes, and has cleaned up after all but the leaked ones."""
+def assert_cleaned_up(
+    container: Container, *, crashes: int, leaked: int = 0, may_leak: bool = False
+) -> int:
+    """The container has counted the crashes, and has cleaned up after all but the leaked ones.
+
+    With `may_leak` one more may be left; returns how many are.
+    """
     status = container.status_when(
         lambda status: status.undertaken + status.leaked == crashes, "the burials"
     )
-    assert (status.crashes, status.leaked) == (crashes, leaked)
+    assert status.crashes == crashes
+    assert leaked <= status.leaked <= leaked + may_leak, container.log.read_text()
+    return int(status.leaked)
+
+
+def order_crash(probe: Probe, how: str) -> None:
+    publisher = probe.node.create_publisher(String, "/crash", 1)
+    probe.spin_until(
+        lambda: publisher.get_subscription_count() > 0, 30.0, "the crasher's subscription"
+    )
+    publisher.publish(String(data=how))
 
 
 @both_modes
 @pytest.mark.parametrize("how", WAYS)
 def test_a_crash_is_told_and_the_neighbours_go_on(
-    spawn: StartContainer, mode: str, how: str
+    spawn: StartContainer, package: str, mode: str, how: str, probe: Probe
 ) -> None:
-    container = start_isolated(spawn, mode)
-    with survives(container), Probe() as probe:
-        talker = container.loaded("Talker", parameters={"rate": 100.0})
+    container = start(spawn, mode)
+    with survives(container):
+        talker = container.loaded("Talker", package=package, parameters={"rate": 100.0})
         heard = probe.listen(String, "/chatter")
-        probe.spin_until(lambda: bool(heard), 20.0, "the talker")
-        crasher = container.loaded("Crasher", parameters={"how": how, "after": 0.0})
+        probe.spin_until(lambda: bool(heard), 30.0, "the talker")
+        dying = {"how": how, "after": 0.001}
+        crasher = container.loaded("Crasher", package=package, parameters=dying)
         crashed = container.event(CRASHED, unique_id=crasher.unique_id)
         assert (crashed.pid, crashed.start_time) == (crasher.pid, crasher.start_time)
         assert_death(crashed, how)
         assert is_gone(crasher.pid)
         before = len(heard)
-        probe.spin_until(lambda: len(heard) > before + 10, 20.0, "the talker again")
-        assert_cleaned_up(container, crashes=1)
+        probe.spin_until(lambda: len(heard) > before + 10, 30.0, "the talker again")
+        # SIGKILL leaves no time to bring the other threads out of rclcpp's and the DDS's locks.
+        may_leak = package != SDK and how == "kill" and mode == "isolated_mt"
+        if not assert_cleaned_up(container, crashes=1, may_leak=may_leak):
+            probe.spin_until(
+                lambda: "crasher" not in probe.node.get_node_names(), 30.0, "the end of the dead"
+            )
         assert only_these_remain(container, talker.pid)
-        container.loaded("Crasher", parameters={"how": how})
+        container.loaded("Crasher", package=package, parameters={"how": how})
+
+
+@both_modes
+@pytest.mark.parametrize("how", RARE_WAYS)
+def test_a_rare_crash_is_told(spawn: StartContainer, mode: str, how: str) -> None:
+    container = start(spawn, mode)
+    with survives(container):
+        crasher = container.loaded("Crasher", parameters={"how": how, "after": 0.0})
+        assert_death(container.event(CRASHED, unique_id=crasher.unique_id), how)
+        assert_cleaned_up(container, crashes=1)
 
 
 @both_modes
 @pytest.mark.parametrize("how", ["segv", "abrt", "kill", "exit"])
 def test_a_crash_in_a_constructor_is_a_failed_load(
-    spawn: StartContainer, mode: str, how: str
+    spawn: StartContainer, package: str, mode: str, how: str, probe: Probe
 ) -> None:
-    container = start_isolated(spawn, mode)
-    with survives(container), Probe() as probe:
-        container.load("Crasher", parameters={"how": how, "in_constructor": True})
+    container = start(spawn, mode)
+    with survives(container):
+        dying = {"how": how, "in_constructor": True}
+        container.load("Crasher", package=package, parameters=dying)
         failed = container.event(LOAD_FAILED)
         assert failed.pid != container.process.pid
         assert_death(failed, how)
@@ -155,21 +186,28 @@ def test_a_crash_in_a_constructor_is_a_failed_load(
         # The half of a node cannot be destroyed, but others must not see it any more.
         assert_cleaned_up(container, crashes=1, leaked=1)
         assert only_these_remain(container)
-        again = container.loaded("Crasher", node_name="another")
+        names = probe.node.get_node_names
         probe.spin_until(
-            lambda: "another" in probe.node.get_node_names(), 20.0, "the next node in the graph"
+            lambda: (
+                "container" in names()
+                and "crasher" not in names()
+                and probe.node.count_subscribers("/crash") == 0
+            ),
+            30.0,
+            "the end of the half",
         )
-        probe.spin_until(
-            lambda: "crasher" not in probe.node.get_node_names(), 20.0, "the end of the half"
-        )
+        again = container.loaded("Crasher", package=package)
+        probe.spin_until(lambda: "crasher" in names(), 30.0, "the next of that name")
         assert only_these_remain(container, again.pid)
 
 
 @both_modes
 @pytest.mark.parametrize("how", DAMAGED)
-def test_a_crash_that_damaged_the_stack(spawn: StartContainer, mode: str, how: str) -> None:
-    container = start_isolated(spawn, mode)
-    with survives(container), Probe() as probe:
+def test_a_crash_that_damaged_the_stack(
+    spawn: StartContainer, mode: str, how: str, probe: Probe
+) -> None:
+    container = start(spawn, mode)
+    with survives(container):
         container.loaded("Talker", parameters={"rate": 100.0})
         crasher = container.loaded("Crasher", parameters={"how": how, "after": 0.0})
         crashed = container.event(CRASHED, unique_id=crasher.unique_id)
@@ -189,7 +227,7 @@ def test_a_crash_that_damaged_the_stack(spawn: StartContainer, mode: str, how: s
 @pytest.mark.parametrize("asked", [False, True])
 def test_core_dumps_are_a_setting(spawn: StartContainer, mechanism: str, asked: bool) -> None:
     arguments = ["--isolation", mechanism, *(["--core_dumps"] if asked else [])]
-    container = start_isolated(spawn, "isolated", *arguments)
+    container = start(spawn, "isolated", *arguments)
     with survives(container):
         own = resource.prlimit(container.process.pid, resource.RLIMIT_CORE)
         talker = container.loaded("Talker")
@@ -201,39 +239,45 @@ def test_core_dumps_are_a_setting(spawn: StartContainer, mechanism: str, asked: 
 
 
 @both_modes
-def test_a_crash_on_a_message(spawn: StartContainer, mode: str) -> None:
-    container = start_isolated(spawn, mode)
-    with survives(container), Probe() as probe:
-        crasher = container.loaded("Crasher")
-        publisher = probe.node.create_publisher(String, "/crash", 1)
-        probe.spin_until(
-            lambda: publisher.get_subscription_count() > 0, 20.0, "the crasher's subscription"
-        )
-        publisher.publish(String(data="segv"))
+def test_a_crash_on_a_message(spawn: StartContainer, package: str, mode: str, probe: Probe) -> None:
+    container = start(spawn, mode)
+    with survives(container):
+        crasher = container.loaded("Crasher", package=package)
+        order_crash(probe, "segv")
         crashed = container.event(CRASHED, unique_id=crasher.unique_id)
         assert_death(crashed, "segv")
         assert_cleaned_up(container, crashes=1)
+        assert container.status().unquiesced == 0
+        # With it the subscription that was being executed.
+        probe.spin_until(
+            lambda: probe.node.count_subscribers("/crash") == 0, 30.0, "the subscription's end"
+        )
 
 
 @both_modes
 @pytest.mark.parametrize("number", [SIGKILL, *REQUESTS])
-def test_a_signal_from_outside(spawn: StartContainer, mode: str, number: signal.Signals) -> None:
-    container = start_isolated(spawn, mode)
-    with survives(container), Probe() as probe:
-        victim = container.loaded("Talker", node_name="victim")
-        container.loaded("Talker", node_name="neighbour", parameters={"rate": 100.0})
+def test_a_signal_from_outside(
+    spawn: StartContainer, package: str, mode: str, number: signal.Signals, probe: Probe
+) -> None:
+    container = start(spawn, mode)
+    with survives(container):
+        victim = container.loaded("Talker", package=package, node_name="victim")
+        container.loaded(
+            "Talker", package=package, node_name="neighbour", parameters={"rate": 100.0}
+        )
         os.kill(victim.pid, number)
         crashed = container.event(CRASHED, unique_id=victim.unique_id)
         assert crashed.signal == number
         assert is_gone(victim.pid)
         probe.collect(String, "/chatter", 5)
-        assert_cleaned_up(container, crashes=1)
+        may_leak = package != SDK and number is SIGKILL and mode == "isolated_mt"
+        assert_cleaned_up(container, crashes=1, may_leak=may_leak)
         # What is asked for by a signal is done in order; only SIGKILL cannot be.
         assert container.status().unquiesced == (1 if number == SIGKILL else 0)
 
 
 def test_nodes_that_are_ended_while_they_read_a_clock(spawn: StartContainer) -> None:
-    container = start_isolated(spawn)
+    container = start(spawn)
     kinds = (CRASHED, CRASHED, UNLOADED, UNLOADED)
     with survives(container):
         busy = [
@@ -270,7 +314,7 @@ def test_a_crash_with_glibc_malloc(spawn: StartContainer) -> None:
 
 
 def test_what_cannot_be_cleaned_up_is_counted(spawn: StartContainer) -> None:
-    container = start_isolated(spawn, failpoints="container.during_burial=hang")
+    container = start(spawn, failpoints="container.during_burial=hang")
     with survives(container):
         crasher = container.loaded("Crasher", parameters={"after": 0.0})
         container.event(CRASHED, unique_id=crasher.unique_id)
@@ -279,27 +323,56 @@ def test_what_cannot_be_cleaned_up_is_counted(spawn: StartContainer) -> None:
         assert "/crasher" in container.log.read_text()
 
 
-def usage(container: Container) -> tuple[int, int]:
-    return container.threads(), container.descriptors()
+@both_modes
+def test_reloading_after_crashes_leaves_nothing_behind(
+    spawn: StartContainer, package: str, mode: str
+) -> None:
+    container = start(spawn, mode)
+    used: list[tuple[int, int]] = []
+    ways = ("segv", "abrt", "exception", "exit")
+    crashes = 200 if package == SDK else 60
+    with survives(container):
+        talker = container.loaded("Talker", package=package)
+        for i in range(crashes):
+            dying = {"how": ways[i % len(ways)], "after": 0.0}
+            crasher = container.loaded("Crasher", package=package, parameters=dying)
+            container.event(CRASHED, unique_id=crasher.unique_id)
+            used.append((container.threads(), container.descriptors()))
+        assert_cleaned_up(container, crashes=crashes)
+        # A donor or two may wait to be joined at any moment; growth would stay.
+        for each in (0, 1):
+            late = median(u[each] for u in used[crashes // 2 :])
+            assert late <= median(u[each] for u in used[5 : crashes // 2]) + MOMENTARY, used
+        assert only_these_remain(container, talker.pid)
 
 
 @both_modes
-def test_reloading_after_crashes_leaves_nothing_behind(spawn: StartContainer, mode: str) -> None:
-    container = start_isolated(spawn, mode)
-    used: list[tuple[int, int]] = []
-    ways = ("segv", "abrt", "exception", "exit")
+def test_images_go_on_by_pointer_after_crashes(
+    spawn: StartContainer, components: str, mode: str, probe: Probe
+) -> None:
+    container = start(spawn, mode)
+    by_pointer = {"use_intra_process_comms": True}
     with survives(container):
-        talker = container.loaded("Talker")
-        for i in range(200):
-            how = ways[i % len(ways)]
-            crasher = container.loaded("Crasher", parameters={"how": how, "after": 0.0})
-            container.event(CRASHED, unique_id=crasher.unique_id)
-            used.append(usage(container))
-        assert_cleaned_up(container, crashes=200)
-        # A donor or two may wait to be joined at any moment; growth would stay.
-        for each in (0, 1):
-            assert (
-                median(u[each] for u in used[100:])
-                <= median(u[each] for u in used[5:100]) + MOMENTARY
-            ), used
-        assert only_these_remain(container, talker.pid)
+        container.loaded("ImageSource", package=components, extra_arguments=by_pointer)
+        for number in (SIGSEGV, SIGTERM, SIGABRT):
+            sink = container.loaded("ImageSink", package=components, extra_arguments=by_pointer)
+            for verdict in probe.collect(String, "/verdict", 5):
+                _, made_at, seen_by, seen_at = verdict.data.split()
+                assert (made_at, int(seen_by)) == (seen_at, sink.pid)
+            os.kill(sink.pid, number)
+            container.event(CRASHED, unique_id=sink.unique_id)
+        assert_cleaned_up(container, crashes=3)
+
+
+def test_nodes_with_memory_of_their_own(
+    spawn: StartContainer, components: str, probe: Probe
+) -> None:
+    container = start(spawn, "isolated", "--isolation", "process")
+    with survives(container):
+        talker = container.loaded("Talker", package=components)
+        crasher = container.loaded("Crasher", package=components)
+        assert len({talker.pid, crasher.pid, container.process.pid}) == 3
+        order_crash(probe, "segv")
+        assert container.event(CRASHED, unique_id=crasher.unique_id).signal == SIGSEGV
+        probe.collect(String, "/chatter", 5)
+    sweep()  # as the supervisor does: the dead node's participant was its own

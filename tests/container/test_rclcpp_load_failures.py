@@ -9,7 +9,7 @@ import pytest
 from play_launch_msgs.msg import ComponentEvent
 from std_msgs.msg import String
 
-from tests.rclcpp.modes import MODES, start
+from tests.support.isolated import start
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -110,13 +110,4 @@ def test_a_half_made_node_leaves_the_graph(
         30.0,
         "the graph without the half",
     )
-    assert container.shut_down() == 0, container.log.read_text()
-
-
-@pytest.mark.parametrize("mode", MODES)
-def test_many_of_one_library_at_once(spawn: StartContainer, components: str, mode: str) -> None:
-    container = start(spawn, mode)
-    attempts = {container.load("Talker", package=components, node_name=f"t{i}") for i in range(20)}
-    while attempts:
-        attempts.remove(container.event(ComponentEvent.LOADED).attempt)
     assert container.shut_down() == 0, container.log.read_text()

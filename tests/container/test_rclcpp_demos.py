@@ -10,8 +10,8 @@ from play_launch_msgs.msg import ComponentEvent, ControlUnload
 from rcl_interfaces.srv import GetParameters, ListParameters
 from std_msgs.msg import String
 
-from tests.rclcpp.conftest import prefix_of
-from tests.rclcpp.modes import MODES, start
+from tests.container.conftest import prefix_of
+from tests.support.isolated import ALL_MODES, start
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from tests.support.control_peer import Container, StartContainer
     from tests.support.ros import Probe
 
-all_modes = pytest.mark.parametrize("mode", MODES)
+all_modes = pytest.mark.parametrize("mode", ALL_MODES)
 
 
 def unload(container: Container, unique_id: int) -> None:

@@ -9,16 +9,14 @@ from play_launch_msgs.msg import ComponentEvent, ControlUnload
 from rcl_interfaces.msg import Log
 from std_msgs.msg import String
 
-from tests.rclcpp.modes import MODES, start
-from tests.support.isolated import MODES as ISOLATED_MODES
-from tests.support.isolated import survives
+from tests.support.isolated import ALL_MODES, MODES, start, survives
 
 if TYPE_CHECKING:
     from tests.support.control_peer import StartContainer
     from tests.support.ros import Probe
 
 
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", ALL_MODES)
 def test_they_hear_each_other(
     spawn: StartContainer, components: str, mode: str, probe: Probe
 ) -> None:
@@ -33,7 +31,7 @@ def test_they_hear_each_other(
     assert container.shut_down() == 0, container.log.read_text()
 
 
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", ALL_MODES)
 def test_all_nodes_share_one_participant(
     spawn: StartContainer, components: str, mode: str, probe: Probe
 ) -> None:
@@ -49,7 +47,7 @@ def test_all_nodes_share_one_participant(
     assert container.shut_down() == 0, container.log.read_text()
 
 
-@pytest.mark.parametrize("mode", ISOLATED_MODES)
+@pytest.mark.parametrize("mode", MODES)
 def test_a_crash_of_one_kind_spares_the_other(
     spawn: StartContainer, components: str, mode: str, probe: Probe
 ) -> None:

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 import pytest
 from std_msgs.msg import String
 
-from tests.rclcpp.modes import MODES, start
+from tests.support.isolated import ALL_MODES, start
 
 if TYPE_CHECKING:
     from tests.support.control_peer import StartContainer
     from tests.support.ros import Probe
 
 
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", ALL_MODES)
 def test_the_sink_gets_the_very_image(
     spawn: StartContainer, components: str, mode: str, probe: Probe
 ) -> None:

@@ -15,8 +15,8 @@ import pytest
 from std_msgs.msg import String
 
 from play_launch.ros.fastdds.shared_memory import sweep
-from tests.rclcpp.modes import MODES, start
 from tests.support.control_peer import PATIENCE
+from tests.support.isolated import ALL_MODES, start
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -65,7 +65,7 @@ def test_types(spawn: StartContainer) -> None:
     assert "  composition::Talker" in types
 
 
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", ALL_MODES)
 def test_list_load_unload(spawn: StartContainer, mode: str, probe: Probe) -> None:
     container = start(spawn, mode)
     deadline = time.monotonic() + PATIENCE

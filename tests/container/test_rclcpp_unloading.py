@@ -8,7 +8,7 @@ import pytest
 from play_launch_msgs.msg import ComponentEvent, ControlUnload, NodeStatus
 from std_msgs.msg import String
 
-from tests.rclcpp.modes import MODES, start
+from tests.support.isolated import ALL_MODES, start
 
 if TYPE_CHECKING:
     from tests.support.control_peer import StartContainer
@@ -46,7 +46,7 @@ def test_it_waits_for_a_running_callback(
     assert container.shut_down() == 0, container.log.read_text()
 
 
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", ALL_MODES)
 def test_again_and_again_beside_a_busy_node(
     spawn: StartContainer, components: str, mode: str, probe: Probe
 ) -> None:
@@ -62,7 +62,7 @@ def test_again_and_again_beside_a_busy_node(
     assert container.shut_down() == 0, container.log.read_text()
 
 
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", ALL_MODES)
 def test_nobody_calls_a_node_that_is_destroyed(
     spawn: StartContainer, components: str, mode: str
 ) -> None:

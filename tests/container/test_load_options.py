@@ -10,8 +10,8 @@ from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters
 from std_msgs.msg import String
 
-from tests.rclcpp.modes import MODES, start
 from tests.support.control_peer import parameter
+from tests.support.isolated import ALL_MODES, start
 from tests.support.ros import LATCHED
 
 if TYPE_CHECKING:
@@ -108,7 +108,7 @@ def test_what_is_not_said_is_off(
     assert facts.data.startswith("intra_process=0 global=0 debug=0 pid=")
 
 
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", ALL_MODES)
 def test_any_number_of_components_may_ignore_their_options(
     spawn: StartContainer, components: str, mode: str, probe: Probe
 ) -> None:
