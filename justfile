@@ -16,7 +16,7 @@ demo:
 
 # Run all tests, on all processors.
 test-all *arguments:
-    {{python}} -m pytest -n auto --dist worksteal --durations 15 {{arguments}}
+    {{python}} -m pytest -n auto --dist worksteal --durations 20 {{arguments}}
 
 # Run what is named, one after the other: just test tests/supervisor -k restart
 test *arguments:
@@ -25,6 +25,10 @@ test *arguments:
 # Look for examples that break the property tests: just search tests/supervisor
 search *arguments:
     {{python}} -m pytest --hypothesis-profile search {{arguments}}
+
+# Install the packages of the reader in JavaScript, which one test runs where they are.
+readers:
+    npm install --no-audit --no-fund --prefix tests/recording/topic_recorder/reader
 
 # Simulate whole lives of systems until one breaks an invariant: just simulate --seeds 0:10000
 simulate *arguments:

@@ -1,11 +1,9 @@
-"""Recorded topics, read message by message with three readers that nobody here wrote."""
+"""Recorded topics, read message by message with three independent readers."""
 
 from __future__ import annotations
 
 import asyncio
 import json
-import os
-import re
 import shutil
 import subprocess
 from pathlib import Path
@@ -29,13 +27,6 @@ SENT = {
 }
 TYPES = {"/chatter": String, "/lidar/points": PointCloud2, "/camera/image": Image}
 NODE_READER = Path(__file__).parent / "reader" / "read.mjs"
-MODULES = "PLAY_LAUNCH_NODE_MODULES"
-"""Environment variable: a folder with `node_modules`, instead of asking npm for them."""
-NO_WAY = (
-    "ECONNREFUSED|ECONNRESET|EHOSTUNREACH|ENETUNREACH|ENOTFOUND|EAI_AGAIN|ETIMEDOUT|ENOTCACHED|"
-    "ERR_SOCKET_TIMEOUT"
-)
-"""npm's codes for a registry that it does not reach."""
 
 
 class Seen(NamedTuple):
@@ -105,63 +96,13 @@ def test_mcap_ros2(bag: Path) -> None:
     assert sorted(seen(*each) for each in read if not is_greeting(*each)) == EXPECTED
 
 
-@pytest.fixture(scope="session")
-def node_modules(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with what the reader in JavaScript imports."""
+def test_mcap_and_foxglove_in_javascript(bag: Path) -> None:
     if shutil.which("node") is None:
         pytest.skip("not on this machine: node, which runs the reader in JavaScript")
-    if MODULES in os.environ:
-        return Path(os.environ[MODULES])
-    npm = shutil.which("npm")
-    if npm is None:
-        pytest.skip(f"not on this machine: npm; or name a folder of its packages in {MODULES}")
-    folder = tmp_path_factory.mktemp("node")
-    for name in ("package.json", NODE_READER.name):
-        shutil.copy(NODE_READER.with_name(name), folder)
-    # Errors come out with their code, and none is tried again: a machine without network says so
-    # at once.
-    install = [npm, "install", "--prefer-offline", "--no-audit", "--no-fund", "--loglevel=error"]
+    if not NODE_READER.with_name("node_modules").is_dir():
+        pytest.skip("the reader in JavaScript has no packages here; `just readers` installs them")
     result = subprocess.run(
-        [*install, "--fetch-retries=0"],
-        cwd=folder,
-        check=False,
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
-    if result.returncode != 0:
-        if is_unreachable(result.stderr):
-            pytest.skip("npm does not reach its registry, which the reader in JavaScript needs")
-        pytest.fail(f"npm cannot install what the reader in JavaScript needs: {result.stderr}")
-    return folder
-
-
-def is_unreachable(stderr: str) -> bool:
-    """Whether npm says that there is no way to its registry."""
-    said = rf"^npm (?:ERR!|error) (?:code|errno) (?:{NO_WAY})$"
-    return re.search(said, stderr, re.MULTILINE) is not None
-
-
-@pytest.mark.parametrize(
-    ("stderr", "expected"),
-    [
-        ("npm ERR! code ECONNREFUSED\nnpm ERR! syscall connect\n", True),
-        ("npm error code EAI_AGAIN\nnpm error syscall getaddrinfo\n", True),
-        ("npm error code E404\nnpm error 404 no package ENOTFOUND\n", False),
-        ("npm ERR! code EINTEGRITY\n", False),
-        ("", False),
-    ],
-)
-def test_only_a_registry_out_of_reach_is_a_reason_to_skip(stderr: str, expected: bool) -> None:
-    assert is_unreachable(stderr) is expected
-
-
-def test_mcap_and_foxglove_in_javascript(bag: Path, node_modules: Path) -> None:
-    if not (node_modules / NODE_READER.name).exists():
-        shutil.copy(NODE_READER, node_modules)
-    result = subprocess.run(
-        ["node", NODE_READER.name, str(bag), *SENT],
-        cwd=node_modules,
+        ["node", NODE_READER, bag, *SENT],
         check=True,
         capture_output=True,
         text=True,
