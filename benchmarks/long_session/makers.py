@@ -29,7 +29,7 @@ def container_state(
 
 
 def node_state(
-    at: float, key: NodeKey, state: NodeState, reason: str = "", **fields: int
+    at: float, key: NodeKey, state: NodeState, reason: str = "", **fields: Any
 ) -> NodeStateChanged:
     reloads = fields.get("crashes", 0)
     return NodeStateChanged(

@@ -60,6 +60,10 @@ class Recorded(NamedTuple):
     """From the start of the session to that of the world."""
 
 
+_OUTCOME: Final = ("cause", "sequel", "delay_ns", "culprit")
+"""Fields that the recordings of earlier versions do not have."""
+
+
 class Difference(NamedTuple):
     """An event that does not follow as it was recorded; None: it does not at all."""
 
@@ -122,7 +126,10 @@ def _recorded(session: PastSession) -> Recorded:
             if message.topic.name == topics.INPUTS.name:
                 decisions += read(message.data)
             elif message.sequence != REPEATED:
-                states.append(STATE_EVENT.read(message.data))
+                # Earlier versions wrote no causes.
+                fields = STATE_EVENT.read(message.data + bytes(32))
+                if fields["kind"] != SubjectKind.RECORDING:
+                    states.append(fields)
         except (CdrError, UnreadableInputError) as error:
             session.note_damage(message, error)
     flaw = ""
@@ -229,7 +236,8 @@ def _key(fields: Fields) -> tuple[Any, ...]:
 
 def _fields(old: Fields, new: Fields) -> list[str]:
     """Name the fields that differ."""
-    return [name for name in old if name != "stamp" and not _is_like(old[name], new[name])]
+    passed_over = {"stamp"} if old["cause"] else {"stamp", *_OUTCOME}
+    return [name for name in old if name not in passed_over and not _is_like(old[name], new[name])]
 
 
 def _is_like(old: Any, new: Any) -> bool:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from enum import IntEnum
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 from msgspec import Struct
 
-from play_launch.supervisor.events import ComponentEvent
+from play_launch.supervisor.events import ComponentEvent, ComponentEventKind
+from play_launch.supervisor.outcome import Cause
 
 if TYPE_CHECKING:
     from play_launch.config.model import ParameterConfig
@@ -124,6 +126,29 @@ class Status(Struct, frozen=True, kw_only=True):
     leaked: int = 0
     unquiesced: int = 0
     dead_locks: tuple[str, ...] = ()
+
+
+_STOP_TIMEOUT: Final = re.compile(r"SIG[A-Z]+ \(it did not leave in time after the signal\)")
+_EXCEPTION: Final = re.compile(r"SIG[A-Z]+ \(uncaught exception ")
+_HOLDER: Final = re.compile(r" held by process (\d+)\b")
+
+
+def cause_of(event: ComponentEvent) -> Cause:
+    """Read why a node ended from how our containers begin their message about it."""
+    if _STOP_TIMEOUT.match(event.error_message):
+        return Cause.STOP_TIMEOUT
+    if _EXCEPTION.match(event.error_message):
+        return Cause.EXCEPTION
+    if event.signal:
+        return Cause.SIGNAL
+    has_exited = event.exit_code or event.kind is ComponentEventKind.CRASHED
+    return Cause.EXIT_STATUS if has_exited else Cause.NONE
+
+
+def lock_holder(dead_lock: str) -> int:
+    """Read the pid of a node that exited with a lock from a line of `Status.dead_locks`."""
+    found = _HOLDER.search(dead_lock)
+    return int(found[1]) if found else 0
 
 
 class Cancel(Struct, frozen=True, kw_only=True):

@@ -30,6 +30,8 @@ _DAY: Final = 24 * 3600 * 1_000_000_000
 _CUT: Final = " [cut]"
 _NO_MODULES: Final = bytes(7)
 """The length of a sequence, and up to three bytes before it that align it."""
+_NO_OUTCOME: Final = bytes(32)
+"""Cause, sequel, delay and culprit, with what aligns them."""
 
 
 class UnreadableEventError(Exception):
@@ -66,7 +68,8 @@ def _fields(layout: Layout, message: Message, more: bytes = b"") -> dict[str, An
 
 
 def _state(message: Message) -> RunEvent:
-    fields = _fields(STATE_EVENT, message)
+    # Earlier versions wrote no causes: this reads as `Cause.NOT_RECORDED`.
+    fields = _fields(STATE_EVENT, message, _NO_OUTCOME)
     if fields["state"] == forms.WITHDRAWN_STATE:
         return forms.WITHDRAWN.event(fields)
     event: RunEvent = forms.STATES[SubjectKind(fields["kind"])].event(fields)

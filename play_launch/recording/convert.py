@@ -23,7 +23,9 @@ from play_launch.supervisor.events import (
     ProcessEvent,
     ProcessEventKind,
     ProcessSample,
+    RecordingInterrupted,
     RunEvent,
+    StateEvent,
     SubjectKind,
     SystemSample,
     Withdrawn,
@@ -106,6 +108,9 @@ def convert(event: RunEvent) -> tuple[Recorded, ...]:
             return (_state(SubjectKind.PROCESS, event.name, event),)
         case ManagedNodeChanged():
             return (_state(SubjectKind.MANAGED, event.unit, event),)
+        case RecordingInterrupted():
+            data = forms.STATES[SubjectKind.RECORDING].write(event)
+            return (Recorded(topics.STATES, data),)
         case Withdrawn():
             data = forms.WITHDRAWN.write(event)
             return (Recorded(topics.STATES, data, f"{event.kind} {event.key}"),)
@@ -131,7 +136,7 @@ def convert(event: RunEvent) -> tuple[Recorded, ...]:
 def _state(
     kind: SubjectKind,
     key: str,
-    event: NodeStateChanged | ContainerStateChanged | ProcessEvent | ManagedNodeChanged,
+    event: StateEvent | ManagedNodeChanged,
 ) -> Recorded:
     return Recorded(topics.STATES, forms.STATES[kind].write(event), f"{kind} {key}")
 

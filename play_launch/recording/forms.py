@@ -31,11 +31,13 @@ from play_launch.supervisor.events import (
     ProcessEvent,
     ProcessEventKind,
     ProcessSample,
+    RecordingInterrupted,
     SubjectKind,
     SystemSample,
     Withdrawn,
 )
 from play_launch.supervisor.goal_life import ManagedState
+from play_launch.supervisor.outcome import Cause, Sequel
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -116,6 +118,10 @@ def _word(attribute: str, kind: type[Enum]) -> Column:
 
 
 _STAMP: Final = Column("stamp_ns", "stamp")
+_OUTCOME: Final = (
+    Column("cause", "cause", None, Cause),
+    Column("sequel", "sequel", None, Sequel),
+)
 
 
 def _names(event: Withdrawn) -> dict[str, str]:
@@ -133,6 +139,7 @@ _NODE: Final = Form(
     Column("key", "key", str, NodeKey.parsed),
     _word("state", NodeState),
     Column("reloads", "restarts"),
+    *_OUTCOME,
     besides=lambda event: {
         "kind": SubjectKind.NODE,
         "name": event.node,
@@ -145,6 +152,7 @@ _CONTAINER: Final = Form(
     _STAMP,
     Column("container", "key"),
     _word("state", ContainerState),
+    *_OUTCOME,
     besides=lambda event: {
         "kind": SubjectKind.CONTAINER,
         "name": event.container,
@@ -158,6 +166,7 @@ _PROCESS: Final = Form(
     Column("name", "key"),
     _word("kind", ProcessEventKind),
     Column("message", "reason"),
+    *_OUTCOME,
     besides=lambda event: {"kind": SubjectKind.PROCESS, "name": event.name},
 )
 COMPONENT: Final = Form(
@@ -198,10 +207,20 @@ _MANAGED: Final = Form(
     _word("state", ManagedState),
     besides=lambda _event: {"kind": SubjectKind.MANAGED},
 )
+INTERRUPTED_STATE: Final = "interrupted"
+_INTERRUPTED: Final = Form(
+    RecordingInterrupted,
+    STATE_EVENT,
+    _STAMP,
+    Column("lasted_ns", "elapsed_ns"),
+    Column("lost", "culprit"),
+    besides=lambda _event: {"kind": SubjectKind.RECORDING, "state": INTERRUPTED_STATE},
+)
 STATES: Final[dict[SubjectKind, Form[Any]]] = {
     SubjectKind.NODE: _NODE,
     SubjectKind.CONTAINER: _CONTAINER,
     SubjectKind.PROCESS: _PROCESS,
     SubjectKind.MANAGED: _MANAGED,
+    SubjectKind.RECORDING: _INTERRUPTED,
 }
 """By what they are about; all have the same layout."""

@@ -18,7 +18,12 @@ from play_launch.recording.decisions import STATES, Decision, written
 from play_launch.recording.errors import RecordingError, SchemaNotFoundError, WriteFailedError
 from play_launch.recording.event_queue import EventQueue
 from play_launch.recording.topic_requests import TopicRequests
-from play_launch.supervisor.events import LogRecord, OutputLine, RunEvent
+from play_launch.supervisor.events import (
+    LogRecord,
+    OutputLine,
+    RecordingInterrupted,
+    RunEvent,
+)
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -116,6 +121,8 @@ class Recorder:
         """Messages that the writer has got."""
         self._unflushed = 0
         self._interruptions = 0
+        self._resumed: list[RecordingInterrupted] = []
+        """Interruptions that are over and not recorded yet."""
         self._error = ""
         self._summary: RecordingSummary | None = None
         self._hurry = threading.Event()
@@ -223,6 +230,9 @@ class Recorder:
             seconds = math.inf if closing else self._limits.batch
             if self.topic_requests.carry_out(self._writer, self._outlast, seconds):
                 self._unflushed = 0  # what is before a chunk goes to the file with it
+            while self._resumed:
+                self._write(time.time_ns(), self._resumed.pop(0))
+                self._flush()
             if closing:
                 return
 
@@ -313,7 +323,7 @@ class Recorder:
         self._interruptions += 1
         self._error = str(error)
         _log.error("the recording is interrupted: %s", error)
-        since, pause = time.monotonic(), self._limits.retry
+        began_ns, since, pause = time.time_ns(), time.monotonic(), self._limits.retry
         while not self._end.wait(pause):
             pause = min(2 * pause, self._limits.longest_retry)
             if self._writer.has_room() and self._is_flushed():
@@ -321,11 +331,16 @@ class Recorder:
         else:
             self._writer.flush()
         self._error = ""
-        # By way of the log it is recorded, too.
-        _log.warning(
-            "the recording goes on after %.1f s; %s",
-            time.monotonic() - since,
-            _lost_meanwhile(self._queue.take_drops()),
+        seconds = time.monotonic() - since
+        lost = _lost_meanwhile(self._queue.take_drops())
+        _log.warning("recording resumed after %.1f s, %s", seconds, lost or "no data lost")
+        self._resumed.append(
+            RecordingInterrupted(
+                stamp_ns=began_ns,
+                reason=str(error),
+                lasted_ns=round(seconds * 1e9),
+                lost=lost,
+            )
         )
 
     def _is_flushed(self) -> bool:
@@ -369,9 +384,9 @@ def _drop_report(drops: Drops) -> LogRecord:
 
 def _lost_meanwhile(drops: Drops) -> str:
     if not drops:
-        return "nothing is lost"
+        return ""
     since, until = (_time_of_day(stamp) for stamp in (drops.since_ns, drops.until_ns))
-    return f"from {since} to {until} it lost {drops}"
+    return f"lost from {since} to {until}: {drops}"
 
 
 def _time_of_day(stamp_ns: int) -> str:

@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from play_launch.config.model import ContainerConfig
 from play_launch.container.channel import ChannelClosedError, ControlError, VersionMismatchError
 from play_launch.container.codec import EncodeError
-from play_launch.container.messages import Cancel, Shutdown, Status, Unload
+from play_launch.container.messages import Cancel, Shutdown, Status, Unload, lock_holder
 from play_launch.container.messages import Hello as HelloMessage
 from play_launch.runtime.commands import StartError
 from play_launch.runtime.container_messages import (
@@ -30,6 +30,7 @@ from play_launch.runtime.watch import ContainerWatch
 from play_launch.supervisor.events import ComponentEvent, NodeState
 from play_launch.supervisor.inputs import Faulty, Greeted, HealthReported, NodeReported
 from play_launch.supervisor.node_life import TABLE, NodeFact
+from play_launch.supervisor.outcome import Cause
 from play_launch.supervisor.world import Hello, Phase, is_wanted
 
 if TYPE_CHECKING:
@@ -129,7 +130,7 @@ class ContainerActor(ProcessActor):
     def on_time(self) -> None:
         """Check whether it still answers."""
         if frozen := self._watch.on_time():
-            self._system.post(Faulty(self.name, self._start, frozen))
+            self._system.post(Faulty(self.name, self._start, frozen, cause=Cause.FROZEN))
 
     # Its channel.
 
@@ -186,7 +187,9 @@ class ContainerActor(ProcessActor):
                 return
             self._well_with = counts if is_well else None
             locks = message.dead_locks
-            self._system.post(HealthReported(self.name, start, *counts, locks, silences))
+            holder = lock_holder(locks[0]) if locks else 0
+            health = HealthReported(self.name, start, *counts, locks, silences, holder)
+            self._system.post(health)
             return
         if isinstance(message, ComponentEvent):
             self._system.publisher.publish(message)
@@ -200,7 +203,7 @@ class ContainerActor(ProcessActor):
         for node in self._system.world.nodes_of(self.name):
             if node.attempt == said.attempt and _is_its_end(node, said.said):
                 why = self._system.launcher.groups.leave(node.key, said.attempt)
-                return replace(said, reason=why) if why else said
+                return replace(said, reason=why, cause=Cause.OUT_OF_MEMORY) if why else said
         return said
 
     def _check_node(self, said: NodeReported) -> None:

@@ -9,7 +9,15 @@ from msgspec.structs import replace
 
 from play_launch.config.model import ContainerType, Isolation
 from play_launch.container.command import remap_rules
-from play_launch.container.messages import Accepted, Load, NodeStatusState, Query, Rejected, Status
+from play_launch.container.messages import (
+    Accepted,
+    Load,
+    NodeStatusState,
+    Query,
+    Rejected,
+    Status,
+    cause_of,
+)
 from play_launch.process.exit import Exit
 from play_launch.process.identity import ProcessIdentity
 from play_launch.process.machine import explained
@@ -17,6 +25,7 @@ from play_launch.process.processor_wait import thread_wait
 from play_launch.supervisor.events import ComponentEvent, ComponentEventKind
 from play_launch.supervisor.inputs import NodeReported, blamed_frame
 from play_launch.supervisor.node_life import NodeFact
+from play_launch.supervisor.outcome import Cause
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -99,6 +108,8 @@ _FACT_OF_EVENT: Final = {
     ComponentEventKind.LOADING: NodeFact.LOADING,
 }
 
+_FAILURES: Final = frozenset({ComponentEventKind.LOAD_FAILED, ComponentEventKind.CRASHED})
+
 
 def inputs_of(
     message: Accepted | Rejected | ComponentEvent | Status,
@@ -163,6 +174,7 @@ def _of_event(event: ComponentEvent, container: str, start: int) -> NodeReported
         start_time=event.start_time,
         signal=event.signal,
         full_node_name=event.full_node_name,
+        cause=cause_of(event) if event.kind in _FAILURES else Cause.NONE,
     )
 
 

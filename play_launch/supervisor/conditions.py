@@ -28,6 +28,7 @@ from play_launch.supervisor.world import (
 
 if TYPE_CHECKING:
     from play_launch.config.dependency import StartRule
+    from play_launch.supervisor.reducer import Reduction
 
 
 class ConditionState(StrEnum):
@@ -295,3 +296,12 @@ def has_ended(world: World) -> bool:
     return world.is_stopping and all(
         process.phase in INACTIVE and process.is_at_rest for process in world.processes.values()
     )
+
+
+def report_wait(step: Reduction, name: str, before: Wait | None, wait: Wait) -> Wait:
+    """Warn of a unit that waits for long."""
+    if before is None or step.now < wait.report_due:
+        return wait
+    text = f"{name} has waited for {step.now - wait.since:.0f} s: it {wait.text}"
+    step.log(text, is_shown_otherwise=True)
+    return replace(wait, report_due=step.now + step.world.limits.report_interval)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from msgspec.structs import replace
+from msgspec.structs import asdict, replace
 
 from play_launch.supervisor.events import (
     ComponentEvent,
@@ -144,6 +144,7 @@ def _process(old: Process | None, new: Process, stamp_ns: int) -> Iterator[RunEv
             state=state,
             reason=text or new.reason,
             mechanism=new.hello.mechanism if new.hello and state is ContainerState.RUNNING else "",
+            **asdict(new.outcome),
         )
 
 
@@ -205,6 +206,7 @@ def _event(
         restarts=process.restarts.total if restarts is None else restarts,
         message=message,
         command=command,
+        **asdict(process.outcome),
     )
 
 
@@ -233,6 +235,7 @@ def _node(old: Node | None, new: Node, now: float, stamp_ns: int) -> Iterator[Ru
         attempt=new.attempt,
         crashes=new.crashes,
         reloads=new.reloads,
+        **asdict(new.outcome),
     )
     if new.is_confirmed and (old is None or old.state is not new.state):
         yield _confirmation(new, stamp_ns)

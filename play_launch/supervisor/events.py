@@ -6,7 +6,7 @@ of the ``play_launch_msgs`` messages, so that they can go to the wire and the re
 
 Units: ``stamp_ns`` is wall-clock time in nanoseconds since the epoch; ``elapsed_ns`` and
 ``cpu_time_ns`` are durations in nanoseconds; ``start_time`` is in clock ticks after boot
-(``/proc/<pid>/stat``, field 22).
+(``/proc/<pid>/stat``, field 22). `Outcome` explains ``cause`` to ``culprit``.
 """
 
 from __future__ import annotations
@@ -16,6 +16,8 @@ from enum import IntEnum, StrEnum
 from typing import TYPE_CHECKING, Final, Protocol
 
 from msgspec import Struct
+
+from play_launch.supervisor.outcome import Cause, Sequel
 
 if TYPE_CHECKING:
     from play_launch.config.node_key import NodeKey
@@ -91,6 +93,7 @@ class SubjectKind(IntEnum):
     PROCESS = 2
     MANAGED = 3
     """A managed node, beside what it is otherwise."""
+    RECORDING = 4
 
 
 class MemoryKind(IntEnum):
@@ -168,6 +171,10 @@ class ProcessEvent(Struct, frozen=True, kw_only=True):
     message: str = ""
     """Why, and what happens next."""
     command: tuple[str, ...] = ()
+    cause: Cause = Cause.NOT_RECORDED
+    sequel: Sequel = Sequel.NONE
+    delay_ns: int = 0
+    culprit: str = ""
 
 
 class OutputLine(Struct, frozen=True, kw_only=True):
@@ -217,7 +224,10 @@ class NodeStateChanged(Struct, frozen=True, kw_only=True):
     crashes: int = 0
     """How often it crashed so far."""
     reloads: int = 0
-    """How often it was loaded again because of that."""
+    cause: Cause = Cause.NOT_RECORDED
+    sequel: Sequel = Sequel.NONE
+    delay_ns: int = 0
+    culprit: str = ""
 
     @property
     def container(self) -> str:
@@ -238,6 +248,20 @@ class ContainerStateChanged(Struct, frozen=True, kw_only=True):
     reason: str = ""
     mechanism: str = ""
     """How its nodes are isolated, while it runs: ``shared_memory``, ``process``; else empty."""
+    cause: Cause = Cause.NOT_RECORDED
+    sequel: Sequel = Sequel.NONE
+    delay_ns: int = 0
+    culprit: str = ""
+
+
+class RecordingInterrupted(Struct, frozen=True, kw_only=True):
+    """The recording took no data for some time from `stamp_ns` on."""
+
+    stamp_ns: int
+    reason: str
+    lasted_ns: int
+    lost: str = ""
+    """What is missing in it; empty: nothing."""
 
 
 class Withdrawn(Struct, frozen=True, kw_only=True):
@@ -408,6 +432,7 @@ RunEvent = (
     | GraphChanged
     | ActionEvent
     | ManagedNodeChanged
+    | RecordingInterrupted
     | ProcessSample
     | GroupSample
     | SystemSample

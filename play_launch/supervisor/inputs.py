@@ -17,6 +17,7 @@ from play_launch.config.model import ReplayConfig
 from play_launch.config.node_key import NodeKey
 from play_launch.supervisor.goal_life import ManagedInput
 from play_launch.supervisor.node_life import NodeFact
+from play_launch.supervisor.outcome import Cause
 from play_launch.supervisor.steps import Step
 from play_launch.supervisor.world import Exit, Hello, Limits
 
@@ -65,6 +66,7 @@ class Faulty(Struct, frozen=True, tag=True):
     reason: str
     is_fatal: bool = False
     """Whether a restart would not help."""
+    cause: Cause = Cause.CHANNEL_FAILED
 
 
 class Exited(Struct, frozen=True, tag=True):
@@ -110,6 +112,7 @@ class NodeReported(Struct, frozen=True, tag=True, kw_only=True, omit_defaults=Tr
     cpu_time_ns: int = 0
     signal: int = 0
     full_node_name: str = ""
+    cause: Cause = Cause.NONE
 
 
 class HealthReported(Struct, frozen=True, tag=True, omit_defaults=True):
@@ -122,13 +125,13 @@ class HealthReported(Struct, frozen=True, tag=True, omit_defaults=True):
     unquiesced: int = 0
     """Crashed nodes that were killed, so that locks they held may remain locked."""
     dead_locks: tuple[str, ...] = ()
-    """Waits for a lock that a dead node holds."""
+    """Waits for a lock that an exited node holds; `lock_holder` is the pid of the first one."""
     silences: Mapping[int, float] = field(default_factory=dict)
     """By attempt: seconds for which the executor of a node has been blocked in a callback."""
+    lock_holder: int = 0
 
 
 _RUNTIME: Final = re.compile(r"\b(?:libc|libstdc\+\+|libgcc_s|libpthread|ld-linux[\w-]*)\.so\b")
-"""Libraries in which a fault shows, but which seldom cause it."""
 
 
 class ProbeResult(Struct, frozen=True, kw_only=True):
@@ -136,7 +139,6 @@ class ProbeResult(Struct, frozen=True, kw_only=True):
 
     loads: bool = False
     library: str = ""
-    """Its path; empty where nothing is known."""
     error: str = ""
     """Reason why it cannot be loaded; empty if it can."""
     exit_code: int = 0

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import signal
 from typing import TYPE_CHECKING, Final, assert_never
 
 from msgspec.structs import replace
 
 from play_launch.config.model import OnCrash
 from play_launch.supervisor import process_rules, quarantine
-from play_launch.supervisor.conditions import readiness
+from play_launch.supervisor.conditions import readiness, report_wait
 from play_launch.supervisor.events import NodeState
 from play_launch.supervisor.inputs import Cancel, Load, Unload
 from play_launch.supervisor.node_life import (
@@ -21,6 +22,7 @@ from play_launch.supervisor.node_life import (
     NodeAction,
     NodeFact,
 )
+from play_launch.supervisor.outcome import Cause, Outcome, Sequel
 from play_launch.supervisor.process_life import Fact
 from play_launch.supervisor.restart import GiveUp, RestartHistory, decide
 from play_launch.supervisor.world import Phase, Stage, is_wanted
@@ -45,7 +47,6 @@ _REFUSABLE: Final = frozenset({NodeState.PENDING, NodeState.LOST, NodeState.LOAD
 
 
 def under_way(world: World, container: str) -> tuple[NodeKey, ...]:
-    """Name the nodes of a container that are being loaded."""
     return tuple(node.key for node in world.nodes_of(container) if node.state in LOADING)
 
 
@@ -82,7 +83,8 @@ def _apply(step: Reduction, before: Node, fact: NodeFact, said: NodeReported | N
     if said is not None:
         node = _with_report(node, said, has_changed=has_changed)
     elif has_changed:
-        node = replace(node, reason="", is_confirmed=False)
+        outcome = node.outcome if fact is NodeFact.GIVEN_UP else Outcome()
+        node = replace(node, reason="", outcome=outcome, is_confirmed=False)
     if has_changed and state is NodeState.LOADED:
         node = replace(
             node,
@@ -96,7 +98,7 @@ def _apply(step: Reduction, before: Node, fact: NodeFact, said: NodeReported | N
     if said is not None and said.signal and before.loaded_at is None:
         node = replace(node, died_constructing=node.reason)
     if has_changed and fact is NodeFact.CRASHED:
-        node = replace(node, crashes=node.crashes + 1)
+        node = _crashed(step, before, node, said)
     is_slow = fact is NodeFact.STATUS_CONSTRUCTING and before.state in AWAITED
     if is_slow:
         node = replace(node, reports=node.reports + 1)
@@ -114,6 +116,17 @@ def _apply(step: Reduction, before: Node, fact: NodeFact, said: NodeReported | N
         _reload_hangs(step, node)
 
 
+def _crashed(step: Reduction, before: Node, node: Node, said: NodeReported | None) -> Node:
+    """Count a crash; a node that was killed at the end of a stop has not crashed."""
+    container = step.process(node.key.container)
+    is_stopping = container.stopped or container.phase is Phase.STOPPING
+    is_requested = is_stopping or before.state is NodeState.UNLOADING
+    if is_requested and said is not None and said.signal == signal.SIGKILL:
+        node = replace(node, outcome=Outcome(Cause.STOP_TIMEOUT))
+    is_crash = node.outcome.cause is not Cause.STOP_TIMEOUT
+    return replace(node, crashes=node.crashes + is_crash, crashed_pid=node.pid)
+
+
 def _with_report(node: Node, said: NodeReported, *, has_changed: bool) -> Node:
     values: dict[str, object] = {}
     if said.unique_id and not node.unique_id:
@@ -123,6 +136,7 @@ def _with_report(node: Node, said: NodeReported, *, has_changed: bool) -> Node:
     if has_changed or said.said is NodeFact.STATUS_CONSTRUCTING:
         values |= {
             "reason": said.reason,
+            "outcome": Outcome(said.cause),
             "cpu_time_ns": said.cpu_time_ns,
             "full_node_name": said.full_node_name or node.full_node_name,
             "is_confirmed": False,
@@ -173,7 +187,9 @@ def _renews(step: Reduction, node: Node, said: NodeReported | None) -> bool:
     reason = f"{node.key.name} cannot be loaded, and {died}: what it had opened stays open"
     reason = f"{reason}: {node.reason}"
     step.log(f"{container.name} is started anew: {reason}", is_shown_otherwise=True)
-    step.world.put(node, has_renewed=True, reason=f"{node.reason}; its container is started anew")
+    outcome = node.outcome.followed_by(Sequel.CONTAINER_RESTART)
+    why = f"{node.reason}; its container is started anew"
+    step.world.put(node, has_renewed=True, reason=why, outcome=outcome)
     step.world.put(container, generation=container.generation + 1, request_reason=reason)
     return True
 
@@ -244,11 +260,14 @@ def _follow_crash(step: Reduction, node: Node) -> None:
             step.world.put(node, loaded_at=None, reason=text)
         case OnCrash.STOP_CONTAINER:
             gives_up = f"{node.reason}; its container is stopped"
-            step.world.put(node, loaded_at=None, next_at=step.now, gives_up=gives_up)
+            outcome = node.outcome.followed_by(Sequel.CONTAINER_STOP)
+            values = {"next_at": step.now, "gives_up": gives_up, "outcome": outcome}
+            step.world.put(node, loaded_at=None, **values)
             process_rules.apply(step, container.name, Fact.STOP, reason)
         case OnCrash.SHUTDOWN:
             text = f"{node.reason}; everything is stopped"
-            step.world.put(node, loaded_at=None, reason=text)
+            outcome = node.outcome.followed_by(Sequel.SHUTDOWN)
+            step.world.put(node, loaded_at=None, reason=text, outcome=outcome)
             process_rules.request_stop(step, reason)
 
 
@@ -259,11 +278,14 @@ def _reload(step: Reduction, node: Node) -> None:
     history, verdict = decide(node.history, limits, now=step.now, lived=lived, jitter=step.chance)
     node = replace(node, loaded_at=None, history=history)
     if isinstance(verdict, GiveUp):
-        step.world.put(node, next_at=step.now, gives_up=f"{node.reason}; {verdict.reason}")
+        outcome = node.outcome.followed_by(Sequel.GAVE_UP)
+        gives_up = f"{node.reason}; {verdict.reason}"
+        step.world.put(node, next_at=step.now, gives_up=gives_up, outcome=outcome)
         return
     when = f"in {verdict.delay:.2f} s" if verdict.delay else "at once"
     reason = f"{node.reason}; it is loaded again {when}"
-    step.world.put(node, reason=reason, next_at=step.now + verdict.delay)
+    outcome = node.outcome.followed_by(Sequel.RELOAD, verdict.delay)
+    step.world.put(node, reason=reason, next_at=step.now + verdict.delay, outcome=outcome)
 
 
 def due(step: Reduction, key: NodeKey) -> None:
@@ -298,7 +320,8 @@ def container_lost(step: Reduction, container: Process, reason: str) -> None:
         _apply(step, node, NodeFact.CONTAINER_LOST)
         after = step.node(node.key)
         if after.state is not before.state:
-            step.world.put(after, reason=f"its container: {reason}")
+            outcome = Outcome(Cause.CONTAINER_EXITED, Sequel.NONE, 0, container.name)
+            step.world.put(after, reason=f"its container: {reason}", outcome=outcome)
 
 
 def refuse(step: Reduction, node: Node, reason: str, finding: ProbeResult | None = None) -> None:
@@ -314,7 +337,7 @@ def refuse(step: Reduction, node: Node, reason: str, finding: ProbeResult | None
         loaded_into=container.attempt if container.takes_loads else node.loaded_into,
     )
     _apply(step, step.node(node.key), NodeFact.REFUSED)
-    step.world.put(step.node(node.key), reason=reason)
+    step.world.put(step.node(node.key), reason=reason, outcome=Outcome(Cause.REFUSED))
 
 
 def health(step: Reduction, said: HealthReported) -> None:
@@ -329,7 +352,10 @@ def health(step: Reduction, said: HealthReported) -> None:
     if said.dead_locks:
         more = len(said.dead_locks) - 1
         waits = said.dead_locks[0] + (f" (and {more} more)" if more else "")
-        process_rules.poisoned(step, container, f"a node died with a lock: {waits}")
+        holders = (each for each in world.nodes_of(said.unit) if said.lock_holder)
+        culprits = [str(each.key) for each in holders if each.crashed_pid == said.lock_holder]
+        reason, culprit = f"a node died with a lock: {waits}", next(iter(culprits), "")
+        process_rules.poisoned(step, container, reason, culprit)
     elif container.lost_locks and container.is_leaking:
         limit = world.limits.reload_after_leak
         for node in world.nodes_of(said.unit):
@@ -412,7 +438,7 @@ def _load_with_container(step: Reduction, node: Node) -> None:
         return
     if not ready.may_start:
         assert ready.wait is not None
-        wait = process_rules.reported(step, node.key.name, node.wait, ready.wait)
+        wait = report_wait(step, node.key.name, node.wait, ready.wait)
         step.world.put(node, wait=wait)
         return
     if ready.wait is not None:

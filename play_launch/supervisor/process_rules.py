@@ -8,8 +8,9 @@ from msgspec.structs import replace
 
 from play_launch.config.model import ContainerConfig, OnExit
 from play_launch.supervisor import node_rules, quarantine
-from play_launch.supervisor.conditions import readiness
+from play_launch.supervisor.conditions import readiness, report_wait
 from play_launch.supervisor.inputs import End, Kill, Spawn, Stop
+from play_launch.supervisor.outcome import Cause, Outcome, Sequel, outcome_of
 from play_launch.supervisor.process_life import TABLE, Action, Fact
 from play_launch.supervisor.restart import (
     CONTEXT_EXIT_CODE,
@@ -23,7 +24,6 @@ from play_launch.supervisor.world import (
     Node,
     Phase,
     Process,
-    Wait,
     is_ours,
     is_wanted,
 )
@@ -43,18 +43,30 @@ if TYPE_CHECKING:
 
 _STUCK: Final = "does not die, not even of SIGKILL"
 _NEVER_RAN: Final = frozenset({126, 127})
-"""Exit codes that report that the program itself was not executed."""
+_OUTCOMES: Final = {
+    Fact.STOP: Outcome(Cause.STOPPED),
+    Fact.STUCK: Outcome(Cause.STOP_TIMEOUT, Sequel.GAVE_UP),
+    Fact.FAILED: Outcome(sequel=Sequel.GAVE_UP),
+    Fact.IMPOSSIBLE: Outcome(Cause.REFUSED, Sequel.GAVE_UP),
+}
 _ACTIVE: Final = frozenset({Phase.SPAWNING, Phase.STARTING, Phase.RUNNING, Phase.KILLING})
 
 
 def apply(
-    step: Reduction, name: str, fact: Fact, reason: str = "", due: float | None = None
+    step: Reduction,
+    name: str,
+    fact: Fact,
+    reason: str = "",
+    due: float | None = None,
+    *,
+    outcome: Outcome | None = None,
 ) -> None:
     """Apply a fact to a process by the table; ``due`` is the deadline of the new phase."""
     before = step.process(name)
     phase, actions = TABLE[before.phase][fact]
     if phase is not before.phase:
-        step.world.put(before, phase=phase, reason=reason, due=due)
+        outcome = outcome or _OUTCOMES.get(fact, Outcome())
+        step.world.put(before, phase=phase, reason=reason, due=due, outcome=outcome)
         if phase is Phase.GAVE_UP and before.phase is not Phase.STOPPING:
             _end_all_with(step, before)
     for action in actions:
@@ -154,21 +166,25 @@ def greeted(step: Reduction, said: Greeted) -> None:
 def faulty(step: Reduction, said: Faulty) -> None:
     if said.is_fatal and TABLE[step.process(said.unit).phase][Fact.FAULTY].actions:
         step.world.put(step.process(said.unit), is_fatal=True)
-    apply(step, said.unit, Fact.FAULTY, said.reason)
+    apply(step, said.unit, Fact.FAULTY, said.reason, outcome=Outcome(said.cause))
 
 
-def poisoned(step: Reduction, process: Process, reason: str) -> None:
+def poisoned(step: Reduction, process: Process, reason: str, culprit: str = "") -> None:
     """Have a container restarted because of a node that died, so not one that is being loaded."""
     if process.phase is Phase.RUNNING:
         step.world.put(process, blames_loads=False)
-    apply(step, process.name, Fact.FAULTY, reason)
+    left_lock = Outcome(Cause.NODE_LEFT_LOCK, Sequel.NONE, 0, culprit)
+    apply(step, process.name, Fact.FAULTY, reason, outcome=left_lock)
 
 
 def exited(step: Reduction, said: Exited) -> None:
     process = step.process(said.unit)
     if process.exit is not None:
         return  # it was reported before
-    step.world.put(process, exit=said.exit, is_stuck=False, due=None)
+    is_stopping = process.phase is Phase.STOPPING or process.stopped
+    is_killed = bool(process.killed_because)
+    outcome = process.outcome if is_killed else outcome_of(said.exit, is_requested=is_stopping)
+    step.world.put(process, exit=said.exit, is_stuck=False, due=None, outcome=outcome)
     if process.phase in INACTIVE or process.phase in {Phase.QUEUED, Phase.BACKOFF}:
         return  # what follows was decided before
     if process.container is not None:
@@ -227,7 +243,8 @@ def due(step: Reduction, name: str) -> None:
     match process.phase:
         case Phase.STARTING:
             limit = step.world.limits.hello
-            apply(step, name, Fact.FAULTY, f"it did not say hello within {limit:g} s")
+            reason = f"it did not say hello within {limit:g} s"
+            apply(step, name, Fact.FAULTY, reason, outcome=Outcome(Cause.CHANNEL_FAILED))
         case Phase.KILLING:
             step.world.put(step.process(name), is_stuck=True)
             apply(step, name, Fact.STUCK, _STUCK)
@@ -252,15 +269,19 @@ def _exit(
     ends_all = process.config.on_exit is OnExit.SHUTDOWN and not was_stopped
     # Another start would only be in the way of the end.
     is_permanent = is_permanent or (ends_all and not is_done and process.container is not None)
+    outcome = process.outcome
+    done = outcome.followed_by(Sequel.SHUTDOWN) if ends_all else outcome
+    gave_up = done if ends_all else outcome.followed_by(Sequel.GAVE_UP)
     if process.generation > process.attempted and is_wanted(step.world, process):
-        apply(step, name, Fact.EXITED_DONE, reason)  # it is started anew
+        apply(step, name, Fact.EXITED_DONE, reason, outcome=outcome)  # it is started anew
     elif process.is_fatal or was_stopped or is_permanent:
-        apply(step, name, Fact.EXITED_GIVE_UP, reason)
+        gave_up = outcome if was_stopped else gave_up
+        apply(step, name, Fact.EXITED_GIVE_UP, reason, outcome=gave_up)
     elif is_done:
         if reason:
             text = f"{name}: stopped, and is not started again: {reason}"
             step.log(text, is_shown_otherwise=True)
-        apply(step, name, Fact.EXITED_DONE, reason)
+        apply(step, name, Fact.EXITED_DONE, reason, outcome=done)
     else:
         _restart(step, process, reason, lived)
     if not was_stopped:
@@ -287,13 +308,16 @@ def _restart(step: Reduction, process: Process, reason: str, lived: float) -> No
     )
     world.put(step.process(process.name), restarts=history)
     if isinstance(verdict, GiveUp):
-        apply(step, process.name, Fact.EXITED_GIVE_UP, f"{reason}; {verdict.reason}")
+        outcome, text = process.outcome.followed_by(Sequel.GAVE_UP), f"{reason}; {verdict.reason}"
+        apply(step, process.name, Fact.EXITED_GIVE_UP, text, outcome=outcome)
         return
     attached = process.container is not None and process.container.attach
     what = "looked for again" if attached else "starts again"
     text = f"{reason}; {what} in {verdict.delay:.2f} s"
     under_way = node_rules.under_way(world, process.name)
-    apply(step, process.name, Fact.EXITED_RESTART, text, step.now + verdict.delay)
+    outcome = process.outcome.followed_by(Sequel.RESTART, verdict.delay)
+    due = step.now + verdict.delay
+    apply(step, process.name, Fact.EXITED_RESTART, text, due, outcome=outcome)
     if is_ours(process):
         blamed = under_way if process.blames_loads else ()
         quarantine.begin(step, process, blamed, reason)
@@ -340,7 +364,6 @@ def _settle_unwanted(step: Reduction, process: Process) -> None:
 
 
 def _may_stop(step: Reduction, process: Process) -> bool:
-    """Whether all that depends on it has stopped, where the whole system stops."""
     world = step.world
     if not world.is_stopping or world.is_hurried:
         return True
@@ -398,7 +421,7 @@ def _queue(step: Reduction, process: Process) -> None:
         return
     if not ready.may_start:
         assert ready.wait is not None
-        world.put(process, wait=reported(step, process.name, before, ready.wait))
+        world.put(process, wait=report_wait(step, process.name, before, ready.wait))
         return
     if ready.wait is not None:
         if ready.wait.waived:
@@ -409,15 +432,6 @@ def _queue(step: Reduction, process: Process) -> None:
     process = step.process(process.name)
     if not process.is_present and _has_slot(step, process):
         apply(step, process.name, Fact.TURN)
-
-
-def reported(step: Reduction, name: str, before: Wait | None, wait: Wait) -> Wait:
-    """Warn of a unit that waits for long."""
-    if before is None or step.now < wait.report_due:
-        return wait
-    text = f"{name} has waited for {step.now - wait.since:.0f} s: it {wait.text}"
-    step.log(text, is_shown_otherwise=True)
-    return replace(wait, report_due=step.now + step.world.limits.report_interval)
 
 
 def _has_slot(step: Reduction, process: Process) -> bool:

@@ -16,6 +16,7 @@ from msgspec.structs import replace
 from play_launch.config.model import ContainerConfig, ContainerType
 from play_launch.supervisor.events import ContainerState, NodeState
 from play_launch.supervisor.goal_life import ManagedState
+from play_launch.supervisor.outcome import Outcome
 from play_launch.supervisor.restart import RestartHistory
 
 if TYPE_CHECKING:
@@ -130,6 +131,8 @@ class Process(Struct, frozen=True, kw_only=True):
     phase: Phase = Phase.STOPPED
     reason: str = ""
     """Of the phase."""
+    outcome: Outcome = Outcome()
+    """Of the phase."""
     generation: int = 1
     """How many starts were requested: by the configuration, operators and changes."""
     attempted: int = 0
@@ -203,6 +206,8 @@ class Node(Struct, frozen=True, kw_only=True):
     config: ComposableNodeConfig
     state: NodeState = NodeState.PENDING
     reason: str = ""
+    outcome: Outcome = Outcome()
+    """Of the state."""
     generation: int = 0
     """How many loads were requested by operators and changes."""
     attempted: int = 0
@@ -229,6 +234,8 @@ class Node(Struct, frozen=True, kw_only=True):
     took: float = 0.0
     """Seconds of the latest load that was completed."""
     history: RestartHistory = RestartHistory()
+    crashed_pid: int = 0
+    """Of its process that crashed last."""
     crashes: int = 0
     reloads: int = 0
     reports: int = 0

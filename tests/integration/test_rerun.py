@@ -201,7 +201,7 @@ def test_another_rule_leads_to_something_else(
     assert rerun_here(session, as_json=True) == 1
     (first,) = json.loads(capsys.readouterr().out)["differences"]
     assert (first["unit"], first["input"]["type"]) == ("/chat", "Exited")
-    assert first["fields"] == ["reason"]
+    assert first["fields"] == ["delay_ns"]
 
 
 def test_a_session_that_was_killed_is_compared_as_far_as_it_came(tmp_path: Path) -> None:

@@ -23,6 +23,7 @@ from play_launch.supervisor.events import (
     ProcessEvent,
     ProcessEventKind,
 )
+from play_launch.supervisor.outcome import Cause, Sequel
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -82,6 +83,12 @@ def raw_messages(path: Path, topic: str) -> list[Message]:
 def state_event(message: Any) -> NodeStateChanged | ContainerStateChanged | ProcessEvent:
     """The event that a ``play_launch_msgs/StateEvent`` records."""
     stamp_ns = message.stamp.sec * 1_000_000_000 + message.stamp.nanosec
+    outcome: dict[str, Any] = {
+        "cause": Cause(message.cause),
+        "sequel": Sequel(message.sequel),
+        "delay_ns": message.delay_ns,
+        "culprit": message.culprit,
+    }
     if message.kind == message.NODE:
         key = NodeKey(message.container, message.name)
         assert message.key == str(key)
@@ -97,6 +104,7 @@ def state_event(message: Any) -> NodeStateChanged | ContainerStateChanged | Proc
             attempt=message.attempt,
             crashes=message.crashes,
             reloads=message.restarts,
+            **outcome,
         )
     if message.kind == message.CONTAINER:
         return ContainerStateChanged(
@@ -105,6 +113,7 @@ def state_event(message: Any) -> NodeStateChanged | ContainerStateChanged | Proc
             state=ContainerState[message.state.upper()],
             reason=message.reason,
             mechanism=message.mechanism,
+            **outcome,
         )
     assert message.kind == message.PROCESS
     return ProcessEvent(
@@ -118,6 +127,7 @@ def state_event(message: Any) -> NodeStateChanged | ContainerStateChanged | Proc
         restarts=message.restarts,
         message=message.reason,
         command=tuple(message.command),
+        **outcome,
     )
 
 

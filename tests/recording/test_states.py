@@ -9,12 +9,15 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
 from play_launch_msgs.msg import GraphEvent as GraphMessage
 from play_launch_msgs.msg import StateEvent as StateMessage
 from rclpy.serialization import deserialize_message
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from play_launch.config.node_key import NodeKey
+from play_launch.container.cdr.layout import Layout
+from play_launch.container.cdr.messages import STATE_EVENT
 from play_launch.postmortem.bag_reader import Message, Topic
 from play_launch.postmortem.events import event_of
 from play_launch.recording import topics
@@ -36,6 +39,7 @@ from play_launch.supervisor.events import (
     SystemSample,
     Withdrawn,
 )
+from play_launch.supervisor.outcome import Cause, Sequel
 from play_launch.supervisor.view import SystemView
 from tests.recording.reading import graph_changed, messages, state_event
 from tests.support.structs import structs
@@ -48,6 +52,15 @@ INT32 = st.integers(-(2**31), 2**31 - 1)
 UINT32 = st.integers(0, 2**32 - 1)
 INT64 = st.integers(-(2**63), 2**63 - 1)
 UINT64 = st.integers(0, 2**64 - 1)
+OUTCOMES: dict[str, Any] = {
+    "cause": st.sampled_from(Cause),
+    "sequel": st.sampled_from(Sequel),
+    "delay_ns": INT64,
+    "culprit": TEXTS,
+}
+OLD_STATE_EVENT = Layout(
+    " ".join(f"{name}:{kind}" for name, kind in STATE_EVENT.types.items() if name not in OUTCOMES)
+)
 
 EVENTS = st.one_of(
     structs(
@@ -63,6 +76,7 @@ EVENTS = st.one_of(
         attempt=UINT64,
         crashes=UINT32,
         reloads=UINT32,
+        **OUTCOMES,
     ),
     st.builds(
         ContainerStateChanged,
@@ -71,6 +85,7 @@ EVENTS = st.one_of(
         state=st.sampled_from(ContainerState),
         reason=TEXTS,
         mechanism=TEXTS,
+        **OUTCOMES,
     ),
     st.builds(
         ProcessEvent,
@@ -84,6 +99,7 @@ EVENTS = st.one_of(
         restarts=UINT32,
         message=TEXTS,
         command=st.lists(TEXTS, max_size=3).map(tuple),
+        **OUTCOMES,
     ),
 )
 
@@ -183,6 +199,18 @@ def test_any_event_is_read_back_as_it_was(
     for before, after in zip(events, read, strict=True):
         live, past = live.after(before), past.after(after)
     assert live == past
+
+
+@given(EVENTS)
+def test_states_of_an_earlier_version_have_no_cause(
+    event: NodeStateChanged | ContainerStateChanged | ProcessEvent,
+) -> None:
+    plain = replace(event, cause=Cause.NOT_RECORDED, sequel=Sequel.NONE, delay_ns=0, culprit="")
+    ((_, data, _),) = convert(plain)
+    fields = STATE_EVENT.read(data)
+    old = {name: fields[name] for name in OLD_STATE_EVENT.types}
+    topic = Topic(topics.STATES.name, topics.STATES.type_name, "cdr")
+    assert event_of(Message(topic, 1, 1, OLD_STATE_EVENT.write(old), 1, 0)) == plain
 
 
 @settings(deadline=None, max_examples=50)

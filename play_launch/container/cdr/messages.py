@@ -18,7 +18,7 @@ COMPONENT_EVENT: Final = Layout(
 STATE_EVENT: Final = Layout(
     "stamp:t kind:B key:s name:s container:s state:s reason:s mechanism:s start_time:Q unique_id:Q "
     "attempt:Q elapsed_ns:q cpu_time_ns:q pid:i exit_code:i signal:i crashes:I restarts:I "
-    "command:s[]"
+    "command:s[] cause:B sequel:B delay_ns:q culprit:s"
 )
 GRAPH_EVENT: Final = Layout("stamp:t appeared:s[] vanished:s[] nodes:I")
 ACTION_EVENT: Final = Layout(

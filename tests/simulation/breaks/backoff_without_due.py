@@ -14,4 +14,4 @@ FOUND_BY: Final = "what is wanted is up"
 
 
 def apply(patch: pytest.MonkeyPatch) -> None:
-    rewrite(patch, process_rules._restart, "text, step.now + verdict.delay", "text")
+    rewrite(patch, process_rules._restart, "text, due, outcome", "text, outcome")

@@ -14,4 +14,4 @@ FOUND_BY: Final = "restarts wait for their pause"
 
 
 def apply(patch: pytest.MonkeyPatch) -> None:
-    rewrite(patch, process_rules._restart, "text, step.now + verdict.delay", "text, step.now")
+    rewrite(patch, process_rules._restart, "text, due, outcome", "text, step.now, outcome")
