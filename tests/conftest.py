@@ -118,10 +118,14 @@ def _nothing_is_left_behind() -> Iterator[None]:
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """List what was skipped by name; pytest itself counts it by reason."""
-    skipped = terminalreporter.getreports("skipped")
+    """List by name what was skipped; pytest itself counts it by reason."""
+    skipped: dict[tuple[str, str], int] = {}
+    for report in terminalreporter.getreports("skipped"):
+        _, _, reason = report.longrepr
+        name = (report.nodeid.partition("[")[0], reason.removeprefix("Skipped: "))
+        skipped[name] = skipped.get(name, 0) + 1
     if skipped:
         terminalreporter.section("not run")
-    for report in skipped:
-        _, _, reason = report.longrepr
-        terminalreporter.line(f"{report.nodeid}: {reason.removeprefix('Skipped: ')}")
+    for (name, reason), count in skipped.items():
+        times = f" ({count} cases)" if count > 1 else ""
+        terminalreporter.line(f"{name}{times}: {reason}")

@@ -63,10 +63,9 @@ RARE_WAYS = {
     "sys": SIGSYS,
     "xcpu": SIGXCPU,
     "trap": SIGTRAP,
-    "traced_by_parent": SIGSEGV,
 }
 """Those that the Crasher of our SDK knows besides."""
-TRACED = {"segv", "abrt", "exception", "traced_by_parent"}
+TRACED = {"segv", "abrt", "exception"}
 """Ways to die in the thread that runs the callback; the others are signals to the process."""
 
 DAMAGED = {

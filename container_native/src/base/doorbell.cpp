@@ -7,8 +7,6 @@
 #include <cstdint>
 #include <system_error>
 
-#include "base/protected_descriptors.hpp"
-
 namespace play_launch {
 
 UniqueFd make_doorbell() {
@@ -16,7 +14,7 @@ UniqueFd make_doorbell() {
   if (fd < 0) {
     throw std::system_error(errno, std::generic_category(), "eventfd");
   }
-  return UniqueFd(move_out_of_reach(fd));
+  return UniqueFd(move_to_high_number(fd));
 }
 
 void ring(int doorbell) noexcept {

@@ -4,7 +4,7 @@
 
 namespace play_launch {
 
-/// An eventfd to wake a thread with, out of reach of nodes. Throws std::system_error.
+/// An eventfd to wake a thread with, at a high number. Throws std::system_error.
 UniqueFd make_doorbell();
 
 /// Wakes the threads that poll it. Any thread of any process that has it, also a signal handler.

@@ -13,28 +13,15 @@
 namespace play_launch {
 namespace {
 
-using namespace std::string_view_literals;
-
 /// One piece of code.
 struct Range {
   std::uintptr_t begin = 0;
   std::uintptr_t end = 0;
-  bool calls_nodes = false;
 };
 
 /// By address.
 std::array<Range, 1024> ranges;
 std::atomic<std::size_t> count{0};
-
-constexpr std::array kCallers{"ld-"sv,       "libc."sv,           "libpthread"sv,
-                              "libstdc++"sv, "libgcc_s"sv,        "libplay_launch_component"sv,
-                              "librclcpp"sv, "libclass_loader"sv, "libcomponent_manager"sv};
-
-bool calls_nodes(std::string_view path) {
-  const std::string_view name = path.substr(path.rfind('/') + 1);
-  return std::ranges::any_of(kCallers,
-                             [name](std::string_view caller) { return name.starts_with(caller); });
-}
 
 int add_object(dl_phdr_info* object, std::size_t, void* data) {
   const std::string_view path = object->dlpi_name == nullptr ? "" : object->dlpi_name;
@@ -46,7 +33,7 @@ int add_object(dl_phdr_info* object, std::size_t, void* data) {
     const ElfW(Phdr)& segment = object->dlpi_phdr[i];
     if (segment.p_type == PT_LOAD && (segment.p_flags & PF_X) != 0) {
       const std::uintptr_t begin = object->dlpi_addr + segment.p_vaddr;
-      ranges[used++] = {begin, begin + segment.p_memsz, calls_nodes(path)};
+      ranges[used++] = {begin, begin + segment.p_memsz};
     }
   }
   return 0;
@@ -77,10 +64,5 @@ void note_early_code() noexcept {
 }
 
 bool is_early_code(const void* address) noexcept { return range_of(address) != nullptr; }
-
-bool is_early_code_below_nodes(const void* address) noexcept {
-  const Range* const range = range_of(address);
-  return range != nullptr && !range->calls_nodes;
-}
 
 }  // namespace play_launch

@@ -11,8 +11,4 @@ void note_early_code() noexcept;
 /// Async-signal-safe.
 bool is_early_code(const void* address) noexcept;
 
-/// Likewise, without the libraries that call code of nodes: where such a function ends with a call,
-/// that returns to its caller.
-bool is_early_code_below_nodes(const void* address) noexcept;
-
 }  // namespace play_launch

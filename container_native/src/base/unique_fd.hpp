@@ -39,4 +39,9 @@ class UniqueFd {
   int fd_ = -1;
 };
 
+/// Moves `fd` to a high number, which code of nodes that counts from 0 does not hit by chance: all
+/// nodes share the container's table of descriptors. Returns that number and closes the old one;
+/// where no number is free there, the descriptor stays where it is. Keeps errno.
+int move_to_high_number(int fd) noexcept;
+
 }  // namespace play_launch

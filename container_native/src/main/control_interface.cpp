@@ -21,8 +21,8 @@
 #include <utility>
 
 #include "base/failpoints.hpp"
-#include "base/protected_descriptors.hpp"
 #include "base/report.hpp"
+#include "base/unique_fd.hpp"
 #include "control/messages.hpp"
 
 namespace play_launch::container {
@@ -76,7 +76,7 @@ UniqueFd take_control_socket() {
     throw std::runtime_error(std::string(kSocketVariable) + "=" + value +
                              " is no open stream socket; it is set by the supervisor only");
   }
-  fd = move_out_of_reach(fd);
+  fd = move_to_high_number(fd);
   ::fcntl(fd, F_SETFD, FD_CLOEXEC);
   // spawn_guard had us killed with the supervisor. From here on the end of this socket reports its
   // death, and we leave in order: a killed process leaves its shared memory behind.

@@ -1,7 +1,5 @@
 #include "rcl_stand_in.hpp"
 
-#include <unistd.h>
-
 #include <cstdlib>
 
 #include "busy.hpp"
@@ -46,12 +44,6 @@ void stay_inside(const std::function<void()>& report) {
   const std::lock_guard guard(lock);
   report();
   busy_for_ever();
-}
-
-int close_file(int fd) {
-  const int result = ::close(fd);
-  busy(1);  // the call is not the last of the function
-  return result;
 }
 
 void crash() {

@@ -20,8 +20,6 @@ void publish();
 void spin_once(void (*callback)());
 /// Takes it, reports that it has it, and never gives it back.
 [[noreturn]] void stay_inside(const std::function<void()>& report);
-/// Closes a descriptor, and comes back.
-int close_file(int fd);
 /// Crashes while it holds the lock.
 void crash();
 

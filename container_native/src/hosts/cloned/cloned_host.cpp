@@ -2,7 +2,6 @@
 
 #include <utility>
 
-#include "base/protected_descriptors.hpp"
 #include "components/component_options.hpp"
 #include "hosts/cloned/cloned_node.hpp"
 #include "isolation/crash/crash_handler.hpp"
@@ -17,7 +16,6 @@ CloneIsolatedHost::CloneIsolatedHost(BackendList backends, const ExecutorChoice&
       domains_(std::move(domains)) {
   // Before any library of a node is loaded: what is there now belongs to the container.
   isolation::prepare_crash_handling();
-  protect_open_descriptors();
 }
 
 std::shared_ptr<IsolatedNode> CloneIsolatedHost::start(std::uint64_t unique_id, LoadRequest request,

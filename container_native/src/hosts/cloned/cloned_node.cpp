@@ -56,7 +56,6 @@ NodeLife ClonedNode::look() {
   if (donor_.slot().traced) {
     symbolise();  // while the process still dies
   }
-  report_refusal();
   if (domain_ && !is_domain_named_ && has_any(life, NodeLife::spinning)) {
     is_domain_named_ = true;
     domain_->set_name(program_.full_name());
@@ -104,14 +103,6 @@ void ClonedNode::end_if_replaced() {
     const std::size_t length = std::min(other->size(), slot.report.other_program.size() - 1);
     std::copy_n(other->data(), length, slot.report.other_program.data());
     signal(SIGKILL);
-  }
-}
-
-void ClonedNode::report_refusal() {
-  if (!reported_refusal_ && donor_.slot().refused_call != nullptr) {
-    reported_refusal_ = true;
-    report(label() + " " + isolation::describe_refusal(donor_.slot()) +
-           "; the call had no effect, and further ones are not reported");
   }
 }
 

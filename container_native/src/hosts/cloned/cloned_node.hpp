@@ -43,11 +43,9 @@ class ClonedNode final : public IsolatedNode {
   void abandon() override { donor_.end_burial(); }
 
   void symbolise();
-  void report_refusal();
   void name_owner();
   void end_if_replaced();
 
-  bool reported_refusal_ = false;
   bool replaced_ = false;
   std::optional<std::chrono::steady_clock::time_point> constructing_since_;
   std::optional<std::vector<std::string>> backtrace_;

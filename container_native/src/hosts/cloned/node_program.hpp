@@ -38,7 +38,6 @@ class NodeProgram final : public isolation::ChildProgram {
   int run() override;
   void cancel() noexcept override { stop_->set(); }
   void crashed() noexcept override;
-  void noted() noexcept override { crashed(); }
   void end_itself() noexcept override;
   HandleLedger* handles() noexcept override { return &handles_; }
 

@@ -14,7 +14,7 @@
 #include <system_error>
 
 #include "base/number_list.hpp"
-#include "base/protected_descriptors.hpp"
+#include "base/unique_fd.hpp"
 #include "isolation/record/registry.hpp"
 
 namespace play_launch::isolation {
@@ -121,7 +121,7 @@ DeadLockSearch::DeadLockSearch() {
     throw std::system_error(errno, std::generic_category(), "pipe");
   }
   for (int& end : pipe_) {
-    end = move_out_of_reach(end);
+    end = move_to_high_number(end);
   }
 }
 

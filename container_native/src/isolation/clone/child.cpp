@@ -165,8 +165,6 @@ void CrashSlot::reset() {
   stop_sender = 0;
   thread = 0;
   traced = false;
-  refused_descriptor = -1;
-  refused_call = nullptr;
   report = {};
 }
 

@@ -251,15 +251,6 @@ std::string signal_name(int signal) {
   return name != nullptr ? std::string("SIG") + name : "signal " + std::to_string(signal);
 }
 
-std::string describe_refusal(const CrashSlot& slot) {
-  const std::string call = slot.refused_call.load();
-  const bool is_range = call == "close_range" || call == "closefrom";
-  return "called " + call + "(" + (call.starts_with("dup") ? "…, " : "") +
-         std::to_string(slot.refused_descriptor) + (is_range ? ", …" : "") + ") on " +
-         (is_range ? "descriptors" : "a descriptor") +
-         " of its container, which its neighbours use";
-}
-
 std::string describe_end(const ChildEnd& end, const CrashSlot& slot) {
   if (end.error != 0) {
     return std::string("no process: ") + ::strerror(end.error);
@@ -278,9 +269,6 @@ std::string describe_end(const ChildEnd& end, const CrashSlot& slot) {
   if (slot.report.other_program[0] != '\0') {
     text += ": it replaced itself by " + std::string(slot.report.other_program.data()) +
             " (execve), which ends a node";
-  }
-  if (slot.refused_call != nullptr) {
-    text += "; before that it " + describe_refusal(slot);
   }
   if (slot.report.inside) {
     text += "; it died inside the middleware or the allocator, and may hold a lock there";

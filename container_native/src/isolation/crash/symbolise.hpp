@@ -43,10 +43,6 @@ std::vector<std::string> modules_of(const CrashSlot& slot);
 /// child's death.
 std::string describe_end(const ChildEnd& end, const CrashSlot& slot);
 
-/// "tried to close descriptor 3, which belongs to the container, by close_range()". To be called
-/// when CrashSlot::refused_call is set.
-std::string describe_refusal(const CrashSlot& slot);
-
 /// "SIGSEGV"; "signal 77" for a number without a name.
 std::string signal_name(int signal);
 

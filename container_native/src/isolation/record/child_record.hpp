@@ -45,10 +45,6 @@ class ChildProgram {
   /// set), some time before the death: looking up the backtrace can begin.
   virtual void crashed() noexcept {}
 
-  /// Called in the child, in any of its threads, when the slot reports something else that is
-  /// worth a line (CrashSlot::refused_call). Async-signal-safe functions only.
-  virtual void noted() noexcept {}
-
   /// Called in the child, in any of its threads, when its code asks for the end of more than the
   /// child: the child alone is to end, in order.
   virtual void end_itself() noexcept {}

@@ -68,7 +68,7 @@ struct CrashReport {
   const char* end_call = nullptr;  // what, such as "exit()"; null: nothing of the kind
   int exit_status = 0;
 
-  /// The program that the child wanted to replace itself by, or that runs in its place.
+  /// The program that runs in the place of the child, which replaced itself (execve).
   std::array<char, 256> other_program{};
 
   /// The full name of the node whose private memory is at the fault's address.
@@ -97,11 +97,6 @@ struct CrashSlot {
   /// report by then, the other frames and `inside` when `traced` is set.
   std::atomic<pid_t> thread{0};
   std::atomic<bool> traced{false};
-
-  /// The first of the container's descriptors that the child tried to close, or where a range that
-  /// holds some begins, and with which function; -1: it did not. The function follows the number.
-  std::atomic<int> refused_descriptor{-1};
-  std::atomic<const char*> refused_call{nullptr};
 
   /// Whole when the child is dead.
   CrashReport report;
