@@ -19,7 +19,8 @@ from pathlib import Path
 from benchmarks.bring_up import configuration, shares
 from benchmarks.running import running
 from benchmarks.statistics import header, row
-from play_launch.process.cgroups.base import GroupError, delegated_group
+from play_launch.process.cgroups.group import GroupError
+from play_launch.process.cgroups.session import delegated_group
 
 RATE = 0.001
 """Of the talkers, in Hz: they publish nothing while they are measured."""

@@ -89,7 +89,7 @@ def bring_up(
     _require_time_zone()
     from play_launch.cli.run import RunOptions, run  # noqa: PLC0415
     from play_launch.container.ros import NotInstalledError  # noqa: PLC0415
-    from play_launch.process.cgroups.base import GroupError  # noqa: PLC0415
+    from play_launch.process.cgroups.group import GroupError  # noqa: PLC0415
     from play_launch.recording.errors import RecordingError  # noqa: PLC0415
 
     try:

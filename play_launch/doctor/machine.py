@@ -20,7 +20,8 @@ from play_launch.config.resources import nice_limit
 from play_launch.config.values import LARGEST_DOMAIN
 from play_launch.doctor.finding import Finding, fail, ok, size_text, warn
 from play_launch.process.capabilities import Capability, has_capability
-from play_launch.process.cgroups.base import GroupError, delegated_group
+from play_launch.process.cgroups.group import GroupError
+from play_launch.process.cgroups.session import delegated_group
 from play_launch.process.machine import (
     ADDRESS_SPACE_FIX,
     PROC_FIX,

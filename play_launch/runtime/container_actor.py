@@ -202,7 +202,7 @@ class ContainerActor(ProcessActor):
         """Leave the control group of a node that exited; why the kernel killed it, if it did."""
         for node in self._system.world.nodes_of(self.name):
             if node.attempt == said.attempt and _is_its_end(node, said.said):
-                why = self._system.launcher.groups.leave(node.key, said.attempt)
+                why = self._system.launcher.groups.leave(said.attempt)
                 return replace(said, reason=why, cause=Cause.OUT_OF_MEMORY) if why else said
         return said
 
@@ -228,7 +228,7 @@ class ContainerActor(ProcessActor):
         except (StartError, EncodeError) as error:
             reason = str(error)
         if reason:
-            self._system.launcher.groups.leave(key, attempt)
+            self._system.launcher.groups.leave(attempt)
             self._system.post(
                 NodeReported(
                     unit=self.name,

@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 import logging
-import os
 import time
 from contextlib import suppress
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from play_launch.config.model import ContainerConfig
-from play_launch.process.cgroups.base import GroupError
-from play_launch.process.cgroups.group import Group
-from play_launch.process.cgroups.names import SessionName
-from play_launch.process.cgroups.session import SessionGroups, needed_controllers
+from play_launch.process.cgroups.group import Group, GroupError
+from play_launch.process.cgroups.session import SessionGroups
 from play_launch.process.cgroups.usage import usage_of
-from play_launch.process.identity import ProcessIdentity, read_stat
 from play_launch.runtime.commands import StartError, shares_memory
 from play_launch.supervisor.events import SubjectKind
 
@@ -24,7 +19,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from play_launch.config.model import ComposableNodeConfig, ProcessConfig, ReplayConfig
-    from play_launch.config.node_key import NodeKey
     from play_launch.config.resources import CpuMax, GroupLimits
     from play_launch.process.guard import SessionGuard
     from play_launch.supervisor.events import GroupSample
@@ -41,11 +35,7 @@ class Groups:
         ``publish`` takes the last numbers of each.
         """
         self._publish = publish
-        pid = os.getpid()
-        name = SessionName(Path("/proc/self/ns/pid").stat().st_ino, pid, read_stat(pid).start_time)
-        self._groups = SessionGroups(
-            name, lambda pid, start_time: ProcessIdentity(pid, start_time).is_alive()
-        )
+        self._groups = SessionGroups()
         self._warned: set[tuple[str, str]] = set()
         self._entrusted: tuple[SessionGuard, int] | None = None
 
@@ -63,7 +53,8 @@ class Groups:
     def begin(self, config: ReplayConfig) -> None:
         """Have groups, if the configuration asks for any; raises GroupError where it has to."""
         if wants_groups(config):
-            self._groups.begin(config.cgroups, needed_controllers(group_limits(config)))
+            controllers = (each.controllers() for each in group_limits(config))
+            self._groups.begin(config.cgroups, frozenset().union(*controllers))
             self._warn_of_stalls(config)
 
     def _warn_of_stalls(self, config: ReplayConfig) -> None:
@@ -98,22 +89,18 @@ class Groups:
 
     def enter(self, config: ComposableNodeConfig, attempt: int) -> tuple[str, ...]:
         """Make that of a node; gives what its process asks for. Raises StartError."""
+        key = config.key
+        used = partial(self._used, SubjectKind.NODE, str(key))
+        limits = config.resources.group
         try:
-            entry = self._groups.node(
-                config.key.container, config.key.name, attempt, config.resources.group
-            )
+            entry = self._groups.node(key.container, key.name, attempt, limits, used)
         except GroupError as error:
             raise StartError(str(error), permanent=True) from error
         return () if entry is None else (entry,)
 
-    def leave(self, key: NodeKey, attempt: int) -> str:
-        """Kill what a node has left, whose process has ended.
-
-        Returns:
-            Why the kernel killed it; empty: it did not.
-        """
-        used = partial(self._used, SubjectKind.NODE, str(key))
-        return self._groups.leave(key.container, key.name, attempt, used)
+    def leave(self, attempt: int) -> str:
+        """Kill the rest of an exited node; return why it was killed, empty if it was not."""
+        return self._groups.leave(attempt)
 
     def _used(self, kind: SubjectKind, key: str, group: Group) -> None:
         """Report what a group used all in all."""

@@ -23,7 +23,7 @@ from play_launch.container.ros import (
     ros_installation,
     spawn_guard,
 )
-from play_launch.process.cgroups.base import GroupError
+from play_launch.process.cgroups.group import GroupError
 from play_launch.process.child import INHERITED, spawn
 from play_launch.process.guard import SessionGuard
 from play_launch.process.identity import read_stat

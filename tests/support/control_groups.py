@@ -10,15 +10,15 @@ from tempfile import mkdtemp
 
 import pytest
 
-from play_launch.process.cgroups.base import GroupError, own_hierarchy
-from play_launch.process.cgroups.group import Group
+from play_launch.process.cgroups.group import Group, GroupError
+from play_launch.process.cgroups.session import own_hierarchy
 
 
 @contextmanager
 def control_group() -> Iterator[Path]:
     """Make a group of our own and remove it with all that is in it; skips where that cannot be."""
     try:
-        own = own_hierarchy().own
+        own = own_hierarchy()[1]
         path = Path(mkdtemp(prefix="play-launch-test.", dir=own))
     except (GroupError, OSError) as error:
         pytest.skip(f"no control group can be made: {error}")
@@ -30,9 +30,7 @@ def control_group() -> Iterator[Path]:
             path.chmod(0o755)
         yield path
     finally:
-        group.kill()
-        group.wait_empty(60)
-        assert group.remove()
+        assert group.clear(60)
 
 
 def group_of(pid: int) -> str:

@@ -9,7 +9,5 @@
                 container/                    the process of an isolated container
                 <node>.<attempt>/             the process of an isolated node, its limits
 
-Processes are in leaves only, as the kernel demands of groups with controllers. Every limit is
-written by the supervisor before the process is born, which is started in the group, see
-``container_native/src/base/resource_setting.hpp``.
+Processes are in leaves only, as the kernel demands of groups with controllers, and start there.
 """

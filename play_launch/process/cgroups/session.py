@@ -1,32 +1,26 @@
-"""The groups of one session, from the first process to the last."""
+"""The groups of one session, from the first process to the last, and the group above them."""
 
 from __future__ import annotations
 
 import logging
 import os
+import re
 from contextlib import suppress
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Final
 
-from play_launch.config.resources import NO_LIMITS
-from play_launch.process.cgroups.base import (
-    GroupError,
-    Hierarchy,
-    delegated_group,
-    own_hierarchy,
-)
-from play_launch.process.cgroups.deaths import why_killed
-from play_launch.process.cgroups.group import Group
-from play_launch.process.cgroups.marks import is_ours, note_made
-from play_launch.process.cgroups.names import (
+from play_launch.process.cgroups.group import (
     CONTAINER,
+    DELEGATION_FIX,
     SUPERVISOR,
+    Group,
+    GroupError,
     SessionName,
     group_name,
-    node_group_name,
+    path_of,
+    why_killed,
 )
-from play_launch.process.cgroups.refusals import no_entry, no_group
-from play_launch.process.cgroups.sweep import sweep
+from play_launch.process.identity import ProcessIdentity, read_stat
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -34,11 +28,68 @@ if TYPE_CHECKING:
     from play_launch.config.resources import GroupLimits, GroupPolicy
 
 _END_LIMIT: Final = 10.0
-"""Seconds for what is left of a session to die."""
-_MOVES: Final = 20
-"""Times to look for processes that were started while others were moved."""
+"""Seconds from the kill of a session's processes to their end."""
+_MOVES: Final = 9  # passes: processes may fork while they are moved
+_USER_MANAGER: Final = re.compile(r"user@.+\.service")
+_DELEGATED: Final = frozenset({"user.delegate", "trusted.delegate"})
+"""Attributes by which systemd marks what it delegates; before version 251 only the second, which
+root alone sees."""
 
 _log = logging.getLogger(__name__)
+
+
+def hierarchy(mountinfo: str, own: str) -> tuple[Path, Path] | None:
+    """Find the mount of cgroup v2 and in it the group `own`; None if it is not mounted."""
+    for line in mountinfo.splitlines() if own else ():
+        before, _, after = line.partition(" - ")
+        root, mount = before.split(" ")[3:5]
+        inside = PurePosixPath(own)
+        if after.startswith("cgroup2 ") and inside.is_relative_to(root) and "/.." not in own:
+            return Path(mount), Path(mount) / inside.relative_to(root)
+    return None
+
+
+def own_hierarchy() -> tuple[Path, Path]:
+    """Return the mount of cgroup v2 and the group of this process in it; raises GroupError."""
+    own = path_of(os.getpid())
+    found = hierarchy(Path("/proc/self/mountinfo").read_text(errors="surrogateescape"), own)
+    if found is None:
+        raise GroupError(
+            f"no hierarchy of cgroup v2 with the group of play-launch ({own or 'unknown'}) is "
+            "mounted; fix: mount -t cgroup2 none /sys/fs/cgroup, or boot with "
+            "systemd.unified_cgroup_hierarchy=1"
+        )
+    return found
+
+
+def delegated_group() -> Path:
+    """Return the group that play-launch runs in, if it is delegated to it; raises GroupError."""
+    mount, own = own_hierarchy()
+    base = own.parent if own.name == SUPERVISOR else own
+    if not _is_delegated(base, mount):
+        raise GroupError(
+            f"the control group {base} is not delegated to play-launch; fix: {DELEGATION_FIX}"
+        )
+    return base
+
+
+def _is_delegated(group: Path, mount: Path) -> bool:
+    files = (group, group / "cgroup.procs", group / "cgroup.subtree_control")
+    if not all(os.access(each, os.W_OK) for each in files):
+        return False
+    above = (each for each in (group, *group.parents) if each.is_relative_to(mount))
+    marked = next((each for each in above if _is_marked(each)), None)
+    if marked is None:  # root may write everywhere; systemd before 251 marks nothing for users
+        is_systemds = os.geteuid() == 0 and Path("/run/systemd/system").is_dir()
+        return group == mount or not is_systemds
+    # Groups below that of a user's manager are the manager's, unless it has delegated them.
+    return _USER_MANAGER.fullmatch(marked.name) is None
+
+
+def _is_marked(group: Path) -> bool:
+    with suppress(OSError):
+        return not _DELEGATED.isdisjoint(os.listxattr(group))
+    return False
 
 
 class SessionGroups:
@@ -47,100 +98,61 @@ class SessionGroups:
     What the kernel refuses is logged once. Where groups are required, it raises GroupError.
     """
 
-    def __init__(self, name: SessionName, lives: Callable[[int, int], bool]) -> None:
-        """`lives`: whether a process of that pid and start time exists."""
-        self._name = name
-        self._lives = lives
+    def __init__(self) -> None:
+        namespace, pid = Path("/proc/self/ns/pid").stat().st_ino, os.getpid()
+        self._name = SessionName(namespace, pid, read_stat(pid).start_time)
         self._session: Group | None = None
-        self._base = Path()
         self._top = Path()
-        self._controllers: frozenset[str] = frozenset()
-        self._is_open = False
-        self._policy: GroupPolicy | None = None
+        self._is_required = False
         self._reported: set[str] = set()
-        self._given: set[str] = set()
-        """Names of members and nodes that were given one."""
+        self._members: set[str] = set()
+        """Names of members and nodes that have a group."""
         self._with_nodes: set[str] = set()
         """Names of members whose nodes have groups, too."""
-        self._limits: dict[int, GroupLimits] = {}
-        """Of the nodes that have a group, by their attempts."""
+        self._nodes: dict[int, Group] = {}
+        """Groups of nodes by attempt."""
 
     @property
     def folder(self) -> Path | None:
-        """Of the session's own group, with all others in it; None if processes get none."""
+        """Folder of the session's own group, with all others in it; None without groups."""
         return None if self._session is None else self._session.path
 
     def begin(self, policy: GroupPolicy, controllers: Iterable[str]) -> None:
-        """Find the base, sweep it, and make the group of the session; raises GroupError.
-
-        Args:
-            policy: What the configuration says.
-            controllers: What its limits need.
-        """
+        """Make the group of the session, with these controllers; raises GroupError if required."""
         if self._session is not None:
             return
-        self._policy = policy
+        self._is_required = policy.required
         try:
-            self._find(policy)
-            self._open(frozenset(controllers))
+            base = self._base(policy, needed := frozenset(controllers))
+            sweep(base, self._name.namespace)
+            session = Group(base / str(self._name))
+            session.make()
+            self._session = session
+            self._enable(session, needed)
         except GroupError as error:
             self.end()
             if policy.required:
                 raise
             self._warn(f"processes run without control groups: {error}")
 
-    def _find(self, policy: GroupPolicy) -> None:
-        seen = own_hierarchy()
+    def _base(self, policy: GroupPolicy, needed: frozenset[str]) -> Path:
+        mount, _ = own_hierarchy()
         if policy.base_path is None:
-            self._base = self._top = delegated_group()
-        else:
-            self._base, self._top = policy.base_path, seen.mount
-            _check_base(self._base, seen)
-            _make_noted(self._base)
-        self._is_open = True
-        swept = sweep(self._base, self._name.namespace, self._lives)
-        if swept:
-            _log.info("removed the control groups of %d dead sessions", len(swept))
-        _check_entry(self._base, seen.own)
-
-    def _open(self, controllers: frozenset[str]) -> None:
-        is_found = self._policy is not None and self._policy.base_path is None
-        if is_found and controllers - Group(self._base).enabled:
-            self._make_room()
-        self._session = session = Group(self._base / str(self._name))
-        self._controllers = controllers
-        self._make_session(session)
-
-    def _make_session(self, session: Group) -> None:
-        _make_noted(self._base)  # another session may have ended meanwhile that had made it
-        session.make()
-        self._enable(session, self._controllers)
-
-    def _restore(self, session: Group) -> None:
-        """Make the group of the session again if it was removed."""
-        if session.path.is_dir():
-            return
-        _log.warning("the control group %s was removed; it is made again", session.path)
-        try:
-            self._make_session(session)
-        except GroupError as error:
-            self._report(str(error))
-
-    def _make_room(self) -> None:
-        """Move the processes of our own group, which controllers do not permit, into a leaf."""
-        base = Group(self._base)
-        if not (self._base / "cgroup.type").exists():
-            return  # the root of all groups may have them
-        leaf = Group(self._base / SUPERVISOR)
-        _make_noted(leaf.path)
-        try:
-            for _ in range(_MOVES):
-                pids = base.residents()
-                if not pids:
-                    break
-                leaf.move_here(pids)
-        except OSError as error:
-            raise GroupError(no_group(leaf.path, error)) from None
+            base = self._top = delegated_group()
+            if needed and (base / "cgroup.type").exists():  # not the root of all
+                leaf = Group(base / SUPERVISOR)
+                leaf.make()
+                with suppress(OSError):  # enabling controllers reports it
+                    for _ in range(_MOVES):
+                        leaf.move_here(Group(base).residents())
+            return base
+        base, self._top = policy.base_path, mount
+        if not base.is_relative_to(mount):
+            raise GroupError(
+                f"{base} is not in the hierarchy of cgroup v2, which is mounted at {mount}; "
+                "fix: a base_path below that, or base_path: auto"
+            )
+        return base
 
     def member(
         self,
@@ -152,98 +164,71 @@ class SessionGroups:
     ) -> tuple[Group, str] | None:
         """Make the group of a member and the leaf of its process; None without groups.
 
-        Args:
-            full_name: Of the member.
-            limits: What is to hold in it.
-            has_nodes: Whether its nodes are to have groups, too.
-            on_end: Is called before it is retired.
-
-        Returns:
-            The group, and what its process asks of the kernel to be born in it.
+        Returns the group, and the setting by which its process starts in it.
         """
         if self._session is None:
             return None
-        self._restore(self._session)
-        group = Group(self._session.path / group_name(full_name), limits, on_end)
-        self._given.add(full_name)
+        group = leaf = Group(self._session.path / group_name(full_name), limits, on_end)
         group.kill()
         group.remove()  # of its predecessor
         self._make(full_name, group)
-        if not has_nodes:
-            self._with_nodes.discard(full_name)
-            return group, self._entry(group)
-        self._with_nodes.add(full_name)
-        leaf = Group(group.path / CONTAINER)
-        self._make(full_name, leaf)
-        return group, self._entry(leaf)
+        self._with_nodes.discard(full_name)
+        if has_nodes:
+            self._with_nodes.add(full_name)
+            leaf = Group(group.path / CONTAINER)
+            self._make(full_name, leaf)
+        return group, self._entry(full_name, leaf)
 
-    def node(self, container: str, full_name: str, attempt: int, limits: GroupLimits) -> str | None:
-        """Make the group of a node of an isolated container; None without groups.
-
-        Returns:
-            What its process asks of the kernel to be born in it.
-        """
-        group = self._of_node(container, full_name, attempt, limits)
-        if group is None:
-            return None
-        self._limits[attempt] = limits
-        self._given.add(full_name)
-        assert self._session is not None
-        self._restore(self._session)
-        self._make(full_name, group)
-        return self._entry(group)
-
-    def leave(
+    def node(
         self,
         container: str,
         full_name: str,
         attempt: int,
+        limits: GroupLimits,
         on_end: Callable[[Group], None] = lambda _: None,
-    ) -> str:
+    ) -> str | None:
+        """Make the group of an isolated node; returns the setting by which it starts in it."""
+        # The nodes of other containers have no processes, or were started before the groups.
+        if self._session is None or container not in self._with_nodes:
+            return None
+        above = self._session.path / group_name(container)
+        group = Group(above / f"{group_name(full_name)}.{attempt}", limits, on_end)
+        self._nodes[attempt] = group
+        self._make(full_name, group)
+        return self._entry(full_name, group)
+
+    def leave(self, attempt: int) -> str:
         """Kill the rest of an exited node; return why it was killed, empty if it was not."""
-        group = self._of_node(container, full_name, attempt, self._limits.pop(attempt, NO_LIMITS))
-        if group is None or not group.path.is_dir():
+        group = self._nodes.pop(attempt, None)
+        if group is None:
             return ""
         reason = why_killed(group)
         group.kill()
-        on_end(group)
-        group.remove()  # with processes still exiting, it is removed with the container's
+        group.retire()  # with processes still exiting, it is removed with the container's
         return reason
 
     def check(self, full_name: str, pid: int) -> None:
-        """Report a process that runs although the kernel did not let it into its group."""
-        if self._session is None or full_name not in self._given or not pid:
+        """Report a running process that the kernel did not let into its group."""
+        if self._session is None or full_name not in self._members or not pid:
             return
         if not self._session.holds(pid) and Path("/proc", str(pid)).exists():
             self._warn(
                 f"{full_name} is not in its control group, so no limit holds for it: the kernel "
-                f"refused the move; fix: see what echo 0 > {self._session.path}/cgroup.procs says"
+                f"refused the move; fix: check that {self._session.path}/cgroup.procs is writable"
             )
 
-    def _of_node(
-        self, container: str, full_name: str, attempt: int, limits: GroupLimits
-    ) -> Group | None:
-        if self._session is None:
-            return None
-        # It may be no isolated one, or have been started before there were groups.
-        if container not in self._with_nodes:
-            return None
-        above = self._session.path / group_name(container)
-        return Group(above / node_group_name(full_name, attempt), limits)
-
-    def _entry(self, group: Group) -> str:
-        is_required = self._policy is not None and self._policy.required
-        return f"{'required_' if is_required else ''}cgroup {group.path}"
+    def _entry(self, full_name: str, group: Group) -> str:
+        self._members.add(full_name)
+        return f"{'required_' if self._is_required else ''}cgroup {group.path}"
 
     def _make(self, full_name: str, group: Group) -> None:
-        above = Group(group.path.parent)
+        """Make a group with its limits, and the groups above it, which may have been removed."""
         try:
-            above.make()  # that of a container may have been removed
-            self._enable(above, group.limits.controllers())
             group.make()
         except GroupError as error:
             self._report(f"{full_name}: {error}")
             return
+        self._enable(Group(group.path.parent), group.limits.controllers())
         for problem in group.limit():
             self._report(f"{full_name}: {problem}")
 
@@ -252,7 +237,7 @@ class SessionGroups:
             self._report(problem)
 
     def _report(self, problem: str) -> None:
-        if self._policy is not None and self._policy.required:
+        if self._is_required:
             raise GroupError(problem)
         self._warn(problem)
 
@@ -262,66 +247,17 @@ class SessionGroups:
             _log.warning("%s", problem)
 
     def end(self) -> None:
-        """Remove the groups with whatever is left in them; blocks for a moment."""
+        """Remove the groups with the processes left in them; blocks for a moment."""
         session, self._session = self._session, None
         if session is not None and not session.clear(_END_LIMIT):
-            _log.warning("the control group %s is left: its processes do not die", session.path)
-        if self._is_open:
-            self._is_open = False
-            self._leave_as_found()
-
-    def _leave_as_found(self) -> None:
-        """Undo what was done to the base, unless another session needs it."""
-        base = Group(self._base)
-        try:
-            names = [each.name for each in self._base.iterdir() if each.is_dir()]
-        except OSError:
-            return
-        if any(SessionName.parsed(name) for name in names):
-            return
-        base.disable_ours()
-        leaf = Group(self._base / SUPERVISOR)
-        if is_ours(leaf.path) and not base.enabled:
-            with suppress(OSError):
-                base.move_here(leaf.processes())
-            leaf.remove()
-        for folder in (self._base, *self._base.parents):
-            if not is_ours(folder):
-                break
-            with suppress(OSError):  # in use
-                folder.rmdir()
+            _log.warning("the control group %s is left: its processes do not exit", session.path)
 
 
-def needed_controllers(limits: Iterable[GroupLimits]) -> frozenset[str]:
-    """Name the controllers that these limits need."""
-    return frozenset().union(*(each.controllers() for each in limits))
-
-
-def _check_base(base: Path, seen: Hierarchy) -> None:
-    if not base.is_relative_to(seen.mount):
-        raise GroupError(
-            f"{base} is not in the hierarchy of cgroup v2, which is mounted at {seen.mount}; "
-            "fix: a base_path below that, or base_path: auto"
-        )
-
-
-def _make_noted(group: Path) -> None:
-    """Make a group and those above it, each with a note that it is ours; raises GroupError."""
-    missing = [each for each in (group, *group.parents) if not each.exists()]
-    try:
-        group.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise GroupError(no_group(group, error)) from None
-    for each in missing:
-        note_made(each)
-
-
-def _check_entry(base: Path, own: Path) -> None:
-    """See to it that processes of ours may enter groups below the base; raises GroupError.
-
-    The kernel asks for write access to the nearest group above both where they are and where they
-    are to go.
-    """
-    above = Path(os.path.commonpath([base, own]))
-    if not os.access(above / "cgroup.procs", os.W_OK):
-        raise GroupError(no_entry(base, above))
+def sweep(base: Path, namespace: int) -> None:
+    """Remove the groups of sessions of a PID namespace, ours, whose supervisor was killed."""
+    for folder in base.iterdir() if base.is_dir() else ():
+        name = SessionName.parsed(folder.name)
+        if name is None or name.namespace != namespace:
+            continue
+        if not ProcessIdentity(name.pid, name.start_time).is_alive():
+            Group(folder).clear(_END_LIMIT)

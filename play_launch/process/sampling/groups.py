@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
-from play_launch.process.cgroups.group import Group
-from play_launch.process.cgroups.names import CONTAINER
+from play_launch.process.cgroups.group import CONTAINER, Group
 from play_launch.process.cgroups.usage import GroupUsage, group_of, usage_of
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""Groups of the real hierarchy: made, entered, killed, swept and removed."""
+"""Groups of the real hierarchy: found, made, entered, killed, swept and removed."""
 
 from __future__ import annotations
 
@@ -15,18 +15,34 @@ from pathlib import Path
 import pytest
 
 from play_launch.config.resources import NO_LIMITS, CpuMax, GroupLimits, GroupPolicy
-from play_launch.process.cgroups.base import GroupError
-from play_launch.process.cgroups.group import Group
-from play_launch.process.cgroups.names import SUPERVISOR
+from play_launch.process.cgroups.group import SUPERVISOR, Group, GroupError
+from play_launch.process.cgroups.session import SessionGroups
 from play_launch.process.cgroups.usage import group_of as group_of_pid
 from play_launch.process.cgroups.usage import usage_of
 from play_launch.process.identity import ProcessIdentity, read_stat
-from tests.process.cgroups.sessions import begun, below, session_groups
-from tests.support.control_groups import group_of
+from tests.support.control_groups import control_group, group_of
 from tests.support.waiting import until
 
 NOBODY = 65534
-TRIALS = 50
+TRIALS = 30
+
+
+@pytest.fixture
+def base() -> Iterator[Path]:
+    with control_group() as path:
+        yield path
+
+
+def begun(base: Path, **policy: bool) -> SessionGroups:
+    """Groups of a session whose supervisor is this process."""
+    groups = SessionGroups()
+    groups.begin(GroupPolicy(enabled=True, base_path=base, **policy), ())
+    assert groups.folder is not None
+    return groups
+
+
+def below(base: Path) -> list[str]:
+    return sorted(each.name for each in base.iterdir() if each.is_dir())
 
 
 def born(entry: str, *command: str) -> subprocess.Popen[str]:
@@ -55,14 +71,14 @@ def test_a_session_from_begin_to_end(base: Path) -> None:
         assert len(group.processes()) == 2
         assert not group.remove()
         assert group.kill()
-        assert group.wait_empty(60)
+        until(lambda: not group.processes(), "the end of both")
         assert process.wait() == -signal.SIGKILL
     assert group.remove()
     groups.end()
     assert not below(base)
 
 
-def test_who_is_not_in_its_group_is_reported_once(
+def test_a_process_outside_of_its_group_is_reported_once(
     base: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     groups = begun(base)
@@ -74,7 +90,7 @@ def test_who_is_not_in_its_group_is_reported_once(
         # Also where the base is the top of the hierarchy, whose name is in no path.
         assert Group(Path("/top", *made[0].path.parts[-2:-1])).holds(process.pid)
         assert not Group(Path("/top", *made[0].path.parts[-2:-1], "b")).holds(process.pid)
-        groups.check("/nobody", os.getpid())
+        groups.check("/other", os.getpid())
         groups.check("/a", 0)
         assert not caplog.records
         groups.check("/a", os.getpid())
@@ -100,26 +116,13 @@ def test_an_isolated_container_and_its_nodes_are_in_leaves(base: Path) -> None:
         until_in(container_group, container)
         until_in(node_group, node)
         # What a node leaves is killed when its process has ended, and nothing else is.
-        assert groups.leave("/box", "/a", 1) == ""
+        assert groups.leave(1) == ""
         assert node.wait() == -signal.SIGKILL
-        assert node_group.wait_empty(60)
+        until(lambda: not node_group.processes(), "the end of the node")
         assert container.poll() is None
         assert sorted(box.processes()) == [container.pid]
         groups.end()
         assert container.wait() == -signal.SIGKILL
-    assert not below(base)
-
-
-def test_who_was_frozen_by_somebody_is_ended(base: Path) -> None:
-    groups = begun(base)
-    made = groups.member("/a", NO_LIMITS)
-    assert made is not None
-    with born(made[1], "sleep", "600") as process:
-        until_in(made[0], process)
-        (made[0].path / "cgroup.freeze").write_text("1")
-        until(lambda: "frozen 1" in made[0].text("cgroup.events"), "its freezing")
-        groups.end()
-        assert process.wait() == -signal.SIGKILL
     assert not below(base)
 
 
@@ -129,30 +132,6 @@ def test_nodes_in_the_process_of_their_container_have_no_groups(base: Path) -> N
     assert groups.node("/box", "/n", 1, NO_LIMITS) is None
     assert groups.node("/elsewhere", "/n", 2, NO_LIMITS) is None
     groups.end()
-
-
-def test_groups_that_somebody_removed_are_made_anew(
-    base: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    groups = begun(base / "ours")
-    assert groups.folder is not None
-    groups.member("/box", NO_LIMITS, has_nodes=True)
-    for gone in (groups.folder, base / "ours"):
-        caplog.clear()
-        assert Group(gone).remove()
-        made = groups.member("/a", NO_LIMITS)
-        assert made is not None
-        with born(made[1], "true") as process:
-            assert process.wait() == 0
-        (record,) = caplog.records
-        assert record.message.endswith(" was removed; it is made again")
-        assert Group(groups.folder).remove()
-        entry = groups.node("/box", "/n", 1, NO_LIMITS)
-        assert entry is not None
-        with born(entry, "true") as process:
-            assert process.wait() == 0
-    groups.end()
-    assert not below(base)
 
 
 def until_in(group: Group, process: subprocess.Popen[str]) -> None:
@@ -165,7 +144,8 @@ def until_in(group: Group, process: subprocess.Popen[str]) -> None:
 def test_usage_is_that_of_the_group(base: Path) -> None:
     groups = begun(base)
     made = groups.member("/box", NO_LIMITS, has_nodes=True)
-    node = groups.node("/box", "/hog", 1, NO_LIMITS)
+    left: list[Group] = []
+    node = groups.node("/box", "/hog", 1, NO_LIMITS, left.append)
     assert made is not None
     assert node
     box, entry = made
@@ -180,8 +160,7 @@ def test_usage_is_that_of_the_group(base: Path) -> None:
         assert [each and each.path for each in found] == [box.path, box.path / "hog.1"]
         hog.kill()
         hog.wait()
-        left: list[Group] = []
-        groups.leave("/box", "/hog", 1, left.append)
+        groups.leave(1)
         assert [each.path.name for each in left] == ["hog.1"]
         used = usage_of(box)
         assert used.cpu_seconds is not None
@@ -205,10 +184,10 @@ def test_limits_that_the_kernel_has_not_are_reported_once(
     groups.end()
     said = sorted(record.message for record in caplog.records)
     assert len(said) == 2
-    assert said[0].startswith("cpu_max and cpu_weight cannot hold: the controller cpu is not")
-    assert said[1].startswith("memory_high and memory_max cannot hold: the controller memory")
+    assert said[0].startswith("limits of cpu cannot hold: the controller is not available in")
+    assert said[1].startswith("limits of memory cannot hold: the controller is not available")
     assert all("; fix: " in text for text in said)
-    with pytest.raises(GroupError, match="cpu_max and cpu_weight cannot hold"):
+    with pytest.raises(GroupError, match="limits of cpu cannot hold"):
         begun(base, required=True).member("/a", limits)
 
 
@@ -306,7 +285,7 @@ def test_an_ordinary_user_in_a_delegated_group(base: Path) -> None:
     def inside() -> None:
         scope.move_here([0])
         os.setresuid(NOBODY, NOBODY, NOBODY)
-        groups = session_groups()
+        groups = SessionGroups()
         groups.begin(GroupPolicy(enabled=True, required=True), ())
         made = groups.member("/driver", NO_LIMITS)
         assert made is not None
@@ -318,11 +297,9 @@ def test_an_ordinary_user_in_a_delegated_group(base: Path) -> None:
 
     def outside() -> None:
         os.setresuid(NOBODY, NOBODY, NOBODY)
-        groups = session_groups()
-        with pytest.raises(GroupError, match=r"not delegated to this user; fix: .* --user --scope"):
+        groups = SessionGroups()
+        with pytest.raises(GroupError, match=r"not delegated to play-launch; fix: systemd-run"):
             groups.begin(GroupPolicy(enabled=True, required=True), ())
-        with pytest.raises(GroupError, match="the nearest group above them and play-launch"):
-            groups.begin(GroupPolicy(enabled=True, base_path=scope.path, required=True), ())
         with pytest.raises(GroupError, match="cannot be made: Permission denied"):
             groups.begin(GroupPolicy(enabled=True, base_path=base / "other", required=True), ())
 
@@ -331,46 +308,81 @@ def test_an_ordinary_user_in_a_delegated_group(base: Path) -> None:
     assert below(base) == ["user.scope"]
 
 
-@pytest.mark.skipif(os.geteuid() != 0, reason="takes the right to move processes")
-def test_who_is_in_the_base_makes_room_for_controllers(base: Path) -> None:
-    """With a controller of memory below it, a group must not have processes of its own."""
-    there = (base / "cgroup.controllers").read_text().split()
-    parent = Group(base.parent)
-    if not (base.parent / "cgroup.controllers").read_text().split():
-        pytest.skip("no controller is there")
-    controller = next(iter((base.parent / "cgroup.controllers").read_text().split()))
-    before = parent.enabled
-    if not there and list(parent.enable([controller], top=parent.path)):
-        pytest.skip(f"{controller} cannot be enabled")
-    scope = Group(base / "a.scope")
-    scope.make()
-    if controller not in Group(base).enabled:
-        assert not list(Group(base).enable([controller], top=base))
+ORDINARY_USER = """
+import logging, os, sys
+from pathlib import Path
+from play_launch.config.resources import GroupPolicy
+from play_launch.process.cgroups.session import SessionGroups
 
-    def supervise() -> None:
-        scope.move_here([0])
-        neighbour = subprocess.Popen(["sleep", "600"])
-        groups = session_groups()
-        groups.begin(GroupPolicy(enabled=True, required=True), [controller])
-        assert group_of(os.getpid()).endswith(f"/a.scope/{SUPERVISOR}")
-        assert group_of(neighbour.pid) == group_of(os.getpid())
-        assert controller in scope.enabled
-        # A second session in the same scope finds the same base.
-        made = groups.member("/driver", NO_LIMITS)
-        assert made is not None
-        with born(made[1], "sleep", "600") as process:
-            until_in(made[0], process)
-            groups.end()
-            process.wait()
-        # Everything is as it was.
-        assert below(scope.path) == []
-        assert group_of(os.getpid()).endswith("/a.scope")
-        neighbour.kill()
-        neighbour.wait()
+logging.basicConfig(format="%(message)s")
+Path(sys.argv[1], "cgroup.procs").write_text("0")
+os.setgroups([]); os.setresgid(65534, 65534, 65534); os.setresuid(65534, 65534, 65534)
+groups = SessionGroups()
+groups.begin(GroupPolicy(enabled=True), {"pids"})
+print(groups.folder is not None, flush=True)
+sys.stdin.readline()
+groups.end()
+"""
 
-    try:
-        in_a_fork(supervise)
-    finally:
-        scope.remove()
-        Group(base).disable([controller])
-        parent.disable({controller} - before)
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root becomes another user")
+@pytest.mark.parametrize(
+    ("marked", "started_in", "is_used"),
+    [
+        (["user@65534.service"], "", False),
+        (["user@65534.service", "user@65534.service/app.scope"], "", True),
+        (["user@65534.service", "user@65534.service/app.scope"], "inner", True),
+        ([], "", True),
+    ],
+    ids=["not delegated", "delegated", "below a delegated one", "systemd before 251 marks none"],
+)
+def test_processes_of_a_delegated_scope_move_to_a_leaf(
+    base: Path, marked: list[str], started_in: str, is_used: bool
+) -> None:
+    scope = base / "user@65534.service" / "app.scope"
+    group = scope / started_in
+    group.mkdir(parents=True)
+    for each in marked:
+        os.setxattr(base / each, "user.delegate", b"1")
+    for each in ("", "cgroup.procs", "cgroup.subtree_control"):
+        os.chown(group / each, NOBODY, NOBODY)
+    enter = 'echo 0 > "$0"/cgroup.procs; echo; exec sleep 600'
+    with subprocess.Popen(["sh", "-c", enter, group], stdout=subprocess.PIPE) as terminal:
+        assert terminal.stdout is not None
+        terminal.stdout.readline()
+        with subprocess.Popen(
+            [sys.executable, "-c", ORDINARY_USER, group],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        ) as supervisor:
+            assert supervisor.stdout is not None
+            assert supervisor.stdout.readline() == f"{is_used}\n"
+            leaf = f"{group.name}/{SUPERVISOR}" if is_used else group.name
+            assert group_of(terminal.pid).endswith(leaf)
+            _, log = supervisor.communicate("\n", timeout=60)
+        terminal.kill()
+    fix = "is not delegated to play-launch; fix: systemd-run --user --scope -p Delegate=yes"
+    assert (f"without control groups: the control group {group} {fix}" in log) == (not is_used)
+
+
+def test_a_base_that_cannot_be_used_is_reported_once(
+    base: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    for path, why in (
+        ("/tmp/no_group", "is not in the hierarchy of cgroup v2"),
+        ("cgroup.procs/x", "cannot be made: Not a directory"),
+    ):
+        caplog.clear()
+        groups = SessionGroups()
+        groups.begin(GroupPolicy(enabled=True, base_path=base / path), ())
+        assert groups.member("/a", NO_LIMITS) is None
+        groups.end()
+        (record,) = caplog.records
+        assert record.message.startswith("processes run without control groups: ")
+        assert why in record.message
+        assert "; fix: " in record.message
+        required = GroupPolicy(enabled=True, base_path=base / path, required=True)
+        with pytest.raises(GroupError, match=why):
+            SessionGroups().begin(required, ())
