@@ -12,8 +12,8 @@ from benchmarks.long_session.plan import AREAS, BEGIN, PROCESSES, Plan, containe
 from benchmarks.long_session.samples import samples
 from benchmarks.long_session.story import make_up
 from play_launch.recording import topics
-from play_launch.recording.bag import McapBagWriter
-from play_launch.recording.convert import convert
+from play_launch.recording.bag import BagWriter
+from play_launch.recording.forms import convert
 from play_launch.recording.session import METADATA_NAME
 
 CHUNK = 0.25
@@ -25,7 +25,7 @@ RECEIPT = 100_000
 def write_session(path: Path, plan: Plan) -> int:
     """Write the recording; it must not exist. Return how many messages it has."""
     robot = make_up(plan)
-    writer = McapBagWriter(path)
+    writer = BagWriter(path)
     _write_head(writer, plan)
     channels = {topic: writer.register(topic) for topic in topics.ALL_TOPICS}
     chunk_ends = CHUNK
@@ -43,7 +43,7 @@ def write_session(path: Path, plan: Plan) -> int:
     return writer.messages
 
 
-def _write_head(writer: McapBagWriter, plan: Plan) -> None:
+def _write_head(writer: BagWriter, plan: Plan) -> None:
     containers = [
         {
             "name": container_of(area)[1:],

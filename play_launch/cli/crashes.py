@@ -17,8 +17,7 @@ from play_launch.cli.target import complain
 from play_launch.postmortem.bag_reader import NotARecordingError
 from play_launch.postmortem.crash_groups import CrashGroup, CrashGroups
 from play_launch.postmortem.story import read_story
-from play_launch.recording.folder import part_file
-from play_launch.recording.part import ACTIVE_SUFFIX
+from play_launch.recording.folder import ACTIVE_SUFFIX, part_file
 from play_launch.supervisor.exit_code import ExitCode
 
 if TYPE_CHECKING:

@@ -43,7 +43,7 @@ async def record_topics(
     def see_failures(watch: FailureWatch) -> None:
         publisher.add_sink(_UntilStop(watch, stop))
 
-    requests = session.recorder.topic_requests
+    requests = session.recorder
     try:
         await topic_session.record_topics(config, requests, snapshots, on_begin=see_failures)
     except Exception:  # noqa: BLE001 - the run must go on whatever fails here

@@ -23,9 +23,9 @@ from play_launch.postmortem.bag_reader import NotARecordingError
 from play_launch.postmortem.session import PastSession
 from play_launch.recording import topics
 from play_launch.recording.bag import REPEATED
-from play_launch.recording.convert import convert
 from play_launch.recording.decisions import UnreadableInputError, read
 from play_launch.recording.facts import REDACTED
+from play_launch.recording.forms import convert
 from play_launch.supervisor.difference import NOTHING, Snapshot, events_between
 from play_launch.supervisor.events import SubjectKind
 from play_launch.supervisor.exit_code import ExitCode

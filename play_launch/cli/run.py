@@ -49,7 +49,8 @@ if TYPE_CHECKING:
     from play_launch.config.model import ReplayConfig
     from play_launch.control.config_watch import Watched
     from play_launch.deploy.notification import ServiceManager
-    from play_launch.recording.recorder import Recorder, RecordingSummary
+    from play_launch.recording.limits import RecordingSummary
+    from play_launch.recording.recorder import Recorder
     from play_launch.runtime.publisher import Publisher, StopRequests
     from play_launch.runtime.run import Outcome
     from play_launch.runtime.system import System
@@ -106,7 +107,7 @@ class RunSink:
         """Keep what it took from outside out of all events and messages from now on."""
         self._secrets |= taken_secrets(config)
         self.decisions.secrets = self._secrets
-        self._recorder.topic_requests.secrets = in_messages(self._secrets)
+        self._recorder.secrets = in_messages(self._secrets)
 
     def publish(self, event: RunEvent, before: SystemView, after: SystemView) -> None:
         """Take one event, in the loop's thread."""

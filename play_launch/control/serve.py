@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from play_launch.control.config_watch import Watched
     from play_launch.control.feed import Feed
     from play_launch.control.registration import ControlSocket
+    from play_launch.recording.recorder import Recorder
     from play_launch.recording.session import Session
     from play_launch.recording.topic_recorder.snapshot import Snapshots
-    from play_launch.recording.topic_requests import TopicRequests
     from play_launch.runtime.publisher import Publisher
     from play_launch.runtime.system import System
 
@@ -63,7 +63,7 @@ async def serve_control(
 
     def begin(target: ReplayConfig, number: int) -> None:
         hide_secrets(target)
-        _attach(session.recorder.topic_requests, target, number)
+        _attach(session.recorder, target, number)
 
     changes = Changes(
         system,
@@ -130,16 +130,16 @@ def _with_command_line(
     return target
 
 
-def _attach(recording: TopicRequests, config: ReplayConfig, number: int) -> None:
+def _attach(recorder: Recorder, config: ReplayConfig, number: int) -> None:
     """Attach it as ``applied/<number>/...``: as it was given, its files, and resolved."""
     place = f"applied/{number}"
     yaml = "application/yaml"
-    recording.attach(f"{place}/config{config.source.suffix or '.yaml'}", yaml, config.text)
+    recorder.attach(f"{place}/config{config.source.suffix or '.yaml'}", yaml, config.text)
     for kind, files in (
         ("includes", config.included_files),
         ("parameters", config.parameter_files),
     ):
         for index, file in enumerate(files):
-            recording.attach(f"{place}/{kind}/{index}-{file.path.name}", yaml, file.text)
+            recorder.attach(f"{place}/{kind}/{index}-{file.path.name}", yaml, file.text)
     resolved = json.dumps(resolved_form(config), ensure_ascii=False)
-    recording.attach(f"{place}/resolved_config.json", "application/json", text_bytes(resolved))
+    recorder.attach(f"{place}/resolved_config.json", "application/json", text_bytes(resolved))

@@ -39,8 +39,7 @@ from play_launch.postmortem.records import (
 )
 from play_launch.postmortem.resync import may_begin, next_chunk
 from play_launch.recording.bag import PART_METADATA, REPEATED
-from play_launch.recording.folder import BAG_NAME, PartFile, open_bag, parts_of
-from play_launch.recording.part import part_path
+from play_launch.recording.folder import BAG_NAME, PartFile, open_bag, part_path, parts_of
 from play_launch.recording.topics import KEY, KIND, SYSTEM
 
 if TYPE_CHECKING:

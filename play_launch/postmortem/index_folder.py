@@ -8,8 +8,7 @@ from mcap.exceptions import McapError
 from mcap.reader import make_reader
 
 from play_launch.postmortem.bag_reader import NotARecordingError
-from play_launch.recording.folder import parts_of
-from play_launch.recording.index import IndexedFile, IndexedTopic, write_index
+from play_launch.recording.folder import IndexedFile, IndexedTopic, parts_of, write_index
 from play_launch.recording.session import METADATA_NAME, ROS_DISTRO
 
 if TYPE_CHECKING:

@@ -13,8 +13,7 @@ from mcap.writer import CompressionType, Writer
 from play_launch.postmortem.bag_reader import BagReader, NotARecordingError
 from play_launch.postmortem.index_folder import index_folder
 from play_launch.postmortem.whole_file import OutputError, is_passed_on, whole_file
-from play_launch.recording.folder import open_bag, part_file
-from play_launch.recording.part import ACTIVE_SUFFIX, HALF_SUFFIX
+from play_launch.recording.folder import ACTIVE_SUFFIX, HALF_SUFFIX, open_bag, part_file
 
 if TYPE_CHECKING:
     from pathlib import Path

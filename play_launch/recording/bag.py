@@ -1,23 +1,26 @@
-"""A bag as the recorder wants one, and as MCAP: one file, or several that follow each other."""
+"""A bag: MCAP files that follow each other, each of which can be read without the others."""
 
 from __future__ import annotations
 
 import contextlib
 import logging
 import math
+import queue
+import re
 import struct
+import threading
 import time
-from typing import TYPE_CHECKING, Final, Protocol
+from collections import deque
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from msgspec import Struct
 
-from play_launch.container.cdr.layout import CdrError
-from play_launch.recording.disk import Disk
+from play_launch.container.cdr.layout import CdrError, Layout
 from play_launch.recording.errors import WriteFailedError, reason
-from play_launch.recording.index import IndexedFile, IndexedTopic, write_index
-from play_launch.recording.latched import Latched
-from play_launch.recording.part import ACTIVE_SUFFIX, Part, part_path
+from play_launch.recording.folder import IndexedFile, IndexedTopic, part_path, write_index
+from play_launch.recording.mcap_file import McapFile
 from play_launch.recording.schema import message_definition
+from play_launch.recording.topics import PARAMETERS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -29,76 +32,20 @@ if TYPE_CHECKING:
 PART_METADATA: Final = "play_launch.part"
 """Every file but the first has it, with its ``number`` (from 1 on)."""
 REPEATED: Final = 0
-"""The sequence number of messages that repeat the latest ones of the files before; others have
+"""Sequence number of messages that repeat the latest ones of the files before; others have
 higher ones."""
-_PATIENCE: Final = 10.0
+_ROTATION_RETRY: Final = 10.0
 """Seconds until the next file is tried again."""
+_UNFLUSHED_LIMIT: Final = 64 * 1024
+"""Bytes of whole chunks that wait for a flush, at most: a full chunk is flushed at once."""
+_LATCHED_LIMIT: Final = 100
+_LATCHED_SIZE_LIMIT: Final = 1024 * 1024
+"""Messages of a latched topic that are repeated, and their bytes; the latest is in any case."""
+_NODE: Final = Layout("stamp:t node:s")
+"""How a message of `PARAMETERS` begins."""
+_TRANSIENT_LOCAL: Final = re.compile(r"\bdurability: 1\b")
+_INFINITE_LIFESPAN: Final = re.compile(r"\blifespan:\s*\{?\s*sec: (?:9223372036|2147483647)\b")
 _log = logging.getLogger(__name__)
-
-
-class BagWriter(Protocol):
-    """A bag that is being written.
-
-    All times are nanoseconds since the epoch. Every method may raise
-    :class:`~play_launch.recording.errors.WriteFailedError`. What it was given is not lost then:
-    after :meth:`flush` has worked again, everything is in the bag. Until then nothing but
-    :meth:`has_room`, :meth:`flush`, :meth:`close` and :meth:`abandon` may follow. A writer belongs
-    to one thread at a time, but for :meth:`latest`.
-    """
-
-    @property
-    def path(self) -> Path:
-        """Where the data is now: the file, or the folder when there are several."""
-
-    @property
-    def parts(self) -> int:
-        """How many files there are."""
-
-    @property
-    def bytes_written(self) -> int:
-        """Size of the files in bytes."""
-
-    @property
-    def messages(self) -> int:
-        """Messages in the files: those that :meth:`flush` has reached, or a full chunk."""
-
-    def register(self, topic: Topic) -> int:
-        """Announce a topic and return its channel, to be given to :meth:`write`."""
-
-    def write(
-        self, channel: int, data: bytes, *, log_time: int, publish_time: int, key: str = ""
-    ) -> None:
-        """Append one CDR-serialised message (with its 4-byte encapsulation header).
-
-        The latest message of each ``key`` of a channel is repeated when another file is begun.
-        """
-
-    def append_chunk(self, chunk: TopicChunk) -> None:
-        """Append messages of registered channels that are in a chunk already.
-
-        When it fails, nothing of the chunk is in the bag: it is to be appended again.
-        """
-
-    def latest(self, channel: int, key: str) -> bytes | None:
-        """Give the latest message with a key, or of a node; None without one. In any thread."""
-
-    def attach(self, name: str, media_type: str, data: bytes, *, time: int) -> None:
-        """Put a file of its own into the bag."""
-
-    def metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Put a record of names and values into the bag."""
-
-    def flush(self) -> None:
-        """Hand everything over to the kernel: it then survives the death of this process."""
-
-    def has_room(self) -> bool:
-        """Whether it is worth while to :meth:`flush` again after that failed."""
-
-    def close(self) -> None:
-        """Complete the file, make it durable and give it its final name."""
-
-    def abandon(self) -> None:
-        """Close the file as it is; what was flushed stays readable. Never raises."""
 
 
 class Rotation(Struct, frozen=True):
@@ -108,255 +55,364 @@ class Rotation(Struct, frozen=True):
     duration: float = math.inf
 
 
-class McapBagWriter:
-    """Writes ``<path>.active``, renamed to ``path`` when it is complete; then ``<path>_1``, ``_2``.
+class _Latched(NamedTuple):
+    data: bytes
+    publish_time: int
 
-    Profile ``ros2``, zstd chunks, every channel ``cdr`` with a ``ros2msg`` schema. Each file can be
-    read without the others: it begins with what was attached before the first message, with the
-    topics, and with what is latched. Implements :class:`BagWriter`.
+
+class BagWriter:
+    """Writes ``<path>``, then ``<path>_1``, ``<path>_2``; ``.active`` until they are complete.
+
+    Profile ``ros2``, every channel ``cdr`` with a ``ros2msg`` schema. Each file begins with what
+    was attached before the first message, the topics, and the latest messages of what holds until
+    further notice: states by their key, parameters by their node, latched topics of ROS (of these
+    several messages, as the number of publishers is not known).
+
+    Times are nanoseconds since the epoch. Only :meth:`flush`, :meth:`append_chunk` and
+    :meth:`close` touch the disk and may raise ``WriteFailedError``. What was written is not lost
+    then: it waits for the next :meth:`flush`. Belongs to one thread, but for :meth:`latest`.
     """
 
     def __init__(
         self,
         path: Path,
         *,
-        library: str = "play_launch",
         definition: Callable[[str], str] = message_definition,
         rotation: Rotation | None = None,
         sync: float = math.inf,
         has_index: bool = False,
         ros_distro: str = "",
+        now: Callable[[], int] = time.time_ns,
     ) -> None:
         """Create the file; it must not exist.
 
-        ``definition`` gives the text of a message type. Every ``sync`` seconds what was written is
-        forced to the disk. With an index, which names ``ros_distro``, the folder of the file is a
-        bag to rosbag2. Raises :class:`WriteFailedError`.
+        ``definition`` gives the text of a message type, and is called once for each. Every ``sync``
+        seconds what was flushed is forced to the disk. With an index, which names ``ros_distro``,
+        the folder of the file is a bag to rosbag2. ``now`` gives log times.
         """
         self._first_path = path
-        self._library = library
         self._definition = definition
         self._rotation = rotation or Rotation()
         self._has_index = has_index
         self._ros_distro = ros_distro
+        self._now = now
         self._topics: dict[int, Topic] = {}
         self._definitions: dict[str, str] = {}
-        """By type, as they were when its first topic was announced: the package may be built again
-        or removed since, and messages of that topic still have this form."""
-        self._head: list[Callable[[Part], None]] = []
-        self._has_begun = False
-        self._latched = Latched()
-        self._completed: list[IndexedFile] = []
-        """Belongs to the thread of the disk."""
+        self._head: list[Callable[[McapFile], None]] = []
+        self._has_messages = False
+        self.unflushed = 0
+        """Messages, attachments and metadata since the last flush."""
+        self._by_key: dict[tuple[int, str], _Latched] = {}
+        self._by_topic: dict[int, deque[_Latched]] = {}
         self._finished_bytes = 0
         self._finished_messages = 0
         self._number = 0
         self._repeated = 0
         self._not_before = 0.0
-        self._disk = Disk(sync, self._not_durable)
-        with self._failing():
-            self._part = self._begin(0)
+        self._completed: list[IndexedFile] = []
+        """Belongs to the thread of the disk."""
+        with self._write_errors():
+            self._file = self._begin(0)
+        self._disk = _DiskThread(sync)
 
     @property
     def path(self) -> Path:
-        """Where the data is now."""
-        return self._part.path if self._number == 0 else self._first_path.parent
+        """Where the data is now: the file, or the folder when there are several."""
+        return self._file.path if self._number == 0 else self._first_path.parent
 
     @property
     def parts(self) -> int:
-        """How many files there are."""
+        """Number of files."""
         return self._number + 1
 
     @property
     def bytes_written(self) -> int:
-        """Size of the files in bytes."""
-        return self._finished_bytes + self._part.file.committed
+        """Size of the files."""
+        return self._finished_bytes + self._file.committed
 
     @property
     def messages(self) -> int:
         """Messages that are in the files; those that are repeated count once."""
-        return self._finished_messages + self._part.committed_messages - self._repeated
+        return self._finished_messages + self._file.committed_messages - self._repeated
+
+    @property
+    def unflushed_messages(self) -> int:
+        """Messages that are not in the files."""
+        return self._file.messages - self._file.committed_messages
 
     def register(self, topic: Topic) -> int:
-        """Announce a topic; may raise ``SchemaNotFoundError``, and nothing else."""
-        if topic.type_name not in self._definitions:
-            self._definitions[topic.type_name] = self._definition(topic.type_name)
-        channel = len(self._topics) + 1
+        """Announce a topic and return its channel; may raise ``SchemaNotFoundError``."""
+        definition = self._definitions.get(topic.type_name)
+        if definition is None:
+            definition = self._definitions[topic.type_name] = self._definition(topic.type_name)
+        channel = self._file.register(topic, definition)
         self._topics[channel] = topic
-        self._part.register(channel, topic, self._definitions[topic.type_name])
         return channel
 
     def write(
         self, channel: int, data: bytes, *, log_time: int, publish_time: int, key: str = ""
     ) -> None:
-        """Append one message; a full chunk goes to the file at once."""
-        self._has_begun = True
+        """Append one CDR-serialised message (with its 4-byte encapsulation header).
+
+        The latest message of each ``key`` of a channel is repeated when another file is begun.
+        """
+        self._has_messages = True
+        self.unflushed += 1
         if key:
-            self._latched.note(channel, key, data, publish_time)
-        try:
-            self._part.write(channel, data, log_time=log_time, publish_time=publish_time)
-        except OSError as error:
-            raise WriteFailedError(self._active_path, error) from error
+            self._by_key[channel, key] = _Latched(data, publish_time)
+        file = self._file
+        file.add(channel, data, log_time=log_time, publish_time=publish_time)
+        if file.size - file.committed > _UNFLUSHED_LIMIT:
+            self.flush()
 
     def append_chunk(self, chunk: TopicChunk) -> None:
-        """Append a chunk; it is with the kernel then, as is everything before."""
-        self._has_begun = True
-        with self._failing():
-            self._part.append_chunk(chunk)
+        """Append messages of registered channels that are in a chunk already; they are flushed.
+
+        When it fails, nothing of the chunk is in the bag: it is to be appended again.
+        """
+        self._has_messages = True
+        with self._write_errors():
+            self._file.append_chunk(chunk)
         # It is in the file now: whatever is wrong with it, it is not to be appended again.
         with contextlib.suppress(OSError, struct.error, CdrError):
-            self._latched.note_chunk(chunk, self._topics)
-        self._committed()
+            self._note_latched(chunk)
+        self.flush()  # nothing is left to write
 
     def latest(self, channel: int, key: str) -> bytes | None:
-        """See :class:`BagWriter`."""
-        return self._latched.latest(channel, key)
+        """Return the latest message with a key, or of a node; in any thread."""
+        found = self._by_key.get((channel, key))
+        return found and found.data
 
     def attach(self, name: str, media_type: str, data: bytes, *, time: int) -> None:
-        """Put a file of its own into the bag."""
-        self._put(lambda part: part.attach(name, media_type, data, time=time))
+        self._put(lambda file: file.attach(name, media_type, data, time=time))
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Put a record of names and values into the bag."""
-        self._put(lambda part: part.metadata(name, values))
+        self._put(lambda file: file.metadata(name, values))
 
     def flush(self) -> None:
-        """End the chunk, so that everything written so far is with the kernel."""
-        with self._failing():
-            self._part.commit()
-        self._committed()
+        """Pass everything to the kernel: it then survives the death of this process."""
+        file = self._file
+        try:
+            file.commit()
+        except OSError as error:
+            raise WriteFailedError(file.path, error) from error
+        self.unflushed = 0
+        self._disk.sync_soon(file)
+        now = time.monotonic()
+        if (
+            file.committed_messages > self._repeated
+            and (
+                file.committed >= self._rotation.size or now - file.begun >= self._rotation.duration
+            )
+            and now >= self._not_before
+            and self.has_room()
+        ):
+            self._rotate()
 
     def has_room(self) -> bool:
         """Whether it is worth while to flush again after that failed."""
         try:
-            return self._part.file.has_room()
+            return self._file.has_room()
         except OSError:
             return False
 
     def close(self) -> None:
-        """Write the summary, make the file durable and give it its final name."""
-        with self._failing():
-            self._finish()
+        """Complete the file, make it durable and give it its final name."""
+        with self._write_errors():
+            self._file.finish()
+        self._complete(self._file)
         self._disk.close()
 
     def abandon(self) -> None:
-        """Cut the file after the last complete record and close it."""
-        self._disk.do(self._part, self._part.abandon)
+        """Close the file as it is; what was flushed stays readable. Never raises."""
+        self._disk.do(self._file, self._file.abandon)
         with contextlib.suppress(WriteFailedError):
             self._disk.close()
 
-    @property
-    def _active_path(self) -> Path:
-        path = part_path(self._first_path, self._number)
-        return path.with_name(path.name + ACTIVE_SUFFIX)
-
-    def _committed(self) -> None:
-        self._disk.written(self._part)
-        if self._is_full():
-            self._go_on_in_another_file()
-
-    def _put(self, record: Callable[[Part], None]) -> None:
-        if not self._has_begun:
+    def _put(self, record: Callable[[McapFile], None]) -> None:
+        if not self._has_messages:
             self._head.append(record)
-        with self._failing():
-            record(self._part)
-            self._part.file.commit()
+        self.unflushed += 1
+        record(self._file)
 
-    def _begin(self, number: int) -> Part:
-        """Make a file with all that it needs to be read alone."""
-        part = Part(part_path(self._first_path, number), library=self._library)
+    def _begin(self, number: int) -> McapFile:
+        """Make a file with everything that it needs to be read alone."""
+        file = McapFile(part_path(self._first_path, number))
         try:
             for record in self._head:
-                record(part)
+                record(file)
             if number > 0:
-                part.metadata(PART_METADATA, {"number": str(number)})
-            for channel, topic in self._topics.items():
-                part.register(channel, topic, self._definitions[topic.type_name])
-            # They arrived before; but playback begins with the file's earliest log time.
-            now = time.time_ns()
-            for channel, data, publish_time in self._latched:
-                part.write(
-                    channel, data, log_time=now, publish_time=publish_time, sequence=REPEATED
-                )
-            part.commit()
+                file.metadata(PART_METADATA, {"number": str(number)})
+            for topic in self._topics.values():
+                file.register(topic, self._definitions[topic.type_name])
+            now = self._now()  # playback begins with the file's earliest log time
+            for channel, (data, stamp) in self._latched():
+                file.add(channel, data, log_time=now, publish_time=stamp, sequence=REPEATED)
+            file.commit()
         except BaseException:
-            part.abandon()
-            part.path.unlink(missing_ok=True)
+            file.abandon()
+            file.path.unlink(missing_ok=True)
             raise
-        return part
+        return file
 
-    def _is_full(self) -> bool:
-        part = self._part
-        return (
-            part.committed_messages > self._repeated
-            and (
-                part.file.committed >= self._rotation.size
-                or time.monotonic() - part.begun >= self._rotation.duration
-            )
-            and time.monotonic() >= self._not_before
-        )
+    def _latched(self) -> Iterator[tuple[int, _Latched]]:
+        for (channel, _), message in self._by_key.items():
+            yield channel, message
+        for channel, messages in self._by_topic.items():
+            for message in messages:
+                yield channel, message
 
-    def _go_on_in_another_file(self) -> None:
+    def _note_latched(self, chunk: TopicChunk) -> None:
+        for part in chunk.parts:
+            topic = self._topics[part.channel]
+            if topic.name == PARAMETERS.name:
+                for data, stamp in chunk.messages_of(part):
+                    self._by_key[part.channel, _NODE.read(data)["node"]] = _Latched(data, stamp)
+            elif is_latched(topic.offered):
+                kept = self._by_topic.setdefault(part.channel, deque())
+                kept.extend(_Latched(*message) for message in chunk.messages_of(part))
+                size = sum(len(message.data) for message in kept)
+                while len(kept) > 1 and (size > _LATCHED_SIZE_LIMIT or len(kept) > _LATCHED_LIMIT):
+                    size -= len(kept.popleft().data)
+
+    def _rotate(self) -> None:
+        old = self._file
         try:
             following = self._begin(self._number + 1)
-            try:
-                self._finish()
-            except OSError:
-                following.abandon()
-                following.path.unlink(missing_ok=True)
-                raise
         except OSError as error:
-            self._not_before = time.monotonic() + _PATIENCE
+            self._not_before = time.monotonic() + _ROTATION_RETRY
             _log.warning(
-                "cannot begin another file, the recording stays in %s: %s",
-                self._part.path,
-                reason(error),
+                "cannot begin another file, the recording stays in %s: %s", old.path, reason(error)
             )
-            return
-        self._finished_bytes += self._part.file.committed
-        self._finished_messages += self._part.committed_messages - self._repeated
-        self._part, self._number = following, self._number + 1
-        self._repeated = following.committed_messages
-        self._disk.written(following)
-
-    def _finish(self) -> None:
-        part = self._part
-        summary = part.finish()
-        counts = {_listed(self._topics[each]): count for each, count in summary.counts.items()}
-        name = part_path(self._first_path, self._number).name
-        file = IndexedFile(name, summary.begin, summary.end, counts)
-        self._disk.do(part, lambda: self._complete(part, file))
-
-    def _complete(self, part: Part, file: IndexedFile) -> None:
-        part.complete()
-        self._completed.append(file)
-        if not self._has_index:
             return
         try:
-            write_index(self._first_path.parent, self._completed, self._ros_distro)
+            old.finish()
         except OSError as error:
-            # Each file is whole without it.
-            _log.warning("cannot write the index of %s: %s", self._first_path, reason(error))
-
-    def _not_durable(self, part: Part, error: OSError) -> None:
-        if isinstance(error, FileNotFoundError):
             _log.error(
-                "%s was removed: what happens is not recorded until the next start", part.path
+                "%s cannot be completed: %s; the next start completes it", old.path, reason(error)
             )
-            return
-        _log.error(
-            "%s cannot be forced to the disk: %s; a power failure may take it",
-            part.path,
-            reason(error),
-        )
+            self._disk.do(old, old.abandon)
+        else:
+            self._complete(old)
+        self._finished_bytes += old.committed
+        self._finished_messages += old.committed_messages - self._repeated
+        self._file, self._number = following, self._number + 1
+        self._repeated = following.committed_messages
+        self._disk.sync_soon(following)
+
+    def _complete(self, file: McapFile) -> None:
+        name = part_path(self._first_path, self._number).name
+        counts = {
+            IndexedTopic(topic.name, topic.type_name, topic.offered_qos_profiles): file.counts.get(
+                channel, 0
+            )
+            for channel, topic in self._topics.items()
+        }
+        indexed = IndexedFile(name, *file.log_times, counts)
+
+        def complete() -> None:
+            file.complete()
+            self._completed.append(indexed)
+            if not self._has_index:
+                return
+            try:
+                write_index(self._first_path.parent, self._completed, self._ros_distro)
+            except OSError as error:  # each file is whole without it
+                _log.warning("cannot write the index of %s: %s", self._first_path, reason(error))
+
+        self._disk.do(file, complete)
 
     @contextlib.contextmanager
-    def _failing(self) -> Iterator[None]:
+    def _write_errors(self) -> Iterator[None]:
         try:
             yield
         except OSError as error:
-            raise WriteFailedError(self._active_path, error) from error
+            path = self._file.path if hasattr(self, "_file") else self._first_path
+            raise WriteFailedError(path, error) from error
 
 
-def _listed(topic: Topic) -> IndexedTopic:
-    return IndexedTopic(topic.name, topic.type_name, topic.offered_qos_profiles)
+class _DiskThread:
+    """Syncs what was flushed, at most ``period`` seconds after it was, and completes files.
+
+    An SD card may take seconds for it, in which the recorder would not empty its queue. The first
+    error of each file is logged at once; the first one of a job is raised by `close` as well.
+    """
+
+    def __init__(self, period: float) -> None:
+        """``period`` may be infinite: then a file is synced when it is complete."""
+        self._period = period
+        self._jobs: queue.SimpleQueue[tuple[McapFile, Callable[[], None] | None] | None]
+        self._jobs = queue.SimpleQueue()
+        self._awaited: McapFile | None = None
+        """It is going to be synced with what it has now."""
+        self._failed: McapFile | None = None
+        self._error: WriteFailedError | None = None
+        self._is_closing = False
+        # A daemon: the end of the program must not wait for a disk that never answers.
+        self._thread = threading.Thread(target=self._run, name="recorder-disk", daemon=True)
+        self._thread.start()
+
+    def sync_soon(self, file: McapFile) -> None:
+        """Note that a file has something new; never blocks."""
+        if self._period < math.inf and self._awaited is not file:
+            self._awaited = file
+            self._jobs.put((file, None))
+
+    def do(self, file: McapFile, job: Callable[[], None]) -> None:
+        """Do something with a file after the jobs before; it may raise ``OSError``."""
+        self._jobs.put((file, job))
+
+    def close(self) -> None:
+        """Wait for the jobs; raise the first error of one. Nothing may follow."""
+        self._is_closing = True
+        self._jobs.put(None)
+        self._thread.join()
+        if self._error is not None:
+            raise self._error
+
+    def _run(self) -> None:
+        dirty: McapFile | None = None
+        due = math.inf
+        while True:
+            try:
+                left = max(0.0, due - time.monotonic())
+                item = self._jobs.get(timeout=None if left == math.inf else left)
+            except queue.Empty:
+                self._awaited, due = None, math.inf
+                if dirty is not None:
+                    try:
+                        dirty.sync()
+                    except OSError as error:
+                        self._report(dirty, error)
+                continue
+            if item is None:
+                return
+            file, job = item
+            if job is None:
+                dirty, due = file, min(due, time.monotonic() + self._period)
+                continue
+            try:
+                job()
+            except OSError as error:
+                self._error = self._error or WriteFailedError(file.path, error)
+                self._report(file, error)
+
+    def _report(self, file: McapFile, error: OSError) -> None:
+        if self._failed is file or self._is_closing:
+            return
+        self._failed = file
+        if isinstance(error, FileNotFoundError):
+            _log.error("%s was removed: recording resumes at the next start", file.path)
+        else:
+            cause = reason(error)
+            _log.error("%s cannot be synced: %s; a power failure may lose it", file.path, cause)
+
+
+def is_latched(offered_qos_profiles: str) -> bool:
+    """Whether all publishers keep their messages for late subscribers, without limit."""
+    profiles = offered_qos_profiles.count("durability:")
+    return (
+        profiles > 0
+        and len(_TRANSIENT_LOCAL.findall(offered_qos_profiles)) == profiles
+        and len(_INFINITE_LIFESPAN.findall(offered_qos_profiles)) == profiles
+    )

@@ -1,8 +1,9 @@
-"""A chunk that another process has made, as it will stand in the file."""
+"""A chunk that `topic_recorder` has made, as it will stand in the file."""
 
 from __future__ import annotations
 
 import mmap
+import os
 import struct
 import zlib
 from typing import TYPE_CHECKING, Final
@@ -11,15 +12,16 @@ from msgspec import Struct
 
 if TYPE_CHECKING:
     import re
-    from collections.abc import Collection
+    from collections.abc import Collection, Iterator
 
 CHUNK_HEAD: Final = 9 + 8 + 8 + 8 + 4 + 4 + 8
 """Bytes of an uncompressed chunk before its records."""
 INDEX: Final = struct.Struct("<BQHI")
 """Head of a message index; entries follow."""
 ENTRY: Final = struct.Struct("<QQ")
-"""Log time, and where the message stands among the records."""
+"""Log time, and offset of the message among the records."""
 MESSAGE: Final = struct.Struct("<BQHIQQ")
+"""Kind, length, channel, sequence number, log time, publish time; the data follows."""
 _CHECKSUM: Final = struct.Struct("<I")
 _CHECKSUM_AT: Final = 9 + 8 + 8 + 8
 
@@ -37,7 +39,7 @@ class TopicChunk(Struct, frozen=True):
     """An uncompressed chunk record, then the message indexes that belong to it, in a file.
 
     Lengths are bytes; ``begin`` and ``end`` are the log times of the earliest and the latest
-    message, in nanoseconds since the epoch.
+    message.
     """
 
     descriptor: int
@@ -57,28 +59,46 @@ class TopicChunk(Struct, frozen=True):
         """How many messages are in it."""
         return sum(part.messages for part in self.parts)
 
+    def is_whole(self) -> bool:
+        """Whether its file is as long as it should be."""
+        try:
+            return os.fstat(self.descriptor).st_size >= self.length
+        except OSError:
+            return False
 
-def mask(chunk: TopicChunk, channels: Collection[int], secrets: re.Pattern[bytes]) -> None:
-    """Write asterisks over secrets in the messages of some channels; all lengths stay.
+    def messages_of(self, part: ChannelPart) -> Iterator[tuple[bytes, int]]:
+        """Read data and publish time of the messages of a channel; may raise ``OSError``."""
+        at = part.index_offset + INDEX.size
+        entries = os.pread(self.descriptor, ENTRY.size * part.messages, at)
+        for _, offset in ENTRY.iter_unpack(entries):
+            begin = CHUNK_HEAD + offset
+            head = os.pread(self.descriptor, MESSAGE.size, begin)
+            _, length, _, _, _, publish_time = MESSAGE.unpack(head)
+            size = length - (MESSAGE.size - 9)
+            yield os.pread(self.descriptor, size, begin + MESSAGE.size), publish_time
 
-    Raises:
-        OSError, ValueError, struct.error: When the chunk is not what it should be.
-    """
-    parts = [part for part in chunk.parts if part.channel in channels]
-    if not parts:
-        return
-    with mmap.mmap(chunk.descriptor, chunk.length) as data:
-        found = False
-        for part in parts:
-            index = part.index_offset + INDEX.size
-            entries = data[index : index + ENTRY.size * part.messages]
-            for _, place in ENTRY.iter_unpack(entries):
-                begin = CHUNK_HEAD + place + MESSAGE.size
-                end = CHUNK_HEAD + place + 9 + MESSAGE.unpack_from(data, CHUNK_HEAD + place)[1]
-                # A list, for the search holds the memory that is written to.
-                for secret in [each.span() for each in secrets.finditer(data, begin, end)]:
-                    data[slice(*secret)] = b"*" * (secret[1] - secret[0])
-                    found = True
-        if found:
-            records = data[CHUNK_HEAD : CHUNK_HEAD + chunk.records_length]
-            _CHECKSUM.pack_into(data, _CHECKSUM_AT, zlib.crc32(records))
+    def mask(self, channels: Collection[int], secrets: re.Pattern[bytes]) -> None:
+        """Write asterisks over secrets in the messages of some channels; all lengths stay.
+
+        Raises:
+            OSError, ValueError, struct.error: When the chunk is not what it should be.
+        """
+        parts = [part for part in self.parts if part.channel in channels]
+        if not parts:
+            return
+        with mmap.mmap(self.descriptor, self.length) as data:
+            found = False
+            for part in parts:
+                index = part.index_offset + INDEX.size
+                entries = data[index : index + ENTRY.size * part.messages]
+                for _, offset in ENTRY.iter_unpack(entries):
+                    begin = CHUNK_HEAD + offset
+                    end = begin + 9 + MESSAGE.unpack_from(data, begin)[1]
+                    # A list, for the search holds the memory that is written to.
+                    spans = secrets.finditer(data, begin + MESSAGE.size, end)
+                    for secret in [each.span() for each in spans]:
+                        data[slice(*secret)] = b"*" * (secret[1] - secret[0])
+                        found = True
+            if found:
+                records = data[CHUNK_HEAD : CHUNK_HEAD + self.records_length]
+                _CHECKSUM.pack_into(data, _CHECKSUM_AT, zlib.crc32(records))

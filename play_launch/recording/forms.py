@@ -1,9 +1,9 @@
-"""Which fields of a message hold which fields of an event; read here in both directions."""
+"""Events as messages: which field of a message holds which field of an event, both ways."""
 
 from __future__ import annotations
 
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, Final, Generic, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Generic, NamedTuple, TypeVar, assert_never
 
 from play_launch.config.node_key import NodeKey
 from play_launch.container.cdr.messages import (
@@ -14,7 +14,10 @@ from play_launch.container.cdr.messages import (
     PROCESS_STATS,
     STATE_EVENT,
     SYSTEM_STATS,
+    log_message,
 )
+from play_launch.recording import topics
+from play_launch.recording.console_format import ERROR, WARN, line_level
 from play_launch.supervisor.events import (
     ActionEvent,
     ActionPhase,
@@ -24,14 +27,17 @@ from play_launch.supervisor.events import (
     ContainerStateChanged,
     GraphChanged,
     GroupSample,
+    LogRecord,
     ManagedNodeChanged,
     MemoryKind,
     NodeState,
     NodeStateChanged,
+    OutputLine,
     ProcessEvent,
     ProcessEventKind,
     ProcessSample,
     RecordingInterrupted,
+    RunEvent,
     SubjectKind,
     SystemSample,
     Withdrawn,
@@ -44,6 +50,7 @@ if TYPE_CHECKING:
     from enum import Enum
 
     from play_launch.container.cdr.layout import Layout
+    from play_launch.recording.topics import Topic
 
 _Event = TypeVar("_Event")
 
@@ -224,3 +231,117 @@ STATES: Final[dict[SubjectKind, Form[Any]]] = {
     SubjectKind.RECORDING: _INTERRUPTED,
 }
 """By what they are about; all have the same layout."""
+
+_FAILED: Final = frozenset(
+    {
+        NodeState.LOAD_FAILED,
+        NodeState.CRASHED,
+        NodeState.GAVE_UP,
+        NodeState.LOST,
+        ContainerState.GAVE_UP,
+        ManagedState.FAILED,
+    }
+)
+
+
+class TopicMessage(NamedTuple):
+    """One message for the bag."""
+
+    topic: Topic
+    data: bytes
+    key: str = ""
+    """Of a message that holds until the next one with this key."""
+
+
+def is_failure(event: RunEvent) -> bool:
+    """Whether an event reports a failure, so that it must reach the disk at once.
+
+    Output lines are not looked into here: that would cost their producer time.
+    """
+    match event:
+        case ComponentEvent():
+            return event.kind in (ComponentEventKind.LOAD_FAILED, ComponentEventKind.CRASHED)
+        case ProcessEvent():
+            return event.kind is ProcessEventKind.GAVE_UP or (
+                event.kind is ProcessEventKind.EXITED
+                and (event.exit_code != 0 or event.signal != 0)
+            )
+        case LogRecord():
+            return event.level >= ERROR
+        case NodeStateChanged() | ContainerStateChanged() | ManagedNodeChanged():
+            return event.state in _FAILED
+        case _:
+            return False
+
+
+def convert(event: RunEvent) -> tuple[TopicMessage, ...]:
+    """Return the messages that record ``event``, in the order to be written.
+
+    Raises:
+        struct.error: When a number does not fit into its field.
+    """
+    match event:
+        case OutputLine():
+            return (TopicMessage(topics.OUTPUT, convert_output(event)[0]),)
+        case LogRecord():
+            data = log_message(
+                event.stamp_ns,
+                event.level,
+                event.name,
+                event.message,
+                file=event.file,
+                function=event.function,
+                line=event.line,
+            )
+            everything = TopicMessage(topics.LOG_ALL, data)
+            if event.level < WARN:
+                return (everything,)
+            return (everything, TopicMessage(topics.LOG, data))
+        case NodeStateChanged():
+            key = f"{SubjectKind.NODE} {event.key}"
+            return (TopicMessage(topics.STATES, _NODE.write(event), key),)
+        case ContainerStateChanged():
+            key = f"{SubjectKind.CONTAINER} {event.container}"
+            return (TopicMessage(topics.STATES, _CONTAINER.write(event), key),)
+        case ProcessEvent():
+            key = f"{SubjectKind.PROCESS} {event.name}"
+            return (TopicMessage(topics.STATES, _PROCESS.write(event), key),)
+        case ManagedNodeChanged():
+            key = f"{SubjectKind.MANAGED} {event.unit}"
+            return (TopicMessage(topics.STATES, _MANAGED.write(event), key),)
+        case RecordingInterrupted():
+            return (TopicMessage(topics.STATES, _INTERRUPTED.write(event)),)
+        case Withdrawn():
+            data = WITHDRAWN.write(event)
+            return (TopicMessage(topics.STATES, data, f"{event.kind} {event.key}"),)
+        case ComponentEvent():
+            # As its container sent it, if one did.
+            data = event.received or COMPONENT.write(event)
+            return (TopicMessage(topics.COMPONENT_EVENTS, data),)
+        case GraphChanged():
+            return (TopicMessage(topics.GRAPH, GRAPH.write(event)),)
+        case ActionEvent():
+            return (TopicMessage(topics.ACTIONS, ACTION.write(event)),)
+        case ProcessSample():
+            topic = topics.stats_topic(event.kind, event.key)
+            return (TopicMessage(topic, PROCESS_SAMPLE.write(event)),)
+        case GroupSample():
+            topic = topics.group_topic(event.kind, event.key)
+            return (TopicMessage(topic, GROUP_SAMPLE.write(event)),)
+        case SystemSample():
+            return (TopicMessage(topics.SYSTEM, SYSTEM_SAMPLE.write(event)),)
+    assert_never(event)
+
+
+def convert_output(line: OutputLine) -> tuple[bytes, int]:
+    """Return the message for a line of output, and the level that it was written at."""
+    level = line_level(line)
+    data = log_message(
+        line.stamp_ns,
+        level,
+        line.process,
+        line.text + " [cut]" if line.truncated else line.text,
+        file=line.stream.value,
+        function=f"pid {line.pid}",
+    )
+    return data, level

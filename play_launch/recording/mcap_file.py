@@ -1,278 +1,358 @@
-"""The records of an MCAP file, in their order: data, then the summary that indexes it.
-
-The package ``mcap`` encodes them. Its writer puts them in order as well, but it owns the stream and
-the index: a finished chunk has no way in, and each chunk of a long recording would
-stay in memory as an object of its own.
-"""
+"""One MCAP file of a recording; it grows by whole chunks only, whatever the disk does."""
 
 from __future__ import annotations
 
+import contextlib
+import errno
+import fcntl
+import os
 import struct
+import time
 import zlib
-from typing import TYPE_CHECKING, Final
+from typing import IO, TYPE_CHECKING, Any, Final, cast
 
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import (
-    Attachment,
-    AttachmentIndex,
-    Channel,
-    ChunkIndex,
-    DataEnd,
-    Footer,
-    Header,
-    McapRecord,
-    Metadata,
-    MetadataIndex,
-    Schema,
-    Statistics,
-    SummaryOffset,
-)
+from mcap.records import ChunkIndex, Statistics
+from mcap.writer import Writer
 from zstandard import ZstdCompressor
+
+from play_launch.container.cdr.layout import text_bytes
+from play_launch.recording.chunk import ENTRY, INDEX, MESSAGE
+from play_launch.recording.folder import ACTIVE_SUFFIX
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from typing import Protocol
+    from pathlib import Path
 
     from play_launch.recording.chunk import TopicChunk
-
-    class Sink(Protocol):
-        """Where the bytes go; ``size`` is how many there are."""
-
-        size: int
-
-        def append(self, data: bytes) -> None:
-            """Take the next bytes."""
-
-        def append_file(self, descriptor: int, length: int) -> None:
-            """Take the beginning of a file, now."""
-
+    from play_launch.recording.topics import Topic
 
 MAGIC: Final = b"\x89MCAP0\r\n"
-_MESSAGE: Final = struct.Struct("<BQHIQQ")
-"""Kind, length, channel, sequence number, log time, publish time; the data follows."""
-_MESSAGE_HEAD: Final = _MESSAGE.size - 9
-"""What counts into the length."""
+CHUNK_SIZE: Final = 960 * 1024
+"""Bytes, uncompressed. A chunk ends after the message that exceeds it: 64 KiB are left for that."""
 _CHUNK: Final = struct.Struct("<BQQQQII4sQ")
 """Kind, length, first and last log time, size, checksum, a name and its length, compressed size."""
-_CHUNK_HEAD: Final = _CHUNK.size - 9
-_INDEX: Final = struct.Struct("<BQHI")
-_INDEX_ENTRY: Final = struct.Struct("<QQ")
-_FOOTER: Final = struct.Struct("<BQQQ")
 _ZSTD: Final = b"zstd"
+_ROOM: Final = 16 * 1024 * 1024
+"""Bytes that have to be free before a file is tried again: with less it would soon fail again."""
+_SHARE: Final = 20
+"""On a small file system this part of it is enough."""
 
 
 class McapFile:
-    """Appends records to a sink; nothing else writes there.
+    """Writes ``<path>.active``, which is renamed to ``path`` when it is complete.
 
-    Descriptions of schemas and channels stand outside of chunks, so that a broken chunk takes no
-    other along. Numbers of schemas and channels are the caller's.
+    Data is held back until :meth:`commit`, which writes all of it or nothing: on a full disk the
+    file ends after the commit before, and a later one continues. While it is open the file is
+    locked (``flock``), by which readers know that it is written. Methods may raise ``OSError``.
+
+    The package ``mcap`` writes everything but chunks. These are packed here: three times as fast,
+    and those of `topic_recorder` are finished already. Schemas and channels stand outside of
+    chunks, so that a broken chunk loses its own messages only.
     """
 
-    def __init__(self, sink: Sink, *, library: str) -> None:
-        """Write the head."""
-        self._sink = sink
-        self._compressor = ZstdCompressor(level=3)
+    def __init__(self, path: Path, *, library: str = "play_launch") -> None:
+        """Create the file; it must not exist."""
+        self._final_path = path
+        self.path = path.with_name(path.name + ACTIVE_SUFFIX)
+        """Where the data is now."""
+        self._descriptor = -1
+        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
+        self._descriptor = os.open(self.path, flags, 0o644)
+        with contextlib.suppress(OSError):  # a file system without locks
+            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        self.begun = time.monotonic()
+        self._held: list[bytes | bytearray] = []
+        self.size = 0
+        """Bytes, those that are held back included."""
+        self.committed = 0
+        """Bytes that are in the file."""
+        self.messages = 0
+        self.committed_messages = 0
         self._chunk = bytearray()
         self._chunk_begin = self._chunk_end = 0
-        self._chunk_index: dict[int, bytearray] = {}
-        self._schemas: list[bytes] = []
-        self._channels: list[bytes] = []
-        self._chunks = bytearray()
-        self._attachments = bytearray()
-        self._metadata = bytearray()
-        self._count = dict.fromkeys(("chunk", "attachment", "metadata"), 0)
-        self.counts: dict[int, int] = {}
-        """Messages of each channel, those of the unfinished chunk included."""
-        self.begin = 0
-        self.end = 0
-        """Log times of the earliest and the latest message; 0 without any."""
-        sink.append(MAGIC + _encoded(Header("ros2", library)))
+        self._entries: dict[int, bytearray] = {}
+        """Index of the unfinished chunk, by channel."""
+        self._sequences: dict[int, int] = {}
+        self._schemas: dict[str, int] = {}
+        self._compressor = ZstdCompressor(level=3)
+        self._has_name = False
+        """Whether the name is durable; a file that is synced may be without one."""
+        self._writer = Writer(cast("IO[bytes]", self), use_chunking=False)
+        # Private, as the package has no way in for a chunk that it has not made.
+        state = vars(self._writer)
+        self._statistics: Statistics = state["_Writer__statistics"]
+        self._chunk_indexes: list[_EncodedIndex] = state["_Writer__chunk_indices"]
+        self._writer.start("ros2", library)
 
     @property
-    def unfinished(self) -> int:
-        """Bytes in the unfinished chunk, uncompressed."""
-        return len(self._chunk)
+    def counts(self) -> Mapping[int, int]:
+        """Messages of each channel."""
+        return self._statistics.channel_message_counts
 
-    def describe_schema(self, schema: Schema) -> None:
-        """Write a schema, before a channel that has it."""
-        self._schemas.append(_encoded(schema))
-        self._sink.append(self._schemas[-1])
+    @property
+    def log_times(self) -> tuple[int, int]:
+        """Those of the earliest and the latest message; 0 without any."""
+        return self._statistics.message_start_time, self._statistics.message_end_time
 
-    def describe_channel(self, channel: Channel) -> None:
-        """Write a channel, before any message of it."""
-        self._channels.append(_encoded(channel))
-        self.counts[channel.id] = 0
-        self._sink.append(self._channels[-1])
+    def write(self, data: bytes) -> None:
+        """Hold data back for the next commit; the package `mcap` writes here, too."""
+        self._held.append(data)
+        self.size += len(data)
+
+    def tell(self) -> int:
+        return self.size
+
+    def flush(self) -> None:
+        """Do nothing: the package calls this, and `commit` is what writes."""
+
+    def register(self, topic: Topic, definition: str) -> int:
+        """Describe a topic; return its channel. Channels are numbered from 1 on."""
+        schema = self._schemas.get(topic.type_name)
+        if schema is None:
+            data = definition.encode()
+            schema = self._writer.register_schema(topic.type_name, "ros2msg", data)
+            self._schemas[topic.type_name] = schema
+        channel = self._writer.register_channel(topic.name, "cdr", schema, topic.metadata)
+        self._writer.flush()  # type: ignore[no-untyped-call]
+        return channel
+
+    def attach(self, name: str, media_type: str, data: bytes, *, time: int) -> None:
+        self._writer.add_attachment(time, time, _text(name), media_type, data)
+
+    def metadata(self, name: str, values: Mapping[str, str]) -> None:
+        self._writer.add_metadata(name, {key: _text(value) for key, value in values.items()})
 
     def add(
-        self, channel: int, sequence: int, log_time: int, publish_time: int, data: bytes
+        self,
+        channel: int,
+        data: bytes,
+        *,
+        log_time: int,
+        publish_time: int,
+        sequence: int | None = None,
     ) -> None:
-        """Put a message into the unfinished chunk."""
-        index = self._chunk_index.get(channel)
-        if index is None:
-            index = self._chunk_index[channel] = bytearray()
-        index += _INDEX_ENTRY.pack(log_time, len(self._chunk))
-        if not self._chunk:
+        """Put a message into the unfinished chunk; those of a channel are numbered from 1 on."""
+        if sequence is None:
+            sequence = self._sequences[channel] = self._sequences.get(channel, 0) + 1
+        entries = self._entries.get(channel)
+        if entries is None:
+            entries = self._entries[channel] = bytearray()
+        chunk = self._chunk
+        entries += ENTRY.pack(log_time, len(chunk))
+        if not chunk:
             self._chunk_begin = self._chunk_end = log_time
         elif log_time < self._chunk_begin:
             self._chunk_begin = log_time
         elif log_time > self._chunk_end:
             self._chunk_end = log_time
-        self.counts[channel] += 1
-        self._chunk += _MESSAGE.pack(
-            Opcode.MESSAGE,
-            _MESSAGE_HEAD + len(data),
-            channel,
-            sequence & 0xFFFFFFFF,
-            log_time,
-            publish_time,
+        length = MESSAGE.size - 9 + len(data)
+        chunk += MESSAGE.pack(
+            Opcode.MESSAGE, length, channel, sequence & 0xFFFFFFFF, log_time, publish_time
         )
-        self._chunk += data
+        chunk += data
+        self.messages += 1
+        if len(chunk) > CHUNK_SIZE:
+            self._end_chunk()
 
-    def end_chunk(self) -> None:
-        """Write the unfinished chunk, if there is anything in it, and its index."""
+    def append_chunk(self, chunk: TopicChunk) -> None:
+        """Append a finished chunk, now; the kernel copies it while other threads continue.
+
+        When it fails, nothing of the chunk is in the file.
+        """
+        self.commit()
+        at = 0
+        try:
+            os.lseek(self._descriptor, self.committed, os.SEEK_SET)
+            while at < chunk.length:
+                count = os.sendfile(self._descriptor, chunk.descriptor, at, chunk.length - at)
+                if count == 0:
+                    raise OSError(errno.EIO, f"{at} of {chunk.length} bytes came")  # noqa: TRY301
+                at += count
+        except OSError:
+            self._cut()
+            raise
+        index = ChunkIndex(
+            message_start_time=chunk.begin,
+            message_end_time=chunk.end,
+            chunk_start_offset=self.committed,
+            chunk_length=chunk.chunk_length,
+            message_index_offsets={
+                part.channel: self.committed + part.index_offset for part in chunk.parts
+            },
+            message_index_length=chunk.length - chunk.chunk_length,
+            compression="",
+            compressed_size=chunk.records_length,
+            uncompressed_size=chunk.records_length,
+        )
+        self._note_chunk(index, {part.channel: part.messages for part in chunk.parts})
+        self.size = self.committed = self.committed + chunk.length
+        self.messages += chunk.messages
+        self.committed_messages = self.messages
+
+    def commit(self) -> None:
+        """End the chunk, and pass everything to the kernel, in one piece."""
+        self._end_chunk()
+        if not self._held:
+            return
+        whole = b"".join(self._held)
+        self._held = [whole]
+        rest, at = memoryview(whole), self.committed
+        try:
+            while rest:
+                count = os.pwrite(self._descriptor, rest, at)
+                at += count
+                rest = rest[count:]
+        except OSError:
+            self._cut()
+            raise
+        self._held = []
+        self.committed = at
+        self.committed_messages = self.messages
+
+    def finish(self) -> None:
+        """Write the rest and the summary; :meth:`complete` is to follow."""
+        self.commit()
+        self._writer.finish()  # type: ignore[no-untyped-call]
+        self.commit()
+
+    def has_room(self) -> bool:
+        """Whether the disk has room for what is held back, and for some time after it."""
+        system = os.fstatvfs(self._descriptor)
+        some_time = min(_ROOM, system.f_blocks * system.f_frsize // _SHARE)
+        return system.f_bavail * system.f_frsize >= self.size - self.committed + some_time
+
+    def sync(self) -> None:
+        """Force to the disk what was committed, if the file is open; in any thread.
+
+        Raises:
+            FileNotFoundError: When the file was removed.
+        """
+        if self._descriptor < 0:
+            return
+        try:
+            os.fdatasync(self._descriptor)
+        except OSError as error:
+            if error.errno not in {errno.EINVAL, errno.EROFS}:  # a file that cannot be synced
+                raise
+        if os.fstat(self._descriptor).st_nlink == 0:
+            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(self.path))
+        if not self._has_name:
+            sync_folder(self.path.parent)
+            self._has_name = True
+
+    def complete(self) -> None:
+        """Make the file durable, give it its final name and close it; in any thread."""
+        try:
+            self.sync()
+            self.path.rename(self._final_path)
+            self.path = self._final_path
+        finally:
+            self._close()
+        sync_folder(self.path.parent)
+
+    def abandon(self) -> None:
+        """Cut the file after the last commit and close it. Never raises."""
+        self._held, self._chunk = [], bytearray()
+        self.size = self.committed
+        with contextlib.suppress(OSError):
+            self._cut()
+        with contextlib.suppress(OSError):
+            self._close()
+
+    def _end_chunk(self) -> None:
         if not self._chunk:
             return
-        size, checksum = len(self._chunk), zlib.crc32(self._chunk)
         compressed = self._compressor.compress(self._chunk)
-        start = self._sink.size
-        self._sink.append(
-            _CHUNK.pack(
-                Opcode.CHUNK,
-                _CHUNK_HEAD + len(compressed),
-                self._chunk_begin,
-                self._chunk_end,
-                size,
-                checksum,
-                len(_ZSTD),
-                _ZSTD,
-                len(compressed),
-            )
-            + compressed
+        size, start = len(self._chunk), self.size
+        length = _CHUNK.size + len(compressed)
+        head = _CHUNK.pack(
+            Opcode.CHUNK,
+            length - 9,
+            self._chunk_begin,
+            self._chunk_end,
+            size,
+            zlib.crc32(self._chunk),
+            len(_ZSTD),
+            _ZSTD,
+            len(compressed),
         )
-        chunk_length = self._sink.size - start
-        offsets = self._end_index()
+        pieces: list[bytes | bytearray] = [head, compressed]
+        offsets, counts = dict[int, int](), dict[int, int]()
+        at = start + length
+        for channel, entries in self._entries.items():
+            offsets[channel], counts[channel] = at, len(entries) // ENTRY.size
+            head = INDEX.pack(
+                Opcode.MESSAGE_INDEX, INDEX.size - 9 + len(entries), channel, len(entries)
+            )
+            pieces += (head, entries)
+            at += len(head) + len(entries)
+        self._held += pieces
+        self.size = at
         index = ChunkIndex(
             message_start_time=self._chunk_begin,
             message_end_time=self._chunk_end,
             chunk_start_offset=start,
-            chunk_length=chunk_length,
+            chunk_length=length,
             message_index_offsets=offsets,
-            message_index_length=self._sink.size - start - chunk_length,
+            message_index_length=at - start - length,
             compression=_ZSTD.decode(),
             compressed_size=len(compressed),
             uncompressed_size=size,
         )
-        self._index_chunk(index)
-        self._chunk = bytearray()
+        self._note_chunk(index, counts)
+        self._chunk, self._entries = bytearray(), {}
 
-    def append_chunk(self, chunk: TopicChunk) -> None:
-        """Write a finished chunk; what is before it is to be written already."""
-        start = self._sink.size
-        self._sink.append_file(chunk.descriptor, chunk.length)
-        self._index_chunk(
-            ChunkIndex(
-                message_start_time=chunk.begin,
-                message_end_time=chunk.end,
-                chunk_start_offset=start,
-                chunk_length=chunk.chunk_length,
-                message_index_offsets={
-                    part.channel: start + part.index_offset for part in chunk.parts
-                },
-                message_index_length=chunk.length - chunk.chunk_length,
-                compression="",
-                compressed_size=chunk.records_length,
-                uncompressed_size=chunk.records_length,
-            )
-        )
-        for part in chunk.parts:
-            self.counts[part.channel] += part.messages
-
-    def attach(self, attachment: Attachment) -> None:
-        """Write a file of its own."""
-        start, data = self._sink.size, _encoded(attachment)
-        self._sink.append(data)
-        index = AttachmentIndex(
-            offset=start,
-            length=len(data),
-            create_time=attachment.create_time,
-            log_time=attachment.log_time,
-            data_size=len(attachment.data),
-            name=attachment.name,
-            media_type=attachment.media_type,
-        )
-        self._attachments += _encoded(index)
-        self._count["attachment"] += 1
-
-    def metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Write a record of names and values."""
-        start, data = self._sink.size, _encoded(Metadata(name, dict(values)))
-        self._sink.append(data)
-        self._metadata += _encoded(MetadataIndex(offset=start, length=len(data), name=name))
-        self._count["metadata"] += 1
-
-    def finish(self) -> None:
-        """Write the rest, the summary and the end."""
-        self.end_chunk()
-        self._sink.append(_encoded(DataEnd(0)))
-        start = self._sink.size
-        summary = bytearray()
-        offsets = bytearray()
-        for kind, group in (
-            (Opcode.SCHEMA, b"".join(self._schemas)),
-            (Opcode.CHANNEL, b"".join(self._channels)),
-            (Opcode.STATISTICS, _encoded(self._statistics())),
-            (Opcode.CHUNK_INDEX, self._chunks),
-            (Opcode.ATTACHMENT_INDEX, self._attachments),
-            (Opcode.METADATA_INDEX, self._metadata),
-        ):
-            if group:
-                offsets += _encoded(SummaryOffset(kind, start + len(summary), len(group)))
-                summary += group
-        offset_start = start + len(summary)
-        summary += offsets
-        checksum = zlib.crc32(
-            _FOOTER.pack(Opcode.FOOTER, 8 + 8 + 4, start, offset_start), zlib.crc32(summary)
-        )
-        footer = Footer(
-            summary_start=start, summary_offset_start=offset_start, summary_crc=checksum
-        )
-        self._sink.append(bytes(summary) + _encoded(footer) + MAGIC)
-
-    def _index_chunk(self, index: ChunkIndex) -> None:
-        self._chunks += _encoded(index)
+    def _note_chunk(self, index: ChunkIndex, counts: Mapping[int, int]) -> None:
+        known = self._statistics
         begin = index.message_start_time
-        self.begin = begin if self._count["chunk"] == 0 else min(self.begin, begin)
-        self.end = max(self.end, index.message_end_time)
-        self._count["chunk"] += 1
-
-    def _end_index(self) -> dict[int, int]:
-        offsets: dict[int, int] = {}
-        for channel, entries in self._chunk_index.items():
-            offsets[channel] = self._sink.size
-            length = _INDEX.size - 9 + len(entries)
-            head = _INDEX.pack(Opcode.MESSAGE_INDEX, length, channel, len(entries))
-            self._sink.append(head + entries)
-        self._chunk_index = {}
-        return offsets
-
-    def _statistics(self) -> Statistics:
-        return Statistics(
-            attachment_count=self._count["attachment"],
-            channel_count=len(self._channels),
-            channel_message_counts={each: count for each, count in self.counts.items() if count},
-            chunk_count=self._count["chunk"],
-            message_count=sum(self.counts.values()),
-            message_start_time=self.begin,
-            message_end_time=self.end,
-            metadata_count=self._count["metadata"],
-            schema_count=len(self._schemas),
+        known.message_start_time = (
+            min(known.message_start_time, begin) if known.chunk_count else begin
         )
+        known.message_end_time = max(known.message_end_time, index.message_end_time)
+        known.chunk_count += 1
+        known.message_count += sum(counts.values())
+        for channel, count in counts.items():
+            known.channel_message_counts[channel] += count
+        builder = RecordBuilder()
+        index.write(builder)
+        self._chunk_indexes.append(_EncodedIndex(builder.end()))  # type: ignore[no-untyped-call]
+
+    def _cut(self) -> None:
+        if self._descriptor >= 0:
+            os.ftruncate(self._descriptor, self.committed)
+
+    def _close(self) -> None:
+        descriptor, self._descriptor = self._descriptor, -1
+        if descriptor >= 0:
+            os.close(descriptor)  # and its lock ends
+
+    def __del__(self) -> None:
+        self._close()
 
 
-def _encoded(record: McapRecord) -> bytes:
-    builder = RecordBuilder()
-    record.write(builder)
-    data: bytes = builder.end()  # type: ignore[no-untyped-call]
-    return data
+class _EncodedIndex(bytes):
+    """Index of a chunk as the summary has it: a tenth of the memory of a `ChunkIndex`."""
+
+    __slots__ = ()
+
+    def write(self, builder: Any) -> None:
+        builder.write(self)
+
+
+def sync_folder(folder: Path) -> None:
+    """Make names in a folder durable, where the file system can."""
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        os.fsync(descriptor)
+    except OSError:
+        # Some file systems (FUSE, network) refuse this for a folder; the file itself is synced.
+        pass
+    finally:
+        os.close(descriptor)
+
+
+def _text(text: str) -> str:
+    """Text as MCAP can hold it: a file name that is not Unicode is written with escapes."""
+    return text_bytes(text).decode()

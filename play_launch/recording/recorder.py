@@ -1,402 +1,443 @@
-"""The flight recorder: takes the events of a run and writes them from a thread of its own."""
+"""The flight recorder: writes events of a run and chunks of topics, in a thread of its own."""
 
 from __future__ import annotations
 
 import logging
-import math
+import os
+import struct
 import threading
 import time
-from datetime import datetime
+from collections import Counter, deque
 from typing import TYPE_CHECKING, Final
 
-from msgspec import Struct
-
 from play_launch.recording import topics
-from play_launch.recording.console_format import ERROR, WARN
-from play_launch.recording.convert import Recorded, convert, convert_output, is_failure
+from play_launch.recording.console_format import ERROR
 from play_launch.recording.decisions import STATES, Decision, written
 from play_launch.recording.errors import RecordingError, SchemaNotFoundError, WriteFailedError
-from play_launch.recording.event_queue import EventQueue
-from play_launch.recording.topic_requests import TopicRequests
+from play_launch.recording.forms import TopicMessage, convert, convert_output, is_failure
+from play_launch.recording.limits import LOGGER, DroppedEvents, RecorderLimits, RecordingSummary
+from play_launch.recording.topics import Topic
 from play_launch.supervisor.events import (
     LogRecord,
     OutputLine,
     RecordingInterrupted,
     RunEvent,
+    Sample,
 )
 
 if TYPE_CHECKING:
-    from pathlib import Path
+    import re
+    from collections.abc import Callable
 
     from play_launch.recording.bag import BagWriter
-    from play_launch.recording.event_queue import Drops
-    from play_launch.recording.topics import Topic
+    from play_launch.recording.chunk import TopicChunk
 
-_LOGGER: Final = "play_launch.recording"
+DROPS_METADATA: Final = "play_launch.topic_drops"
+"""Metadata record: number of messages of each topic that are not in the bag; absent without any."""
 _FLOOD: Final = 1000
 """Events in one batch that make it a flood: 20,000 a second."""
-_HELD: Final = 200
+_HELD_INPUTS: Final = 200
 """Inputs that wait for an event that they lead to, at most,"""
-_LONGEST_HELD_NS: Final = 5_000_000_000
+_HELD_NS: Final = 5_000_000_000
 """and for how long. One by one they would take three times the space."""
+_CHANNEL_LIMIT: Final = 65_000
+"""Channels of topics: their numbers have 16 bits, and events need some."""
 _log = logging.getLogger(__name__)
-
-
-class RecorderLimits(Struct, frozen=True):
-    """Sizes and times of a recorder; the defaults suit a run of a few hundred nodes."""
-
-    lines: int = 50_000
-    """Output lines waiting to be written; further ones are dropped and counted."""
-    text: int = 32 * 1024 * 1024
-    """Characters of output waiting to be written."""
-    other_events: int = 10_000
-    """Room for other events when ``lines`` is used up: a flood of output must not drive out the
-    state events."""
-    batch: float = 0.05
-    """Seconds to gather events before they are written together."""
-    flush: float = 0.05
-    """Seconds that a written message may wait for the end of its chunk. Together with ``batch``
-    this is what a SIGKILL can cost; it leaves 0.15 s of the promised 0.25 s to a busy machine."""
-    failure_gap: float = 0.01
-    """Least seconds between two chunks that end early because of a failure."""
-    retry: float = 0.5
-    """Seconds until a file that took no data is tried again; twice as long each time, up to"""
-    longest_retry: float = 10.0
-    """so many seconds."""
-    close: float = 10.0
-    """Seconds to wait at the end for what is still to be written."""
-
-
-class RecordingSummary(Struct, frozen=True):
-    """Result of a recording."""
-
-    path: Path
-    """The file; it still ends in ``.active`` when it could not be completed. With several files
-    the folder that holds them."""
-    messages: int
-    """Messages that are in it."""
-    dropped: int
-    """Events that are not in it."""
-    bytes: int
-    parts: int = 1
-    """Number of files."""
-    topic_drops: int = 0
-    """Messages of ROS's topics that are not in it."""
-    interruptions: int = 0
-    """How often it took no data for some time, for example on a full disk."""
-    error: str = ""
-    """Why the recording stopped early, and the fix; empty when it is complete."""
 
 
 class Recorder:
     """An :class:`~play_launch.supervisor.events.EventSink` that records.
 
-    :meth:`publish` may be called from any thread; it never blocks and never fails. The file
-    belongs to the recorder's thread. While that cannot write, because the disk is full or for
-    another reason, events wait as long as there is room for them, and the file is tried again and
-    again. The run goes on in any case; what happens to the recording is logged.
+    :meth:`publish` and requests of `topic_recorder` may come from any thread; they never block and
+    never fail. The bag belongs to the recorder's thread. In each turn it writes all events, then
+    carries out one request. While the disk takes no data, both wait, events as long as there is
+    room; whatever else fails is dropped, counted and logged. The run continues in any case.
     """
 
-    def __init__(self, writer: BagWriter, *, limits: RecorderLimits | None = None) -> None:
-        """Register the topics and start the thread; may raise ``RecordingError``."""
-        self._writer = writer
+    def __init__(
+        self,
+        bag: BagWriter,
+        *,
+        limits: RecorderLimits | None = None,
+        now: Callable[[], int] = time.time_ns,
+    ) -> None:
+        """Register the topics and start the thread; ``now`` gives log times.
+
+        May raise ``RecordingError``.
+        """
+        self._bag = bag
         self._limits = limits or RecorderLimits()
-        self._channels: dict[Topic, int] = {
-            topic: writer.register(topic) for topic in topics.ALL_TOPICS
-        }
+        self._now = now
+        self._channels = {topic: bag.register(topic) for topic in topics.ALL_TOPICS}
         self._undefined: set[str] = set()
         """Types whose definition is not installed."""
-        self._queue = EventQueue(self._limits)
-        self._wake = threading.Event()
-        self.topic_requests = TopicRequests(self._wake.set)
-        """Where topics of ROS come in, as finished chunks."""
-        self._lost = 0
-        """Events that were taken from the queue and are not recorded."""
-        self._held: list[Decision] = []
+        self._topic_channels: dict[tuple[str, str], int] = {}
+        """Channels of topics of ROS by name and type; 0 where the type is not installed."""
+        self.secrets: re.Pattern[bytes] | None = None
+        """They are masked in messages about parameters."""
+        # A condition has a lock that its thread may take twice: a destructor may log anywhere.
+        self._changed = threading.Condition()
+        self._events: list[tuple[int, RunEvent]] = []
+        """With their log times."""
+        self._text = 0
+        self._requests: deque[tuple[Callable[[], None], Callable[[], None]]] = deque()
+        """What carries each out, and what is called in its place when nothing is written."""
+        self._is_urgent = self._is_closing = self._is_closed = False
+        self._drops = DroppedEvents(Counter())
+        self._topic_drops: Counter[str] = Counter()
+        self.dropped = 0
+        """Events that were not recorded so far."""
+        self._inputs: list[tuple[int, Decision]] = []
+        self._held: list[tuple[int, Decision]] = []
         """Inputs that no event has followed yet."""
-        self._held_since = 0
         self._unwritten = 0
-        """Events of the batch under way that the writer has not got yet."""
-        self._handed = 0
-        """Messages that the writer has got."""
-        self._unflushed = 0
+        """Events of the batch under way that are not written yet."""
+        self._flush_at = self._flushed_at = 0.0
+        self.topic_messages = 0
+        """Messages of topics of ROS that were written."""
         self._interruptions = 0
-        self._resumed: list[RecordingInterrupted] = []
-        """Interruptions that are over and not recorded yet."""
-        self._error = ""
+        self.error = ""
+        """Why the recording takes no data at the moment, or never again; else empty."""
         self._summary: RecordingSummary | None = None
-        self._hurry = threading.Event()
         self._end = threading.Event()
         # A daemon: the end of the program must not wait for a disk that never answers.
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
 
     @property
-    def dropped(self) -> int:
-        """Events that were not recorded so far."""
-        return self._queue.dropped + self._lost
+    def topic_drops(self) -> int:
+        """Messages of topics of ROS that were not recorded so far."""
+        return self._topic_drops.total()
 
     @property
     def waiting(self) -> int:
-        """Events that are to be written."""
-        return len(self._queue)
-
-    @property
-    def error(self) -> str:
-        """Why the recording takes no data at the moment, or never again; else empty."""
-        return self._error
-
-    def latest(self, topic: Topic, key: str) -> bytes | None:
-        """Give the latest message of a topic of ROS with a key, or of a node; in any thread."""
-        channel = self.topic_requests.channel_of(topic)
-        return self._writer.latest(channel, key) if channel else None
+        """Events and inputs that are to be written."""
+        return len(self._events) + len(self._inputs)
 
     def publish(self, event: RunEvent | Decision) -> None:
         """Take one event, or input; its time of arrival becomes the ``log_time``."""
-        is_first = self._queue.put(event)
-        if not isinstance(event, OutputLine | Decision) and is_failure(event):
-            self._hurry.set()
-            self._wake.set()
-        elif is_first:
-            self._wake.set()
+        is_urgent = not isinstance(event, OutputLine | Decision) and is_failure(event)
+        limits = self._limits
+        with self._changed:
+            received = self._now()  # here, so that they are in the order of their times
+            waiting, room = len(self._events) + len(self._inputs), limits.lines
+            if isinstance(event, OutputLine):
+                self._text += len(event.text)
+                room = room if self._text <= limits.text else 0
+            elif not isinstance(event, Sample):  # samples come without end as well
+                room += limits.other_events
+            if self._is_closing or waiting >= room:
+                self._drop(event, received)
+                return
+            if isinstance(event, Decision):
+                self._inputs.append((received, event))
+            else:
+                self._events.append((received, event))
+            self._is_urgent = self._is_urgent or is_urgent
+            if is_urgent or waiting == 0:
+                self._changed.notify()
+
+    def open_channel(
+        self, name: str, type_name: str, offered_qos_profiles: str, answer: Callable[[int], None]
+    ) -> None:
+        """Announce a topic; ``answer`` gets its channel, or 0 when it cannot be recorded."""
+        topic = Topic(name, type_name, offered=offered_qos_profiles)
+        self._request(lambda: answer(self._register(topic)), lambda: answer(0))
+
+    def append_chunk(self, chunk: TopicChunk, done: Callable[[], None]) -> None:
+        """Write a chunk and close its file; ``done`` is called in every case.
+
+        The sender bounds what is under way, see ``topic_recorder/outbox.hpp``.
+        """
+
+        def release() -> None:
+            if chunk.descriptor >= 0:
+                os.close(chunk.descriptor)
+            done()
+
+        def write() -> None:
+            if not self._can_be_recorded(chunk):
+                give_up()
+                return
+            self._bag.append_chunk(chunk)
+            self.topic_messages += chunk.messages
+            release()
+
+        def give_up() -> None:
+            names = {channel: name for (name, _), channel in self._topic_channels.items()}
+            for part in chunk.parts:
+                name = names.get(part.channel, f"channel {part.channel}")
+                self.count_topic_drops(name, part.messages)
+            release()
+
+        self._request(write, give_up)
+
+    def attach(self, name: str, media_type: str, data: bytes) -> None:
+        """Put a file of its own into the recording; it is left out when nothing is written."""
+        now = self._now()
+        self._request(
+            lambda: self._bag.attach(name, media_type, data, time=now), give_up=lambda: None
+        )
+
+    def after_these(self, done: Callable[[], None]) -> None:
+        """Call ``done`` when everything that was requested before is written or given up."""
+        self._request(done, done)
+
+    def count_topic_drops(self, topic: str, messages: int) -> None:
+        """Note that messages of a topic are not in the recording."""
+        with self._changed:
+            self._topic_drops[topic] += messages
+
+    def latest(self, topic: Topic, key: str) -> bytes | None:
+        """Return the latest message of a topic of ROS with a key, or of a node; in any thread."""
+        channel = self._topic_channels.get((topic.name, topic.type_name), 0)
+        return self._bag.latest(channel, key)
 
     def close(self) -> RecordingSummary:
-        """Write what is waiting, complete the file and return the result.
+        """Write what is waiting, complete the bag and return the result.
 
         Blocks for at most ``limits.close`` seconds. Further calls return the same summary.
         """
         if self._summary is None:
-            self._queue.close()
+            with self._changed:
+                self._is_closing = True
+                self._changed.notify()
             self._end.set()
-            self._hurry.set()
-            self._wake.set()
             self._thread.join(self._limits.close)
             if self._thread.is_alive():
-                self._error = self._error or (
-                    f"{self._writer.path} took no data for {self._limits.close:g} s; "
+                self.error = self.error or (
+                    f"{self._bag.path} took no data for {self._limits.close:g} s; "
                     "the end of the recording is missing"
                 )
             self._summary = RecordingSummary(
-                path=self._writer.path,
-                messages=self._writer.messages,
+                path=self._bag.path,
+                messages=self._bag.messages,
                 dropped=self.dropped,
-                bytes=self._writer.bytes_written,
-                parts=self._writer.parts,
-                topic_drops=self.topic_requests.dropped,
+                bytes=self._bag.bytes_written,
+                parts=self._bag.parts,
+                topic_drops=self.topic_drops,
                 interruptions=self._interruptions,
-                error=self._error,
+                error=self.error,
             )
         return self._summary
 
+    def _drop(self, event: RunEvent | Decision, received: int) -> None:
+        self.dropped += 1
+        lines, others, since, _ = self._drops
+        if isinstance(event, OutputLine):
+            self._text -= len(event.text)
+            lines[event.process] += 1
+        else:
+            others += 1
+        self._drops = DroppedEvents(lines, others, since or received, received)
+
+    def _take_drops(self) -> DroppedEvents:
+        with self._changed:
+            drops, self._drops = self._drops, DroppedEvents(Counter())
+        return drops
+
+    def _request(self, carry_out: Callable[[], None], give_up: Callable[[], None]) -> None:
+        with self._changed:
+            is_closed = self._is_closed
+            if not is_closed:
+                self._requests.append((carry_out, give_up))
+                self._changed.notify()
+        if is_closed:
+            give_up()
+
     def _run(self) -> None:
         try:
-            self._record()
-            self.topic_requests.finish(self._writer)
-            self._writer.close()
+            while not self._is_closed:
+                self._turn()
+            if self._topic_drops:
+                drops = sorted(self._topic_drops.items())
+                self._bag.metadata(DROPS_METADATA, {name: str(count) for name, count in drops})
+            self._bag.close()
         except RecordingError as error:
             self._stop(str(error))
         except Exception as error:  # noqa: BLE001 - the run must go on whatever fails here
             self._stop(f"the recorder failed: {type(error).__name__}: {error}")
         finally:
-            self.topic_requests.close()
+            with self._changed:
+                self._is_closing = self._is_closed = True
+            while self._requests:
+                self._requests.popleft()[1]()
 
-    def _record(self) -> None:
-        flush_at = 0.0
-        flushed_at = 0.0
-        while True:
-            waiting = max(0.0, flush_at - time.monotonic()) if self._unflushed else None
-            if self.topic_requests:
-                pass  # the last turn left some of them, as events come first
-            elif self._wake.wait(waiting):
-                if self._hurry.is_set():
-                    gap = flushed_at + self._limits.failure_gap - time.monotonic()
-                    if gap > 0 and not self._end.is_set():
-                        time.sleep(gap)
-                else:
-                    self._hurry.wait(self._limits.batch)
-            hurried = self._hurry.is_set()
-            self._hurry.clear()
-            self._wake.clear()
-            batch, drops, closing = self._queue.take()
-            if not self._unflushed:
-                flush_at = time.monotonic() + self._limits.flush
-            failed = self._write_batch(batch, closing=closing)
-            if drops:
-                self._write(time.time_ns(), _drop_report(drops))
-            if self._unflushed and (hurried or failed or closing or time.monotonic() >= flush_at):
-                self._flush()
-                flushed_at = time.monotonic()
-            # At the end there are no other events to wait for it.
-            seconds = math.inf if closing else self._limits.batch
-            if self.topic_requests.carry_out(self._writer, self._outlast, seconds):
-                self._unflushed = 0  # what is before a chunk goes to the file with it
-            while self._resumed:
-                self._write(time.time_ns(), self._resumed.pop(0))
-                self._flush()
-            if closing:
-                return
+    def _turn(self) -> None:
+        """Wait for something to do; write all events, then carry out one request.
 
-    def _write_batch(self, batch: list[tuple[int, RunEvent | Decision]], *, closing: bool) -> bool:
+        At the end all requests of the moment: there are no further events to wait for them.
+        """
+        bag, limits = self._bag, self._limits
+        with self._changed:
+            if not (self._events or self._inputs or self._requests or self._is_closing):
+                left = self._flush_at - time.monotonic()
+                self._changed.wait(max(0.0, left) if bag.unflushed else None)
+            if self._events and not (self._is_urgent or self._requests or self._is_closing):
+                self._changed.wait(limits.batch)
+        gap = self._flushed_at + limits.failure_gap - time.monotonic()
+        if self._is_urgent and gap > 0 and not self._is_closing:
+            time.sleep(gap)
+        with self._changed:
+            events, self._events, self._text = self._events, [], 0
+            inputs, self._inputs = self._inputs, []
+            is_urgent, self._is_urgent = self._is_urgent, False
+            is_closing, requests = self._is_closing, len(self._requests)
+        if not bag.unflushed:
+            self._flush_at = time.monotonic() + limits.flush
+        if inputs or self._held:
+            self._write_inputs(inputs, events, is_closing=is_closing)
+        if self._drops.since_ns:
+            events.append((self._now(), self._take_drops().report()))
+        is_urgent = self._write_events(events) or is_urgent
+        try:
+            if bag.unflushed and (is_urgent or is_closing or time.monotonic() >= self._flush_at):
+                bag.flush()
+                self._flushed_at = time.monotonic()
+            for _ in range(requests if is_closing else min(requests, 1)):
+                self._requests[0][0]()
+                self._requests.popleft()
+        except WriteFailedError as error:
+            self._wait_for_disk(error)  # events come first, then the request is repeated
+        else:
+            self._is_closed = is_closing and not self._events
+
+    def _write_events(self, events: list[tuple[int, RunEvent]]) -> bool:
         """Write events; return whether a line among them was an error."""
-        failed = False
+        has_error = False
         # In a flood the event loop is busy as well and would in turn keep the lock for 5 ms each
         # time: then only an equal share keeps up.
-        polite = len(batch) < _FLOOD
-        self._unwritten = len(batch)
-        self._hold_decisions(batch, closing=closing)
-        for number, (received, event) in enumerate(batch):
-            if isinstance(event, OutputLine):
-                recorded, level = convert_output(event)
-                self._hand(received, event.stamp_ns, recorded)
-                failed = failed or level >= ERROR
-            elif not isinstance(event, Decision):
-                self._write(received, event)
+        is_flood = len(events) >= _FLOOD
+        self._unwritten = len(events)
+        for number, (received, event) in enumerate(events):
             self._unwritten -= 1
-            if polite and not number & 63:
+            if isinstance(event, OutputLine):
+                data, level = convert_output(event)
+                self._put(topics.OUTPUT, data, received, event.stamp_ns)
+                has_error = has_error or level >= ERROR
+            else:
+                try:
+                    messages = convert(event)
+                except Exception as error:  # noqa: BLE001 - one odd event must not end the recording
+                    messages = self._unconvertible(1, received, event, error)
+                for topic, data, key in messages:
+                    self._put(topic, data, received, event.stamp_ns, key)
+            if not is_flood and not number & 63:
                 # Gives up the interpreter lock; otherwise the event loop gets it back only after
                 # the switch interval, 5 ms.
                 time.sleep(0)
-        return failed
+        return has_error
 
-    def _hold_decisions(
-        self, batch: list[tuple[int, RunEvent | Decision]], *, closing: bool
+    def _write_inputs(
+        self,
+        inputs: list[tuple[int, Decision]],
+        events: list[tuple[int, RunEvent]],
+        *,
+        is_closing: bool,
     ) -> None:
-        """Take the inputs of a batch, and write all of them before an event that they lead to."""
-        is_due = closing
-        for received, each in batch:
-            if isinstance(each, Decision):
-                self._held_since = self._held_since if self._held else received
-                self._held.append(each)
-            is_due = is_due or isinstance(each, STATES)
-            is_due = is_due or abs(received - self._held_since) > _LONGEST_HELD_NS
-        if self._held and (is_due or len(self._held) > _HELD):
-            self._write_decisions(batch[0][0] if batch else time.time_ns())
-
-    def _write_decisions(self, received: int) -> None:
-        decisions, self._held = self._held, []
+        """Hold inputs, and write all of them before an event that they lead to."""
+        self._held += inputs
+        now = self._now()
+        is_old = bool(self._held) and now - self._held[0][0] > _HELD_NS
+        is_followed = any(isinstance(event, STATES) for _, event in events)
+        if not (is_closing or is_old or is_followed or len(self._held) > _HELD_INPUTS):
+            return
+        received = events[0][0] if events else now
+        decisions, self._held = [each for _, each in self._held], []
         try:
-            data = written(decisions)
+            self._put(topics.INPUTS, written(decisions), received, received)
         except Exception as error:  # noqa: BLE001 - one odd input must not end the recording
-            self._lost += len(decisions)
             kinds = [type(each.said).__name__ for each in decisions]
-            self._write(received, _unconvertible(received, kinds, error))
-            return
-        self._hand(received, received, Recorded(topics.INPUTS, data))
+            for topic, data, _ in self._unconvertible(len(decisions), received, kinds, error):
+                self._put(topic, data, received, received)
 
-    def _write(self, received: int, event: RunEvent) -> None:
-        try:
-            converted = convert(event)
-        except Exception as error:  # noqa: BLE001 - one odd event must not end the recording
-            self._lost += 1
-            converted = convert(_unconvertible(received, event, error))
-        for recorded in converted:
-            self._hand(received, event.stamp_ns, recorded)
+    def _unconvertible(
+        self, count: int, received: int, event: object, error: Exception
+    ) -> tuple[TopicMessage, ...]:
+        self.dropped += count
+        text = f"cannot record this event ({type(error).__name__}: {error}): {event!r}"
+        return convert(LogRecord(stamp_ns=received, level=ERROR, name=LOGGER, message=text))
 
-    def _hand(self, received: int, stamp_ns: int, recorded: Recorded) -> None:
-        topic, data, key = recorded
-        channel = self._channel(topic)
-        if channel is None:
-            self._lost += 1
-            return
-        self._unflushed += 1
-        try:
-            self._writer.write(
-                channel,
-                data,
-                log_time=received,
-                publish_time=max(stamp_ns, 0),
-                key=key,
-            )
-        except WriteFailedError as error:
-            self._outlast(error)
-        self._handed += 1
-
-    def _flush(self) -> None:
-        try:
-            self._writer.flush()
-        except WriteFailedError as error:
-            self._outlast(error)
-        self._unflushed = 0
-
-    def _outlast(self, error: WriteFailedError) -> None:
-        """Return when the file takes data again; raise when the end of the run comes before."""
-        self._interruptions += 1
-        self._error = str(error)
-        _log.error("the recording is interrupted: %s", error)
-        began_ns, since, pause = time.time_ns(), time.monotonic(), self._limits.retry
-        while not self._end.wait(pause):
-            pause = min(2 * pause, self._limits.longest_retry)
-            if self._writer.has_room() and self._is_flushed():
-                break
-        else:
-            self._writer.flush()
-        self._error = ""
-        seconds = time.monotonic() - since
-        lost = _lost_meanwhile(self._queue.take_drops())
-        _log.warning("recording resumed after %.1f s, %s", seconds, lost or "no data lost")
-        self._resumed.append(
-            RecordingInterrupted(
-                stamp_ns=began_ns,
-                reason=str(error),
-                lasted_ns=round(seconds * 1e9),
-                lost=lost,
-            )
-        )
-
-    def _is_flushed(self) -> bool:
-        try:
-            self._writer.flush()
-        except WriteFailedError:
-            return False
-        return True
-
-    def _channel(self, topic: Topic) -> int | None:
-        """Announce a topic with its first message; None when its type cannot be recorded."""
+    def _put(self, topic: Topic, data: bytes, received: int, stamp_ns: int, key: str = "") -> None:
         channel = self._channels.get(topic)
-        if channel is None and topic.type_name not in self._undefined:
+        if channel is None:
+            if topic.type_name in self._undefined:
+                self.dropped += 1
+                return
             try:
-                channel = self._channels[topic] = self._writer.register(topic)
+                channel = self._channels[topic] = self._bag.register(topic)
             except SchemaNotFoundError as error:
                 self._undefined.add(topic.type_name)
+                self.dropped += 1
                 _log.error("messages of this type are not recorded: %s", error)
-        return channel
+                return
+        stamp_ns = max(stamp_ns, 0)
+        try:
+            self._bag.write(channel, data, log_time=received, publish_time=stamp_ns, key=key)
+        except WriteFailedError as error:
+            self._wait_for_disk(error)
+
+    def _wait_for_disk(self, error: WriteFailedError) -> None:
+        """Return when the bag is flushed; raise when the end of the run comes before."""
+        self._interruptions += 1
+        self.error = str(error)
+        _log.error("the recording is interrupted: %s", error)
+        began_ns, since, pause = time.time_ns(), time.monotonic(), self._limits.retry
+        while True:
+            is_end = self._end.wait(pause)
+            pause = min(2 * pause, self._limits.longest_retry)
+            if is_end or self._bag.has_room():
+                try:
+                    self._bag.flush()
+                    break
+                except WriteFailedError:
+                    if is_end:
+                        raise
+        self.error = ""
+        seconds, drops = time.monotonic() - since, self._take_drops()
+        lost = f"lost {drops.when}: {drops}" if drops.since_ns else ""
+        _log.warning("recording resumed after %.1f s, %s", seconds, lost or "no data lost")
+        event = RecordingInterrupted(
+            stamp_ns=began_ns, reason=str(error), lasted_ns=round(seconds * 1e9), lost=lost
+        )
+        with self._changed:
+            self._events.insert(0, (self._now(), event))
+
+    def _register(self, topic: Topic) -> int:
+        key = topic.name, topic.type_name
+        if key not in self._topic_channels:  # a recorder that was restarted requests them again
+            if len(self._topic_channels) >= _CHANNEL_LIMIT:
+                return 0
+            try:
+                channel = self._bag.register(topic)
+            except SchemaNotFoundError as error:
+                _log.warning("topic %s is not recorded: %s", topic.name, error)
+                channel = 0
+            self._topic_channels[key] = channel
+        return self._topic_channels[key]
+
+    def _can_be_recorded(self, chunk: TopicChunk) -> bool:
+        if not chunk.is_whole():
+            _log.error("dropped %d messages: their memory cannot be read", chunk.messages)
+            return False
+        if self.secrets is not None:
+            masked = {
+                self._topic_channels.get((topic.name, topic.type_name), 0)
+                for topic in (topics.PARAMETERS, topics.PARAMETER_EVENTS)
+            }
+            try:
+                chunk.mask(masked - {0}, self.secrets)
+            except (OSError, ValueError, struct.error) as error:
+                _log.warning("a chunk may hold secrets and is not recorded: %s", error)
+                return False
+        return True
 
     def _stop(self, error: str) -> None:
-        self._error = error
-        self._queue.close()
-        waiting = self._queue.take().events
-        self._writer.abandon()
-        handed = self._handed + self.topic_requests.messages
-        self._lost += (
-            len(waiting) + len(self._held) + self._unwritten + handed - self._writer.messages
-        )
+        self.error = error
+        with self._changed:
+            self._is_closing = True
+            waiting, self._events = len(self._events), []
+            waiting += len(self._inputs) + len(self._held)
+        self.dropped += waiting + self._unwritten + self._bag.unflushed_messages
+        self._bag.abandon()
         _log.error("the recording stopped: %s", error)
-
-
-def _drop_report(drops: Drops) -> LogRecord:
-    return LogRecord(
-        stamp_ns=time.time_ns(),
-        level=WARN,
-        name=_LOGGER,
-        message=f"not recorded, as they came faster than they could be written: {drops}",
-    )
-
-
-def _lost_meanwhile(drops: Drops) -> str:
-    if not drops:
-        return ""
-    since, until = (_time_of_day(stamp) for stamp in (drops.since_ns, drops.until_ns))
-    return f"lost from {since} to {until}: {drops}"
-
-
-def _time_of_day(stamp_ns: int) -> str:
-    return f"{datetime.fromtimestamp(stamp_ns / 1e9).astimezone():%H:%M:%S}"
-
-
-def _unconvertible(received: int, event: object, error: Exception) -> LogRecord:
-    return LogRecord(
-        stamp_ns=received,
-        level=ERROR,
-        name=_LOGGER,
-        message=f"cannot record this event ({type(error).__name__}: {error}): {event!r}",
-    )

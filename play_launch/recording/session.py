@@ -22,16 +22,17 @@ from msgspec import Struct
 from play_launch.config.model import RecordConfig
 from play_launch.container.cdr.layout import text_bytes
 from play_launch.recording import facts
-from play_launch.recording.bag import McapBagWriter, Rotation
+from play_launch.recording.bag import BagWriter, Rotation
 from play_launch.recording.errors import RecordingError, SessionFolderError, reason
 from play_launch.recording.folder import BAG_NAME, note_start
-from play_launch.recording.recorder import Recorder, RecorderLimits
+from play_launch.recording.recorder import Recorder
 from play_launch.recording.resolved_form import redacted_arguments
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from play_launch.recording.bag import BagWriter
+    from play_launch.recording.limits import RecorderLimits
+
 
 LATEST: Final = "latest"
 
@@ -94,7 +95,7 @@ def open_session(
     folder = create_session_folder(root.expanduser(), description.name, now)
     session_id = str(uuid.uuid4())
     try:
-        writer = McapBagWriter(
+        writer = BagWriter(
             folder.bag,
             rotation=Rotation(record.rotate.size, record.rotate.duration),
             sync=record.sync,
@@ -157,6 +158,7 @@ def write_head(writer: BagWriter, description: SessionDescription, session_id: s
             "python_executable": sys.executable,
         },
     )
+    writer.flush()
 
 
 def _ros_distro(description: SessionDescription) -> str:

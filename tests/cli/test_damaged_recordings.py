@@ -30,8 +30,8 @@ from play_launch.cli.report import report as write_report
 from play_launch.container.cdr.messages import PROCESS_STATS
 from play_launch.postmortem.bag_reader import BagReader
 from play_launch.recording import topics
-from play_launch.recording.bag import McapBagWriter
-from play_launch.recording.convert import convert
+from play_launch.recording.bag import BagWriter
+from play_launch.recording.forms import convert
 from play_launch.supervisor.events import (
     OutputLine,
     ProcessEvent,
@@ -117,7 +117,7 @@ def recording() -> bytes:
 
     noise = random.Random(7)
     with tempfile.TemporaryDirectory() as folder:
-        writer = McapBagWriter(Path(folder) / "session.mcap")
+        writer = BagWriter(Path(folder) / "session.mcap")
         for name in ("config.yaml", "resolved_config.json", "host.json"):
             writer.attach(name, "application/json", b'{"name": "demo"}' * 20, time=1)
         writer.metadata("play_launch.session", {"id": "1", "name": "demo", "started_ns": "1000"})
@@ -348,7 +348,7 @@ def test_zeros_at_the_end_are_one_damage(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("verb", [verb for verb in VERBS if "--json" not in verb])
 def test_times_that_no_clock_shows(verb: str, tmp_path: Path) -> None:
-    writer = McapBagWriter(tmp_path / "session.mcap")
+    writer = BagWriter(tmp_path / "session.mcap")
     writer.metadata("play_launch.session", {"id": "1", "name": "demo", "started_ns": "1000"})
     channel = writer.register(topics.stats_topic(SubjectKind.PROCESS, "/a"))
     for time in (1 << 63, (1 << 64) - 1):

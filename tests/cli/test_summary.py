@@ -10,7 +10,7 @@ from play_launch.cli.output import size
 from play_launch.cli.show.group_totals import GroupTotal
 from play_launch.cli.show.summary import print_summary, summary_object
 from play_launch.config.node_key import NodeKey
-from play_launch.recording.recorder import RecordingSummary
+from play_launch.recording.limits import RecordingSummary
 from play_launch.supervisor.events import (
     ActionEvent,
     ActionPhase,

@@ -10,8 +10,8 @@ from play_launch.config.node_key import NodeKey
 from play_launch.container.cdr.messages import NODE_PARAMETERS, PARAMETER_EVENT
 from play_launch.postmortem.story import read_story
 from play_launch.recording import topics
-from play_launch.recording.bag import McapBagWriter
-from play_launch.recording.convert import convert
+from play_launch.recording.bag import BagWriter
+from play_launch.recording.forms import convert
 from play_launch.recording.session import METADATA_NAME
 from play_launch.supervisor.events import (
     ComponentEvent,
@@ -187,7 +187,7 @@ class Scene:
 
     def record(self, path: Path, *, finished: bool = True) -> Path:
         """Write it; received when it happened."""
-        writer = McapBagWriter(path)
+        writer = BagWriter(path)
         writer.metadata(METADATA_NAME, {"name": "made_up", "started_ns": str(START)})
         channels: dict[Topic, int] = {}
         messages = self.messages + [

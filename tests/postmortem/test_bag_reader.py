@@ -19,7 +19,7 @@ from play_launch.postmortem import bag_reader
 from play_launch.postmortem.bag_reader import BagReader, Message, NotARecordingError
 from play_launch.postmortem.file_end import MAGIC
 from play_launch.postmortem.recover import write_whole
-from play_launch.recording.bag import McapBagWriter
+from play_launch.recording.bag import BagWriter
 from play_launch.recording.folder import open_bag
 from play_launch.recording.topics import OUTPUT
 
@@ -206,7 +206,7 @@ def test_a_sector_that_cannot_be_read_costs_what_is_in_it(disk: Disk, tmp_path: 
     ],
 )
 def test_a_wrong_length_takes_no_memory(disk: Disk, kind: Opcode, tmp_path: Path) -> None:
-    writer = McapBagWriter(tmp_path / "x.mcap")
+    writer = BagWriter(tmp_path / "x.mcap")
     writer.attach("config.yaml", "application/yaml", b"a: 1", time=1)
     writer.metadata("play_launch.session", {"name": "x"})
     channel = writer.register(OUTPUT)

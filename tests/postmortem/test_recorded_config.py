@@ -14,7 +14,7 @@ from play_launch.config.description import describe
 from play_launch.config.load import load_config
 from play_launch.config.problems import ConfigError
 from play_launch.postmortem.recorded_config import RecordedConfig, recorded_config
-from play_launch.recording.bag import McapBagWriter
+from play_launch.recording.bag import BagWriter
 from play_launch.recording.facts import versions
 from play_launch.recording.session import SessionDescription, write_head
 
@@ -38,7 +38,7 @@ PARAMETERS = "/**:\n  ros__parameters: {%s: 1}\n"
 
 
 def head(path: Path, config: ReplayConfig, environ: Mapping[str, str], *, finished: bool) -> Path:
-    writer = McapBagWriter(path)
+    writer = BagWriter(path)
     description = SessionDescription(
         name=config.name,
         config_name=config.source.name,
@@ -95,7 +95,7 @@ def test_files_below_another_home_are_found_by_their_names(
 
 
 def test_a_recording_without_a_configuration_is_refused(tmp_path: Path) -> None:
-    writer = McapBagWriter(tmp_path / "x.mcap")
+    writer = BagWriter(tmp_path / "x.mcap")
     writer.close()
     with pytest.raises(ConfigError, match="is an MCAP recording; give the YAML"):
         recorded_config(tmp_path / "x.mcap")

@@ -12,7 +12,7 @@ from play_launch.postmortem.archive.folders import is_being_written
 from play_launch.postmortem.bag_reader import BagReader
 from play_launch.postmortem.recover import RecoverError, default_output, recover
 from play_launch.recording import topics
-from play_launch.recording.bag import McapBagWriter
+from play_launch.recording.bag import BagWriter
 from play_launch.supervisor.events import OutputLine, RunEvent, Stream
 from tests.postmortem.test_session import record
 from tests.recording.reading import messages, raw_messages
@@ -64,7 +64,7 @@ def test_a_cut_file_keeps_what_comes_before(tmp_path: Path) -> None:
 
 
 def test_what_is_being_written_is_refused(tmp_path: Path) -> None:
-    writer = McapBagWriter(tmp_path / "x.mcap")
+    writer = BagWriter(tmp_path / "x.mcap")
     with pytest.raises(RecoverError, match="is being written by a running session"):
         recover(writer.path, tmp_path / "y.mcap")
     writer.abandon()

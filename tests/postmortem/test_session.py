@@ -26,8 +26,8 @@ from play_launch.postmortem.recover import write_whole
 from play_launch.postmortem.session import PastSession
 from play_launch.postmortem.story import read_story
 from play_launch.recording import topics
-from play_launch.recording.bag import McapBagWriter
-from play_launch.recording.convert import convert
+from play_launch.recording.bag import BagWriter
+from play_launch.recording.forms import convert
 from play_launch.recording.session import METADATA_NAME
 from play_launch.supervisor.events import (
     ComponentEvent,
@@ -110,7 +110,7 @@ EVENT_BEFORE_MODULES = Layout(
 
 
 def record(path: Path, events: list[RunEvent], damage: bytes = b"") -> Path:
-    writer = McapBagWriter(path)
+    writer = BagWriter(path)
     writer.metadata(METADATA_NAME, {"name": "x", "started_ns": "500", "ros_distro": "jazzy"})
     channels = {topic: writer.register(topic) for topic in topics.ALL_TOPICS}
     for number, event in enumerate(events):
@@ -151,7 +151,7 @@ def test_a_message_that_is_no_event_is_damage_and_the_rest_is_read(tmp_path: Pat
 
 def test_the_graph_as_earlier_versions_recorded_it_is_passed_over(tmp_path: Path) -> None:
     log = log_message(1, 20, "graph", "appeared /a; 1 nodes")
-    writer = McapBagWriter(tmp_path / "x.mcap")
+    writer = BagWriter(tmp_path / "x.mcap")
     channel = writer.register(replace(topics.GRAPH, type_name="rcl_interfaces/msg/Log"))
     writer.metadata(METADATA_NAME, {"name": "x", "started_ns": "500"})
     writer.write(channel, log, log_time=1, publish_time=1)
@@ -172,7 +172,7 @@ def test_an_event_of_an_earlier_version_has_no_modules(confirmed_by: str) -> Non
 
 @pytest.mark.parametrize("about", [(SubjectKind.NODE, "/not_a_node"), (SubjectKind.NODE, "")])
 def test_a_sample_of_nobody_is_damage(tmp_path: Path, about: tuple[SubjectKind, str]) -> None:
-    writer = McapBagWriter(tmp_path / "x.mcap")
+    writer = BagWriter(tmp_path / "x.mcap")
     channel = writer.register(replace(topics.stats_topic(SubjectKind.PROCESS, "/a"), about=about))
     writer.write(channel, PROCESS_STATS.write({}), log_time=1, publish_time=1)
     writer.close()

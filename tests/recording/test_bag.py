@@ -16,7 +16,7 @@ from rosbags.highlevel.anyreader import AnyReaderError
 from zstandard import ZstdError
 
 from play_launch.container.cdr.messages import log_message
-from play_launch.recording.bag import McapBagWriter
+from play_launch.recording.bag import BagWriter
 from play_launch.recording.errors import WriteFailedError
 from play_launch.recording.topics import ALL_TOPICS, LOG, OUTPUT
 from tests.recording.reading import messages, raw_messages, records
@@ -25,14 +25,14 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-def write_lines(writer: McapBagWriter, channel: int, first: int, count: int) -> None:
+def write_lines(writer: BagWriter, channel: int, first: int, count: int) -> None:
     for number in range(first, first + count):
         data = log_message(number, 20, "/a", f"line {number}", file="stdout")
         writer.write(channel, data, log_time=number, publish_time=number)
 
 
 def test_a_bag_follows_the_ros2_profile(tmp_path: Path) -> None:
-    writer = McapBagWriter(tmp_path / "x.mcap")
+    writer = BagWriter(tmp_path / "x.mcap")
     writer.attach("config.yaml", "application/yaml", b"a: 1\n", time=5)
     writer.metadata("play_launch.session", {"id": "1"})
     channels = [writer.register(topic) for topic in ALL_TOPICS]
@@ -67,7 +67,7 @@ def test_a_bag_follows_the_ros2_profile(tmp_path: Path) -> None:
 
 
 def test_chunks_are_compressed_and_at_most_one_mebibyte(tmp_path: Path) -> None:
-    writer = McapBagWriter(tmp_path / "x.mcap")
+    writer = BagWriter(tmp_path / "x.mcap")
     channel = writer.register(OUTPUT)
     for number in range(200):
         data = log_message(number, 20, "/a", "x" * 16_000)
@@ -87,7 +87,7 @@ def test_chunks_are_compressed_and_at_most_one_mebibyte(tmp_path: Path) -> None:
 def test_quality_of_service_is_read_by_others(tmp_path: Path) -> None:
     from rosbags.highlevel import AnyReader
 
-    writer = McapBagWriter(tmp_path / "x.mcap")
+    writer = BagWriter(tmp_path / "x.mcap")
     for topic in ALL_TOPICS:
         write_lines(writer, writer.register(topic), 1, 1)
     writer.close()
@@ -106,7 +106,7 @@ def test_quality_of_service_is_read_by_others(tmp_path: Path) -> None:
 
 
 def test_what_was_flushed_can_be_read_while_it_is_written(tmp_path: Path) -> None:
-    writer = McapBagWriter(tmp_path / "x.mcap")
+    writer = BagWriter(tmp_path / "x.mcap")
     channel = writer.register(LOG)
     write_lines(writer, channel, 1, 10)
     writer.flush()
@@ -122,9 +122,9 @@ def test_a_killed_writer_leaves_what_it_flushed(tmp_path: Path) -> None:
         import sys
         from pathlib import Path
         from play_launch.container.cdr.messages import log_message
-        from play_launch.recording.bag import McapBagWriter
+        from play_launch.recording.bag import BagWriter
         from play_launch.recording.topics import OUTPUT
-        writer = McapBagWriter(Path(sys.argv[1]))
+        writer = BagWriter(Path(sys.argv[1]))
         writer.attach("config.yaml", "application/yaml", b"a: 1", time=1)
         channel = writer.register(OUTPUT)
         number = 0
@@ -159,7 +159,7 @@ def test_a_killed_writer_leaves_what_it_flushed(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("cut", [1, 30, 300])
 def test_a_cut_file_gives_its_whole_chunks(tmp_path: Path, cut: int) -> None:
-    writer = McapBagWriter(tmp_path / "x.mcap")
+    writer = BagWriter(tmp_path / "x.mcap")
     channel = writer.register(OUTPUT)
     ends = []
     for number in range(5):
@@ -178,7 +178,7 @@ def test_a_cut_file_gives_its_whole_chunks(tmp_path: Path, cut: int) -> None:
 
 
 def test_a_chunk_that_was_damaged_is_noticed(tmp_path: Path) -> None:
-    writer = McapBagWriter(tmp_path / "x.mcap")
+    writer = BagWriter(tmp_path / "x.mcap")
     channel = writer.register(OUTPUT)
     write_lines(writer, channel, 0, 100)
     writer.flush()
@@ -211,7 +211,7 @@ class FullDisk:
 def test_a_full_disk_keeps_every_complete_chunk(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    writer = McapBagWriter(tmp_path / "x.mcap")
+    writer = BagWriter(tmp_path / "x.mcap")
     channel = writer.register(OUTPUT)
     write_lines(writer, channel, 0, 10)
     writer.flush()
@@ -237,7 +237,7 @@ def test_a_full_disk_keeps_every_complete_chunk(
 def test_a_full_chunk_that_finds_no_room_is_not_lost(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    writer = McapBagWriter(tmp_path / "x.mcap")
+    writer = BagWriter(tmp_path / "x.mcap")
     channel = writer.register(OUTPUT)
     monkeypatch.setattr(os, "pwrite", FullDisk(100))
     noise = os.urandom(200_000).hex()
@@ -258,7 +258,7 @@ def test_a_full_chunk_that_finds_no_room_is_not_lost(
 def test_a_disk_that_is_full_at_the_end_leaves_the_active_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    writer = McapBagWriter(tmp_path / "x.mcap")
+    writer = BagWriter(tmp_path / "x.mcap")
     write_lines(writer, writer.register(OUTPUT), 0, 10)
     writer.flush()
     monkeypatch.setattr(os, "pwrite", FullDisk(20))
@@ -272,5 +272,5 @@ def test_a_disk_that_is_full_at_the_end_leaves_the_active_file(
 def test_an_existing_file_is_never_overwritten(tmp_path: Path) -> None:
     (tmp_path / "x.mcap.active").write_bytes(b"precious")
     with pytest.raises(WriteFailedError, match="File exists"):
-        McapBagWriter(tmp_path / "x.mcap")
+        BagWriter(tmp_path / "x.mcap")
     assert (tmp_path / "x.mcap.active").read_bytes() == b"precious"

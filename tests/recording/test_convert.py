@@ -9,7 +9,7 @@ from rcl_interfaces.msg import Log
 from rclpy.serialization import deserialize_message
 
 from play_launch.config.node_key import NodeKey
-from play_launch.recording.convert import convert, is_failure
+from play_launch.recording.forms import convert, is_failure
 from play_launch.supervisor.events import (
     ComponentEvent,
     ComponentEventKind,

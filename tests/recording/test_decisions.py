@@ -12,7 +12,6 @@ from play_launch.cli.rerun import Recorded, Rerun
 from play_launch.config.model import ParameterConfig, ParameterType, ParameterValue, TakenValues
 from play_launch.container.cdr.messages import STATE_EVENT
 from play_launch.recording import topics
-from play_launch.recording.convert import convert
 from play_launch.recording.decisions import (
     Decision,
     DecisionLog,
@@ -20,11 +19,10 @@ from play_launch.recording.decisions import (
     read,
     written,
 )
-from play_launch.recording.event_queue import EventQueue
-from play_launch.recording.recorder import RecorderLimits
+from play_launch.recording.forms import convert
 from play_launch.supervisor import reducer
 from play_launch.supervisor.difference import NOTHING, events_between
-from play_launch.supervisor.inputs import Origin, Over, Started, Time
+from play_launch.supervisor.inputs import Origin, Over, Started
 from play_launch.supervisor.world import World
 from tests.simulation import machine, systems
 
@@ -109,17 +107,6 @@ def test_a_command_line_of_any_bytes_is_written() -> None:
     (found,) = read(written([Decision(3, 1.0, 0.5, 2, started)]))
     assert isinstance(found.said, Started)
     assert found.said.argv == ("cat", "/tmp/\\udcff", "\\x00")
-
-
-def test_inputs_that_find_no_room_are_counted_and_leave_a_gap() -> None:
-    queue = EventQueue(RecorderLimits(lines=1, other_events=1))
-    log, numbers = DecisionLog(queue.put), []
-    for _ in range(2):
-        for _ in range(3):
-            log.add(1.0, Time())
-        numbers += [each.number for _, each in queue.take().events if isinstance(each, Decision)]
-    assert numbers == [0, 1, 3, 4]
-    assert queue.dropped == 2
 
 
 def test_wrong_bits_are_noticed_or_lead_to_something_else(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,9 +14,10 @@ import yaml
 
 from play_launch.container.cdr.messages import log_message
 from play_launch.postmortem.bag_reader import BagReader
-from play_launch.recording.bag import McapBagWriter, Rotation
+from play_launch.recording.bag import BagWriter, Rotation
 from play_launch.recording.errors import WriteFailedError
-from play_launch.recording.recorder import Recorder, RecorderLimits
+from play_launch.recording.limits import RecorderLimits
+from play_launch.recording.recorder import Recorder
 from play_launch.recording.topics import OUTPUT
 from play_launch.supervisor.events import OutputLine, Stream
 
@@ -50,7 +51,7 @@ def slow_disk(monkeypatch: pytest.MonkeyPatch) -> SlowDisk:
 
 def test_what_is_on_the_disk_after_a_sync_is_readable(tmp_path: Path, slow_disk: SlowDisk) -> None:
     slow_disk.gate.set()
-    writer = McapBagWriter(tmp_path / "x.mcap", sync=1e-3)
+    writer = BagWriter(tmp_path / "x.mcap", sync=1e-3)
     channel = writer.register(OUTPUT)
     flushed: list[int] = []
     for number in range(20):
@@ -75,7 +76,7 @@ def test_what_is_on_the_disk_after_a_sync_is_readable(tmp_path: Path, slow_disk:
 
 
 def test_a_sync_that_takes_long_holds_up_no_line(tmp_path: Path, slow_disk: SlowDisk) -> None:
-    writer = McapBagWriter(tmp_path / "x.mcap", sync=1e-3)
+    writer = BagWriter(tmp_path / "x.mcap", sync=1e-3)
     recorder = Recorder(writer, limits=RecorderLimits(batch=0, flush=0, lines=100))
     recorder.publish(line(0))
     slow_disk.begun.acquire()
@@ -92,7 +93,7 @@ def test_it_is_synced_at_intervals_and_not_when_nothing_is_new(
     tmp_path: Path, slow_disk: SlowDisk
 ) -> None:
     slow_disk.gate.set()
-    writer = McapBagWriter(tmp_path / "x.mcap", sync=1e6)
+    writer = BagWriter(tmp_path / "x.mcap", sync=1e6)
     writer.register(OUTPUT)
     writer.flush()
     writer.flush()
@@ -103,7 +104,7 @@ def test_it_is_synced_at_intervals_and_not_when_nothing_is_new(
 
 def test_never_means_when_the_file_is_complete(tmp_path: Path, slow_disk: SlowDisk) -> None:
     slow_disk.gate.set()
-    writer = McapBagWriter(tmp_path / "x.mcap", rotation=Rotation(size=1))
+    writer = BagWriter(tmp_path / "x.mcap", rotation=Rotation(size=1))
     channel = writer.register(OUTPUT)
     for number in (1, 2):
         writer.write(channel, b"\0\1\0\0", log_time=number, publish_time=number)
@@ -115,7 +116,7 @@ def test_never_means_when_the_file_is_complete(tmp_path: Path, slow_disk: SlowDi
 def test_another_file_begins_while_the_last_one_is_forced_to_the_disk(
     tmp_path: Path, slow_disk: SlowDisk
 ) -> None:
-    writer = McapBagWriter(tmp_path / "x.mcap", rotation=Rotation(size=1))
+    writer = BagWriter(tmp_path / "x.mcap", rotation=Rotation(size=1))
     channel = writer.register(OUTPUT)
     writer.write(channel, b"\0\1\0\0", log_time=1, publish_time=1)
     writer.flush()
@@ -133,7 +134,7 @@ def test_a_file_that_is_removed_is_reported_once(
 ) -> None:
     slow_disk.gate.set()
     (tmp_path / "session").mkdir()
-    writer = McapBagWriter(tmp_path / "session" / "x.mcap", sync=1e-3)
+    writer = BagWriter(tmp_path / "session" / "x.mcap", sync=1e-3)
     channel = writer.register(OUTPUT)
     for number in (1, 2, 3):
         writer.write(channel, b"\0\1\0\0", log_time=number, publish_time=number)
@@ -157,7 +158,7 @@ def test_a_disk_that_forgets_is_reported_once_and_at_the_end(
         raise OSError(errno.EIO, os.strerror(errno.EIO))
 
     monkeypatch.setattr(os, "fdatasync", fail)
-    writer = McapBagWriter(tmp_path / "x.mcap", sync=1e-3)
+    writer = BagWriter(tmp_path / "x.mcap", sync=1e-3)
     channel = writer.register(OUTPUT)
     for number in (1, 2):
         writer.write(channel, b"\0\1\0\0", log_time=number, publish_time=number)
@@ -167,7 +168,7 @@ def test_a_disk_that_forgets_is_reported_once_and_at_the_end(
         writer.close()
     writer.abandon()
     (error,) = caplog.records
-    assert "cannot be forced to the disk" in error.getMessage()
+    assert "cannot be synced" in error.getMessage()
     assert sum(1 for _ in BagReader(tmp_path / "x.mcap.active").messages()) == 2
 
 
@@ -185,7 +186,7 @@ def test_a_file_before_that_cannot_be_completed_is_reported_at_once_and_by_its_n
         really(descriptor)
 
     monkeypatch.setattr(os, "fdatasync", fail_first)
-    writer = McapBagWriter(tmp_path / "session.mcap", rotation=Rotation(size=1), has_index=True)
+    writer = BagWriter(tmp_path / "session.mcap", rotation=Rotation(size=1), has_index=True)
     channel = writer.register(OUTPUT)
     for number in (1, 2, 3):
         writer.write(channel, b"\0\1\0\0", log_time=number, publish_time=number)

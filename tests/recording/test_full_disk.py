@@ -10,7 +10,7 @@ import pytest
 from play_launch.config.model import RecordConfig, RotateConfig
 from play_launch.postmortem.bag_reader import BagReader
 from play_launch.recording.errors import RecordingError
-from play_launch.recording.recorder import RecorderLimits
+from play_launch.recording.limits import RecorderLimits
 from play_launch.recording.session import Session, open_session
 from play_launch.recording.topics import LOG_ALL, OUTPUT
 from play_launch.supervisor.events import LogRecord, OutputLine, Stream

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 import yaml
 
-from play_launch.recording.index import IndexedFile, IndexedTopic, write_index
+from play_launch.recording.folder import IndexedFile, IndexedTopic, write_index
 from play_launch.recording.topics import ALL_TOPICS, Topic
 
 TIME = {"nanoseconds_since_epoch": int}

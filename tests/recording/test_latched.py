@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import os
 from typing import TYPE_CHECKING
 
 import pytest
 
 from play_launch.container.cdr.messages import NODE_PARAMETERS
 from play_launch.postmortem.bag_reader import BagReader
-from play_launch.recording.bag import McapBagWriter, Rotation
-from play_launch.recording.latched import Latched, is_latched
+from play_launch.recording.bag import BagWriter, Rotation, is_latched
 from play_launch.recording.topics import PARAMETERS, STATES, Topic
 from tests.recording.reading import raw_messages
-from tests.recording.test_topic_chunks import chunk_of
+from tests.recording.test_topic_chunks import append
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -40,7 +38,7 @@ def test_what_is_latched(offered: str, expected: bool) -> None:
 
 
 def test_each_file_has_the_latest_messages_and_together_they_are_read_once(tmp_path: Path) -> None:
-    writer = McapBagWriter(tmp_path / "session.mcap", rotation=Rotation(size=1))
+    writer = BagWriter(tmp_path / "session.mcap", rotation=Rotation(size=1))
     one = writer.register(Topic("/tf_static", STRING, offered=LATCHED))
     two = writer.register(Topic("/image", STRING, offered=VOLATILE))
     for messages in (
@@ -48,9 +46,7 @@ def test_each_file_has_the_latest_messages_and_together_they_are_read_once(tmp_p
         [(two, 4, b"second")],
         [(two, 5, b"third"), (one, 6, b"arm")],
     ):
-        chunk = chunk_of(messages)
-        writer.append_chunk(chunk)
-        os.close(chunk.descriptor)
+        append(writer, messages)
     writer.close()
     latched = {}
     for number in ("", "_1", "_2", "_3"):
@@ -72,28 +68,26 @@ def test_each_file_has_the_latest_parameters_of_each_node(tmp_path: Path) -> Non
     def answer(node: str, stamp: int) -> bytes:
         return NODE_PARAMETERS.write({"stamp": stamp, "node": node})
 
-    writer = McapBagWriter(tmp_path / "session.mcap", rotation=Rotation(size=1))
+    writer = BagWriter(tmp_path / "session.mcap", rotation=Rotation(size=1))
     channel = writer.register(PARAMETERS)
     for messages in (
         [(channel, 1, answer("/a", 1)), (channel, 2, answer("/b", 2))],
         [(channel, 3, answer("/a", 3)), (channel, 4, b"no message")],
         [(channel, 5, answer("/c", 5))],
     ):
-        chunk = chunk_of(messages)
-        writer.append_chunk(chunk)
-        os.close(chunk.descriptor)
+        append(writer, messages)
     writer.close()
     last = raw_messages(tmp_path / "session_3.mcap", PARAMETERS.name)
     assert [each.data for each in last] == [answer("/a", 3), answer("/b", 2), answer("/c", 5)]
     assert len(list(BagReader(tmp_path).messages())) == 5
 
 
-def test_large_ones_and_many_are_limited() -> None:
-    topics = {1: Topic("/map", STRING, offered=LATCHED), 2: Topic("/x", STRING, offered=LATCHED)}
-    latched = Latched()
+def test_large_ones_and_many_are_limited(tmp_path: Path) -> None:
+    writer = BagWriter(tmp_path / "session.mcap", rotation=Rotation(size=3_000_000))
+    for name in ("/map", "/x"):
+        writer.register(Topic(name, STRING, offered=LATCHED))
     for number in range(1, 4):
-        chunk = chunk_of([(1, number, bytes(700_000))] + [(2, number, b"x")] * 60)
-        latched.note_chunk(chunk, topics)
-        os.close(chunk.descriptor)
-    channels = [message.channel for message in latched]
-    assert (channels.count(1), channels.count(2)) == (1, 100)
+        append(writer, [(1, number, bytes(1_100_000)), *[(2, number, b"x")] * 60])
+    writer.close()
+    repeated = [len(raw_messages(tmp_path / "session_1.mcap", name)) for name in ("/map", "/x")]
+    assert repeated == [1, 100]

@@ -11,11 +11,12 @@ from mcap.records import Attachment, Metadata, Schema
 from rosbags.highlevel import AnyReader
 
 from play_launch.container.cdr.messages import log_message
-from play_launch.recording.bag import McapBagWriter, Rotation
-from play_launch.recording.convert import convert
+from play_launch.recording.bag import BagWriter, Rotation
+from play_launch.recording.folder import part_number, part_path
+from play_launch.recording.forms import convert
+from play_launch.recording.limits import RecorderLimits
 from play_launch.recording.mcap_file import MAGIC
-from play_launch.recording.part import part_number, part_path
-from play_launch.recording.recorder import Recorder, RecorderLimits
+from play_launch.recording.recorder import Recorder
 from play_launch.recording.schema import message_definition
 from play_launch.recording.topics import OUTPUT, STATES, Topic
 from play_launch.supervisor.events import ContainerState, ContainerStateChanged, OutputLine, Stream
@@ -25,14 +26,14 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-def write_line(writer: McapBagWriter, channel: int, number: int) -> None:
+def write_line(writer: BagWriter, channel: int, number: int) -> None:
     data = log_message(number, 20, "/a", f"line {number}", file="stdout")
     writer.write(channel, data, log_time=number, publish_time=number)
 
 
-def three_parts(folder: Path, *, has_index: bool = False) -> McapBagWriter:
+def three_parts(folder: Path, *, has_index: bool = False) -> BagWriter:
     """Lines 1 to 6 in three files, and two states in the first one."""
-    writer = McapBagWriter(
+    writer = BagWriter(
         folder / "session.mcap", rotation=Rotation(size=1), has_index=has_index, ros_distro="jazzy"
     )
     writer.attach("config.yaml", "application/yaml", b"a: 1\n", time=5)
@@ -76,7 +77,7 @@ def test_definitions_in_each_file_are_those_of_the_beginning(
     file = tmp_path / "share" / "a_msgs" / "msg" / "Wheel.msg"
     file.parent.mkdir(parents=True)
     file.write_text("int32 left\n")
-    writer = McapBagWriter(
+    writer = BagWriter(
         tmp_path / "x.mcap",
         rotation=Rotation(size=1),
         definition=lambda type_name: message_definition(type_name, (tmp_path,)),
@@ -124,7 +125,7 @@ def test_the_folder_is_one_bag_to_others(tmp_path: Path) -> None:
 
 
 def test_a_file_ends_by_time_too(tmp_path: Path) -> None:
-    writer = McapBagWriter(tmp_path / "x.mcap", rotation=Rotation(duration=1e-9))
+    writer = BagWriter(tmp_path / "x.mcap", rotation=Rotation(duration=1e-9))
     channel = writer.register(OUTPUT)
     write_line(writer, channel, 1)
     writer.flush()
@@ -134,7 +135,7 @@ def test_a_file_ends_by_time_too(tmp_path: Path) -> None:
 
 
 def test_nothing_new_begins_no_file(tmp_path: Path) -> None:
-    writer = McapBagWriter(tmp_path / "x.mcap", rotation=Rotation(size=1))
+    writer = BagWriter(tmp_path / "x.mcap", rotation=Rotation(size=1))
     channel = writer.register(STATES)
     event = ContainerStateChanged(stamp_ns=1, container="/c", state=ContainerState.RUNNING)
     ((_, data, key),) = convert(event)
@@ -148,7 +149,7 @@ def test_nothing_new_begins_no_file(tmp_path: Path) -> None:
 def test_without_room_for_another_file_it_stays_in_this_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    writer = McapBagWriter(tmp_path / "x.mcap", rotation=Rotation(size=1))
+    writer = BagWriter(tmp_path / "x.mcap", rotation=Rotation(size=1))
     channel = writer.register(OUTPUT)
     (tmp_path / "x_1.mcap.active").write_bytes(b"in the way")
     for number in range(3):
@@ -165,7 +166,7 @@ def test_without_room_for_another_file_it_stays_in_this_one(
 def test_a_disk_that_is_full_when_another_file_begins_leaves_no_half_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    writer = McapBagWriter(tmp_path / "x.mcap", rotation=Rotation(size=1))
+    writer = BagWriter(tmp_path / "x.mcap", rotation=Rotation(size=1))
     channel = writer.register(OUTPUT)
     write_line(writer, channel, 1)
     really = os.pwrite
@@ -182,10 +183,10 @@ def test_a_disk_that_is_full_when_another_file_begins_leaves_no_half_one(
     assert len(messages(tmp_path / "x.mcap")) == 1
 
 
-def test_without_room_for_a_summary_it_goes_on_in_the_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_file_without_room_for_its_summary_stays_active(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    writer = McapBagWriter(tmp_path / "x.mcap", rotation=Rotation(size=1))
+    writer = BagWriter(tmp_path / "x.mcap", rotation=Rotation(size=1))
     channel = writer.register(OUTPUT)
     write_line(writer, channel, 1)
     really = os.pwrite
@@ -197,16 +198,18 @@ def test_without_room_for_a_summary_it_goes_on_in_the_file(
 
     monkeypatch.setattr(os, "pwrite", no_room_for_a_summary)
     writer.flush()
-    assert [path.name for path in tmp_path.iterdir()] == ["x.mcap.active"]
-    write_line(writer, channel, 2)
-    writer.flush()
     monkeypatch.undo()
+    write_line(writer, channel, 2)
     writer.close()
-    assert [read.message.msg for read in messages(tmp_path / "x.mcap")] == ["line 1", "line 2"]
+    names = sorted(path.name for path in tmp_path.iterdir())
+    assert names == ["x.mcap.active", "x_1.mcap"]
+    assert len(raw_messages(tmp_path / "x.mcap.active", OUTPUT.name)) == 1
+    assert [read.message.msg for read in messages(tmp_path / "x_1.mcap")] == ["line 2"]
+    assert "the next start completes it" in caplog.text
 
 
 def test_the_recorder_says_how_many_files_there_are(tmp_path: Path) -> None:
-    writer = McapBagWriter(tmp_path / "session.mcap", rotation=Rotation(size=1))
+    writer = BagWriter(tmp_path / "session.mcap", rotation=Rotation(size=1))
     recorder = Recorder(writer, limits=RecorderLimits(batch=0, flush=0))
     line = OutputLine(stamp_ns=1, process="/a", pid=1, stream=Stream.STDOUT, text="x")
     recorder.publish(line)

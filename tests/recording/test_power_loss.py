@@ -15,7 +15,7 @@ import pytest
 
 from play_launch.container.cdr.messages import log_message
 from play_launch.postmortem.bag_reader import BagReader
-from play_launch.recording.bag import McapBagWriter, Rotation
+from play_launch.recording.bag import BagWriter, Rotation
 from play_launch.recording.topics import OUTPUT
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ def test_everything_up_to_the_last_sync_is_there(
         has_synced.release()
 
     monkeypatch.setattr(os, "fdatasync", sync)
-    writer = McapBagWriter(
+    writer = BagWriter(
         disk.root / "session.mcap", rotation=Rotation(size=size), sync=1e-3, has_index=True
     )
     channel = writer.register(OUTPUT)
@@ -106,7 +106,7 @@ def test_everything_up_to_the_last_sync_is_there(
         data = log_message(number, 20, "/a", os.urandom(50).hex(), file="stdout")
         writer.write(channel, data, log_time=number + 1, publish_time=number)
         if number % 10 == 9:
-            path = writer._active_path
+            path = writer._file.path
             writer.flush()
             written[path] = number + 1
         if number % 100 == 99:
@@ -126,7 +126,7 @@ def test_everything_up_to_the_last_sync_is_there(
 
 def test_without_a_sync_the_plug_takes_the_file(disk: Disk) -> None:
     # Else the test above could not fail.
-    writer = McapBagWriter(disk.root / "session.mcap")
+    writer = BagWriter(disk.root / "session.mcap")
     channel = writer.register(OUTPUT)
     writer.write(channel, b"\0\1\0\0", log_time=1, publish_time=1)
     writer.flush()

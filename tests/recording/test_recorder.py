@@ -11,11 +11,16 @@ from typing import TYPE_CHECKING, cast
 import pytest
 
 from play_launch.config.node_key import NodeKey
-from play_launch.recording.bag import McapBagWriter
+from play_launch.container.cdr.messages import LOG
+from play_launch.recording import decisions
+from play_launch.recording.bag import BagWriter
+from play_launch.recording.decisions import DecisionLog
 from play_launch.recording.errors import SchemaNotFoundError, WriteFailedError
+from play_launch.recording.limits import RecorderLimits
 from play_launch.recording.log_handler import EventLogHandler
-from play_launch.recording.recorder import Recorder, RecorderLimits
-from play_launch.recording.topics import LOG_ALL, OUTPUT
+from play_launch.recording.recorder import Recorder
+from play_launch.recording.schema import message_definition
+from play_launch.recording.topics import INPUTS, LOG_ALL, OUTPUT, PROCESS_STATS
 from play_launch.supervisor.events import (
     ComponentEvent,
     ComponentEventKind,
@@ -32,12 +37,11 @@ from play_launch.supervisor.events import (
     Stream,
     SubjectKind,
 )
+from play_launch.supervisor.inputs import Time
 from tests.recording.reading import messages, raw_messages
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from play_launch.recording.chunk import TopicChunk
+    from play_launch.recording.limits import RecordingSummary
     from play_launch.recording.topics import Topic
 
 NEVER = 1e6
@@ -58,76 +62,45 @@ def sample(name: str) -> ProcessSample:
     return ProcessSample(**{**values, "key": name, "kind": SubjectKind.PROCESS})  # type: ignore[arg-type]
 
 
-class StubWriter:
-    """A bag in memory; ``gate`` holds it up; it is full after ``fail_after`` messages."""
+class GatedBag(BagWriter):
+    """A bag with a gate before each write, on a disk that can be full."""
 
-    parts = 1
-
-    def __init__(self, *, fail_after: int = -1) -> None:
-        self.path = Path("stub.mcap.active")
-        self.bytes_written = 0
-        self.messages = 0
-        self.fail_after = fail_after
-        self.topics: list[Topic] = []
-        self.written: list[tuple[str, bytes, int, int]] = []
-        self.flushes: list[int] = []
-        self.flushed = threading.Semaphore(0)
-        self.gate = threading.Event()
+    def __init__(self, path: Path) -> None:
+        super().__init__(path / "x.mcap")
+        self.is_full = False
+        self.gate, self.entered = threading.Event(), threading.Event()
         self.gate.set()
-        self.entered = threading.Event()
-        self.asked = threading.Semaphore(0)
-        self.closed = self.abandoned = False
-
-    def register(self, topic: Topic) -> int:
-        self.topics.append(topic)
-        return len(self.topics) - 1
+        self.flushed, self.asked = threading.Semaphore(0), threading.Semaphore(0)
 
     def write(
         self, channel: int, data: bytes, *, log_time: int, publish_time: int, key: str = ""
     ) -> None:
         self.entered.set()
         self.gate.wait()
-        self.written.append((self.topics[channel].name, data, log_time, publish_time))
-        self._fail_when_full()
+        super().write(channel, data, log_time=log_time, publish_time=publish_time, key=key)
 
-    def append_chunk(self, chunk: TopicChunk) -> None:
-        raise NotImplementedError
-
-    def latest(self, channel: int, key: str) -> bytes | None:
-        raise NotImplementedError
-
-    def attach(self, name: str, media_type: str, data: bytes, *, time: int) -> None:
-        raise NotImplementedError
-
-    def metadata(self, name: str, values: Mapping[str, str]) -> None:
-        raise NotImplementedError
+    def flush(self) -> None:
+        if self.is_full:
+            raise WriteFailedError(self.path, OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)))
+        super().flush()
+        self.flushed.release()
 
     def has_room(self) -> bool:
         self.asked.release()
-        return not self._is_full()
-
-    def _is_full(self) -> bool:
-        return 0 <= self.fail_after < len(self.written)
-
-    def _fail_when_full(self) -> None:
-        if self._is_full():
-            raise WriteFailedError(self.path, OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)))
-
-    def flush(self) -> None:
-        self._fail_when_full()
-        self.messages = len(self.written)
-        self.flushes.append(self.messages)
-        self.flushed.release()
-
-    def close(self) -> None:
-        self.flush()
-        self.closed = True
+        return not self.is_full
 
     def abandon(self) -> None:
-        self.abandoned = True
+        super().abandon()
+        self.gate.set()
 
-    def texts(self, topic: Topic) -> list[bytes]:
-        return [data for name, data, _, _ in self.written if name == topic.name]
+
+@pytest.fixture
+def bag(tmp_path: Path) -> GatedBag:
+    return GatedBag(tmp_path)
+
+
+def texts(summary: RecordingSummary, topic: Topic) -> list[str]:
+    return [LOG.read(each.data)["msg"] for each in raw_messages(summary.path, topic.name)]
 
 
 def test_every_event_is_read_back_by_rosbags(tmp_path: Path) -> None:
@@ -152,7 +125,7 @@ def test_every_event_is_read_back_by_rosbags(tmp_path: Path) -> None:
         record(6),
         record(7, level=40),
     ]
-    recorder = Recorder(McapBagWriter(tmp_path / "x.mcap"))
+    recorder = Recorder(BagWriter(tmp_path / "x.mcap"))
     for event in events:
         recorder.publish(event)
     summary = recorder.close()
@@ -183,168 +156,147 @@ def test_every_event_is_read_back_by_rosbags(tmp_path: Path) -> None:
     assert published.log_time > 10**18
 
 
-def test_a_failure_reaches_the_file_at_once_and_other_events_by_themselves() -> None:
-    writer = StubWriter()
-    limits = RecorderLimits(batch=NEVER, flush=NEVER)
-    recorder = Recorder(writer, limits=limits)
+@pytest.mark.parametrize(
+    ("limits", "event"),
+    [
+        (RecorderLimits(batch=NEVER, flush=NEVER), record(2, level=40)),
+        (RecorderLimits(batch=0, flush=NEVER), line(2, text="[ERROR] [1.0] [a]: oh")),
+        (RecorderLimits(batch=0, flush=0.001), line(2)),
+    ],
+    ids=["a failure at once", "an error in the output", "anything else soon"],
+)
+def test_events_reach_the_file(bag: GatedBag, limits: RecorderLimits, event: RunEvent) -> None:
+    recorder = Recorder(bag, limits=limits)
     recorder.publish(line(1))
-    recorder.publish(record(2, level=40))
-    writer.flushed.acquire()
-    assert writer.flushes == [3]
-    recorder.close()
-
-    writer = StubWriter()
-    limits = RecorderLimits(batch=0, flush=0.001)
-    recorder = Recorder(writer, limits=limits)
-    recorder.publish(line(1))
-    writer.flushed.acquire()
-    assert writer.flushes == [1]
+    recorder.publish(event)
+    while bag.messages < 2:
+        assert bag.flushed.acquire(timeout=10)
     recorder.close()
 
 
-def test_a_line_with_an_error_ends_the_chunk_too() -> None:
-    writer = StubWriter()
-    limits = RecorderLimits(batch=0, flush=NEVER)
-    recorder = Recorder(writer, limits=limits)
-    recorder.publish(line(1, text="[ERROR] [1.0] [a]: oh"))
-    writer.flushed.acquire()
-    assert writer.flushes == [1]
-    recorder.close()
-
-
-def test_too_many_lines_are_dropped_counted_and_told() -> None:
-    writer = StubWriter()
-    writer.gate.clear()
-    limits = RecorderLimits(lines=10, other_events=5, batch=0)
-    recorder = Recorder(writer, limits=limits)
+def test_too_many_events_are_dropped_counted_and_reported(bag: GatedBag) -> None:
+    bag.gate.clear()
+    recorder = Recorder(bag, limits=RecorderLimits(lines=10, other_events=5, batch=0))
     recorder.publish(line(0))
-    writer.entered.wait()
+    bag.entered.wait()
+    for _ in range(10):
+        recorder.publish(sample("/a"))
     for number in range(1, 31):
         recorder.publish(line(number, process="/loud"))
+        recorder.publish(sample("/a"))
+    assert recorder.dropped == 60
     for number in range(31, 41):
         recorder.publish(record(number))
-    assert recorder.dropped == 20 + 5
-    writer.gate.set()
+    assert recorder.dropped == 60 + 5, "lines and samples drive out nothing else"
+    bag.gate.set()
     summary = recorder.close()
-
-    assert summary.dropped == 25
-    assert summary.messages == len(writer.written)
-    assert len(writer.texts(OUTPUT)) == 1 + 10
-    *kept, report = writer.texts(LOG_ALL)
+    assert summary.dropped == 65
+    assert texts(summary, OUTPUT) == ["line 0"]
+    *kept, report = texts(summary, LOG_ALL)
     assert len(kept) == 5
-    assert b"20 lines of output (/loud 20) and 5 other events" in report
+    assert "dropped 30 lines of output (/loud 30) and 35 other events: " in report
 
 
-def test_samples_do_not_drive_out_what_happened() -> None:
-    writer = StubWriter()
-    writer.gate.clear()
-    recorder = Recorder(writer, limits=RecorderLimits(lines=10, other_events=5, batch=0))
+def test_long_lines_count_by_their_length(bag: GatedBag) -> None:
+    bag.gate.clear()
+    recorder = Recorder(bag, limits=RecorderLimits(text=130, batch=0))
     recorder.publish(line(0))
-    writer.entered.wait()
-    for _ in range(30):
-        recorder.publish(sample("/a"))
-    assert recorder.dropped == 20
-    for number in range(5):
-        recorder.publish(record(number))
-    assert recorder.dropped == 20
-    writer.gate.set()
-    recorder.close()
-    assert len(writer.texts(LOG_ALL)) == 5 + 1
-    assert b"20 other events" in writer.texts(LOG_ALL)[-1]
-
-
-def test_long_lines_count_by_their_length() -> None:
-    writer = StubWriter()
-    writer.gate.clear()
-    limits = RecorderLimits(text=100, batch=0)
-    recorder = Recorder(writer, limits=limits)
-    recorder.publish(line(0))
-    writer.entered.wait()
+    bag.entered.wait()
     for number in range(1, 5):
         recorder.publish(line(number, text="x" * 60))
+    recorder.publish(line(5, text="short"))
     assert recorder.dropped == 2
-    writer.gate.set()
+    bag.gate.set()
     recorder.close()
 
 
-IMPATIENT = RecorderLimits(batch=0, retry=0.001, longest_retry=0.002)
+IMPATIENT = RecorderLimits(batch=0, retry=0.001, longest_retry=0.002, lines=10, other_events=5)
 
 
-def test_a_recording_goes_on_when_a_full_disk_has_room_again(
-    caplog: pytest.LogCaptureFixture,
+def test_a_recording_resumes_when_a_full_disk_has_room_again(
+    bag: GatedBag, caplog: pytest.LogCaptureFixture
 ) -> None:
-    writer = StubWriter(fail_after=3)
-    recorder = Recorder(writer, limits=IMPATIENT)
-    for number in range(10):
-        recorder.publish(line(number))
-    writer.asked.acquire()
-    writer.asked.acquire()
-    assert "No space left on device" in recorder.error
-    for number in range(10, 20):
-        recorder.publish(line(number))
-    writer.fail_after = -1
-    writer.flushed.acquire()
-    summary = recorder.close()
-
-    # The interruption is an event of its own.
-    assert (summary.messages, summary.dropped, summary.interruptions) == (21, 0, 1)
-    assert (summary.error, writer.closed, writer.abandoned) == ("", True, False)
-    interrupted, goes_on = (record.getMessage() for record in caplog.records)
-    assert "--log-dir" in interrupted
-    assert goes_on.endswith("no data lost")
-
-
-def test_what_a_full_disk_lost_is_said(caplog: pytest.LogCaptureFixture) -> None:
-    writer = StubWriter(fail_after=0)
-    limits = RecorderLimits(batch=0, retry=0.001, longest_retry=0.002, lines=10, other_events=5)
-    recorder = Recorder(writer, limits=limits)
+    bag.is_full = True
+    recorder = Recorder(bag, limits=IMPATIENT)
     recorder.publish(line(0))
-    writer.asked.acquire()
+    for _ in range(2):
+        assert bag.asked.acquire(timeout=10)
+    assert "No space left on device" in recorder.error
+    recorder.publish(record(1))
+    bag.is_full = False
+    assert bag.flushed.acquire(timeout=10)
+    summary = recorder.close()
+    assert (summary.messages, summary.dropped, summary.interruptions) == (3, 0, 1)
+    assert (summary.error, summary.path.name) == ("", "x.mcap")
+    interrupted, resumed = (each.getMessage() for each in caplog.records)
+    assert "--log-dir" in interrupted
+    assert resumed.endswith("no data lost")
+
+
+def test_losses_on_a_full_disk_are_logged(bag: GatedBag, caplog: pytest.LogCaptureFixture) -> None:
+    bag.is_full = True
+    recorder = Recorder(bag, limits=IMPATIENT)
+    recorder.publish(line(0))
+    assert bag.asked.acquire(timeout=10)
     for number in range(1, 31):
         recorder.publish(line(number, process="/loud"))
-    recorder.publish(record(31))
-    writer.fail_after = -1
-    writer.flushed.acquire()
+    bag.is_full = False
+    assert bag.flushed.acquire(timeout=10)
     summary = recorder.close()
+    assert (summary.messages, summary.dropped) == (12, 20)
+    resumed = caplog.records[-1].getMessage()
+    assert re.search(r"lost from [\d:]{8} to [\d:]{8}: 20 lines of output \(/loud 20\)$", resumed)
 
-    assert (summary.messages, summary.dropped) == (13, 20)
-    goes_on = caplog.records[-1].getMessage()
-    assert re.search(r"lost from [\d:]{8} to [\d:]{8}: 20 lines of output \(/loud 20\)$", goes_on)
 
-
-def test_a_disk_that_stays_full_leaves_the_run_alone(caplog: pytest.LogCaptureFixture) -> None:
-    writer = StubWriter(fail_after=3)
-    recorder = Recorder(writer, limits=IMPATIENT)
+def test_a_disk_that_stays_full_leaves_the_run_alone(
+    bag: GatedBag, caplog: pytest.LogCaptureFixture
+) -> None:
+    bag.is_full = True
+    recorder = Recorder(bag, limits=IMPATIENT)
     for number in range(10):
         recorder.publish(line(number))
-    writer.asked.acquire()
+    assert bag.asked.acquire(timeout=10)
     summary = recorder.close()
     for number in range(10, 1000):
         recorder.publish(line(number))
-
     assert "No space left on device" in summary.error
     assert "--log-dir" in summary.error
-    # Those that the writer took were not flushed.
     assert (summary.messages, summary.dropped, recorder.dropped) == (0, 10, 1000)
-    assert writer.abandoned
-    assert not writer.closed
     assert summary.path.name.endswith(".active")
     assert ["interrupted" in one.getMessage() for one in caplog.records] == [True, False]
 
 
-def test_a_disk_that_never_answers_does_not_hang_the_end() -> None:
-    writer = StubWriter()
-    writer.gate.clear()
-    recorder = Recorder(writer, limits=RecorderLimits(batch=0, close=0.01))
+def test_inputs_that_find_no_room_are_counted_and_leave_a_gap(bag: GatedBag) -> None:
+    bag.gate.clear()
+    recorder = Recorder(bag, limits=RecorderLimits(lines=1, other_events=1, batch=0))
+    log = DecisionLog(recorder.publish)
+    recorder.publish(line(0))
+    bag.entered.wait()
+    for _ in range(3):
+        log.add(1.0, Time())
+    bag.gate.set()
+    while recorder.waiting:
+        os.sched_yield()
+    log.add(1.0, Time())
+    summary = recorder.close()
+    found = raw_messages(summary.path, INPUTS.name)
+    numbers = [each.number for message in found for each in decisions.read(message.data)]
+    assert numbers == [0, 1, 3]
+    assert summary.dropped == 1
+
+
+def test_a_disk_that_never_answers_does_not_hang_the_end(bag: GatedBag) -> None:
+    bag.gate.clear()
+    recorder = Recorder(bag, limits=RecorderLimits(batch=0, close=0.01))
     recorder.publish(line(1))
-    writer.entered.wait()
+    bag.entered.wait()
     summary = recorder.close()
     assert "took no data" in summary.error
-    writer.gate.set()
+    bag.gate.set()
 
 
 def test_an_event_that_cannot_be_converted_is_named_and_the_rest_goes_on(tmp_path: Path) -> None:
-    recorder = Recorder(McapBagWriter(tmp_path / "x.mcap"))
+    recorder = Recorder(BagWriter(tmp_path / "x.mcap"))
     recorder.publish(
         ProcessEvent(stamp_ns=1, kind=ProcessEventKind.STARTED, name="/odd", pid=cast("int", "x"))
     )
@@ -357,14 +309,14 @@ def test_an_event_that_cannot_be_converted_is_named_and_the_rest_goes_on(tmp_pat
 
 
 def test_events_after_the_end_are_counted_as_dropped(tmp_path: Path) -> None:
-    recorder = Recorder(McapBagWriter(tmp_path / "x.mcap"))
+    recorder = Recorder(BagWriter(tmp_path / "x.mcap"))
     recorder.close()
     recorder.publish(record(1))
     assert recorder.dropped == 1
 
 
 def test_many_threads_may_publish(tmp_path: Path) -> None:
-    recorder = Recorder(McapBagWriter(tmp_path / "x.mcap"))
+    recorder = Recorder(BagWriter(tmp_path / "x.mcap"))
 
     def publish(process: str) -> None:
         for number in range(500):
@@ -413,21 +365,19 @@ def test_the_supervisors_log_becomes_events() -> None:
 
 
 def test_a_type_that_is_not_installed_is_reported_once_and_the_rest_recorded(
-    caplog: pytest.LogCaptureFixture,
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    class WithoutSamples(StubWriter):
-        def register(self, topic: Topic) -> int:
-            if topic.about is not None:
-                raise SchemaNotFoundError(topic.type_name, (Path("/opt"),))
-            return super().register(topic)
+    def definition(name: str) -> str:
+        if name == PROCESS_STATS:
+            raise SchemaNotFoundError(name, (Path("/opt"),))
+        return message_definition(name)
 
-    writer = WithoutSamples()
-    recorder = Recorder(writer)
+    recorder = Recorder(BagWriter(tmp_path / "x.mcap", definition=definition))
     for name in ("/a", "/b", "/a"):
         recorder.publish(sample(name))
     recorder.publish(record(1))
     summary = recorder.close()
     assert (summary.dropped, summary.error) == (3, "")
-    assert len(writer.texts(LOG_ALL)) == 1
+    assert texts(summary, LOG_ALL) == ["record 1"]
     (message,) = [each.getMessage() for each in caplog.records if each.levelname == "ERROR"]
     assert "play_launch_msgs/msg/ProcessStats not found below /opt" in message

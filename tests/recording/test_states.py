@@ -21,8 +21,8 @@ from play_launch.container.cdr.messages import STATE_EVENT
 from play_launch.postmortem.bag_reader import Message, Topic
 from play_launch.postmortem.events import event_of
 from play_launch.recording import topics
-from play_launch.recording.bag import McapBagWriter
-from play_launch.recording.convert import convert
+from play_launch.recording.bag import BagWriter
+from play_launch.recording.forms import convert
 from play_launch.supervisor.events import (
     ContainerState,
     ContainerStateChanged,
@@ -185,7 +185,7 @@ def test_any_event_is_read_back_as_it_was(
     events: list[NodeStateChanged | ContainerStateChanged | ProcessEvent],
 ) -> None:
     with tempfile.TemporaryDirectory() as folder:
-        writer = McapBagWriter(Path(folder) / "x.mcap")
+        writer = BagWriter(Path(folder) / "x.mcap")
         channel = writer.register(topics.STATES)
         for number, event in enumerate(events):
             ((topic, data, _),) = convert(event)
@@ -217,7 +217,7 @@ def test_states_of_an_earlier_version_have_no_cause(
 @given(GRAPH_CHANGES)
 def test_any_change_of_the_graph_is_read_back_as_it_was(event: GraphChanged) -> None:
     with tempfile.TemporaryDirectory() as folder:
-        writer = McapBagWriter(Path(folder) / "x.mcap")
+        writer = BagWriter(Path(folder) / "x.mcap")
         ((topic, data, _),) = convert(event)
         writer.write(writer.register(topic), data, log_time=1, publish_time=event.stamp_ns)
         writer.close()
@@ -250,7 +250,7 @@ def test_samples_are_plain_numbers_for_any_reader(
     samples: list[ProcessSample | GroupSample | SystemSample],
 ) -> None:
     with tempfile.TemporaryDirectory() as folder:
-        writer = McapBagWriter(Path(folder) / "x.mcap")
+        writer = BagWriter(Path(folder) / "x.mcap")
         channels: dict[topics.Topic, int] = {}
         for number, sample in enumerate(samples):
             ((topic, data, _),) = convert(sample)

@@ -16,10 +16,11 @@ from mcap.reader import make_reader
 from mcap.records import Attachment, Metadata
 from msgspec.structs import replace
 
-from play_launch.recording.bag import McapBagWriter, Rotation
+from play_launch.recording.bag import BagWriter, Rotation
 from play_launch.recording.chunk import ChannelPart, TopicChunk
 from play_launch.recording.errors import WriteFailedError
-from play_launch.recording.recorder import Recorder, RecorderLimits
+from play_launch.recording.limits import RecorderLimits
+from play_launch.recording.recorder import Recorder
 from play_launch.recording.resolved_form import in_messages
 from play_launch.recording.topics import LOG_ALL, PARAMETER_EVENTS, PARAMETERS, Topic
 from play_launch.supervisor.events import LogRecord
@@ -60,13 +61,17 @@ def chunk_of(messages: list[tuple[int, int, bytes]]) -> TopicChunk:
     )
 
 
-def test_a_chunk_comes_after_what_was_written_before(tmp_path: Path) -> None:
-    writer = McapBagWriter(tmp_path / "x.mcap")
-    one, two = writer.register(Topic("/one", LOG)), writer.register(Topic("/two", LOG))
-    write_lines(writer, one, 100, 3)
-    chunk = chunk_of([(two, 90, b"abcd"), (one, 110, b"efgh"), (two, 95, b"")])
+def append(writer: BagWriter, messages: list[tuple[int, int, bytes]]) -> None:
+    chunk = chunk_of(messages)
     writer.append_chunk(chunk)
     os.close(chunk.descriptor)
+
+
+def test_a_chunk_comes_after_what_was_written_before(tmp_path: Path) -> None:
+    writer = BagWriter(tmp_path / "x.mcap")
+    one, two = writer.register(Topic("/one", LOG)), writer.register(Topic("/two", LOG))
+    write_lines(writer, one, 100, 3)
+    append(writer, [(two, 90, b"abcd"), (one, 110, b"efgh"), (two, 95, b"")])
     assert writer.messages == 6
     write_lines(writer, two, 120, 2)
     writer.close()
@@ -87,12 +92,10 @@ def test_a_chunk_comes_after_what_was_written_before(tmp_path: Path) -> None:
 
 
 def test_each_file_can_be_read_alone(tmp_path: Path) -> None:
-    writer = McapBagWriter(tmp_path / "x.mcap", rotation=Rotation(size=4000))
+    writer = BagWriter(tmp_path / "x.mcap", rotation=Rotation(size=4000))
     channel = writer.register(Topic("/one", LOG))
     for time in range(1, 9):
-        chunk = chunk_of([(channel, time, bytes(1000))])
-        writer.append_chunk(chunk)
-        os.close(chunk.descriptor)
+        append(writer, [(channel, time, bytes(1000))])
     writer.close()
     files = sorted(tmp_path.glob("*.mcap"))
     assert len(files) > 2
@@ -105,7 +108,7 @@ def test_a_chunk_that_is_cut_leaves_nothing(
     tmp_path_factory: pytest.TempPathFactory, cut: int
 ) -> None:
     path = tmp_path_factory.mktemp("bag") / "x.mcap"
-    writer = McapBagWriter(path)
+    writer = BagWriter(path)
     channel = writer.register(Topic("/one", LOG))
     write_lines(writer, channel, 1, 1)
     chunk = chunk_of([(channel, 2, bytes(100))])
@@ -119,7 +122,7 @@ def test_a_chunk_that_is_cut_leaves_nothing(
     assert records(path)
 
 
-class FullDisk(McapBagWriter):
+class FullDisk(BagWriter):
     """Takes no chunk for some time."""
 
     failures = 3
@@ -140,9 +143,9 @@ def test_a_chunk_waits_for_room_on_the_disk(tmp_path: Path) -> None:
         channels.append(channel)
         answered.set()
 
-    recorder.topic_requests.open_channel("/one", LOG, "- depth: 1", answer)
+    recorder.open_channel("/one", LOG, "- depth: 1", answer)
     assert answered.wait(10)
-    recorder.topic_requests.append_chunk(chunk_of([(channels[0], 5, b"abcd")]), done.set)
+    recorder.append_chunk(chunk_of([(channels[0], 5, b"abcd")]), done.set)
     assert done.wait(20)
     summary = recorder.close()
     assert summary.interruptions == 3
@@ -150,7 +153,7 @@ def test_a_chunk_waits_for_room_on_the_disk(tmp_path: Path) -> None:
     assert [each.data for each in raw_messages(summary.path, "/one")] == [b"abcd"]
 
 
-class WatchedWriter(McapBagWriter):
+class WatchedWriter(BagWriter):
     """Tells when an event of the run was written."""
 
     def __init__(self, path: Path) -> None:
@@ -167,7 +170,7 @@ class WatchedWriter(McapBagWriter):
 def test_events_are_recorded_while_topics_come_without_a_pause(tmp_path: Path) -> None:
     writer = WatchedWriter(tmp_path / "x.mcap")
     recorder = Recorder(writer)
-    topics = recorder.topic_requests
+    topics = recorder
     channels: list[int] = []
     answered = threading.Event()
     topics.open_channel("/one", LOG, "", channels.append)
@@ -180,7 +183,7 @@ def test_events_are_recorded_while_topics_come_without_a_pause(tmp_path: Path) -
 
     def send_another() -> None:
         is_flooded.set()
-        if topics.dropped == 0:  # the recorder has not ended
+        if topics.topic_drops == 0:  # the recorder has not ended
             send()
 
     send()
@@ -196,8 +199,8 @@ def test_events_are_recorded_while_topics_come_without_a_pause(tmp_path: Path) -
 def test_a_chunk_that_cannot_be_read_holds_nothing_up(
     tmp_path: Path, descriptor: int | None, caplog: pytest.LogCaptureFixture
 ) -> None:
-    recorder = Recorder(McapBagWriter(tmp_path / "x.mcap"))
-    topics = recorder.topic_requests
+    recorder = Recorder(BagWriter(tmp_path / "x.mcap"))
+    topics = recorder
     channels, all_written = list[int](), threading.Event()
     topics.open_channel("/one", LOG, "", channels.append)
     written = threading.Event()
@@ -227,7 +230,7 @@ def test_what_is_attached_while_the_disk_is_full_is_there_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     limits = RecorderLimits(retry=0.001)
-    recorder = Recorder(McapBagWriter(tmp_path / "x.mcap"), limits=limits)
+    recorder = Recorder(BagWriter(tmp_path / "x.mcap"), limits=limits)
     really, failures = os.pwrite, [OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))]
 
     def full(descriptor: int, data: bytes, at: int) -> int:
@@ -237,8 +240,8 @@ def test_what_is_attached_while_the_disk_is_full_is_there_once(
 
     monkeypatch.setattr(os, "pwrite", full)
     done = threading.Event()
-    recorder.topic_requests.attach("a.txt", "text/plain", b"abc")
-    recorder.topic_requests.after_these(done.set)
+    recorder.attach("a.txt", "text/plain", b"abc")
+    recorder.after_these(done.set)
     assert done.wait(10)
     summary = recorder.close()
     assert summary.interruptions == 1
@@ -247,8 +250,8 @@ def test_what_is_attached_while_the_disk_is_full_is_there_once(
 
 
 def test_secrets_are_masked_in_what_is_about_parameters(tmp_path: Path) -> None:
-    recorder = Recorder(McapBagWriter(tmp_path / "x.mcap"))
-    requests = recorder.topic_requests
+    recorder = Recorder(BagWriter(tmp_path / "x.mcap"))
+    requests = recorder
     secrets = {"token", "token-and-more", "4711", "1234.5", "abc", "****"}
     # These are everywhere, in lengths as well.
     requests.secrets = in_messages({*secrets, "0000", "0.00", "0x01"})
@@ -272,12 +275,12 @@ def test_secrets_are_masked_in_what_is_about_parameters(tmp_path: Path) -> None:
 
 
 def test_after_the_end_everything_is_given_up(tmp_path: Path) -> None:
-    recorder = Recorder(McapBagWriter(tmp_path / "x.mcap"))
+    recorder = Recorder(BagWriter(tmp_path / "x.mcap"))
     recorder.close()
     done, channels = threading.Event(), list[int]()
-    requests = recorder.topic_requests
+    requests = recorder
     requests.open_channel("/one", LOG, "", channels.append)
     requests.append_chunk(chunk_of([(1, 5, b"abcd")]), done.set)
     assert channels == [0]
     assert done.is_set()
-    assert requests.dropped == 1
+    assert requests.topic_drops == 1

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from play_launch.cli.show.group_totals import GroupTotal
-    from play_launch.recording.recorder import RecordingSummary
+    from play_launch.recording.limits import RecordingSummary
     from play_launch.supervisor.view import ContainerView, ProcessView, SystemView
 
     Used = Mapping[tuple[SubjectKind, str], GroupTotal]

@@ -11,9 +11,15 @@ from typing import TYPE_CHECKING, Final
 from msgspec import Struct
 
 from play_launch.control.registration import CONTROL_SOCKET
-from play_launch.recording.folder import age_in, open_regular, part_file
-from play_launch.recording.index import INDEX_NAME, NEW_SUFFIX
-from play_launch.recording.part import ACTIVE_SUFFIX, HALF_SUFFIX
+from play_launch.recording.folder import (
+    ACTIVE_SUFFIX,
+    HALF_SUFFIX,
+    INDEX_NAME,
+    NEW_SUFFIX,
+    age_in,
+    open_regular,
+    part_file,
+)
 
 if TYPE_CHECKING:
     from pathlib import Path

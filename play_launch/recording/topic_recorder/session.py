@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 from typing import TYPE_CHECKING
 
-from play_launch.recording.convert import is_failure
+from play_launch.recording.forms import is_failure
 from play_launch.recording.topic_recorder.snapshot import SnapshotError
 from play_launch.recording.topic_recorder.supervision import TopicRecording
 from play_launch.supervisor.events import (
@@ -20,15 +20,15 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from play_launch.config.model import ReplayConfig
+    from play_launch.recording.recorder import Recorder
     from play_launch.recording.topic_recorder.snapshot import Snapshot, Snapshots
-    from play_launch.recording.topic_recorder.supervision import TopicSink
     from play_launch.supervisor.events import RunEvent
     from play_launch.supervisor.view import SystemView
 
 
 async def record_topics(
     config: ReplayConfig,
-    sink: TopicSink,
+    sink: Recorder,
     snapshots: Snapshots,
     *,
     on_begin: Callable[[FailureWatch], None],

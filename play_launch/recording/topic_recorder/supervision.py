@@ -10,7 +10,7 @@ import os
 import random
 import signal
 from functools import partial
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Final
 
 from play_launch.config.model import RestartLimits
 from play_launch.container.ros import MixedInstallationError, NotInstalledError
@@ -23,33 +23,10 @@ from play_launch.ros.fastdds.shared_memory import sweep_shared_memory
 from play_launch.supervisor.restart import Restart, RestartHistory, decide
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from play_launch.config.model import ReplayConfig
     from play_launch.process.child import Child
-    from play_launch.recording.chunk import TopicChunk
+    from play_launch.recording.recorder import Recorder
     from play_launch.recording.topic_recorder.link import RecorderLink
-
-
-class TopicSink(Protocol):
-    """Takes what is recorded, in any thread, and never waits.
-
-    What it calls back is called from any thread, once for each call.
-    """
-
-    def open_channel(
-        self, name: str, type_name: str, offered_qos_profiles: str, answer: Callable[[int], None]
-    ) -> None:
-        """Announce a topic; ``answer`` gets its channel, or 0 when it cannot be recorded."""
-
-    def append_chunk(self, chunk: TopicChunk, done: Callable[[], None]) -> None:
-        """Write a chunk and close its file; ``done`` is called in every case."""
-
-    def after_these(self, done: Callable[[], None]) -> None:
-        """Call ``done`` when everything that was asked for before is written or given up."""
-
-    def count_topic_drops(self, topic: str, messages: int) -> None:
-        """Note that messages of a topic are not in the recording."""
 
 
 _RESTARTS: Final = RestartLimits(max_restarts=3, within=60.0, initial=0.5, maximum=8.0)
@@ -66,7 +43,7 @@ class TopicRecording:
     Belongs to the thread of the event loop.
     """
 
-    def __init__(self, config: ReplayConfig, sink: TopicSink) -> None:
+    def __init__(self, config: ReplayConfig, sink: Recorder) -> None:
         """Know what to do; nothing is started."""
         self._config = config
         self._sink = sink

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from play_launch.container.cdr.messages import log_message
-from play_launch.recording.bag import McapBagWriter, Rotation
+from play_launch.recording.bag import BagWriter, Rotation
 from play_launch.recording.topics import OUTPUT
 
 if TYPE_CHECKING:
@@ -18,11 +18,11 @@ def name_of(day: int) -> str:
 
 def begin_session(
     log_folder: Path, day: int, lines: int = 10, *, parts: int = 1
-) -> tuple[Path, McapBagWriter]:
+) -> tuple[Path, BagWriter]:
     """A session that is being recorded: so many lines in so many files, all of them flushed."""
     folder = log_folder / name_of(day)
     folder.mkdir(parents=True)
-    writer = McapBagWriter(
+    writer = BagWriter(
         folder / "session.mcap", rotation=Rotation(size=1 if parts > 1 else 1e9), has_index=True
     )
     writer.metadata("play_launch.session", {"id": str(day)})

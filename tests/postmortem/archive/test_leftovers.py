@@ -14,7 +14,7 @@ from rosbags.highlevel import AnyReader
 
 from play_launch.postmortem.archive.leftovers import complete_session
 from play_launch.postmortem.bag_reader import BagReader
-from play_launch.recording.bag import McapBagWriter
+from play_launch.recording.bag import BagWriter
 from play_launch.recording.session import create_session_folder
 from tests.postmortem.archive.scenes import begin_session, cut_off_session, name_of, past_session
 from tests.recording.reading import messages
@@ -185,7 +185,7 @@ def test_the_oldest_is_what_began_first_whatever_the_clock_said(tmp_path: Path) 
         each.announce()
     folders = [each.path for each in made]
     for folder in folders:
-        McapBagWriter(folder / "session.mcap").close()
+        BagWriter(folder / "session.mcap").close()
     done = archive(tmp_path, "--keep-sessions=2")
     assert f"the latest of them {folders[2].name}" in done.stdout
     kept = sorted(name for name in names(tmp_path) if name not in {".order", "latest"})

@@ -11,8 +11,8 @@ from play_launch.postmortem.report.facts import contents
 from play_launch.postmortem.report.gather import Gathered, Gathering
 from play_launch.postmortem.report.page import write_page
 from play_launch.postmortem.session import PastSession
-from play_launch.recording.bag import McapBagWriter
-from play_launch.recording.convert import convert
+from play_launch.recording.bag import BagWriter
+from play_launch.recording.forms import convert
 from play_launch.recording.session import METADATA_NAME
 from play_launch.recording.topics import ALL_TOPICS
 from play_launch.supervisor.events import (
@@ -114,7 +114,7 @@ def record(
 ) -> Path:
     """Write a recording whose times are those of its events."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    writer = McapBagWriter(path)
+    writer = BagWriter(path)
     writer.attach("config.yaml", "application/yaml", config.encode(), time=BEGIN)
     host = b'{"hostname": "</script><b>", "cpus": 2}'
     writer.attach("host.json", "application/json", host, time=BEGIN)

@@ -16,12 +16,12 @@ from rclpy.publisher import Publisher
 
 from play_launch.config.load import parse_config
 from play_launch.config.model import ReplayConfig
-from play_launch.recording.bag import McapBagWriter
-from play_launch.recording.chunk import CHUNK_HEAD, ENTRY, INDEX, MESSAGE, ChannelPart, TopicChunk
-from play_launch.recording.recorder import Recorder, RecordingSummary
+from play_launch.recording.bag import BagWriter
+from play_launch.recording.chunk import TopicChunk
+from play_launch.recording.limits import RecordingSummary
+from play_launch.recording.recorder import Recorder
 from play_launch.recording.schema import message_definition
 from play_launch.recording.topic_recorder.supervision import TopicRecording
-from play_launch.recording.topic_requests import TopicRequests
 
 _PTRACE_SEIZE, _PTRACE_INTERRUPT, _PTRACE_DETACH = 0x4206, 0x4207, 17
 _WALL = 0x40000000
@@ -35,17 +35,15 @@ def configuration(record: str) -> ReplayConfig:
     return parse_config(text.encode(), Path("demo.yaml"))
 
 
-class Counting:
-    """Passes requests on, and notes what of each topic is in the file."""
+class CountingRecorder(Recorder):
+    """Counts what of each topic is in the file."""
 
-    def __init__(self, requests: TopicRequests) -> None:
-        self._requests = requests
+    def __init__(self, bag: BagWriter) -> None:
         self._names: dict[int, str] = {}
         self.messages: Counter[str] = Counter()
         self.published: Counter[str] = Counter()
-        """When the newest of a topic was, in nanoseconds since the epoch."""
-        self.after_these = requests.after_these
-        self.count_topic_drops = requests.count_topic_drops
+        """Publish time of the newest message of a topic."""
+        super().__init__(bag)
 
     def open_channel(
         self, name: str, type_name: str, offered_qos_profiles: str, answer: Callable[[int], None]
@@ -54,10 +52,10 @@ class Counting:
             self._names[channel] = name
             answer(channel)
 
-        self._requests.open_channel(name, type_name, offered_qos_profiles, note)
+        super().open_channel(name, type_name, offered_qos_profiles, note)
 
     def append_chunk(self, chunk: TopicChunk, done: Callable[[], None]) -> None:
-        newest = [_published(chunk, part) for part in chunk.parts]
+        newest = [max(stamp for _, stamp in chunk.messages_of(part)) for part in chunk.parts]
 
         def count() -> None:
             for part, published in zip(chunk.parts, newest, strict=True):
@@ -66,24 +64,15 @@ class Counting:
                 self.published[name] = max(self.published[name], published)
             done()
 
-        self._requests.append_chunk(chunk, count)
-
-
-def _published(chunk: TopicChunk, part: ChannelPart) -> int:
-    """When the last message of a channel was published."""
-    last = part.index_offset + INDEX.size + ENTRY.size * (part.messages - 1)
-    _, place = ENTRY.unpack(os.pread(chunk.descriptor, ENTRY.size, last))
-    head = os.pread(chunk.descriptor, MESSAGE.size, CHUNK_HEAD + place)
-    return int(MESSAGE.unpack(head)[-1])
+        super().append_chunk(chunk, count)
 
 
 class Recording:
     """A recording under way; its file is complete when the block is left."""
 
-    def __init__(self, recorder: Recorder, config: ReplayConfig) -> None:
+    def __init__(self, recorder: CountingRecorder, config: ReplayConfig) -> None:
         self.recorder = recorder
-        self.counting = Counting(recorder.topic_requests)
-        self.topics = TopicRecording(config, self.counting)
+        self.topics = TopicRecording(config, recorder)
         self.summary: RecordingSummary | None = None
 
     @property
@@ -95,8 +84,8 @@ class Recording:
 
     async def has(self, messages: int) -> None:
         """Wait until so many are in the file."""
-        requests = self.recorder.topic_requests
-        await until(lambda: requests.messages >= messages, f"{messages} messages in the file")
+        recorder = self.recorder
+        await until(lambda: recorder.topic_messages >= messages, f"{messages} messages in the file")
 
 
 @contextlib.asynccontextmanager
@@ -104,7 +93,9 @@ async def recording(
     path: Path, record: str, definition: Callable[[str], str] = message_definition
 ) -> AsyncIterator[Recording]:
     config = await asyncio.to_thread(configuration, record)
-    recorder = await asyncio.to_thread(lambda: Recorder(McapBagWriter(path, definition=definition)))
+    recorder = await asyncio.to_thread(
+        lambda: CountingRecorder(BagWriter(path, definition=definition))
+    )
     made = Recording(recorder, config)
     task = asyncio.create_task(made.topics.run())
     try:
@@ -132,7 +123,7 @@ async def heard(made: Recording, publisher: Publisher, hello: Any) -> None:
 
     def is_heard() -> bool:
         publisher.publish(hello)
-        return made.counting.published[topic] > since
+        return made.recorder.published[topic] > since
 
     await until(is_heard, f"messages of {topic} in the file")
 

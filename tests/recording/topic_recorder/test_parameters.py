@@ -93,7 +93,7 @@ def known(path: Path) -> Parameters:
 
 async def asked(made: Recording, count: int) -> None:
     """Wait until so many answers, or failures to answer, are in the file."""
-    await until(lambda: made.counting.messages[PARAMETERS.name] >= count, f"{count} answers")
+    await until(lambda: made.recorder.messages[PARAMETERS.name] >= count, f"{count} answers")
 
 
 async def test_those_of_a_node(tmp_path: Path) -> None:
@@ -138,7 +138,7 @@ async def test_what_changes_later(tmp_path: Path) -> None:
             faster = [Parameter("speed", value=1.5)]
             await asyncio.to_thread(arm.set_parameters, faster)
             await asyncio.to_thread(arm.undeclare_parameter, "tool")
-            events = made.counting.messages
+            events = made.recorder.messages
             await until(lambda: events["/parameter_events"] >= 1, "the event")
     found = (await asyncio.to_thread(known, path)).nodes["/arm"]
     assert found.values["speed"] == "1.5"
@@ -213,7 +213,7 @@ async def test_none_is_asked_where_that_is_excluded(tmp_path: Path) -> None:
         exclude = "{exclude: [/play_launch/parameters]}"
         async with recording(path, exclude) as made:
             faster = [Parameter("a", value=2)]
-            heard = made.counting.messages
+            heard = made.recorder.messages
 
             def is_heard() -> bool:
                 arm.set_parameters(faster)

@@ -158,7 +158,7 @@ async def test_a_publisher_of_less_quality_is_heard_as_well(probe: Probe, tmp_pa
     async with recording(path, "{topics: [/mixed]}") as made:
         await heard(made, reliable, String())
         unreliable = probe.node.create_publisher(String, "/mixed", BEST_EFFORT)
-        greetings, counted = 200, made.counting.messages
+        greetings, counted = 200, made.recorder.messages
 
         def is_heard() -> bool:
             unreliable.publish(String(data="unreliable"))
@@ -261,7 +261,7 @@ async def test_log_times_of_a_topic_do_not_go_back(probe: Probe, tmp_path: Path)
     for publisher in publishers:
         await publish_all(publisher, strings(500, 500))
     async with recording(path, "{topics: [/latched]}") as made:
-        while made.recorder.topic_requests.messages < 4000:
+        while made.recorder.topic_messages < 4000:
             for publisher in publishers:
                 publisher.publish(String(data="new"))
             await asyncio.sleep(0.0005)
@@ -297,7 +297,7 @@ async def test_a_supervisor_that_does_not_go_on(probe: Probe, tmp_path: Path) ->
     async with recording(path, "{topics: [/camera/image]}") as made:
         await heard(made, images, Image())
         gate = threading.Event()
-        made.recorder.topic_requests.after_these(lambda: void(gate.wait(TIMEOUT)))
+        made.recorder.after_these(lambda: void(gate.wait(TIMEOUT)))
         process = psutil.Process(made.pid)
         await publish_all(images, [image(n % 256) for n in range(150)], 0.005)
         await acknowledged(images)
@@ -331,7 +331,7 @@ async def test_it_ends_in_order_when_the_supervisor_is_gone(probe: Probe, tmp_pa
     async with recording(tmp_path / "x.mcap", "{topics: [/camera/image]}") as made:
         await heard(made, images, Image())
         gate = threading.Event()
-        made.recorder.topic_requests.after_these(lambda: void(gate.wait(TIMEOUT)))
+        made.recorder.after_these(lambda: void(gate.wait(TIMEOUT)))
         await publish_all(images, [image(number) for number in range(20)], 0.005)
         child, link = made.topics._child, made.topics._link
         assert child is not None
