@@ -312,7 +312,7 @@ class NoGroups(Groups):
     def enter(self, config: ComposableNodeConfig, attempt: int) -> tuple[str, ...]:
         return ()
 
-    def leave(self, key: NodeKey, attempt: int) -> str:
+    def leave(self, attempt: int) -> str:
         return ""
 
     def check(self, full_name: str, pid: int) -> None:
