@@ -41,8 +41,8 @@ def info(file: options.Recording, as_json: options.Json = False) -> int:
 def report_damage(reader: BagReader) -> bool:
     """Write to stderr what cannot be read of a file; return whether there is anything."""
     lines = [f"warning: {reader.path}: {damage}" for damage in reader.damages]
-    if reader.log_times.note:
-        lines.append(f"note: {reader.path}: {reader.log_times.note}")
+    if reader.clock_note:
+        lines.append(f"note: {reader.path}: {reader.clock_note}")
     if not reader.is_complete and not reader.damages:
         lines.append(
             f"warning: {reader.path}: it was not closed in order, so its end may be missing"
@@ -73,7 +73,7 @@ def session_object(story: Story) -> dict[str, Any]:
         "complete": reader.is_complete and not reader.damages,
         "damages": [str(damage) for damage in reader.damages],
         "session": session.about,
-        "started_ns": session.started_ns + reader.log_times.set_ns,
+        "started_ns": session.started_ns + reader.ahead_ns,
         "duration_s": seconds,
         "containers": len(view.containers),
         "nodes": len(nodes),

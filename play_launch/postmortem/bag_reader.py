@@ -1,12 +1,11 @@
-"""A recording from its beginning to its end, or to where it cannot be read any more.
+"""A recording from its beginning to its end, or to where it cannot be read.
 
 It is one MCAP file, or a folder with several that follow each other.
 
-The readers of the package ``mcap`` end with whatever exception damage leads to, and believe every
-length that they find. A recording is wanted above all after something went wrong, so this one keeps
-what can be read: a broken chunk is left out, behind a record that reaches beyond the file the next
-chunk is looked for, and each such place is remembered. The index at the end is not used: a file may
-not have one.
+The readers of the package ``mcap`` end with whatever exception damage leads to. A recording is
+wanted above all after something went wrong, so this one skips records that are broken and notes
+each. It stops behind a record whose length is wrong: ``mcap recover`` repairs such files. The index
+at the end is not used: a file may not have one.
 """
 
 from __future__ import annotations
@@ -22,12 +21,9 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata, Schema
 from msgspec import Struct
 
-from play_launch.postmortem.file_end import MAGIC, NotTheEndError, problem_at_the_end
 from play_launch.postmortem.records import (
-    INDEX_HEAD,
     BrokenError,
-    LogTimes,
-    behind_indexes,
+    check_end,
     check_index,
     is_too_long,
     read_attachment,
@@ -35,12 +31,12 @@ from play_launch.postmortem.records import (
     read_content,
     read_record,
     refuse,
-    started_ns,
 )
-from play_launch.postmortem.resync import may_begin, next_chunk
 from play_launch.recording.bag import PART_METADATA, REPEATED
+from play_launch.recording.clock import CLOCK_METADATA
 from play_launch.recording.folder import BAG_NAME, PartFile, open_bag, part_path, parts_of
-from play_launch.recording.topics import KEY, KIND, SYSTEM
+from play_launch.recording.mcap_file import MAGIC
+from play_launch.recording.topics import KEY, KIND
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterator
@@ -54,7 +50,10 @@ _IN_CHUNK: Final = struct.Struct("<BQHIQQ")
 """A message with what precedes each record."""
 _MESSAGE_KIND: Final = int(Opcode.MESSAGE)
 _FOR_APPLICATIONS: Final = 0x80
-"""From here on records mean what a program wants."""
+"""From here on the meaning of records is up to a program."""
+_LATEST: Final = (1 << 63) - 1
+"""Nanoseconds since the epoch: later times are damage."""
+_DAY: Final = 24 * 3600 * 1_000_000_000
 _LISTED: Final = 100
 """Damages that are listed one by one."""
 
@@ -77,7 +76,7 @@ class Damage(NamedTuple):
         return f"{self.file}: {place}" if self.file else place
 
 
-class Topic(Struct, frozen=True, order=True, cache_hash=True):
+class RecordedTopic(Struct, frozen=True, order=True, cache_hash=True):
     """A channel of the file."""
 
     name: str
@@ -92,25 +91,23 @@ class Topic(Struct, frozen=True, order=True, cache_hash=True):
 class Message(Struct, frozen=True, gc=False):
     """One message; times are nanoseconds since the epoch."""
 
-    topic: Topic
+    topic: RecordedTopic
     log_time: int
-    """By the clock as it was when the session began, see `LogTimes`."""
     publish_time: int
-    """As it stands in the file."""
     data: bytes
     channel: int
     """Its number in the file."""
     offset: int
     """In the file, in bytes: of its record, or of the chunk that holds it."""
     sequence: int = 0
-    set_ns: int = 0
-    """What was taken off the log time: by how much the clock had been set forward."""
+    ahead_ns: int = 0
+    """By how much the system clock was ahead of the session's, as publish time and stamps are."""
 
 
-class Description(NamedTuple):
-    """What a file says about a channel, as it stands there."""
+class ChannelInfo(NamedTuple):
+    """A channel as the file describes it."""
 
-    topic: Topic
+    topic: RecordedTopic
     channel: Channel
     schema: Schema | None
     is_wanted: bool
@@ -120,14 +117,14 @@ class Description(NamedTuple):
 class BagReader:
     """One pass: iterate over `messages`; the rest is known as far as that has come.
 
-    What one of several files repeats from that before it is passed over when that was read.
+    What one of several files repeats from that before it is skipped when that was read.
     """
 
     path: Path
     """The file, or the folder with the files."""
     attachments: dict[str, Attachment] = field(default_factory=dict)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
-    counts: dict[Topic, int] = field(default_factory=dict)
+    counts: dict[RecordedTopic, int] = field(default_factory=dict)
     """Messages of each topic, the unwanted ones included."""
     damages: list[Damage] = field(default_factory=list)
     """The first ones; of more than can be listed the last stands for the rest."""
@@ -138,24 +135,40 @@ class BagReader:
     begin: int = 0
     end: int = 0
     """Log times of the earliest and the latest message; 0 without any."""
-    channels: dict[int, Description] = field(default_factory=dict)
+    channels: dict[int, ChannelInfo] = field(default_factory=dict)
     """Those of the file that is being read."""
     files: tuple[str, ...] = ()
     """The names of all."""
     file: str = ""
     """The name of that file, where the recording has several."""
     _schemas: dict[int, Schema] = field(default_factory=dict)
+    _described: set[bytes] = field(default_factory=set)
+    """Records of schemas and channels."""
     _before: int = -1
     """Number of the file that was read before this one."""
     _has_chunks: bool = False
-    _passes_over: bool = False
-    """Whether messages that repeat earlier ones are of no use."""
-    log_times: LogTimes = field(default_factory=LogTimes)
+    _skips_repeated: bool = False
     _noted: Damage | None = None
     _unlisted: int = 0
 
+    @property
+    def ahead_ns(self) -> int:
+        """By how much the system clock is ahead of the session's, as it was set since the start."""
+        return _number(self.metadata.get(CLOCK_METADATA, {}).get("ahead_ns", ""))
+
+    @property
+    def clock_note(self) -> str:
+        """What is to be reported about times, if anything."""
+        if abs(self.ahead_ns) < _DAY:
+            return ""
+        way = "forward" if self.ahead_ns > 0 else "back"
+        return (
+            f"the clock was set {way} by {abs(self.ahead_ns) / _DAY:,.1f} days while this was "
+            "recorded; times after the start are given as if it had not been"
+        )
+
     def note(self, damage: Damage, *, places: int = 1) -> None:
-        """Remember a place that cannot be read, or so many; it may be noted twice in a row."""
+        """Note a place that cannot be read, or so many; it may be noted twice in a row."""
         if damage == self._noted:
             return
         self._noted = damage
@@ -170,7 +183,7 @@ class BagReader:
             self.damages[-1] = self.damages[-1]._replace(reason=reason)
 
     def messages(self, wanted: Container[str] | None = None) -> Iterator[Message]:
-        """Give the messages of these topics (None: all) in the order of the file.
+        """Yield the messages of these topics (None: all) in the order of the file.
 
         Raises:
             NotARecordingError: At once, for another kind of file.
@@ -179,7 +192,9 @@ class BagReader:
         self.files = tuple(part.path.name for part in parts)
         are_complete, unreadable = [], []
         for part in parts:
-            self._begin_file(part.path.name if len(parts) > 1 else "")
+            self.file = part.path.name if len(parts) > 1 else ""
+            self.is_complete = self._has_chunks = self._skips_repeated = False
+            self.channels, self._schemas, self._described = {}, {}, set()
             try:
                 for found in self._file_messages(part.path, wanted):
                     yield from found
@@ -191,16 +206,11 @@ class BagReader:
         if len(unreadable) == len(parts):
             raise unreadable[0]
         self.is_complete = all(are_complete)
-        self._name_missing(parts)
-
-    def _begin_file(self, name: str) -> None:
-        self.file = name
-        self.is_complete = False
-        self.channels, self._schemas = {}, {}
-        self._has_chunks = self._passes_over = False
+        if len(parts) > 1:
+            self._note_missing(parts)
 
     def _file_messages(self, path: Path, wanted: Container[str] | None) -> Iterator[list[Message]]:
-        """Give those of a file, chunk by chunk."""
+        """Yield those of a file, chunk by chunk."""
         try:
             file = open_bag(path)
         except OSError as error:
@@ -216,9 +226,7 @@ class BagReader:
                 raise NotARecordingError(f"{path}: it is not an MCAP file")
             yield from self._records(file, size, wanted)
 
-    def _name_missing(self, parts: list[PartFile]) -> None:
-        if len(parts) == 1:
-            return
+    def _note_missing(self, parts: list[PartFile]) -> None:
         there, last = {part.number for part in parts}, parts[-1].number
         left = last + 1 - len(there)
         # A name can hold any number.
@@ -235,98 +243,76 @@ class BagReader:
         at = len(MAGIC)
         while at < size:
             try:
-                head = file.read(_RECORD.size)
-            except OSError as error:
-                self._damaged(at, f"{error.strerror}")
-                at = file.seek(next_chunk(file, at + 1, size) or size)
-                continue
-            if len(head) < _RECORD.size:
-                self._damaged(at, "the file ends within a record")
-                return
-            kind, length = _RECORD.unpack(head)
-            end = at + _RECORD.size + length
-            if end > size or is_too_long(kind, length):
-                reason = f"the file ends within a record, or its length ({length} bytes) is wrong"
+                file.seek(at)
+                kind, length = _RECORD.unpack(file.read(_RECORD.size))
+            except (OSError, struct.error) as error:
+                reason = getattr(error, "strerror", None) or "the file ends within a record"
                 self._damaged(at, reason)
-                following = next_chunk(file, at + 1, size)
-                if following is None:
-                    return
-                at = file.seek(following)
-                continue
-            if kind in {Opcode.DATA_END, Opcode.FOOTER}:
-                # What follows repeats what was read.
-                try:
-                    channels = {number: each.channel for number, each in self.channels.items()}
-                    problem = problem_at_the_end(file, at, kind, channels, self._schemas)
-                except NotTheEndError:
-                    self._damaged(at, "a record says that the data ends here, and it goes on")
-                    at = file.seek(end)
-                    continue
-                except OSError as error:
-                    problem = f"the summary at its end cannot be read: {error.strerror}"
-                self.is_complete = problem is None
-                if problem is not None:
-                    self._damaged(at, problem)
                 return
+            end = at + _RECORD.size + length
+            if end > size or is_too_long(kind, length) or kind == length == 0:
+                reason = f"the file ends within a record, or its length ({length} bytes) is wrong"
+                self._damaged(at, f"{reason}; {size - at:,} bytes are not read")
+                return
+            found: list[Message] = []
             try:
-                match kind:
-                    case Opcode.MESSAGE if self._has_chunks:
-                        # No writer does both. Another record that became one would be believed.
-                        refuse(kind)
-                    case Opcode.CHUNK | Opcode.SCHEMA | Opcode.CHANNEL | Opcode.MESSAGE:
-                        found: list[Message] = []
-                        content = read_content(file, kind, length)
-                        try:
-                            if kind == Opcode.CHUNK:
-                                self._has_chunks = True
-                                content = read_chunk(content)
-                            else:
-                                content = head + content
-                            self._data(content, at, wanted, found)
-                        finally:
-                            yield found
-                        if kind == Opcode.CHUNK:
-                            end = behind_indexes(file, end, size)
-                    case Opcode.ATTACHMENT:
-                        self._attachment(read_content(file, kind, length))
-                    case Opcode.METADATA:
-                        metadata = read_record(Metadata.read, read_content(file, kind, length))
-                        self.metadata[metadata.name] = metadata.metadata
-                        if metadata.name == PART_METADATA:
-                            number = _number(metadata.metadata.get("number", ""))
-                            self._passes_over = number == self._before + 1 > 0
-                    case Opcode.HEADER if at == len(MAGIC):
-                        pass
-                    case Opcode.MESSAGE_INDEX:
-                        check_index(file.read(INDEX_HEAD), length)
-                    case _:
-                        refuse(kind)
+                if kind in {Opcode.DATA_END, Opcode.FOOTER}:
+                    end_of_data = end if kind == Opcode.DATA_END else at
+                    check_end(file, size, end_of_data, self._described)
+                    self.is_complete = True
+                    return
+                if kind == Opcode.MESSAGE_INDEX:
+                    check_index(file, length)
+                elif kind != Opcode.HEADER or at > len(MAGIC):
+                    self._record(kind, read_content(file, kind, length), at, wanted, found)
             except (BrokenError, OSError) as error:
                 # A sector that cannot be read costs the record that it is in.
                 self._damaged(at, getattr(error, "strerror", None) or str(error))
-                if not may_begin(file, end, size):
-                    # Then its length is wrong as well, or nothing but zeros were written.
-                    end = next_chunk(file, at + 1, size) or size
-            at = file.seek(end)
+                if kind in {Opcode.DATA_END, Opcode.FOOTER}:
+                    return
+            finally:
+                yield found
+            at = end
 
-    def _attachment(self, content: bytes) -> None:
-        attachment, is_right = read_attachment(content)
-        self.attachments[attachment.name] = attachment
-        if not is_right:
-            # Better than none: a configuration with a wrong letter is still read by people.
-            raise BrokenError(f"the checksum of the attachment {attachment.name} is wrong")
+    def _record(
+        self,
+        kind: int,
+        content: bytes,
+        at: int,
+        wanted: Container[str] | None,
+        found: list[Message],
+    ) -> None:
+        match kind:
+            case Opcode.CHUNK:
+                self._has_chunks = True
+                self._data(read_chunk(content), at, wanted, found)
+            case Opcode.MESSAGE if not self._has_chunks:  # no writer does both
+                self._data(_RECORD.pack(kind, len(content)) + content, at, wanted, found)
+            case Opcode.SCHEMA | Opcode.CHANNEL:
+                self._describe(kind, content, wanted)
+            case Opcode.ATTACHMENT:
+                attachment, is_right = read_attachment(content)
+                self.attachments[attachment.name] = attachment
+                if not is_right:
+                    # Better than none: a configuration with a wrong letter is still readable.
+                    raise BrokenError(f"the checksum of the attachment {attachment.name} is wrong")
+            case Opcode.METADATA:
+                metadata = read_record(Metadata.read, content)
+                self.metadata[metadata.name] = metadata.metadata
+                if metadata.name == PART_METADATA:
+                    number = _number(metadata.metadata.get("number", ""))
+                    self._skips_repeated = number == self._before + 1 > 0
+            case _:
+                refuse(kind)
 
     def _data(
         self, data: bytes, offset: int, wanted: Container[str] | None, found: list[Message]
     ) -> None:
-        """Read the records of a chunk, or one outside of it; add wanted messages to ``found``."""
+        """Read the records of a chunk; add wanted messages to ``found``."""
         size = len(data)
         begin = end = 0
         counts: dict[int, int] = {}
-        earliest, latest = self.begin or sys.maxsize, self.end
-        started = started_ns(self.metadata)
-        now = started and (self.end or started)
-        set_ns, (likely_from, likely_to) = self.log_times.set_ns, self.log_times.likely(now)
+        earliest, latest, ahead_ns = self.begin or sys.maxsize, self.end, self.ahead_ns
         unpack, head, channels = _IN_CHUNK.unpack_from, _IN_CHUNK.size, self.channels
         # An hour of a large system has a million messages: this looks at each once.
         try:
@@ -346,15 +332,11 @@ class BagReader:
                     raise BrokenError(reason)
                 data_at = begin + head
                 begin = end
-                if sequence == REPEATED and self._passes_over:
+                if sequence == REPEATED and self._skips_repeated:
                     continue
                 counts[number] = counts.get(number, 0) + 1
-                moved = set_ns
-                log_time -= moved
-                if not likely_from <= log_time <= likely_to:
-                    moved = self.log_times.take(log_time + moved, latest or now)
-                    log_time += set_ns - moved
-                    set_ns = self.log_times.set_ns
+                if log_time > _LATEST:
+                    log_time = latest
                 if log_time > latest:  # noqa: PLR1730 - several times as fast as max()
                     latest = log_time
                 if log_time < earliest:  # noqa: PLR1730 - and min()
@@ -369,15 +351,12 @@ class BagReader:
                             number,
                             offset,
                             sequence,
-                            moved,
+                            ahead_ns,
                         )
                     )
         finally:
             for number, count in counts.items():
-                topic = channels[number].topic
-                self.counts[topic] += count
-                if topic.name == SYSTEM.name:
-                    self.log_times.has_samples = True
+                self.counts[channels[number].topic] += count
             if counts:
                 self.begin, self.end = earliest, latest
 
@@ -399,20 +378,21 @@ class BagReader:
             case Opcode.SCHEMA:
                 schema = read_record(Schema.read, content)
                 self._schemas[schema.id] = schema
+                self._described.add(content)
             case Opcode.CHANNEL:
                 channel = read_record(Channel.read, content)
                 described = self._schemas.get(channel.schema_id)
-                type_name = described.name if described else ""
-                topic = Topic(
+                topic = RecordedTopic(
                     channel.topic,
-                    type_name,
+                    described.name if described else "",
                     channel.message_encoding,
                     channel.metadata.get(KIND, ""),
                     channel.metadata.get(KEY, ""),
                 )
                 is_wanted = wanted is None or topic.name in wanted
-                self.channels[channel.id] = Description(topic, channel, described, is_wanted)
+                self.channels[channel.id] = ChannelInfo(topic, channel, described, is_wanted)
                 self.counts.setdefault(topic, 0)
+                self._described.add(content)
             case _ if kind < _FOR_APPLICATIONS:
                 # A gigabyte of zeros, which are small in the file, would be as many records.
                 refuse(kind)
@@ -434,4 +414,5 @@ def _parts(path: Path) -> list[PartFile]:
 
 
 def _number(text: str) -> int:
-    return int(text) if text.isascii() and text.isdecimal() and len(text) < 10 else 0
+    digits = text.removeprefix("-")
+    return int(text) if digits.isascii() and digits.isdecimal() and len(digits) < 20 else 0

@@ -79,8 +79,8 @@ def _group(signature: Signature, finding: Finding, version: str, reader: BagRead
         signature=signature,
         count=len(finding.times_ns),
         # Of several sessions only those by a clock that was set are in order.
-        first_ns=min(finding.times_ns) + reader.log_times.set_ns,
-        last_ns=max(finding.times_ns) + reader.log_times.set_ns,
+        first_ns=min(finding.times_ns) + reader.ahead_ns,
+        last_ns=max(finding.times_ns) + reader.ahead_ns,
         sessions=1,
         nodes=(finding.who,),
         versions=tuple(filter(None, (version,))),

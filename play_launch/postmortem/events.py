@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from play_launch.container.cdr.layout import Layout
     from play_launch.postmortem.bag_reader import Message
 
-_DAY: Final = 24 * 3600 * 1_000_000_000
 _CUT: Final = " [cut]"
 _NO_MODULES: Final = bytes(7)
 """The length of a sequence, and up to three bytes before it that align it."""
@@ -62,8 +61,9 @@ def event_of(message: Message) -> RunEvent | None:
 def _fields(layout: Layout, message: Message, more: bytes = b"") -> dict[str, Any]:
     fields = layout.read(message.data + more)
     # The stamp may be from before the clock was set.
-    if message.set_ns and abs(fields["stamp"] - message.log_time - message.set_ns) < _DAY:
-        fields["stamp"] -= message.set_ns
+    late = fields["stamp"] - message.log_time
+    if abs(late - message.ahead_ns) < abs(late):
+        fields["stamp"] -= message.ahead_ns
     return fields
 
 

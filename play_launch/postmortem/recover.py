@@ -1,4 +1,4 @@
-"""A damaged or unfinished recording, written anew as far as it can be read."""
+"""A damaged or unfinished recording, written anew as far as it can be read, with an index."""
 
 from __future__ import annotations
 
@@ -8,17 +8,26 @@ import os
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, NamedTuple
 
+from mcap.exceptions import McapError
+from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
 from play_launch.postmortem.bag_reader import BagReader, NotARecordingError
-from play_launch.postmortem.index_folder import index_folder
 from play_launch.postmortem.whole_file import OutputError, is_passed_on, whole_file
-from play_launch.recording.folder import ACTIVE_SUFFIX, HALF_SUFFIX, open_bag, part_file
+from play_launch.recording.folder import (
+    ACTIVE_SUFFIX,
+    HALF_SUFFIX,
+    IndexedFile,
+    IndexedTopic,
+    open_bag,
+    part_file,
+    parts_of,
+    write_index,
+)
+from play_launch.recording.session import METADATA_NAME, ROS_DISTRO
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-    from play_launch.postmortem.bag_reader import Message
 
 
 class RecoverError(Exception):
@@ -97,6 +106,22 @@ def write_whole(path: Path, output: Path) -> Recovered:
     return Recovered(output, count, reader, last_offset)
 
 
+def index_folder(folder: Path) -> None:
+    """Write ``metadata.yaml`` for the files of a session that are complete.
+
+    Raises:
+        OSError: When something cannot be read or written.
+        NotARecordingError: When a file has no summary.
+    """
+    parts = [part.path for part in parts_of(folder) if not part.is_active]
+    files, distros = [], []
+    for path in parts:
+        file, distro = _indexed(path)
+        files.append(file)
+        distros.append(distro)
+    write_index(folder, files, next(filter(None, distros), ""))
+
+
 def _refuse_what_is_written(path: Path, file: IO[bytes]) -> None:
     # Its writer holds a lock as long as it lives.
     try:
@@ -109,64 +134,64 @@ def _copy(path: Path, file: IO[bytes]) -> tuple[BagReader, int, int]:
     reader = BagReader(path)
     writer = Writer(file, compression=CompressionType.ZSTD)
     writer.start("ros2", "play_launch recover")
-    copied = _Copied(reader, writer)
+    attached, described = set[str](), set[str]()
+    schemas, channels = dict[int, int](), dict[int, int]()
     count = last_offset = 0
+
+    def copy_head() -> None:
+        for name in reader.attachments.keys() - attached:
+            each = reader.attachments[name]
+            writer.add_attachment(each.create_time, each.log_time, name, each.media_type, each.data)
+        attached.update(reader.attachments)
+        for name in reader.metadata.keys() - described:
+            writer.add_metadata(name, reader.metadata[name])
+        described.update(reader.metadata)
+
     for message in reader.messages():
-        copied.head()
+        if len(reader.attachments) > len(attached) or len(reader.metadata) > len(described):
+            copy_head()
+        number = channels.get(message.channel)
+        if number is None:
+            _, channel, schema, _ = reader.channels[message.channel]
+            new = schemas.get(schema.id) if schema else 0
+            if schema and new is None:
+                new = writer.register_schema(schema.name, schema.encoding, schema.data)
+                schemas[schema.id] = new
+            number = channels[message.channel] = writer.register_channel(
+                channel.topic, channel.message_encoding, new or 0, channel.metadata
+            )
         writer.add_message(
-            copied.channel(message),
-            message.log_time + message.set_ns,
-            message.data,
-            message.publish_time,
-            message.sequence,
+            number, message.log_time, message.data, message.publish_time, message.sequence
         )
         count += 1
         last_offset = message.offset
-    copied.head()
+    copy_head()
     writer.finish()  # type: ignore[no-untyped-call]
     return reader, count, last_offset
 
 
-class _Copied:
-    """What the new file has already of the old one."""
-
-    def __init__(self, reader: BagReader, writer: Writer) -> None:
-        self._reader = reader
-        self._writer = writer
-        self._channels: dict[int, int] = {}
-        self._schemas: dict[int, int] = {}
-        self._attached: set[str] = set()
-        self._metadata: set[str] = set()
-
-    def head(self) -> None:
-        """Copy the attachments and metadata that were read since."""
-        reader = self._reader
-        if len(reader.attachments) > len(self._attached):
-            for name in reader.attachments.keys() - self._attached:
-                each = reader.attachments[name]
-                self._writer.add_attachment(
-                    each.create_time, each.log_time, name, each.media_type, each.data
-                )
-                self._attached.add(name)
-        if len(reader.metadata) > len(self._metadata):
-            for name in reader.metadata.keys() - self._metadata:
-                self._writer.add_metadata(name, reader.metadata[name])
-                self._metadata.add(name)
-
-    def channel(self, message: Message) -> int:
-        """Give the number of a message's channel in the new file."""
-        number = self._channels.get(message.channel)
-        if number is None:
-            described = self._reader.channels[message.channel]
-            channel, schema = described.channel, described.schema
-            new = 0
-            if schema is not None:
-                new = self._schemas.get(schema.id) or self._writer.register_schema(
-                    schema.name, schema.encoding, schema.data
-                )
-                self._schemas[schema.id] = new
-            number = self._writer.register_channel(
-                channel.topic, channel.message_encoding, new, channel.metadata
-            )
-            self._channels[message.channel] = number
-        return number
+def _indexed(path: Path) -> tuple[IndexedFile, str]:
+    """Give what the index says of a file, and the ROS distribution that it was recorded with."""
+    try:
+        with path.open("rb") as file:
+            reader = make_reader(file)
+            summary = reader.get_summary()
+            about = {one.name: one.metadata for one in reader.iter_metadata()}
+    except (McapError, ValueError, EOFError) as error:
+        raise NotARecordingError(f"{path}: {error}") from error
+    if summary is None or summary.statistics is None:
+        raise NotARecordingError(f"{path}: it has no summary")
+    statistics = summary.statistics
+    counts: dict[IndexedTopic, int] = {}
+    for number, channel in summary.channels.items():
+        schema = summary.schemas.get(channel.schema_id)
+        topic = IndexedTopic(
+            channel.topic,
+            schema.name if schema else "",
+            channel.metadata.get("offered_qos_profiles", ""),
+        )
+        count = statistics.channel_message_counts.get(number, 0)
+        counts[topic] = counts.get(topic, 0) + count
+    begin, end = statistics.message_start_time, statistics.message_end_time
+    distro = about.get(METADATA_NAME, {}).get(ROS_DISTRO, "")
+    return IndexedFile(path.name, begin, end, counts), distro

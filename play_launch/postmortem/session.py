@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from play_launch.postmortem.bag_reader import BagReader, Damage
 from play_launch.postmortem.events import UnreadableEventError, event_of
-from play_launch.postmortem.records import started_ns
 from play_launch.recording.session import METADATA_NAME
 from play_launch.supervisor.view import SystemView
 
@@ -44,7 +43,9 @@ class PastSession:
     @property
     def started_ns(self) -> int:
         """Nanoseconds since the epoch; that of the earliest message where nothing else is known."""
-        return started_ns(self.reader.metadata) or self.reader.begin
+        stamp = self.about.get("started_ns", "")
+        is_number = stamp.isascii() and stamp.isdecimal() and len(stamp) < 20
+        return (int(stamp) if is_number else 0) or self.reader.begin
 
     def events(self, topics: Container[str] | None = None) -> Iterator[Happened]:
         """Give the events of these topics (None: all) in the order in which they were received.

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from play_launch.postmortem.bag_reader import BagReader, Message, Topic
+    from play_launch.postmortem.bag_reader import BagReader, Message, RecordedTopic
 
 _RECORDER: Final = "play_launch.recording.recorder"
 _INTERRUPTED: Final = "the recording is interrupted: "
@@ -116,7 +116,7 @@ class Telling:
         self._interruptions: list[LogRecord] = []
         self._waiting: list[tuple[int, int, Incident]] = []
         """Incidents whose last lines may still come, and until when."""
-        self._takes: dict[Topic, Callable[[Message], None]] = {}
+        self._takes: dict[RecordedTopic, Callable[[Message], None]] = {}
 
     def take(self, message: Message) -> None:
         """Take the next message of the recording, of whatever topic."""
@@ -127,7 +127,7 @@ class Telling:
             take = self._takes[message.topic] = self._take_of(message.topic)
         take(message)
 
-    def _take_of(self, topic: Topic) -> Callable[[Message], None]:
+    def _take_of(self, topic: RecordedTopic) -> Callable[[Message], None]:
         if topic.type_name == topics.PROCESS_STATS:
             return self.samples.of(topic.key)
         if topic.name == topics.OUTPUT.name:

@@ -122,7 +122,7 @@ def _refuse_to_replace(output: Path) -> None:
         raise OutputError(f"{output}: Is a directory; {_ELSEWHERE}")
     if not output.exists():
         return
-    from play_launch.postmortem.file_end import MAGIC  # noqa: PLC0415 - slow, rarely needed
+    from play_launch.recording.mcap_file import MAGIC  # noqa: PLC0415 - slow, rarely needed
 
     with output.open("rb") as file:
         if file.read(len(MAGIC)) == MAGIC:

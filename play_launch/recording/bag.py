@@ -98,7 +98,7 @@ class BagWriter:
         self._now = now
         self._topics: dict[int, Topic] = {}
         self._definitions: dict[str, str] = {}
-        self._head: list[Callable[[McapFile], None]] = []
+        self._head: dict[str, Callable[[McapFile], None]] = {}
         self._has_messages = False
         self.unflushed = 0
         """Messages, attachments and metadata since the last flush."""
@@ -184,10 +184,14 @@ class BagWriter:
         return found and found.data
 
     def attach(self, name: str, media_type: str, data: bytes, *, time: int) -> None:
-        self._put(lambda file: file.attach(name, media_type, data, time=time))
+        self._put(name, lambda file: file.attach(name, media_type, data, time=time))
 
-    def metadata(self, name: str, values: Mapping[str, str]) -> None:
-        self._put(lambda file: file.metadata(name, values))
+    def metadata(self, name: str, values: Mapping[str, str], *, is_repeated: bool = False) -> None:
+        """Append a metadata record; further files begin with the latest one if it ``is_repeated``.
+
+        So do they with whatever comes before the first message.
+        """
+        self._put(name, lambda file: file.metadata(name, values), is_repeated=is_repeated)
 
     def flush(self) -> None:
         """Pass everything to the kernel: it then survives the death of this process."""
@@ -229,9 +233,11 @@ class BagWriter:
         with contextlib.suppress(WriteFailedError):
             self._disk.close()
 
-    def _put(self, record: Callable[[McapFile], None]) -> None:
-        if not self._has_messages:
-            self._head.append(record)
+    def _put(
+        self, name: str, record: Callable[[McapFile], None], *, is_repeated: bool = False
+    ) -> None:
+        if is_repeated or not self._has_messages:
+            self._head[name] = record
         self.unflushed += 1
         record(self._file)
 
@@ -239,7 +245,7 @@ class BagWriter:
         """Make a file with everything that it needs to be read alone."""
         file = McapFile(part_path(self._first_path, number))
         try:
-            for record in self._head:
+            for record in self._head.values():
                 record(file)
             if number > 0:
                 file.metadata(PART_METADATA, {"number": str(number)})

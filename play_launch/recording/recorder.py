@@ -11,6 +11,7 @@ from collections import Counter, deque
 from typing import TYPE_CHECKING, Final
 
 from play_launch.recording import topics
+from play_launch.recording.clock import CLOCK_METADATA, SessionClock
 from play_launch.recording.console_format import ERROR
 from play_launch.recording.decisions import STATES, Decision, written
 from play_launch.recording.errors import RecordingError, SchemaNotFoundError, WriteFailedError
@@ -59,15 +60,12 @@ class Recorder:
         bag: BagWriter,
         *,
         limits: RecorderLimits | None = None,
-        now: Callable[[], int] = time.time_ns,
+        clock: SessionClock | None = None,
     ) -> None:
-        """Register the topics and start the thread; ``now`` gives log times.
-
-        May raise ``RecordingError``.
-        """
+        """Register the topics and start the thread; may raise ``RecordingError``."""
         self._bag = bag
         self._limits = limits or RecorderLimits()
-        self._now = now
+        self.clock = clock or SessionClock()
         self._channels = {topic: bag.register(topic) for topic in topics.ALL_TOPICS}
         self._undefined: set[str] = set()
         """Types whose definition is not installed."""
@@ -119,7 +117,7 @@ class Recorder:
         is_urgent = not isinstance(event, OutputLine | Decision) and is_failure(event)
         limits = self._limits
         with self._changed:
-            received = self._now()  # here, so that they are in the order of their times
+            received = self.clock.now()  # here, so that they are in the order of their times
             waiting, room = len(self._events) + len(self._inputs), limits.lines
             if isinstance(event, OutputLine):
                 self._text += len(event.text)
@@ -174,7 +172,7 @@ class Recorder:
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Put a file of its own into the recording; it is left out when nothing is written."""
-        now = self._now()
+        now = self.clock.now()
         self._request(
             lambda: self._bag.attach(name, media_type, data, time=now), give_up=lambda: None
         )
@@ -285,10 +283,14 @@ class Recorder:
             is_closing, requests = self._is_closing, len(self._requests)
         if not bag.unflushed:
             self._flush_at = time.monotonic() + limits.flush
+        if jump_ns := self.clock.jump_ns():
+            values = {"ahead_ns": str(self.clock.ahead_ns)}
+            bag.metadata(CLOCK_METADATA, values, is_repeated=True)
+            _log.warning("the system clock was set by %+.3f s", jump_ns / 1e9)
         if inputs or self._held:
             self._write_inputs(inputs, events, is_closing=is_closing)
         if self._drops.since_ns:
-            events.append((self._now(), self._take_drops().report()))
+            events.append((self.clock.now(), self._take_drops().report()))
         is_urgent = self._write_events(events) or is_urgent
         try:
             if bag.unflushed and (is_urgent or is_closing or time.monotonic() >= self._flush_at):
@@ -337,7 +339,7 @@ class Recorder:
     ) -> None:
         """Hold inputs, and write all of them before an event that they lead to."""
         self._held += inputs
-        now = self._now()
+        now = self.clock.now()
         is_old = bool(self._held) and now - self._held[0][0] > _HELD_NS
         is_followed = any(isinstance(event, STATES) for _, event in events)
         if not (is_closing or is_old or is_followed or len(self._held) > _HELD_INPUTS):
@@ -382,7 +384,7 @@ class Recorder:
         self._interruptions += 1
         self.error = str(error)
         _log.error("the recording is interrupted: %s", error)
-        began_ns, since, pause = time.time_ns(), time.monotonic(), self._limits.retry
+        began_ns, since, pause = self.clock.now(), time.monotonic(), self._limits.retry
         while True:
             is_end = self._end.wait(pause)
             pause = min(2 * pause, self._limits.longest_retry)
@@ -401,7 +403,7 @@ class Recorder:
             stamp_ns=began_ns, reason=str(error), lasted_ns=round(seconds * 1e9), lost=lost
         )
         with self._changed:
-            self._events.insert(0, (self._now(), event))
+            self._events.insert(0, (self.clock.now(), event))
 
     def _register(self, topic: Topic) -> int:
         key = topic.name, topic.type_name

@@ -11,7 +11,6 @@ import os
 import re
 import shutil
 import sys
-import time
 import uuid
 from datetime import datetime
 from pathlib import Path
@@ -23,6 +22,7 @@ from play_launch.config.model import RecordConfig
 from play_launch.container.cdr.layout import text_bytes
 from play_launch.recording import facts
 from play_launch.recording.bag import BagWriter, Rotation
+from play_launch.recording.clock import SessionClock
 from play_launch.recording.errors import RecordingError, SessionFolderError, reason
 from play_launch.recording.folder import BAG_NAME, note_start
 from play_launch.recording.recorder import Recorder
@@ -82,6 +82,7 @@ def open_session(
     log_folder: Path | None = None,
     record: RecordConfig | None = None,
     limits: RecorderLimits | None = None,
+    clock: SessionClock | None = None,
 ) -> Session:
     """Start recording a session and return it.
 
@@ -89,7 +90,7 @@ def open_session(
     :func:`default_log_folder`; ``record`` has the settings. Raises
     :class:`RecordingError` when it cannot even begin.
     """
-    record = record or RecordConfig()
+    record, clock = record or RecordConfig(), clock or SessionClock()
     root = log_folder or default_log_folder(description.environ)
     now = datetime.now().astimezone()
     folder = create_session_folder(root.expanduser(), description.name, now)
@@ -101,10 +102,11 @@ def open_session(
             sync=record.sync,
             has_index=True,
             ros_distro=_ros_distro(description),
+            now=clock.now,
         )
         try:
-            write_head(writer, description, session_id)
-            recorder = Recorder(writer, limits=limits)
+            write_head(writer, description, session_id, now=clock.now())
+            recorder = Recorder(writer, limits=limits, clock=clock)
         except RecordingError:
             writer.abandon()
             raise
@@ -116,9 +118,10 @@ def open_session(
     return Session(session_id, folder, recorder)
 
 
-def write_head(writer: BagWriter, description: SessionDescription, session_id: str) -> None:
+def write_head(
+    writer: BagWriter, description: SessionDescription, session_id: str, *, now: int
+) -> None:
     """Write attachments and metadata, before any message, so that a crash keeps them."""
-    now = time.time_ns()
     suffix = Path(description.config_name).suffix or ".yaml"
     writer.attach(f"config{suffix}", "application/yaml", description.config_text, time=now)
     kinds = {
@@ -147,6 +150,7 @@ def write_head(writer: BagWriter, description: SessionDescription, session_id: s
             "id": session_id,
             "name": description.name,
             "started_ns": str(now),
+            "clock": "boottime",
             "argv": json.dumps(redacted_arguments(description.argv), ensure_ascii=False),
             "versions": json.dumps(versions, ensure_ascii=False),
             "play_launch_version": versions.get("play-launch-py", ""),

@@ -293,7 +293,7 @@ def chunks() -> list[int]:
 
 
 @pytest.mark.parametrize("bit", range(0, 64, 3))
-def test_a_wrong_length_costs_one_chunk(bit: int, tmp_path: Path) -> None:
+def test_a_wrong_length_ends_the_reading(bit: int, tmp_path: Path) -> None:
     whole = recording()
     third = chunks()[2]
     data = bytearray(whole)
@@ -304,8 +304,8 @@ def test_a_wrong_length_costs_one_chunk(bit: int, tmp_path: Path) -> None:
         path.write_bytes(each)
         reader = BagReader(path)
         counts.append(sum(1 for _ in reader.messages()))
-    assert counts[0] * 10 // 12 <= counts[1] < counts[0]
-    assert reader.damages[0].offset == third
+    assert counts[0] // 6 <= counts[1] < counts[0]
+    assert [damage.offset for damage in reader.damages][:1] == [third]
     assert len(reader.damages) < 10
 
 

@@ -17,10 +17,10 @@ from mcap.writer import CompressionType, Writer
 
 from play_launch.postmortem import bag_reader
 from play_launch.postmortem.bag_reader import BagReader, Message, NotARecordingError
-from play_launch.postmortem.file_end import MAGIC
 from play_launch.postmortem.recover import write_whole
 from play_launch.recording.bag import BagWriter
 from play_launch.recording.folder import open_bag
+from play_launch.recording.mcap_file import MAGIC
 from play_launch.recording.topics import OUTPUT
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from play_launch.cli.story_words import paragraphs
 from play_launch.container.cdr.messages import NODE_PARAMETERS
-from play_launch.postmortem.bag_reader import Message, Topic
+from play_launch.postmortem.bag_reader import Message, RecordedTopic
 from play_launch.postmortem.comparison import ParameterChange, compare
 from play_launch.postmortem.events import UnreadableEventError
 from play_launch.postmortem.parameters import (
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 
 def message(data: bytes, topic: str = topics.PARAMETERS.name, type_name: str = "") -> Message:
-    known = Topic(topic, type_name or topics.PARAMETERS.type_name, "cdr")
+    known = RecordedTopic(topic, type_name or topics.PARAMETERS.type_name, "cdr")
     return Message(known, log_time=1, publish_time=1, data=data, channel=1, offset=0)
 
 

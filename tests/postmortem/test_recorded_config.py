@@ -48,7 +48,7 @@ def head(path: Path, config: ReplayConfig, environ: Mapping[str, str], *, finish
         argv=("play-launch",),
         environ=environ,
     )
-    write_head(writer, description, "id")
+    write_head(writer, description, "id", now=1)
     if finished:
         writer.close()
         return path

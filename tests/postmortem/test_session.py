@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import re
 import tempfile
 from pathlib import Path
 
@@ -12,19 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from play_launch.cli.explain import explain
-from play_launch.cli.info import session_object
-from play_launch.cli.report import report as write_report
-from play_launch.cli.story_words import headline
 from play_launch.container.cdr.layout import Layout
 from play_launch.container.cdr.messages import PROCESS_STATS, log_message
-from play_launch.postmortem.bag_reader import Message, Topic
-from play_launch.postmortem.crash_groups import CrashGroups
+from play_launch.postmortem.bag_reader import Message, RecordedTopic
 from play_launch.postmortem.events import event_of
-from play_launch.postmortem.findings import Away
-from play_launch.postmortem.recover import write_whole
 from play_launch.postmortem.session import PastSession
-from play_launch.postmortem.story import read_story
 from play_launch.recording import topics
 from play_launch.recording.bag import BagWriter
 from play_launch.recording.forms import convert
@@ -33,15 +23,12 @@ from play_launch.supervisor.events import (
     ComponentEvent,
     ComponentEventKind,
     LogRecord,
-    NodeState,
     OutputLine,
     RunEvent,
     Stream,
     SubjectKind,
 )
 from play_launch.supervisor.view import SystemView
-from tests.postmortem.scenes import SECOND, Scene, ns
-from tests.recording.reading import raw_messages
 from tests.recording.test_states import (
     EVENTS,
     GRAPH_CHANGES,
@@ -164,7 +151,7 @@ def test_the_graph_as_earlier_versions_recorded_it_is_passed_over(tmp_path: Path
 @given(st.text(st.characters(codec="ascii", exclude_characters="\0"), max_size=9))
 def test_an_event_of_an_earlier_version_has_no_modules(confirmed_by: str) -> None:
     data = EVENT_BEFORE_MODULES.write({"stamp": 5, "confirmed_by": confirmed_by})
-    topic = Topic(topics.COMPONENT_EVENTS.name, topics.COMPONENT_EVENTS.type_name, "cdr")
+    topic = RecordedTopic(topics.COMPONENT_EVENTS.name, topics.COMPONENT_EVENTS.type_name, "cdr")
     event = event_of(Message(topic, 0, 0, data, 0, 0))
     assert isinstance(event, ComponentEvent)
     assert (event.stamp_ns, event.confirmed_by, event.modules) == (5, confirmed_by, ())
@@ -180,86 +167,3 @@ def test_a_sample_of_nobody_is_damage(tmp_path: Path, about: tuple[SubjectKind, 
     assert list(session.events()) == []
     assert len(session.reader.damages) == 1
     assert "is not the key of a node" in session.reader.damages[0].reason
-
-
-DAY = 24 * 3600
-YEARS = 2 * 365 * DAY
-
-
-def session_with_steps(*steps: float) -> Scene:
-    """The clock is set after every 20 s, to be so much ahead; /talker crashes 10 s before the end.
-
-    The last step is such that a line from before it is recorded after it.
-    """
-    scene = Scene()
-    scene.started()
-    scene.node(1, "/talker", NodeState.LOADED)
-    ahead = (0, *steps)
-    for at in range(1, 20 * len(ahead)):
-        now = at + ahead[at // 20]
-        scene.machine(now)
-        if at == 20 * len(steps) + 2:
-            scene.line(at - 2.5 + ahead[-2], "written before, and recorded after")
-        if at == 20 * len(steps) + 10:
-            scene.crashed(now, "/talker")
-            scene.node(now + 0.5, "/talker", NodeState.LOADED)
-    return scene
-
-
-@pytest.mark.parametrize(
-    ("steps", "said"),
-    [
-        ((YEARS,), "forward by 730.0 days while"),
-        ((-5 * DAY,), "back by 5.0 days while"),
-        ((YEARS, 0), "forward by 730.0 days, and set again, while"),
-        ((-5 * DAY, 0), "back by 5.0 days, and set again, while"),
-        ((YEARS, 2 * YEARS, -YEARS), "forward by 1,460.0 days, and set again, while"),
-    ],
-)
-def test_a_clock_that_is_set_while_the_session_runs(
-    tmp_path: Path, steps: tuple[float, ...], said: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = session_with_steps(*steps).record(tmp_path / "session.mcap")
-    crashed = 20 * len(steps) + 10
-    lasted = 20 * len(steps) + 20
-    story = read_story(path)
-    (crash,) = story.findings
-    text = headline(crash, story.session.started_ns)
-    at = float(re.findall(r"crashed at ([0-9.]+) s after the start", text)[0])
-    assert abs(at - crashed) <= len(steps), "what passed while it was set is not known"
-    assert crash.away == (Away("/talker", SECOND // 2),)
-    reader = story.session.reader
-    assert (reader.end - reader.begin) / SECOND < lasted
-    # Of many sessions, and to people: by the clock as it was set last.
-    groups = CrashGroups()
-    groups.add(story)
-    assert groups.sorted()[0].last_ns == ns(crashed + steps[-1])
-    started = session_object(story)["started_ns"]
-    assert abs(started - ns(steps[-1])) <= len(steps) * SECOND
-    # Another file has the times as they are.
-    write_whole(path, tmp_path / "whole.mcap")
-    copied, own = (
-        [each.log_time for each in raw_messages(file, topics.OUTPUT.name)]
-        for file in (tmp_path / "whole.mcap", path)
-    )
-    assert copied == own
-    capsys.readouterr()
-    assert explain(path, as_json=True) == 1
-    output, errors = capsys.readouterr()
-    assert said in errors
-    assert json.loads(output)["findings"][0]["times_ns"] == list(crash.times_ns)
-    write_report(path, tmp_path / "page.html")
-    page = (tmp_path / "page.html").read_text()
-    end = next(re.finditer(r'"end": ?([0-9.e+]+)', page))[1]
-    assert float(end) < 1000 * lasted
-    assert "The clock was set" in page
-
-
-def test_a_long_silence_is_none(tmp_path: Path) -> None:
-    scene = Scene()
-    scene.started()
-    scene.node(1, "/talker", NodeState.LOADED)
-    scene.crashed(3 * DAY, "/talker")
-    story = scene.story(tmp_path)
-    assert "crashed at 259200.000 s" in headline(story.findings[0], story.session.started_ns)
-    assert story.session.reader.log_times.note == ""

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from play_launch.cli.story_words import headline, paragraphs
 from play_launch.container.cdr.messages import log_message
-from play_launch.postmortem.bag_reader import Message, Topic
+from play_launch.postmortem.bag_reader import Message, RecordedTopic
 from play_launch.postmortem.findings import (
     IMPORTANCE,
     Away,
@@ -269,7 +269,7 @@ def test_the_last_lines_are_those_of_the_node(tmp_path: Path) -> None:
 
 def test_loggers_whose_names_count_up_take_bounded_memory() -> None:
     lines = LastLines()
-    topic = Topic(topics.OUTPUT.name, topics.OUTPUT.type_name, "cdr")
+    topic = RecordedTopic(topics.OUTPUT.name, topics.OUTPUT.type_name, "cdr")
     count = 20 * MOST_LOGGERS
     for number in range(count):
         text = f"[INFO] [1.0] [worker_{number}]: done"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import tracemalloc
 
 from play_launch.container.cdr.messages import PROCESS_STATS, SYSTEM_STATS
-from play_launch.postmortem.bag_reader import Message, Topic
+from play_launch.postmortem.bag_reader import Message, RecordedTopic
 from play_launch.postmortem.trends import MOST_SAMPLES, Samples
 
 SECOND = 1_000_000_000
@@ -13,7 +13,7 @@ SECOND = 1_000_000_000
 
 def sample(at: int, memory: int, cpu_seconds: float) -> Message:
     values = {"pid": 7, "memory_bytes": memory, "memory_kind": 1, "cpu_seconds": cpu_seconds}
-    topic = Topic("/play_launch/node/a/stats", "", "cdr", "process", "/a")
+    topic = RecordedTopic("/play_launch/node/a/stats", "", "cdr", "process", "/a")
     return Message(topic, at * SECOND, at * SECOND, PROCESS_STATS.write(values), 1, 0, 0)
 
 
@@ -33,7 +33,7 @@ def test_a_session_of_days_is_thinned_out() -> None:
 
 def machine(at: int, pressure: float) -> Message:
     values = {"cpu_some_avg10": pressure, "core_percent": [1.0] * 16, "disk_free": at}
-    topic = Topic("/play_launch/system", "", "cdr")
+    topic = RecordedTopic("/play_launch/system", "", "cdr")
     return Message(topic, at * SECOND, at * SECOND, SYSTEM_STATS.write(values), 1, 0, 0)
 
 

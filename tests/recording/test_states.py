@@ -18,7 +18,7 @@ from rclpy.validate_full_topic_name import validate_full_topic_name
 from play_launch.config.node_key import NodeKey
 from play_launch.container.cdr.layout import Layout
 from play_launch.container.cdr.messages import STATE_EVENT
-from play_launch.postmortem.bag_reader import Message, Topic
+from play_launch.postmortem.bag_reader import Message, RecordedTopic
 from play_launch.postmortem.events import event_of
 from play_launch.recording import topics
 from play_launch.recording.bag import BagWriter
@@ -209,7 +209,7 @@ def test_states_of_an_earlier_version_have_no_cause(
     ((_, data, _),) = convert(plain)
     fields = STATE_EVENT.read(data)
     old = {name: fields[name] for name in OLD_STATE_EVENT.types}
-    topic = Topic(topics.STATES.name, topics.STATES.type_name, "cdr")
+    topic = RecordedTopic(topics.STATES.name, topics.STATES.type_name, "cdr")
     assert event_of(Message(topic, 1, 1, OLD_STATE_EVENT.write(old), 1, 0)) == plain
 
 
@@ -234,7 +234,7 @@ def test_any_change_of_the_graph_is_read_back_as_it_was(event: GraphChanged) -> 
 @given(st.one_of(EVENTS, GRAPH_CHANGES, PROCESS_SAMPLES, GROUP_SAMPLES, SYSTEM_SAMPLES))
 def test_our_own_reader_gives_the_event_back(event: RunEvent) -> None:
     ((topic, data, _),) = convert(event)
-    read = Topic(
+    read = RecordedTopic(
         topic.name,
         topic.type_name,
         "cdr",
@@ -317,5 +317,5 @@ def test_what_was_taken_out_comes_back_as_the_last_state(
     message: Any = deserialize_message(data, StateMessage)
     assert (message.state, message.key) == (StateMessage.WITHDRAWN, key)
     assert f"{message.container}:{message.name}" == key or message.name == key
-    read = event_of(Message(Topic(topic.name, topic.type_name, "cdr"), 1, 1, data, 1, 0))
+    read = event_of(Message(RecordedTopic(topic.name, topic.type_name, "cdr"), 1, 1, data, 1, 0))
     assert read == event

@@ -44,6 +44,8 @@ Options parse_options(int argc, const char* const* argv) {
       }
       options.topic_budgets.emplace_back(value.substr(0, end),
                                          number<std::uint64_t>(option, value.substr(end + 1)));
+    } else if (option == "--clock-offset") {
+      options.clock_offset = std::stoll(std::string(value));
     } else if (option == "--answer-timeout") {
       options.answer_timeout = number<std::int64_t>(option, value);
     } else if (option == "--hold-time") {

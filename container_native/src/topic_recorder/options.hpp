@@ -20,6 +20,9 @@ struct Options {
   std::uint64_t budget = 0;
   /// Such numbers for some topics, by name or pattern; the first that matches holds.
   std::vector<std::pair<std::string, std::uint64_t>> topic_budgets;
+  /// What is added to the time since boot, in nanoseconds: log times are those of the session's
+  /// clock.
+  std::int64_t clock_offset = 0;
   /// How long a node may take to give its parameters, in nanoseconds.
   std::int64_t answer_timeout = 5'000'000'000;
   /// How much of `held` is kept: nanoseconds, and bytes of all of them together.

@@ -1,6 +1,7 @@
 #include "topic_recorder/recorder.hpp"
 
 #include <algorithm>
+#include <ctime>
 #include <exception>
 #include <limits>
 #include <utility>
@@ -29,6 +30,8 @@ constexpr seconds kBetweenReports{1};
 /// By how much a message may have arrived before one that was taken earlier. More than that is the
 /// clock, which was set back.
 constexpr std::uint64_t kLongestWaitNs = nanoseconds(seconds(1)).count();
+/// How long a message may have waited in the middleware.
+constexpr std::int64_t kLongestAgoNs = nanoseconds(seconds(60)).count();
 /// How long the supervisor may take to write the last chunks, and we to take what has arrived.
 constexpr seconds kLongestEnd{5};
 /// Messages of one topic before the next one's turn.
@@ -263,11 +266,24 @@ void Recorder::ask_for_parameters() {
   }
 }
 
+std::uint64_t Recorder::session_ns() const {
+  timespec now{};
+  clock_gettime(CLOCK_BOOTTIME, &now);
+  const auto since_boot = nanoseconds(seconds(now.tv_sec)).count() + now.tv_nsec;
+  return static_cast<std::uint64_t>(since_boot + options_.clock_offset);
+}
+
+std::uint64_t Recorder::received(std::int64_t timestamp) const {
+  const auto ago = static_cast<std::int64_t>(now_ns()) - timestamp;
+  // Longer ago is a clock that was set in between.
+  return session_ns() - static_cast<std::uint64_t>(std::clamp<std::int64_t>(ago, 0, kLongestAgoNs));
+}
+
 void Recorder::record(const ParameterSurvey::Parameters& parameters) {
   const std::uint64_t now = now_ns();
   ++parameters_sequence_;
   if (const auto size = put(parameters, now, live_.builder())) {
-    append(live_, {parameters_channel_, parameters_sequence_, now, now}, *size);
+    append(live_, {parameters_channel_, parameters_sequence_, session_ns(), now}, *size);
   } else {
     warn_once(kParametersTopic, "those of " + parameters.node + " cannot be serialised");
   }
@@ -377,8 +393,7 @@ bool Recorder::take_one(RecordedTopic& topic) {
   MessageHead head;
   head.channel = topic.channel;
   head.sequence = topic.sequence;
-  head.log_time =
-      info.received_timestamp > 0 ? static_cast<std::uint64_t>(info.received_timestamp) : now_ns();
+  head.log_time = info.received_timestamp > 0 ? received(info.received_timestamp) : session_ns();
   // Those of several publishers are not given in the order in which they arrived.
   if (head.log_time < topic.log_time && topic.log_time - head.log_time < kLongestWaitNs) {
     head.log_time = topic.log_time;

@@ -53,6 +53,10 @@ class Recorder {
   bool discard_one(RecordedTopic& topic);
   void ask_for_parameters();
   void record(const ParameterSurvey::Parameters& parameters);
+  /// Now, by the clock of the session.
+  [[nodiscard]] std::uint64_t session_ns() const;
+  /// When a message was received, which the middleware gives by the system clock, by that clock.
+  [[nodiscard]] std::uint64_t received(std::int64_t timestamp) const;
   [[nodiscard]] bool has_room() const;
   void append(OpenChunk& open, const MessageHead& head, std::size_t size);
   void finish(OpenChunk& open);

@@ -9,8 +9,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from play_launch.postmortem.archive.folders import DAMAGED, session_entry
 from play_launch.postmortem.bag_reader import BagReader, NotARecordingError
-from play_launch.postmortem.index_folder import index_folder
-from play_launch.postmortem.recover import RecoverError, default_output, write_whole
+from play_launch.postmortem.recover import (
+    RecoverError,
+    default_output,
+    index_folder,
+    write_whole,
+)
 from play_launch.recording.folder import active_parts, open_regular
 
 if TYPE_CHECKING:

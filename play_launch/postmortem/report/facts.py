@@ -112,7 +112,7 @@ def contents(
         title=shown(session.about.get("name", "")) or reader.path.name,
         file=shown(str(reader.path)),
         bytes=reader.size,
-        started_ms=(session.started_ns + reader.log_times.set_ns) / 1e6,
+        started_ms=(session.started_ns + reader.ahead_ns) / 1e6,
         end=gathered.end,
         notices=_notices(reader, gathered),
         story=tuple(map(_shown, story)),
@@ -179,8 +179,8 @@ def _topics(reader: BagReader, gathered: Gathered) -> tuple[TopicRate, ...]:
 
 def _notices(reader: BagReader, gathered: Gathered) -> tuple[str, ...]:
     notices = unread(reader)
-    if reader.log_times.note:
-        notices.append(f"{reader.log_times.note}.".capitalize())
+    if reader.clock_note:
+        notices.append(f"{reader.clock_note}.".capitalize())
     for count, what in (
         (gathered.lines.left_out, "lines below WARN that were not written close to a failure"),
         (gathered.marks.left_out, "failures"),

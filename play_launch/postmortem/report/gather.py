@@ -31,7 +31,7 @@ from play_launch.supervisor.events import (
 )
 
 if TYPE_CHECKING:
-    from play_launch.postmortem.bag_reader import Message, Topic
+    from play_launch.postmortem.bag_reader import Message, RecordedTopic
     from play_launch.postmortem.session import PastSession
     from play_launch.supervisor.events import RunEvent
 
@@ -106,7 +106,7 @@ class Gathering:
         """Take nothing yet."""
         self._session = session
         self._gathered = Gathered()
-        self._streams: dict[Topic, _Stream] = {}
+        self._streams: dict[RecordedTopic, _Stream] = {}
         self._started: int | None = None
 
     def take(self, message: Message) -> None:
@@ -139,7 +139,7 @@ class Gathering:
         return gathered
 
 
-def _stream(topic: Topic, rows: Rows) -> _Stream:
+def _stream(topic: RecordedTopic, rows: Rows) -> _Stream:
     if topic.type_name != topics.PROCESS_STATS or topic.kind.upper() not in SubjectKind.__members__:
         return _Stream(topic.name)
     return _Stream(_STATS, rows.number(SubjectKind[topic.kind.upper()], topic.key))

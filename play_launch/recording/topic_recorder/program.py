@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from play_launch.config.model import RecordConfig
     from play_launch.process.child import Child
     from play_launch.process.lines import Line
+    from play_launch.recording.clock import SessionClock
     from play_launch.recording.topic_recorder.packets import Packet
     from play_launch.supervisor.events import Stream
 
@@ -50,8 +51,11 @@ class Program:
     The guard ends it with us, also when we are killed.
     """
 
-    def __init__(self, record: RecordConfig, environment: Mapping[str, str]) -> None:
+    def __init__(
+        self, record: RecordConfig, environment: Mapping[str, str], clock: SessionClock
+    ) -> None:
         """Find it; ``environment`` is what the configuration declares. Raises NotInstalledError."""
+        self._clock = clock
         self._program = topic_recorder()
         self._record = record
         self._environment = child_environment(os.environ, ros_installation(), environment)
@@ -63,7 +67,10 @@ class Program:
         with theirs:
             try:
                 child = await spawn(
-                    recorder_argv(self._program, self._record, INHERITED),
+                    (
+                        *recorder_argv(self._program, self._record, INHERITED),
+                        *("--clock-offset", str(self._clock.offset_ns)),
+                    ),
                     env=self._environment,
                     guard=self._guard,
                     descriptors={INHERITED: theirs.fileno()},

@@ -97,7 +97,7 @@ class TopicRecording:
         return snapshot
 
     def _find(self) -> Program:
-        return Program(self._config.record, self._config.environment)
+        return Program(self._config.record, self._config.environment, self._sink.clock)
 
     async def _sweep(self) -> None:
         """Remove what other participants left that died while ours held it, and ours if killed."""
