@@ -1,7 +1,6 @@
 #include "topic_recorder/recorder.hpp"
 
 #include <algorithm>
-#include <ctime>
 #include <exception>
 #include <limits>
 #include <utility>
@@ -30,8 +29,6 @@ constexpr seconds kBetweenReports{1};
 /// By how much a message may have arrived before one that was taken earlier. More than that is the
 /// clock, which was set back.
 constexpr std::uint64_t kLongestWaitNs = nanoseconds(seconds(1)).count();
-/// How long a message may have waited in the middleware.
-constexpr std::int64_t kLongestAgoNs = nanoseconds(seconds(60)).count();
 /// How long the supervisor may take to write the last chunks, and we to take what has arrived.
 constexpr seconds kLongestEnd{5};
 /// Messages of one topic before the next one's turn.
@@ -39,16 +36,11 @@ constexpr std::size_t kAtOnce = 100;
 /// Number of the request for the channel of parameters, which come from no topic.
 constexpr auto kParametersRequest = std::numeric_limits<std::uint32_t>::max();
 
-std::uint64_t now_ns() {
-  return static_cast<std::uint64_t>(
-      std::chrono::duration_cast<nanoseconds>(std::chrono::system_clock::now().time_since_epoch())
-          .count());
-}
-
 }  // namespace
 
 Recorder::Recorder(const Options& options)
     : options_(options),
+      clock_(options.clock_offset),
       arrival_(node_),
       wait_set_(node_),
       link_(UniqueFd(options.socket), [this] { arrival_.trigger(); }),
@@ -219,7 +211,7 @@ void Recorder::hand_over(std::uint32_t number) {
   // The last that arrived may be what explains a crash.
   take_rest(Treatment::held);
   finish(held_);
-  ring_.expire(now_ns());
+  ring_.expire(clock_.now_ns());
   std::uint64_t messages = 0;
   std::uint64_t bytes = 0;
   std::uint64_t first = 0;
@@ -266,24 +258,11 @@ void Recorder::ask_for_parameters() {
   }
 }
 
-std::uint64_t Recorder::session_ns() const {
-  timespec now{};
-  clock_gettime(CLOCK_BOOTTIME, &now);
-  const auto since_boot = nanoseconds(seconds(now.tv_sec)).count() + now.tv_nsec;
-  return static_cast<std::uint64_t>(since_boot + options_.clock_offset);
-}
-
-std::uint64_t Recorder::received(std::int64_t timestamp) const {
-  const auto ago = static_cast<std::int64_t>(now_ns()) - timestamp;
-  // Longer ago is a clock that was set in between.
-  return session_ns() - static_cast<std::uint64_t>(std::clamp<std::int64_t>(ago, 0, kLongestAgoNs));
-}
-
 void Recorder::record(const ParameterSurvey::Parameters& parameters) {
-  const std::uint64_t now = now_ns();
+  const std::uint64_t now = system_now_ns();
   ++parameters_sequence_;
   if (const auto size = put(parameters, now, live_.builder())) {
-    append(live_, {parameters_channel_, parameters_sequence_, session_ns(), now}, *size);
+    append(live_, {parameters_channel_, parameters_sequence_, clock_.now_ns(), now}, *size);
   } else {
     warn_once(kParametersTopic, "those of " + parameters.node + " cannot be serialised");
   }
@@ -393,7 +372,8 @@ bool Recorder::take_one(RecordedTopic& topic) {
   MessageHead head;
   head.channel = topic.channel;
   head.sequence = topic.sequence;
-  head.log_time = info.received_timestamp > 0 ? received(info.received_timestamp) : session_ns();
+  head.log_time =
+      info.received_timestamp > 0 ? clock_.received(info.received_timestamp) : clock_.now_ns();
   // Those of several publishers are not given in the order in which they arrived.
   if (head.log_time < topic.log_time && topic.log_time - head.log_time < kLongestWaitNs) {
     head.log_time = topic.log_time;

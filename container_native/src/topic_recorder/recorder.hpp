@@ -16,6 +16,7 @@
 #include "topic_recorder/recorded_topic.hpp"
 #include "topic_recorder/ring.hpp"
 #include "topic_recorder/ros.hpp"
+#include "topic_recorder/session_clock.hpp"
 #include "topic_recorder/supervisor_link.hpp"
 
 namespace play_launch::topics {
@@ -53,16 +54,13 @@ class Recorder {
   bool discard_one(RecordedTopic& topic);
   void ask_for_parameters();
   void record(const ParameterSurvey::Parameters& parameters);
-  /// Now, by the clock of the session.
-  [[nodiscard]] std::uint64_t session_ns() const;
-  /// When a message was received, which the middleware gives by the system clock, by that clock.
-  [[nodiscard]] std::uint64_t received(std::int64_t timestamp) const;
   [[nodiscard]] bool has_room() const;
   void append(OpenChunk& open, const MessageHead& head, std::size_t size);
   void finish(OpenChunk& open);
   void report_drops(Clock::time_point now);
 
   const Options options_;
+  SessionClock clock_;
   RosNode node_;
   GuardCondition arrival_;
   WaitSet wait_set_;
