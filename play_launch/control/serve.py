@@ -19,8 +19,8 @@ from play_launch.control.operations import Changes, Operations
 from play_launch.control.protocol import ControlError
 from play_launch.control.server import serving
 from play_launch.recording import topics
+from play_launch.recording.facts import OURSELVES, package_version
 from play_launch.recording.resolved_form import resolved_form
-from play_launch.recording.versions import OURSELVES, installed_versions
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -81,9 +81,9 @@ async def serve_control(
         parameters_of=partial(session.recorder.latest, topics.PARAMETERS),
         changes=changes,
     )
-    versions = await asyncio.to_thread(installed_versions, [OURSELVES])
+    version = await asyncio.to_thread(package_version, OURSELVES)
     hello = Hello(
-        version=versions.get(OURSELVES, ""),
+        version=version,
         pid=os.getpid(),
         name=config.name,
         session=session.id,

@@ -6,61 +6,27 @@ import os
 import platform
 import re
 import sys
+from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
-
-from play_launch.recording.versions import OURSELVES, installed_versions
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
 REDACTED: Final = "(redacted)"
 
+OURSELVES: Final = "play-launch-py"
 _PACKAGES: Final = (OURSELVES, "ros-rclpy", "rclpy", "mcap", "zstandard", "pydantic-core")
 
-_KEPT_NAMES: Final = frozenset(
-    {
-        "COLUMNS",
-        "DISPLAY",
-        "HOME",
-        "LANG",
-        "LD_LIBRARY_PATH",
-        "LD_PRELOAD",
-        "LINES",
-        "LOGNAME",
-        "NO_COLOR",
-        "PATH",
-        "PWD",
-        "SHELL",
-        "TERM",
-        "TZ",
-        "USER",
-        "VIRTUAL_ENV",
-        "WAYLAND_DISPLAY",
-        "XDG_RUNTIME_DIR",
-        "XDG_SESSION_TYPE",
-    }
+_KEPT: Final = re.compile(
+    "COLUMNS|DISPLAY|HOME|LANG|LD_LIBRARY_PATH|LD_PRELOAD|LINES|LOGNAME|NO_COLOR|PATH|PWD|SHELL|TERM"
+    "|TZ|USER|VIRTUAL_ENV|WAYLAND_DISPLAY|XDG_RUNTIME_DIR|XDG_SESSION_TYPE"
 )
-_KEPT_PREFIXES: Final = (
-    "AMENT_",
-    "CMAKE_PREFIX_PATH",
-    "COLCON_",
-    "CUDA_",
-    "CYCLONEDDS_",
-    "FASTDDS_",
-    "FASTRTPS_",
-    "GZ_",
-    "LC_",
-    "OMP_",
-    "PLAY_LAUNCH_",
-    "PYTHON",
-    "RCL_",
-    "RCUTILS_",
-    "RMW_",
-    "ROS_",
-    "SKIP_DEFAULT_XML",
-    "ZENOH_",
+_KEPT_UNLESS_SECRET: Final = re.compile(
+    "(AMENT_|CMAKE_PREFIX_PATH|COLCON_|CUDA_|CYCLONEDDS_|FASTDDS_|FASTRTPS_|GZ_|LC_|OMP_|PLAY_LAUNCH_"
+    "|PYTHON|RCL_|RCUTILS_|RMW_|ROS_|SKIP_DEFAULT_XML|ZENOH_(?!CONFIG_OVERRIDE$)).*"
 )
+"""One of Zenoh's holds a configuration of any content instead of naming its file."""
 _SECRET: Final = re.compile(
     r"secret|token|passw|passphrase|credential|private|cookie|keyring|bearer"
     r"|(?:^|_)(?:(?:api|access|auth|signing)_?)?key(?:$|_)"
@@ -73,8 +39,6 @@ _TOKEN: Final = re.compile(
     re.IGNORECASE | re.DOTALL,
 )
 """What is a secret by its form, under whatever name."""
-_CONFIGURATION: Final = frozenset({"ZENOH_CONFIG_OVERRIDE"})
-"""They hold a configuration of any content instead of naming its file."""
 _INLINE: Final = re.compile(r"<|^\s*\{\s*[\"']?\w+[\"']?\s*:")
 """In a value that should name a file: XML or JSON in its place."""
 _URL_USER: Final = re.compile(r"(?<=://)[^/@\s]+(?=@)")
@@ -105,10 +69,9 @@ def is_secret(name: str, value: str) -> bool:
 
 
 def _kept(name: str) -> bool:
-    if name in _KEPT_NAMES:
+    if _KEPT.fullmatch(name):
         return True
-    known = name.startswith(_KEPT_PREFIXES) and name not in _CONFIGURATION
-    return known and not _SECRET.search(name)
+    return bool(_KEPT_UNLESS_SECRET.fullmatch(name)) and not _SECRET.search(name)
 
 
 def _without_secrets(value: str) -> str:
@@ -143,7 +106,16 @@ def host_facts() -> dict[str, str | int]:
 
 def versions() -> dict[str, str]:
     """Versions of Python and of the packages that take part; those not installed are left out."""
-    return {"python": platform.python_version(), **installed_versions(_PACKAGES)}
+    found = {name: package_version(name) for name in _PACKAGES}
+    return {"python": platform.python_version(), **{name: v for name, v in found.items() if v}}
+
+
+def package_version(name: str) -> str:
+    """Return the version of an installed package; empty where it is not installed."""
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return ""
 
 
 def boot_id() -> str:

@@ -37,7 +37,7 @@ from play_launch.process.machine import (
 from play_launch.process.program import SpawnError
 from play_launch.process.session import Shared
 from play_launch.process.stop import StopPolicy, stop
-from play_launch.recording.versions import OURSELVES, installed_versions
+from play_launch.recording.facts import OURSELVES, package_version
 from play_launch.ros.fastdds.shared_memory import sweep_shared_memory
 from play_launch.ros.fastdds.sweep_command import sweep_command
 from play_launch.runtime import prestart as head_start
@@ -417,4 +417,4 @@ def _allocator(config: ReplayConfig) -> Path | None:
 
 
 def _version() -> str:
-    return installed_versions([OURSELVES]).get(OURSELVES, "unknown")
+    return package_version(OURSELVES) or "unknown"

@@ -296,7 +296,7 @@ entry.main()
     ("module", "function", "what"),
     [
         ("postmortem.upkeep", "look_after_sessions", "care for earlier recordings"),
-        ("control.serve", "installed_versions", "control by commands"),
+        ("control.serve", "package_version", "control by commands"),
     ],
 )
 def test_the_system_goes_on_without_what_fails_beside_it_and_reports_that(

@@ -1,13 +1,10 @@
 from __future__ import annotations
 
 import json
-from importlib import metadata
-from pathlib import Path
 
 import pytest
 
 from play_launch.recording.facts import REDACTED, host_facts, redacted_environment, versions
-from play_launch.recording.versions import installed_versions
 
 
 def test_values_that_may_be_secret_are_not_recorded() -> None:
@@ -91,20 +88,3 @@ def test_the_machine_is_described() -> None:
     assert int(facts["memory"]) > 0
     assert "python" in versions()
     assert "mcap" in versions()
-
-
-def test_versions_are_those_of_the_packages_descriptions() -> None:
-    for name, version in versions().items():
-        if name != "python":
-            assert version == metadata.version(name)
-
-
-def test_versions_are_found_by_the_names_of_folders(tmp_path: Path) -> None:
-    for name in ("Some.Thing-1.2rc1.dist-info", "rclpy-7.1.6-py3.12.egg-info", "odd-name-3.egg"):
-        (tmp_path / "first" / name).mkdir(parents=True)
-    (tmp_path / "second" / "some_thing-9.dist-info").mkdir(parents=True)
-    path = [str(tmp_path / name) for name in ("none", "first", "second")]
-    assert installed_versions(["rclpy", "some-thing", "odd-name"], path) == {
-        "rclpy": "7.1.6",
-        "some-thing": "1.2rc1",
-    }
