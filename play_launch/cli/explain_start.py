@@ -22,7 +22,7 @@ from play_launch.container.ros import (
 from play_launch.process.program import SpawnError, check_program
 from play_launch.recording.facts import REDACTED, is_secret
 from play_launch.recording.resolved_form import taken_secrets, without
-from play_launch.recording.topic_recorder.program import recorder_argv
+from play_launch.recording.topic_recorder.supervision import recorder_argv
 from play_launch.runtime.commands import (
     DESCRIPTOR,
     Command,
@@ -67,7 +67,7 @@ def processes(config: ReplayConfig) -> list[dict[str, Any]]:
     secrets = taken_secrets(config)
     found = [_member(start) for start in survey(config, machine)]
     if config.record.ros:
-        argv = recorder_argv(recorder, config.record, DESCRIPTOR)
+        argv = recorder_argv(recorder, config.record, DESCRIPTOR, "(clock)")
         environment = child_environment(os.environ, ros, config.environment)
         found.append(_Process("", _RECORDER, "", Command(argv, environment)))
     return [_values(process, caller, secrets) for process in found]

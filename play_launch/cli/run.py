@@ -36,7 +36,7 @@ from play_launch.recording.resolved_form import (
     without,
 )
 from play_launch.recording.session import Session, SessionDescription, open_session
-from play_launch.recording.topic_recorder.snapshot import Snapshots
+from play_launch.recording.topic_recorder import Snapshots
 from play_launch.runtime.signals import RunSignals
 from play_launch.runtime.startup_priority import run_ahead_of
 from play_launch.supervisor.events import GroupSample, OutputLine

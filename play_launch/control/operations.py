@@ -43,7 +43,7 @@ from play_launch.control.units import (
     status_of,
     with_groups,
 )
-from play_launch.recording.topic_recorder.snapshot import SnapshotError
+from play_launch.recording.topic_recorder import SnapshotError
 from play_launch.runtime.applying import STEP_LIMIT
 from play_launch.supervisor.events import (
     NodeState,
@@ -62,7 +62,7 @@ if TYPE_CHECKING:
     from play_launch.control.feed import Feed
     from play_launch.control.messages import Caller, Request
     from play_launch.control.units import Samples, Target
-    from play_launch.recording.topic_recorder.snapshot import Snapshots
+    from play_launch.recording.topic_recorder import Snapshots
     from play_launch.runtime.applying import Applying
     from play_launch.runtime.publisher import Publisher
     from play_launch.runtime.system import System

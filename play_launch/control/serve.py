@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from play_launch.control.registration import ControlSocket
     from play_launch.recording.recorder import Recorder
     from play_launch.recording.session import Session
-    from play_launch.recording.topic_recorder.snapshot import Snapshots
+    from play_launch.recording.topic_recorder import Snapshots
     from play_launch.runtime.publisher import Publisher
     from play_launch.runtime.system import System
 

@@ -147,8 +147,8 @@ def arguments_of(process: psutil.Process) -> list[str]:
 
 def is_alike(shown: str, real: str) -> bool:
     """Whether they are the same but for what is decided at the start, or kept secret."""
-    if shown == "(descriptor)":
-        return real.isdecimal()
+    if shown in {"(descriptor)", "(clock)"}:
+        return real.removeprefix("-").isdecimal()
     if shown.startswith("(pid):"):
         pid, _, name = real.partition(":")
         return pid.isdecimal() and shown == f"(pid):{name}"

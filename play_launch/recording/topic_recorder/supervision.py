@@ -1,4 +1,4 @@
-"""Has topics recorded for as long as a system runs."""
+"""Runs the program `topic_recorder` for as long as a system runs, and passes on what it makes."""
 
 from __future__ import annotations
 
@@ -6,27 +6,41 @@ import asyncio
 import contextlib
 import itertools
 import logging
+import math
 import os
 import random
 import signal
+import socket
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from play_launch.config.model import RestartLimits
-from play_launch.container.ros import MixedInstallationError, NotInstalledError
+from play_launch.container.environment import child_environment
+from play_launch.container.ros import (
+    MixedInstallationError,
+    NotInstalledError,
+    ros_installation,
+    spawn_guard,
+    topic_recorder,
+)
+from play_launch.process.child import INHERITED, spawn
+from play_launch.process.guard import SessionGuard
 from play_launch.process.program import SpawnError
-from play_launch.recording.topic_recorder import packets
-from play_launch.recording.topic_recorder.program import Program
-from play_launch.recording.topic_recorder.snapshot import Snapshot, SnapshotError
+from play_launch.recording.topic_recorder import SnapshotError, WrittenBuffer
+from play_launch.recording.topic_recorder import link as wire
 from play_launch.ros.fastdds.middleware import asks_for_fastdds
 from play_launch.ros.fastdds.shared_memory import sweep_shared_memory
 from play_launch.supervisor.restart import Restart, RestartHistory, decide
 
 if TYPE_CHECKING:
-    from play_launch.config.model import ReplayConfig
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from play_launch.config.model import RecordConfig, ReplayConfig
     from play_launch.process.child import Child
+    from play_launch.process.lines import Line
     from play_launch.recording.recorder import Recorder
-    from play_launch.recording.topic_recorder.link import RecorderLink
+    from play_launch.supervisor.events import Stream
 
 
 _RESTARTS: Final = RestartLimits(max_restarts=3, within=60.0, initial=0.5, maximum=8.0)
@@ -38,21 +52,23 @@ _log = logging.getLogger(__name__)
 
 
 class TopicRecording:
-    """One session's: starts the program, passes on what it makes, starts it again if it dies.
+    """Starts the program, passes on what it makes, and restarts it if it dies.
 
     Belongs to the thread of the event loop.
     """
 
-    def __init__(self, config: ReplayConfig, sink: Recorder) -> None:
-        """Know what to do; nothing is started."""
+    def __init__(self, config: ReplayConfig, recorder: Recorder) -> None:
         self._config = config
-        self._sink = sink
-        self._program: Program | None = None
+        self._recorder = recorder
+        self._program: Path | None = None
+        self._guard: SessionGuard | None = None
+        """It ends the program with us, also when we are killed."""
+        self._environment: Mapping[str, str] = {}
         self._child: Child | None = None
-        self._link: RecorderLink | None = None
+        self._link: wire.RecorderLink | None = None
         self._loop = asyncio.get_running_loop()
         self._numbers = itertools.count(1)
-        self._awaited: dict[int, asyncio.Future[Snapshot]] = {}
+        self._awaited: dict[int, asyncio.Future[WrittenBuffer]] = {}
 
     async def run(self) -> None:
         """Record until it is cancelled; then the rest is passed on, and nothing is left running.
@@ -60,7 +76,7 @@ class TopicRecording:
         What fails is logged as a warning. Returns when it cannot go on.
         """
         try:
-            self._program = await asyncio.to_thread(self._find)
+            await asyncio.to_thread(self._prepare)
         except (NotInstalledError, MixedInstallationError, OSError) as error:
             _log.warning("topics of ROS are not recorded: %s", error)
             return
@@ -68,17 +84,18 @@ class TopicRecording:
             await self._keep_running()
         finally:
             await self._end()
-            await self._program.close()
+            if self._guard is not None:
+                await self._guard.end()
             await self._sweep()
 
-    async def take(self, reason: str) -> Snapshot:
+    async def take(self, reason: str) -> WrittenBuffer:
         """Have what is held written; ``reason`` is for the log. Raises SnapshotError."""
         if self._link is None:
             raise SnapshotError("nothing is held, as topics of ROS are not being recorded")
         number = next(self._numbers)
-        awaited: asyncio.Future[Snapshot] = asyncio.get_running_loop().create_future()
+        awaited: asyncio.Future[WrittenBuffer] = asyncio.get_running_loop().create_future()
         self._awaited[number] = awaited
-        self._link.send(packets.take(number))
+        self._link.send(wire.take(number))
         try:
             async with asyncio.timeout(_LONGEST_SNAPSHOT):
                 snapshot = await awaited
@@ -96,8 +113,30 @@ class TopicRecording:
             )
         return snapshot
 
-    def _find(self) -> Program:
-        return Program(self._config.record, self._config.environment, self._sink.clock)
+    def _prepare(self) -> None:
+        self._program = topic_recorder()
+        environment = self._config.environment
+        self._environment = child_environment(os.environ, ros_installation(), environment)
+        self._guard = SessionGuard.start(spawn_guard())
+
+    async def _start(self) -> tuple[Child, wire.RecorderLink]:
+        assert self._program is not None
+        offset_ns = self._recorder.clock.offset_ns
+        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        with theirs:
+            try:
+                child = await spawn(
+                    recorder_argv(self._program, self._config.record, INHERITED, offset_ns),
+                    env=self._environment,
+                    guard=self._guard,
+                    descriptors={INHERITED: theirs.fileno()},
+                    on_output=_on_output,
+                    leaves_by_itself=True,
+                )
+            except BaseException:
+                ours.close()
+                raise
+        return child, wire.RecorderLink(ours, self._on_packet)
 
     async def _sweep(self) -> None:
         """Remove what other participants left that died while ours held it, and ours if killed."""
@@ -133,9 +172,8 @@ class TopicRecording:
 
     async def _live(self) -> str:
         """Run it once; the reason why it has ended."""
-        assert self._program is not None
         try:
-            self._child, self._link = await self._program.start(self._on_packet)
+            self._child, self._link = await self._start()
         except (SpawnError, OSError) as error:
             return str(error)
         ended = await self._child.gone()
@@ -147,7 +185,7 @@ class TopicRecording:
     async def _end(self) -> None:
         if self._child is None or self._link is None:
             return
-        self._link.send(packets.stop())
+        self._link.send(wire.stop())
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(_LONGEST_END):
                 await self._link.ended()
@@ -156,41 +194,65 @@ class TopicRecording:
         await self._child.gone()
         self._link.close()
 
-    def _on_packet(self, packet: packets.Packet) -> None:
+    def _on_packet(self, packet: wire.Packet) -> None:
         assert self._link is not None
         link = self._link
         match packet:
-            case packets.ChannelWanted():
-                self._sink.open_channel(
+            case wire.ChannelWanted():
+                self._recorder.open_channel(
                     packet.topic,
                     packet.type_name,
                     packet.offered_qos_profiles,
-                    lambda channel: link.send(packets.answer(packet.request, channel)),
+                    lambda channel: link.send(wire.answer(packet.request, channel)),
                 )
-            case packets.ChunkMade():
-                self._sink.append_chunk(packet.chunk, lambda: link.send(packets.done(packet.slot)))
-            case packets.Drops():
+            case wire.ChunkMade():
+                self._recorder.append_chunk(packet.chunk, lambda: link.send(wire.done(packet.slot)))
+            case wire.TopicDrops():
                 self._count(packet)
-            case packets.Warned():
+            case wire.Warned():
                 _log.warning("%s", packet.text)
-            case packets.HandedOver():
-                self._sink.after_these(partial(self._when_written, packet))
+            case wire.SnapshotSent():
+                self._recorder.after_these(partial(self._when_written, packet))
 
-    def _when_written(self, packet: packets.HandedOver) -> None:
+    def _when_written(self, packet: wire.SnapshotSent) -> None:
         # In any thread.
         with contextlib.suppress(RuntimeError):  # the loop has ended
             self._loop.call_soon_threadsafe(self._written, packet)
 
-    def _written(self, packet: packets.HandedOver) -> None:
+    def _written(self, packet: wire.SnapshotSent) -> None:
         awaited = self._awaited.get(packet.number)
         if awaited is not None and not awaited.done():
-            awaited.set_result(Snapshot(packet.messages, packet.bytes, packet.span_ns / 1e9))
+            awaited.set_result(WrittenBuffer(packet.messages, packet.bytes, packet.span_ns / 1e9))
 
-    def _count(self, drops: packets.Drops) -> None:
+    def _count(self, drops: wire.TopicDrops) -> None:
         reasons = []
         if drops.over_budget:
             reasons.append(f"{drops.over_budget} exceed its budget")
         if drops.without_room:
             reasons.append(f"{drops.without_room} came faster than the disk takes them")
         _log.warning("messages of %s are not recorded: %s", drops.topic, ", ".join(reasons))
-        self._sink.count_topic_drops(drops.topic, drops.over_budget + drops.without_room)
+        self._recorder.count_topic_drops(drops.topic, drops.over_budget + drops.without_room)
+
+
+def recorder_argv(
+    program: Path, record: RecordConfig, descriptor: int | str, clock_offset: int | str
+) -> tuple[str, ...]:
+    """Make the command line, with the socket's descriptor and the offset of the session's clock."""
+    argv = [os.fspath(program), "--socket", str(descriptor), "--clock-offset", str(clock_offset)]
+    for option, patterns in (("--topic", record.topics), ("--exclude", record.exclude)):
+        argv += [part for pattern in patterns for part in (option, pattern)]
+    if record.budget is not None:
+        argv += ["--budget", str(record.budget)]
+    for pattern, size in record.topic_budgets:
+        argv += ["--topic-budget", f"{pattern}={size if math.isfinite(size) else 0:.0f}"]
+    if record.before_crash is not None:
+        held = record.before_crash
+        argv += [part for pattern in held.topics for part in ("--held", pattern)]
+        argv += ["--hold-time", str(round(held.seconds * 1e9))]
+        argv += ["--hold-size", str(held.megabytes * 1_000_000)]
+    return tuple(argv)
+
+
+def _on_output(_stream: Stream, lines: Sequence[Line]) -> None:
+    for line in lines:
+        _log.warning("%s", line.text)

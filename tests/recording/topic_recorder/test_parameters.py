@@ -20,7 +20,7 @@ from rosbags.highlevel import AnyReader
 
 from play_launch.postmortem.bag_reader import BagReader
 from play_launch.postmortem.parameters import TOPICS, Parameters
-from play_launch.recording.topic_recorder import program
+from play_launch.recording.topic_recorder import supervision
 from play_launch.recording.topics import PARAMETERS
 from tests.recording.reading import records
 from tests.recording.topic_recorder.recording import Recording, recording, until
@@ -163,12 +163,12 @@ async def test_each_life_of_a_node_is_asked(tmp_path: Path) -> None:
 async def test_a_node_that_never_answers_holds_up_nobody(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    complete = program.recorder_argv
+    complete = supervision.recorder_argv
 
     def hasty(*given: Any) -> tuple[str, ...]:
         return (*complete(*given), "--answer-timeout", str(SHORT_TIMEOUT))
 
-    monkeypatch.setattr(program, "recorder_argv", hasty)
+    monkeypatch.setattr(supervision, "recorder_argv", hasty)
     path = tmp_path / "x.mcap"
     with node("deaf", {"a": 1}, spins=False), node("arm", {"a": 1}):
         async with recording(path, "{}") as made:

@@ -23,8 +23,8 @@ from std_msgs.msg import String
 from play_launch.container.ros import NotInstalledError
 from play_launch.recording.errors import SchemaNotFoundError
 from play_launch.recording.schema import message_definition
-from play_launch.recording.topic_recorder import packets, program
-from play_launch.recording.topic_recorder.snapshot import SnapshotError
+from play_launch.recording.topic_recorder import SnapshotError, supervision
+from play_launch.recording.topic_recorder.link import stop
 from play_launch.ros.fastdds.shared_memory import sweep
 from tests.recording.reading import raw_messages, records
 from tests.recording.topic_recorder.recording import (
@@ -321,7 +321,7 @@ async def test_what_has_arrived_by_the_end_is_recorded(probe: Probe, tmp_path: P
         with held_up(made.pid):
             await publish_all(texts, strings(900))
             await acknowledged(texts)
-            made.topics._link.send(packets.stop())
+            made.topics._link.send(stop())
     assert recorded(path, "/chatter") == strings(900)
 
 
@@ -349,7 +349,7 @@ async def test_an_installation_without_the_program(
     def missing() -> Path:
         raise NotInstalledError("the program topic_recorder is not there")
 
-    monkeypatch.setattr(program, "topic_recorder", missing)
+    monkeypatch.setattr(supervision, "topic_recorder", missing)
     async with recording(tmp_path / "x.mcap", "{}") as made:
         await made.topics.run()
         with pytest.raises(SnapshotError, match="not being recorded"):
@@ -377,6 +377,7 @@ async def test_an_installation_without_the_program(
 )
 async def test_its_command_line(record: str, arguments: str) -> None:
     config = await asyncio.to_thread(configuration, record)
-    argv = program.recorder_argv(Path("/bin/topic_recorder"), config.record, 7)
+    argv = supervision.recorder_argv(Path("/bin/topic_recorder"), config.record, 7, -5)
     defaults = ["--topic", "/rosout", "--topic", "/diagnostics", "--topic", "/parameter_events"]
-    assert argv == ("/bin/topic_recorder", "--socket", "7", *defaults, *arguments.split())
+    assert argv[:5] == ("/bin/topic_recorder", "--socket", "7", "--clock-offset", "-5")
+    assert argv[5:] == (*defaults, *arguments.split())

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from play_launch.recording.chunk import ChannelPart, TopicChunk
-from play_launch.recording.topic_recorder import packets
+from play_launch.recording.topic_recorder import link
 
 numbers = st.integers(0, 2**32 - 1)
 longs = st.integers(0, 2**64 - 1)
@@ -23,7 +23,7 @@ def text(value: str) -> bytes:
 @given(numbers, st.text(), st.text(), st.text())
 def test_channel(request: int, topic: str, type_name: str, qos: str) -> None:
     data = struct.pack("<II", 1, request) + text(topic) + text(type_name) + text(qos)
-    assert packets.decode(data) == packets.ChannelWanted(request, topic, type_name, qos)
+    assert link.decode(data) == link.ChannelWanted(request, topic, type_name, qos)
 
 
 @given(
@@ -35,8 +35,8 @@ def test_chunk(slot: int, sizes: list[int], parts: list[tuple[int, int, int]]) -
     data = struct.pack("<II5QI", 2, slot, *sizes, len(parts))
     data += b"".join(struct.pack("<HIQ", *part) for part in parts)
     length, chunk_length, records, begin, end = sizes
-    made = packets.decode(data, 7)
-    assert made == packets.ChunkMade(
+    made = link.decode(data, 7)
+    assert made == link.ChunkMade(
         slot,
         TopicChunk(
             descriptor=7,
@@ -54,19 +54,19 @@ def test_chunk(slot: int, sizes: list[int], parts: list[tuple[int, int, int]]) -
 @given(st.text(), longs, longs)
 def test_drops(topic: str, over_budget: int, without_room: int) -> None:
     data = struct.pack("<I", 3) + text(topic) + struct.pack("<QQ", over_budget, without_room)
-    assert packets.decode(data) == packets.Drops(topic, over_budget, without_room)
+    assert link.decode(data) == link.TopicDrops(topic, over_budget, without_room)
 
 
 @given(st.binary(max_size=100))
 def test_nonsense_is_refused(data: bytes) -> None:
     try:
-        packets.decode(data)
-    except packets.PacketError:
+        link.decode(data)
+    except link.PacketError:
         return
     assert struct.unpack_from("<I", data)[0] in {1, 2, 3, 4, 5}
 
 
 def test_what_goes_the_other_way_is_refused() -> None:
-    for packet in (packets.answer(1, 2), packets.done(1), packets.take(1), packets.stop()):
-        with pytest.raises(packets.PacketError):
-            packets.decode(packet)
+    for packet in (link.answer(1, 2), link.done(1), link.take(1), link.stop()):
+        with pytest.raises(link.PacketError):
+            link.decode(packet)
