@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 from typing import Annotated
 
@@ -52,7 +53,12 @@ def recover(
     if not recovered.reader.damages:
         return 0
     report_damage(recovered.reader)
+    say(f"{file}: `mcap recover` may read more of it{_where_to_get_it()}", beside=recovered.path)
     return ExitCode.DAMAGED
+
+
+def _where_to_get_it() -> str:
+    return "" if shutil.which("mcap") else "; it is part of https://mcap.dev/guides/cli"
 
 
 def _complete_folder(folder: Path, output: Path | None) -> int:

@@ -81,15 +81,6 @@ def test_only_wanted_messages_are_given_and_all_are_counted() -> None:
     assert list(reader.counts.values()) == [COUNT // 2, COUNT // 2]
 
 
-@given(st.integers(8, len(recording()) - 1))
-def test_a_cut_file_gives_what_comes_before_the_cut(length: int) -> None:
-    reader, messages = read(recording()[:length])
-    assert numbers(messages) == list(range(len(messages)))
-    assert not reader.is_complete
-    # A cut between two records is no damage.
-    assert all(damage.offset <= length for damage in reader.damages)
-
-
 @given(
     st.lists(
         st.tuples(st.integers(8, len(recording()) - 1), st.integers(1, 255)),
@@ -108,23 +99,6 @@ def test_a_damaged_file_gives_the_rest(flips: list[tuple[int, int]]) -> None:
     assert set(numbers(found)) <= set(range(COUNT))
     if len(messages) < COUNT:
         assert reader.damages or not reader.is_complete
-
-
-def test_a_broken_chunk_costs_itself_only_and_is_named() -> None:
-    whole = recording()
-    _, before = read(whole)
-    offsets = sorted({message.offset for message in before})
-    second = offsets[1]
-    data = bytearray(whole)
-    data[second + 60] ^= 0xFF
-    reader, messages = read(bytes(data))
-    lost = [message for message in before if message.offset == second]
-    assert lost
-    assert numbers(messages) == numbers([m for m in before if m.offset != second])
-    ((offset, reason, _),) = reader.damages
-    assert offset == second
-    assert "chunk" in reason
-    assert str(reader.damages[0]).startswith(f"byte {second}: ")
 
 
 @pytest.mark.parametrize("data", [b"", b"\x89MCAP0\r", b"version: 1\n" * 10])

@@ -9,6 +9,7 @@ import contextlib
 import io
 import os
 import random
+import re
 import signal
 import struct
 import subprocess
@@ -29,6 +30,7 @@ from play_launch.cli.recover import recover
 from play_launch.cli.report import report as write_report
 from play_launch.container.cdr.messages import PROCESS_STATS
 from play_launch.postmortem.bag_reader import BagReader
+from play_launch.postmortem.recover import write_whole
 from play_launch.recording import topics
 from play_launch.recording.bag import BagWriter
 from play_launch.recording.forms import convert
@@ -292,21 +294,105 @@ def chunks() -> list[int]:
     return found
 
 
-@pytest.mark.parametrize("bit", range(0, 64, 3))
-def test_a_wrong_length_ends_the_reading(bit: int, tmp_path: Path) -> None:
-    whole = recording()
-    third = chunks()[2]
-    data = bytearray(whole)
-    data[third + 1 + bit // 8] ^= 1 << bit % 8
-    counts = []
-    for each in (whole, bytes(data)):
-        path = tmp_path / "session.mcap"
-        path.write_bytes(each)
-        reader = BagReader(path)
-        counts.append(sum(1 for _ in reader.messages()))
-    assert counts[0] // 6 <= counts[1] < counts[0]
-    assert [damage.offset for damage in reader.damages][:1] == [third]
-    assert len(reader.damages) < 10
+def _with(at: int, new: bytes) -> bytes:
+    return recording()[:at] + new + recording()[at + len(new) :]
+
+
+def _chunk_of_zeros() -> bytes:
+    zeros = bytes(50_000_000)
+    data = zstandard.compress(zeros)
+    head = struct.pack("<QQQII", 0, 0, len(zeros), 0, 4) + b"zstd" + struct.pack("<Q", len(data))
+    return struct.pack("<BQ", Opcode.CHUNK, len(head + data)) + head + data
+
+
+def _name_of_a_channel() -> int:
+    return recording().index(b"/play_launch/", first_record(Opcode.CHANNEL))
+
+
+class Damaged(NamedTuple):
+    """What was done to a recording, and what is read of it then."""
+
+    make: Callable[[], bytes]
+    offset: Callable[[], int]
+    """Of the one damage."""
+    reason: str
+    lost: Callable[[int], bool]
+    """Whether a chunk is, by its number."""
+
+
+DAMAGES = {
+    "a chunk with a wrong byte": Damaged(
+        lambda: _with(chunks()[2] + 100, bytes([recording()[chunks()[2] + 100] ^ 1])),
+        lambda: chunks()[2],
+        "a chunk cannot be decompressed|the checksum of a chunk is wrong",
+        lambda number: number == 2,
+    ),
+    "a chunk that is another record": Damaged(
+        lambda: _with(chunks()[2], b"\x7f"),
+        lambda: chunks()[2],
+        "no record of kind 0x7f can stand here",
+        lambda number: number == 2,
+    ),
+    "a chunk with a wrong length": Damaged(
+        lambda: _with(chunks()[2] + 4, b"\x01"),
+        lambda: chunks()[2],
+        r"its length \(\d+ bytes\) is wrong; [\d,]+ bytes are not read",
+        lambda number: number >= 2,
+    ),
+    "a record beyond the limit of its kind": Damaged(
+        lambda: _with(chunks()[2], struct.pack("<BQ", Opcode.METADATA, 1 << 25)) + bytes(1 << 25),
+        lambda: chunks()[2],
+        "its length .33554432 bytes. is wrong",
+        lambda number: number >= 2,
+    ),
+    "cut within a chunk": Damaged(
+        lambda: recording()[: chunks()[5] + 40],
+        lambda: chunks()[5],
+        "the file ends within a record",
+        lambda number: number >= 5,
+    ),
+    "zeros in a chunk": Damaged(
+        lambda: recording()[: chunks()[3]] + _chunk_of_zeros() + recording()[chunks()[3] :],
+        lambda: chunks()[3],
+        "no record of kind 0x00 can stand here",
+        lambda _: False,
+    ),
+    # A file system may have grown a file whose blocks were not written when the power failed.
+    "zeros at the end": Damaged(
+        lambda: recording()[: chunks()[5]] + bytes(3_000_000),
+        lambda: chunks()[5],
+        "its length .0 bytes. is wrong; 3,000,000 bytes are not read",
+        lambda number: number >= 5,
+    ),
+    # Such a record has no checksum; nothing would have happened on its topic.
+    "a wrong letter in the name of a channel": Damaged(
+        lambda: _with(_name_of_a_channel(), b"."),
+        lambda: first_record(Opcode.DATA_END),
+        "is not described as in the summary",
+        lambda _: False,
+    ),
+}
+
+
+@pytest.mark.parametrize("what", DAMAGES)
+def test_a_damage_costs_what_is_in_it(what: str, tmp_path: Path) -> None:
+    damage, path = DAMAGES[what], tmp_path / "session.mcap.active"
+    path.write_bytes(recording())
+    before = list(BagReader(path).messages())
+    numbers = {offset: number for number, offset in enumerate(chunks())}
+    expected = [each.data for each in before if not damage.lost(numbers[each.offset])]
+    path.write_bytes(damage.make())
+    reader = BagReader(path)
+    assert [each.data for each in reader.messages()] == expected
+    assert reader.damages[0].offset == damage.offset()
+    assert re.search(damage.reason, reader.damages[0].reason)
+    assert len([each for each in reader.damages if each.offset < chunks()[-1]]) <= 1
+    assert not reader.is_complete or reader.damages
+    recovered = write_whole(path, tmp_path / "whole.mcap")
+    assert (recovered.messages, recovered.reader.damages) == (len(expected), reader.damages)
+    again = BagReader(recovered.path)
+    assert [each.data for each in again.messages()] == expected
+    assert (again.is_complete, again.damages) == (True, [])
 
 
 def test_a_file_that_is_cut_while_it_is_read_ends_there(tmp_path: Path) -> None:
@@ -322,30 +408,6 @@ def test_a_file_that_is_cut_while_it_is_read_ends_there(tmp_path: Path) -> None:
     assert not reader.is_complete
 
 
-def test_zeros_in_a_chunk_are_one_damage(tmp_path: Path) -> None:
-    path = tmp_path / "session.mcap.active"
-    zeros = bytes(50_000_000)
-    data = zstandard.compress(zeros)
-    head = struct.pack("<QQQII", 0, 0, len(zeros), 0, 4) + b"zstd" + struct.pack("<Q", len(data))
-    chunk = struct.pack("<BQ", Opcode.CHUNK, len(head + data)) + head + data
-    at = chunks()[3]
-    path.write_bytes(recording()[:at] + chunk + recording()[at:])
-    reader = BagReader(path)
-    assert sum(1 for _ in reader.messages()) > 0
-    assert [str(damage) for damage in reader.damages][:1] == [
-        f"byte {at}: no record of kind 0x00 can stand here"
-    ]
-
-
-def test_zeros_at_the_end_are_one_damage(tmp_path: Path) -> None:
-    # A file system may have grown a file whose blocks were not written when the power failed.
-    path = tmp_path / "session.mcap.active"
-    path.write_bytes(recording()[: chunks()[5]] + bytes(3_000_000))
-    reader = BagReader(path)
-    assert sum(1 for _ in reader.messages()) > 0
-    assert [damage.offset for damage in reader.damages] == [chunks()[5]]
-
-
 @pytest.mark.parametrize("verb", [verb for verb in VERBS if "--json" not in verb])
 def test_times_that_no_clock_shows(verb: str, tmp_path: Path) -> None:
     writer = BagWriter(tmp_path / "session.mcap")
@@ -357,14 +419,3 @@ def test_times_that_no_clock_shows(verb: str, tmp_path: Path) -> None:
     writer.close()
     result = call(verb, writer.path.read_bytes(), tmp_path)
     assert (result.code, result.errors) == (0, "")
-
-
-@pytest.mark.parametrize("kind", [Opcode.CHANNEL, Opcode.SCHEMA])
-def test_a_wrong_letter_in_a_name_is_reported(kind: Opcode, tmp_path: Path) -> None:
-    # Records outside of chunks have no checksum; without their topics nothing would have happened.
-    data = bytearray(recording())
-    name = b"/play_launch/" if kind is Opcode.CHANNEL else b"play_launch_msgs/msg/"
-    data[data.index(name, first_record(kind))] ^= 1
-    result = call("inspect", bytes(data), tmp_path)
-    assert result.code == PARTIAL
-    assert "is not described as in the summary" in result.errors
