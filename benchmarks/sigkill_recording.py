@@ -29,7 +29,7 @@ from rosbags.highlevel import AnyReader
 
 from benchmarks.progress import Progress
 from benchmarks.statistics import header, row
-from play_launch.postmortem.archive.leftovers import complete_files
+from play_launch.postmortem.archive import complete_files
 from play_launch.recording.folder import BAG_NAME, parts_of
 from play_launch.recording.session import METADATA_NAME
 from play_launch.recording.topics import OUTPUT

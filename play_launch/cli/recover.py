@@ -62,8 +62,7 @@ def _where_to_get_it() -> str:
 
 
 def _complete_folder(folder: Path, output: Path | None) -> int:
-    from play_launch.postmortem.archive.folders import is_being_written  # noqa: PLC0415 - rarely needed
-    from play_launch.postmortem.archive.leftovers import complete_files  # noqa: PLC0415
+    from play_launch.postmortem.archive import complete_files, is_being_written  # noqa: PLC0415
     from play_launch.recording.folder import active_parts, parts_of  # noqa: PLC0415
 
     if output is not None:

@@ -128,7 +128,7 @@ def part_file(path: Path) -> PartFile | None:
 def beside(recording: Path, ending: str) -> Path:
     """``session.html`` for ``.html``: beside ``session.mcap`` or its ``.active``, or in the folder.
 
-    `archive.folders` has to know the ending, or a file made there keeps its session.
+    `postmortem.archive` has to know the ending, or a file made there keeps its session.
     """
     if recording.is_dir():
         return recording / f"{_STEM}{ending}"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 from rosbags.highlevel import AnyReader
 
-from play_launch.postmortem.archive.folders import is_being_written
+from play_launch.postmortem.archive import is_being_written
 from play_launch.postmortem.bag_reader import BagReader
 from play_launch.postmortem.recover import RecoverError, default_output, recover
 from play_launch.recording import topics

@@ -11,8 +11,13 @@ import pytest
 from play_launch.cli.export import export as export_session
 from play_launch.cli.report import report as write_report
 from play_launch.control.registration import CONTROL_SOCKET
-from play_launch.postmortem.archive.folders import REMOVING, list_sessions, session_entry
-from play_launch.postmortem.archive.removal import finish_removals, remove_session
+from play_launch.postmortem.archive import (
+    REMOVING,
+    finish_removals,
+    list_sessions,
+    remove_session,
+    session_entry,
+)
 from play_launch.postmortem.whole_file import whole_file
 from tests.postmortem.archive.scenes import begin_session, cut_off_session, name_of, past_session
 from tests.postmortem.scenes import Scene
@@ -36,11 +41,11 @@ def test_what_holds_for_each(tmp_path: Path) -> None:
     assert [each.name for each in (first, second, third, fourth)] == [
         name_of(day) for day in (1, 2, 3, 4)
     ]
-    assert (first.is_running, first.active, first.others) == (False, (), ())
+    assert (first.is_running, first.active, first.is_pinned) == (False, (), False)
     assert first.size >= sum(path.stat().st_size for path in (tmp_path / first.name).iterdir())
     assert (second.is_running, second.active) == (True, ("session.mcap.active",))
     assert (third.is_running, third.active) == (False, ("session.mcap.active",))
-    assert (fourth.is_pinned, fourth.others) == (True, ("pinned",))
+    assert fourth.is_pinned
     writer.close()
 
 
@@ -70,15 +75,15 @@ def test_what_is_made_in_its_usual_place_keeps_nothing(tmp_path: Path) -> None:
         assert not write_report(recording, None)
         assert not export_session(recording, "perfetto", None)
         assert not export_session(recording, "csv", None)
-    for name in ("session.html", "session-csv/machine.csv"):
+    for name in ("session.html",):
         with whole_file(session / name) as half:
             half.touch()
             os.link(half, half.with_name(half.name.replace(str(os.getpid()), "4711")))  # killed
     made = {"session.html", "session_1.html", "session.trace.json", "session_1.trace.json"}
     assert made | {"session-csv/machine.csv"} < everything(session)
     (entry,) = list_sessions(tmp_path)
-    assert entry.others == ()
-    for mine in ("mine.html", "session-csv/mine.csv", "session-csv/session.mcap"):
+    assert not entry.is_pinned
+    for mine in ("mine.html", "session.csv", "session-xml"):
         (session / mine).touch()
         before = everything(session)
         assert not remove_session(session)
@@ -146,12 +151,12 @@ def test_a_removal_that_was_killed_is_finished(tmp_path: Path) -> None:
 def test_what_came_into_a_folder_at_the_last_moment_is_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from play_launch.postmortem.archive import removal
+    from play_launch.postmortem import archive
 
     folder = past_session(tmp_path, 1)
     entry = session_entry(folder)
     (folder / "notes.txt").touch()
-    monkeypatch.setattr(removal, "session_entry", lambda _: entry)
+    monkeypatch.setattr(archive, "session_entry", lambda _: entry)
     before = everything(tmp_path)
     assert not remove_session(folder)
     assert everything(tmp_path) == before

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import pytest
 from rosbags.highlevel import AnyReader
 
-from play_launch.postmortem.archive.leftovers import complete_session
+from play_launch.postmortem.archive import complete_session
 from play_launch.postmortem.bag_reader import BagReader
 from play_launch.recording.bag import BagWriter
 from play_launch.recording.session import create_session_folder
@@ -200,7 +200,7 @@ def test_the_oldest_is_what_began_first_whatever_the_clock_said(tmp_path: Path) 
 COMPLETE = """
 import sys
 from pathlib import Path
-from play_launch.postmortem.archive.leftovers import complete_session
+from play_launch.postmortem.archive import complete_session
 complete_session(Path(sys.argv[1]))
 """
 

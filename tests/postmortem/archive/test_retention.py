@@ -6,8 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from play_launch.config.model import KeepConfig
-from play_launch.postmortem.archive.folders import SessionEntry
-from play_launch.postmortem.archive.retention import sessions_to_remove
+from play_launch.postmortem.archive import SessionEntry, sessions_to_remove
 
 SESSIONS = st.lists(
     st.builds(
@@ -15,7 +14,7 @@ SESSIONS = st.lists(
         name=st.text("0123456789-", min_size=1),
         size=st.integers(0, 1000),
         is_running=st.booleans(),
-        others=st.lists(st.just("pinned"), max_size=1).map(tuple),
+        is_pinned=st.booleans(),
     ),
     unique_by=lambda session: session.name,
     max_size=12,
