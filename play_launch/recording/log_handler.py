@@ -36,10 +36,11 @@ _python_log = logging.getLogger("python")
 def log_published(publish: Callable[[LogRecord], None]) -> Iterator[None]:
     """Publish all that is logged, and print none of it.
 
-    Our own log comes in full and in the thread that logs; that of others from WARN on (asyncio's,
-    Python's warnings, uncaught exceptions) and from a thread of its own. ``publish``
+    Our own log comes in full and in the thread that logs; that of other loggers (asyncio's,
+    Python's warnings, uncaught exceptions) from WARN on and from a thread of its own. ``publish``
     must be callable from any thread.
     """
+    ours, root = logging.getLogger(LOGGER_NAME), logging.getLogger()
     handler = EventLogHandler(publish)
     # Destructors log in the midst of anything, perhaps while their thread holds a lock that
     # `publish` takes. The queue may be entered at any time, also a second time by one thread.
@@ -47,12 +48,22 @@ def log_published(publish: Callable[[LogRecord], None]) -> Iterator[None]:
     listener = QueueListener(queue, handler)
     listener.start()
     others = _BoundedQueueHandler(queue)
+    before = ours.level, ours.propagate, sys.unraisablehook, threading.excepthook
+    ours.addHandler(handler)
+    root.addHandler(others)
+    ours.setLevel(logging.DEBUG)
+    ours.propagate = False
+    logging.captureWarnings(capture=True)
+    sys.unraisablehook, threading.excepthook = _log_unraisable, _log_end_of_thread
     try:
-        with _handled(handler, others), _uncaught_logged():
-            yield
-            if others.dropped:
-                _log.warning("%d records of other loggers are not recorded", others.dropped)
+        yield
+        if others.dropped:
+            _log.warning("%d records of other loggers are not recorded", others.dropped)
     finally:
+        logging.captureWarnings(capture=False)
+        root.removeHandler(others)
+        ours.removeHandler(handler)
+        ours.level, ours.propagate, sys.unraisablehook, threading.excepthook = before
         listener.stop()
 
 
@@ -69,34 +80,6 @@ class _BoundedQueueHandler(QueueHandler):
             self.dropped += 1
         else:
             super().enqueue(record)
-
-
-@contextlib.contextmanager
-def _handled(ours: logging.Handler, others: logging.Handler) -> Iterator[None]:
-    logger, root = logging.getLogger(LOGGER_NAME), logging.getLogger()
-    before = logger.level, logger.propagate
-    logger.addHandler(ours)
-    logger.setLevel(logging.DEBUG)
-    logger.propagate = False
-    root.addHandler(others)
-    logging.captureWarnings(capture=True)
-    try:
-        yield
-    finally:
-        logging.captureWarnings(capture=False)
-        root.removeHandler(others)
-        logger.removeHandler(ours)
-        logger.level, logger.propagate = before
-
-
-@contextlib.contextmanager
-def _uncaught_logged() -> Iterator[None]:
-    before = sys.unraisablehook, threading.excepthook
-    sys.unraisablehook, threading.excepthook = _log_unraisable, _log_end_of_thread
-    try:
-        yield
-    finally:
-        sys.unraisablehook, threading.excepthook = before
 
 
 def _log_unraisable(unraisable: sys.UnraisableHookArgs) -> None:
