@@ -19,8 +19,7 @@ from play_launch.container.cdr.layout import CdrError, Layout
 from play_launch.recording.errors import WriteFailedError, reason
 from play_launch.recording.folder import IndexedFile, IndexedTopic, part_path, write_index
 from play_launch.recording.mcap_file import McapFile
-from play_launch.recording.schema import message_definition
-from play_launch.recording.topics import PARAMETERS
+from play_launch.recording.topics import PARAMETERS, message_definition
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping

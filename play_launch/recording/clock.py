@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
@@ -14,16 +15,15 @@ _JUMP_NS: Final = 100_000_000
 """A smaller difference is not noticed."""
 
 
-def boot_time_ns() -> int:
-    """Nanoseconds since the machine booted; they count while it is suspended, too."""
-    return time.clock_gettime_ns(time.CLOCK_BOOTTIME)
+_boot_time_ns: Final = partial(time.clock_gettime_ns, time.CLOCK_BOOTTIME)
+"""Nanoseconds since the machine booted; they count while it is suspended, too."""
 
 
 class SessionClock:
     """The system clock at the start of the session, plus the time since then. In any thread."""
 
     def __init__(
-        self, wall: Callable[[], int] = time.time_ns, steady: Callable[[], int] = boot_time_ns
+        self, wall: Callable[[], int] = time.time_ns, steady: Callable[[], int] = _boot_time_ns
     ) -> None:
         self._wall = wall
         self._steady = steady

@@ -73,8 +73,8 @@ class Recorder:
         """Channels of topics of ROS by name and type; 0 where the type is not installed."""
         self.secrets: re.Pattern[bytes] | None = None
         """They are masked in messages about parameters."""
-        # A condition has a lock that its thread may take twice: a destructor may log anywhere.
-        self._changed = threading.Condition()
+        self._lock = threading.RLock()  # its thread may take it twice: a destructor logs anywhere
+        self._changed = threading.Condition(self._lock)
         self._events: list[tuple[int, RunEvent]] = []
         """With their log times."""
         self._text = 0
@@ -116,7 +116,7 @@ class Recorder:
         """Take one event, or input; its time of arrival becomes the ``log_time``."""
         is_urgent = not isinstance(event, OutputLine | Decision) and is_failure(event)
         limits = self._limits
-        with self._changed:
+        with self._lock:
             received = self.clock.now()  # here, so that they are in the order of their times
             waiting, room = len(self._events) + len(self._inputs), limits.lines
             if isinstance(event, OutputLine):

@@ -17,8 +17,7 @@ from play_launch.recording.forms import convert
 from play_launch.recording.limits import RecorderLimits
 from play_launch.recording.mcap_file import MAGIC
 from play_launch.recording.recorder import Recorder
-from play_launch.recording.schema import message_definition
-from play_launch.recording.topics import OUTPUT, STATES, Topic
+from play_launch.recording.topics import OUTPUT, STATES, Topic, message_definition
 from play_launch.supervisor.events import ContainerState, ContainerStateChanged, OutputLine, Stream
 from tests.recording.reading import messages, raw_messages, records
 

@@ -19,8 +19,7 @@ from play_launch.recording.errors import SchemaNotFoundError, WriteFailedError
 from play_launch.recording.limits import RecorderLimits
 from play_launch.recording.log_handler import EventLogHandler
 from play_launch.recording.recorder import Recorder
-from play_launch.recording.schema import message_definition
-from play_launch.recording.topics import INPUTS, LOG_ALL, OUTPUT, PROCESS_STATS
+from play_launch.recording.topics import INPUTS, LOG_ALL, OUTPUT, PROCESS_STATS, message_definition
 from play_launch.supervisor.events import (
     ComponentEvent,
     ComponentEventKind,

@@ -5,8 +5,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from play_launch.recording.errors import SchemaNotFoundError
-from play_launch.recording.schema import message_definition, search_prefixes
-from play_launch.recording.topics import ALL_TOPICS
+from play_launch.recording.topics import ALL_TOPICS, message_definition, search_prefixes
 
 if TYPE_CHECKING:
     from pathlib import Path

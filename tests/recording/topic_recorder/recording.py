@@ -20,8 +20,8 @@ from play_launch.recording.bag import BagWriter
 from play_launch.recording.chunk import TopicChunk
 from play_launch.recording.limits import RecordingSummary
 from play_launch.recording.recorder import Recorder
-from play_launch.recording.schema import message_definition
 from play_launch.recording.topic_recorder.supervision import TopicRecording
+from play_launch.recording.topics import message_definition
 
 _PTRACE_SEIZE, _PTRACE_INTERRUPT, _PTRACE_DETACH = 0x4206, 0x4207, 17
 _WALL = 0x40000000

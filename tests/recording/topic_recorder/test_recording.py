@@ -22,9 +22,9 @@ from std_msgs.msg import String
 
 from play_launch.container.ros import NotInstalledError
 from play_launch.recording.errors import SchemaNotFoundError
-from play_launch.recording.schema import message_definition
 from play_launch.recording.topic_recorder import SnapshotError, supervision
 from play_launch.recording.topic_recorder.link import stop
+from play_launch.recording.topics import message_definition
 from play_launch.ros.fastdds.shared_memory import sweep
 from tests.recording.reading import raw_messages, records
 from tests.recording.topic_recorder.recording import (
