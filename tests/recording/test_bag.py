@@ -16,7 +16,7 @@ from mcap.stream_reader import StreamReader
 from play_launch.container.cdr.messages import log_message
 from play_launch.recording.bag import BagWriter
 from play_launch.recording.errors import WriteFailedError
-from play_launch.recording.topics import ALL_TOPICS, LOG, OUTPUT
+from play_launch.recording.topics import ALL_TOPICS, OUTPUT
 from tests.recording.reading import messages, raw_messages, records
 
 if TYPE_CHECKING:
@@ -101,18 +101,6 @@ def test_quality_of_service_is_read_by_others(tmp_path: Path) -> None:
         assert profile.reliability.name == "RELIABLE"
         assert profile.durability.name == ("TRANSIENT_LOCAL" if topic.latched else "VOLATILE")
         assert profile.liveliness.name == "AUTOMATIC"
-
-
-def test_what_was_flushed_can_be_read_while_it_is_written(tmp_path: Path) -> None:
-    writer = BagWriter(tmp_path / "x.mcap")
-    channel = writer.register(LOG)
-    write_lines(writer, channel, 1, 10)
-    writer.flush()
-    write_lines(writer, channel, 11, 5)
-    assert writer.path == tmp_path / "x.mcap.active"
-    assert [message.log_time for message in raw_messages(writer.path, LOG.name)] == [*range(1, 11)]
-    writer.close()
-    assert len(messages(writer.path)) == 15
 
 
 def test_a_killed_writer_leaves_what_it_flushed(tmp_path: Path) -> None:

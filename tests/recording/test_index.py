@@ -14,7 +14,7 @@ import pytest
 import yaml
 
 from play_launch.recording.folder import IndexedFile, IndexedTopic, write_index
-from play_launch.recording.topics import ALL_TOPICS, Topic
+from play_launch.recording.topics import ALL_TOPICS
 
 TIME = {"nanoseconds_since_epoch": int}
 LENGTH = {"nanoseconds": int}
@@ -42,20 +42,6 @@ FIELDS = {
     "files": [{"path": str, "starting_time": TIME, "duration": LENGTH, "message_count": int}],
     "ros_distro": str,
 }
-DURATION = {"sec": int, "nsec": int}
-PROFILES = [
-    {
-        "history": int,
-        "depth": int,
-        "reliability": int,
-        "durability": int,
-        "deadline": DURATION,
-        "lifespan": DURATION,
-        "liveliness": int,
-        "liveliness_lease_duration": DURATION,
-        "avoid_ros_namespace_conventions": bool,
-    }
-]
 SOME = IndexedTopic("/chatter", "std_msgs/msg/String", "")
 STATES = ALL_TOPICS[1]
 OURS = IndexedTopic(STATES.name, STATES.type_name, STATES.offered_qos_profiles)
@@ -106,10 +92,3 @@ def test_rosbag2_finds_each_field_it_reads(
     # No mapping: rosbag2 goes through its entries, of which a null has none.
     assert information["custom_data"] is None
     assert information["message_count"] == sum(sum(each.counts.values()) for each in files)
-
-
-@pytest.mark.parametrize("topic", ALL_TOPICS, ids=lambda topic: topic.name)
-def test_rosbag2_reads_the_quality_of_service(topic: Topic) -> None:
-    profiles = yaml.safe_load(topic.offered_qos_profiles)
-    assert len(profiles) == 1
-    assert mistakes(profiles, PROFILES) == []

@@ -2,18 +2,21 @@ from __future__ import annotations
 
 import json
 import os
-from typing import TYPE_CHECKING
+from datetime import UTC, datetime
+from pathlib import Path
 
 import pytest
 from mcap.records import Attachment, Header, Metadata
 
-from play_launch.recording.errors import RecordingError
-from play_launch.recording.session import SessionDescription, open_session
+from play_launch.recording.errors import SessionFolderError
+from play_launch.recording.session import (
+    SessionDescription,
+    create_session_folder,
+    default_log_folder,
+    open_session,
+)
 from play_launch.supervisor.events import LogRecord
 from tests.recording.reading import messages, records
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def description(*parameter_files: tuple[str, bytes]) -> SessionDescription:
@@ -68,7 +71,69 @@ def test_the_head_of_a_recording_tells_everything_about_the_run(tmp_path: Path) 
     assert [read.message.msg for read in messages(summary.path)] == ["m"]
 
 
-def test_a_log_folder_that_cannot_be_used_is_explained(tmp_path: Path) -> None:
+NOW = datetime(2026, 11, 21, 6, 36, 25, tzinfo=UTC)
+
+
+def test_the_default_log_folder_follows_the_environment() -> None:
+    both = {"PLAY_LAUNCH_LOG_DIR": "/x/own", "ROS_LOG_DIR": "/x/ros"}
+    assert default_log_folder(both) == Path("/x/own")
+    assert default_log_folder({"ROS_LOG_DIR": "/x/ros"}) == Path("/x/ros/play_launch")
+    empty = default_log_folder({"PLAY_LAUNCH_LOG_DIR": "", "ROS_LOG_DIR": ""})
+    assert empty == Path.home() / ".ros" / "play_launch"
+
+
+def test_a_session_has_a_folder_and_latest_points_to_it(tmp_path: Path) -> None:
+    root = tmp_path / "not" / "there"
+    first = create_session_folder(root, "demo", NOW)
+    first.announce()
+    assert first.path == root / "2026-11-21-06-36-25-demo"
+    assert first.bag == first.path / "session.mcap"
+    assert (root / "latest").readlink() == Path(first.path.name)
+
+    second = create_session_folder(root, "demo", NOW)
+    third = create_session_folder(root, "demo", NOW)
+    second.announce()
+    third.announce()
+    assert [second.path.name, third.path.name] == [f"{first.path.name}-2", f"{first.path.name}-3"]
+    assert (root / "latest").resolve() == third.path
+    hidden = [entry for entry in root.iterdir() if entry.name.startswith(".")]
+    assert hidden == [root / ".order"]
+    assert hidden[0].read_text().split() == [each.path.name for each in (first, second, third)]
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("../../etc/x y", "etc_x_y"),
+        ("", "session"),
+        ("...", "session"),
+        ("grün", "gr_n"),
+        ("x" * 500, "x" * 100),
+    ],
+)
+def test_any_name_makes_a_folder_below_the_log_folder(
+    tmp_path: Path, name: str, expected: str
+) -> None:
+    folder = create_session_folder(tmp_path, name, NOW).path
+    assert folder.parent == tmp_path
+    assert folder.name == f"2026-11-21-06-36-25-{expected}"
+
+
+def test_a_log_folder_that_is_a_file_is_explained(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(RecordingError, match="--log-dir"):
-        open_session(description(), log_folder=tmp_path / "file")
+    with pytest.raises(SessionFolderError, match="--log-dir") as caught:
+        create_session_folder(tmp_path / "file", "demo", NOW)
+    assert str(tmp_path / "file") in str(caught.value)
+
+
+def test_a_session_does_not_need_latest(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    (tmp_path / "latest" / "somebody's").mkdir(parents=True)
+    folder = create_session_folder(tmp_path, "demo", NOW)
+    folder.announce()
+    assert folder.path.is_dir()
+    assert "latest" in caplog.text
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == [
+        ".order",
+        folder.path.name,
+        "latest",
+    ]

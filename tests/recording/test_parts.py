@@ -12,7 +12,7 @@ from rosbags.highlevel import AnyReader
 
 from play_launch.container.cdr.messages import log_message
 from play_launch.recording.bag import BagWriter, Rotation
-from play_launch.recording.folder import part_number, part_path
+from play_launch.recording.folder import part_path
 from play_launch.recording.forms import convert
 from play_launch.recording.limits import RecorderLimits
 from play_launch.recording.mcap_file import MAGIC
@@ -214,18 +214,3 @@ def test_the_recorder_says_how_many_files_there_are(tmp_path: Path) -> None:
     recorder.publish(line)
     summary = recorder.close()
     assert (summary.path, summary.parts, summary.messages) == (tmp_path, 2, 1)
-
-
-@pytest.mark.parametrize(
-    ("name", "number"),
-    [
-        ("session.mcap", 0),
-        ("session_1.mcap", 1),
-        ("session_12.mcap", 12),
-        ("session_0.mcap", 0),
-        ("session_1.mcap.active", None),
-        ("session", None),
-    ],
-)
-def test_numbers_of_files(name: str, number: int | None) -> None:
-    assert part_number(name) == number
