@@ -1,4 +1,4 @@
-"""What was synced survives the loss of everything else, and a slow disk delays nobody."""
+"""What was synced survives the loss of everything else, and a slow disk delays no event."""
 
 from __future__ import annotations
 

@@ -127,7 +127,7 @@ def test_a_log_folder_that_is_a_file_is_explained(tmp_path: Path) -> None:
 
 
 def test_a_session_does_not_need_latest(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    (tmp_path / "latest" / "somebody's").mkdir(parents=True)
+    (tmp_path / "latest" / "notes").mkdir(parents=True)
     folder = create_session_folder(tmp_path, "demo", NOW)
     folder.announce()
     assert folder.path.is_dir()

@@ -9,8 +9,8 @@
 namespace play_launch::topics {
 
 /// Packets of the socket to the supervisor, a SOCK_SEQPACKET: a 32-bit kind, then its fields.
-/// Little-endian; a text has its length before it, in 32 bits. `topic_recording/packets.py` is the
-/// other end.
+/// Little-endian; a text has its length before it, in 32 bits. `recording/topic_recorder/link.py`
+/// is the other end.
 ///
 /// To the supervisor:
 ///   channel  request u32, topic, type, offered_qos_profiles: wants a channel

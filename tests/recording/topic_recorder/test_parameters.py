@@ -160,7 +160,7 @@ async def test_each_life_of_a_node_is_asked(tmp_path: Path) -> None:
     assert lives == [1, 2]
 
 
-async def test_a_node_that_never_answers_holds_up_nobody(
+async def test_a_node_that_never_answers_holds_up_no_other(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     complete = supervision.recorder_argv

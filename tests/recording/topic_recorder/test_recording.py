@@ -326,7 +326,7 @@ async def test_what_has_arrived_by_the_end_is_recorded(probe: Probe, tmp_path: P
 
 
 async def test_it_ends_in_order_when_the_supervisor_is_gone(probe: Probe, tmp_path: Path) -> None:
-    # With chunks that nobody is going to write any more.
+    # Its last chunks are never written.
     images = probe.node.create_publisher(Image, "/camera/image", 200)
     async with recording(tmp_path / "x.mcap", "{topics: [/camera/image]}") as made:
         await heard(made, images, Image())
