@@ -52,7 +52,7 @@ def check(  # noqa: PLR0917 - options, by name
     from play_launch.config.load import load_config  # noqa: PLC0415
     from play_launch.config.problems import ConfigError  # noqa: PLC0415
     from play_launch.config.substitutions import (  # noqa: PLC0415
-        Surroundings,
+        Inputs,
         parse_arguments,
     )
 
@@ -63,7 +63,7 @@ def check(  # noqa: PLR0917 - options, by name
     except ValueError as error:
         fail(str(error))
     try:
-        loaded = load_config(config, Surroundings(arguments=given))
+        loaded = load_config(config, Inputs(arguments=given))
     except ConfigError as error:
         if as_json:
             problems = [asdict(problem) for problem in error.problems]

@@ -114,7 +114,7 @@ def _load(path: Path, duration: float | None, arguments: Sequence[str]) -> Repla
     from play_launch.config.load import load_config  # noqa: PLC0415
     from play_launch.config.problems import ConfigError  # noqa: PLC0415
     from play_launch.config.substitutions import (  # noqa: PLC0415
-        Surroundings,
+        Inputs,
         parse_arguments,
     )
 
@@ -128,7 +128,7 @@ def _load(path: Path, duration: float | None, arguments: Sequence[str]) -> Repla
 
             loaded = load_recorded(path, given)
         else:
-            loaded = load_config(path, Surroundings(arguments=given))
+            loaded = load_config(path, Inputs(arguments=given))
     except ConfigError as error:
         fail(f"{path} cannot be used, nothing was started\n{error.for_people()}")
     return loaded if duration is None else replace(loaded, duration=duration)

@@ -71,12 +71,12 @@ def _loaded(path: Path, arguments: Sequence[str]) -> ReplayConfig:
     from play_launch.config.load import load_config  # noqa: PLC0415
     from play_launch.config.problems import ConfigError  # noqa: PLC0415
     from play_launch.config.substitutions import (  # noqa: PLC0415
-        Surroundings,
+        Inputs,
         parse_arguments,
     )
 
     try:
-        return load_config(path, Surroundings(arguments=parse_arguments(arguments)))
+        return load_config(path, Inputs(arguments=parse_arguments(arguments)))
     except ValueError as error:
         fail(str(error))
     except ConfigError as error:

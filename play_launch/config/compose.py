@@ -17,7 +17,7 @@ import yaml
 from msgspec import Struct, field
 from msgspec.structs import replace
 
-from play_launch.config.problems import Place, excerpt, join_path
+from play_launch.config.problems import Location, excerpt, join_path
 from play_launch.config.substitutions import may_hold_substitutions
 from play_launch.config.tree import (
     Entry,
@@ -85,7 +85,7 @@ class Reading(Struct, frozen=True):
     in a text; it raises ValueError with the fix. With `nulls`, null is a value.
     """
 
-    included_from: Place | None = None
+    included_from: Location | None = None
     substitute: Callable[[str], str] | None = None
     tally: Tally = field(default_factory=Tally)
     nulls: bool = False
@@ -102,17 +102,17 @@ def compose(text: str, file: str, report: Report, reading: Reading | None = None
         events = iter(yaml.parse(text, Loader=_Loader))
         return _Composer(events, file, report, reading).run()
     except _StopReadingError as stop:
-        place, path, message = stop.place, stop.path, stop.message
+        location, path, message = stop.location, stop.path, stop.message
     except yaml.YAMLError as error:
-        (place, message), path = _explain(error, text, file), "(yaml)"
-    report.add(replace(place, included_from=reading.included_from), path, message)
+        (location, message), path = _explain(error, text, file), "(yaml)"
+    report.add(replace(location, included_from=reading.included_from), path, message)
     return None
 
 
 class _StopReadingError(Exception):
-    def __init__(self, place: Place, path: str, message: str) -> None:
+    def __init__(self, location: Location, path: str, message: str) -> None:
         super().__init__(message)
-        self.place = place
+        self.location = location
         self.path = path
         self.message = message
 
@@ -180,13 +180,13 @@ class _Composer:
             self._anchored[event.anchor] = found
         return found
 
-    def _place(self, event: yaml.Event) -> Place:
+    def _place(self, event: yaml.Event) -> Location:
         mark = event.start_mark
         assert mark is not None
-        return Place(self._file, mark.line + 1, mark.column + 1, self._reading.included_from)
+        return Location(self._file, mark.line + 1, mark.column + 1, self._reading.included_from)
 
-    def _problem(self, place: Place, path: str, message: str) -> None:
-        self._report.add(place, path or "(top level)", message)
+    def _problem(self, location: Location, path: str, message: str) -> None:
+        self._report.add(location, path or "(top level)", message)
 
     def _count(self, values: int, event: yaml.Event) -> None:
         self._tally.values += values
@@ -200,7 +200,7 @@ class _Composer:
             raise _StopReadingError(self._place(event), "(yaml)", why)
 
     def _scalar(self, event: yaml.ScalarEvent, path: str, *, is_key: bool) -> Scalar:
-        place = self._place(event)
+        location = self._place(event)
         # A key is the text it is written as: `1:` and `"1":` are the same key.
         tag = None if is_key else event.tag
         plain = not is_key and event.tag is None and event.implicit[0]
@@ -213,31 +213,31 @@ class _Composer:
             message = str(error)
             if tag in ARRAY_TAGS:
                 message = f"the tag {tag} belongs to a list: {tag} [...]"
-            self._problem(place, path, message)
+            self._problem(location, path, message)
             kind, value = ScalarKind.INVALID, None
         substituted = text != event.value
         if kind is ScalarKind.NULL and substituted:
             kind, value = ScalarKind.STRING, text
         if kind is ScalarKind.NULL and self._depth > 0 and not self._reading.nulls:
-            self._problem(place, path, _NO_VALUE)
+            self._problem(location, path, _NO_VALUE)
             kind = ScalarKind.INVALID
         if not text.isascii() and any("\ud800" <= one <= "\udfff" for one in text):
-            self._problem(place, path, "half of a surrogate pair is not a character")
+            self._problem(location, path, "half of a surrogate pair is not a character")
             kind = ScalarKind.INVALID
-        return Scalar(place, kind, value, text, event.implicit[0], substituted)
+        return Scalar(location, kind, value, text, event.implicit[0], substituted)
 
     def _begin(self, event: yaml.CollectionStartEvent, path: str) -> str | None:
         """Enter a list or a mapping; returns the tag of a ROS array."""
-        place = self._place(event)
+        location = self._place(event)
         if self._depth >= DEEPEST:
-            self._refuse_depth(place)
+            self._refuse_depth(location)
         is_mapping = isinstance(event, yaml.MappingStartEvent)
         array_tag = event.tag if event.tag in ARRAY_TAGS and not is_mapping else None
         if array_tag is None and event.tag not in _PLAIN_COLLECTION_TAGS[type(event)]:
             message = unknown_tag(event.tag or "")
             if event.tag in ARRAY_TAGS:
                 message = f"the tag {shown_tag(event.tag)} belongs to a list"
-            self._problem(place, path, message)
+            self._problem(location, path, message)
         if event.anchor is not None:
             self._open_anchors.add(event.anchor)
         self._depth += 1
@@ -263,7 +263,7 @@ class _Composer:
 
     def _mapping(self, event: yaml.Event, path: str) -> tuple[Mapping, int]:
         entries: dict[str, Entry] = {}
-        seen: dict[str, Place] = {}
+        seen: dict[str, Location] = {}
         merged: list[Node] = []
         deepest = 0
         for begin in self._inside():
@@ -277,45 +277,45 @@ class _Composer:
             if key.text == "<<" and key.plain:
                 merged.append(value.node)
             else:
-                entries[key.text] = Entry(key.text, key.place, value.node)
+                entries[key.text] = Entry(key.text, key.location, value.node)
         for node in merged:
             self._merge(node, entries, join_path(path, "<<"))
         return Mapping(self._place(event), entries), deepest
 
     def _alias(self, event: yaml.AliasEvent, path: str) -> _Found:
         name = event.anchor
-        place = self._place(event)
+        location = self._place(event)
         path = path or "(top level)"
         if name in self._open_anchors:
             message = f"the alias *{name} stands inside of the value it refers to"
-            raise _StopReadingError(place, path, message)
+            raise _StopReadingError(location, path, message)
         if name not in self._anchored:
             message = f"the alias *{name} has no anchor &{name} before it"
-            raise _StopReadingError(place, path, message)
+            raise _StopReadingError(location, path, message)
         found = self._anchored[name]
         self._count(found.values, event)
         if self._depth + found.depth > DEEPEST:
-            self._refuse_depth(place)
+            self._refuse_depth(location)
         return found
 
-    def _refuse_depth(self, place: Place) -> NoReturn:
-        raise _StopReadingError(place, "(yaml)", f"nested deeper than {DEEPEST} levels")
+    def _refuse_depth(self, location: Location) -> NoReturn:
+        raise _StopReadingError(location, "(yaml)", f"nested deeper than {DEEPEST} levels")
 
-    def _accepted_key(self, node: Node, path: str, seen: dict[str, Place]) -> Scalar | None:
+    def _accepted_key(self, node: Node, path: str, seen: dict[str, Location]) -> Scalar | None:
         if not isinstance(node, Scalar):
-            self._problem(node.place, path, "a key must be a word, not a list or a mapping")
+            self._problem(node.location, path, "a key must be a word, not a list or a mapping")
             return None
         if node.kind is ScalarKind.INVALID:
             return None
         if not node.text:
-            self._problem(node.place, path, "a key is missing before the colon")
+            self._problem(node.location, path, "a key is missing before the colon")
             return None
         first = seen.get(node.text)
         if first is not None:
             message = f"the key {excerpt(node.text)} is given twice, first at {first}"
-            self._report.add(node.place, join_path(path, node.text), message)
+            self._report.add(node.location, join_path(path, node.text), message)
             return None
-        seen[node.text] = node.place
+        seen[node.text] = node.location
         return node
 
     def _merge(self, merged: Node, entries: dict[str, Entry], path: str) -> None:
@@ -326,7 +326,7 @@ class _Composer:
                     entries.setdefault(entry.key, entry)
             elif not (isinstance(source, Scalar) and source.kind is ScalarKind.INVALID):
                 message = "`<<` takes a mapping or a list of mappings to merge in"
-                self._report.add(merged.place, path, message)
+                self._report.add(merged.location, path, message)
 
 
 def _refuse_in_key(text: str) -> str:
@@ -336,18 +336,20 @@ def _refuse_in_key(text: str) -> str:
     return text
 
 
-def _explain(error: yaml.YAMLError, text: str, file: str) -> tuple[Place, str]:
+def _explain(error: yaml.YAMLError, text: str, file: str) -> tuple[Location, str]:
     """Describe a syntax error, with a fix for the common ones."""
     mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
     if mark is None:
-        return Place(file, 1, 1), f"is not YAML: {excerpt(str(error))[1:-1]}"
+        return Location(file, 1, 1), f"is not YAML: {excerpt(str(error))[1:-1]}"
     tab = _tab_in_indentation(text, mark.line)
     if tab is not None:
-        return Place(file, mark.line + 1, tab + 1), "a tab cannot indent YAML; use spaces"
+        return Location(file, mark.line + 1, tab + 1), "a tab cannot indent YAML; use spaces"
     problem = getattr(error, "problem", None) or getattr(error, "context", None) or "not YAML"
     message = str(problem)
     if "maximum nesting depth" in message:  # PyYAML 6.0.4 and later read ahead, and refuse it first
-        return Place(file, mark.line + 1, mark.column + 1), f"nested deeper than {DEEPEST} levels"
+        return Location(
+            file, mark.line + 1, mark.column + 1
+        ), f"nested deeper than {DEEPEST} levels"
     context = getattr(error, "context", None)
     begin = getattr(error, "context_mark", None)
     if context and context != problem:
@@ -357,7 +359,7 @@ def _explain(error: yaml.YAMLError, text: str, file: str) -> tuple[Place, str]:
     fix = next((advice for symptom, advice in _FIXES if symptom in message), None)
     if fix is not None:
         message += f"; {fix}"
-    return Place(file, mark.line + 1, mark.column + 1), message
+    return Location(file, mark.line + 1, mark.column + 1), message
 
 
 def _tab_in_indentation(text: str, line: int) -> int | None:

@@ -22,7 +22,7 @@ from play_launch.config.model import (
     SourceFile,
 )
 from play_launch.config.node_key import NodeKey
-from play_launch.config.resources import GroupPolicy, Resources
+from play_launch.config.resources import Resources
 
 if TYPE_CHECKING:
     from play_launch.config.model import ParameterPayload
@@ -68,7 +68,7 @@ def _struct(struct: Struct) -> Any:
             return str(struct.path)
         case NodeKey():
             return str(struct)
-        case Resources() | GroupPolicy():
+        case Resources():
             return struct.described()
         case RestartLimits():
             backoff = {"initial": struct.initial, "maximum": struct.maximum}

@@ -8,99 +8,77 @@ from typing import TYPE_CHECKING
 from msgspec.structs import replace
 
 from play_launch.config.includes import Documents
-from play_launch.config.model import (
-    ContainerType,
-    ReplayConfig,
-    SourceFile,
-    StopLimits,
-    TakenValues,
-)
+from play_launch.config.model import ContainerType, ReplayConfig, SourceFile, StopLimits
 from play_launch.config.problems import ConfigError, Problem, Report
-from play_launch.config.resolve.nodes import NodeNames, Shared, resolve_container, resolve_process
+from play_launch.config.resolve.nodes import Context, NodeNames, resolve_container, resolve_process
 from play_launch.config.resolve.order import StartRules
-from play_launch.config.resolve.parameter_files import ParameterFiles
+from play_launch.config.resolve.parameter_files import ParameterFileReader
 from play_launch.config.resolve.policy import (
     ISOLATED_KEYS,
     GroupRules,
     Policy,
-    node_process,
     refined_resources,
 )
 from play_launch.config.resolve.record import resolve_record
 from play_launch.config.schema import DocumentSection, LoadingSection
 from play_launch.config.section import items_of, validate_mapping, well_formed
 from play_launch.config.source import Refused, path_from, read_bytes
-from play_launch.config.substitutions import Surroundings, Taken
-from play_launch.config.tree import At, Mapping, Sequence
+from play_launch.config.substitutions import Inputs, InputsUsed
+from play_launch.config.tree import Cursor, Mapping, Sequence
 from play_launch.config.values import resolve_environment
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from play_launch.config.model import ContainerConfig, ProcessConfig
+    from play_launch.config.model import ContainerConfig
     from play_launch.config.tree import Node
+
+_LOADING = "composable_node_loading"
 
 
 def load_config(
     path: Path,
-    surroundings: Surroundings | None = None,
+    inputs: Inputs | None = None,
     read: Callable[[Path], bytes | Refused] = read_bytes,
 ) -> ReplayConfig:
     """Read and validate the configuration at `path`, and the files it includes and names.
 
-    Raises ConfigError with every problem found. Reading files, by `read`, is the only effect;
-    calls from different threads do not meet.
+    Raises ConfigError with every problem found. Reading files, by `read`, is the only effect.
     """
     content = read(path)
     if isinstance(content, Refused):
-        raise ConfigError((Problem.at(content.place, "(file)", content.message),))
-    return parse_config(content, path, read, surroundings)
+        raise ConfigError((Problem.at(content.location, "(file)", content.message),))
+    return parse_config(content, path, read, inputs)
 
 
 def parse_config(
     content: bytes,
     source: Path,
     read: Callable[[Path], bytes | Refused] = read_bytes,
-    surroundings: Surroundings | None = None,
+    inputs: Inputs | None = None,
 ) -> ReplayConfig:
     """Validate `content` as if it had been read from `source`; raise ConfigError as above.
 
-    `read` gives the other files.
+    `read` reads the other files.
     """
     report = Report()
-    taken = Taken(surroundings or Surroundings())
-    documents = Documents(report, read, taken)
+    used = InputsUsed(inputs or Inputs())
+    documents = Documents(report, read, used)
     root = documents.read(content, source)
-    config = None if root is None else resolve_document(root, source, content, report, read)
+    files = ParameterFileReader(report, read)
+    config = None if root is None else _resolve(root, source, content, files, report)
     report.raise_if_any(str(source))
     assert config is not None
-    if not documents.included and not taken.is_touched:
-        return config
-    values = TakenValues(
-        arguments=MappingProxyType(taken.arguments),
-        variables=MappingProxyType(taken.variables),
-        packages=MappingProxyType(taken.packages),
-    )
     included = tuple(SourceFile(path, text) for path, text in documents.included.items())
-    return replace(config, included_files=included, taken=values)
+    return replace(config, included_files=included, taken=used.values())
 
 
-_LOADING = "composable_node_loading"
-
-
-def resolve_document(
-    root: Node,
-    source: Path,
-    content: bytes,
-    report: Report,
-    read: Callable[[Path], bytes | Refused] = read_bytes,
+def _resolve(
+    root: Node, source: Path, content: bytes, files: ParameterFileReader, report: Report
 ) -> ReplayConfig | None:
-    """Return the configuration in `root`; None, or nothing to rely on, if `report` got problems.
-
-    What it was put together from is for the caller to add.
-    """
-    at = At(root, "", report)
+    """Return the configuration in `root`; None, or nothing to rely on, if `report` got problems."""
+    at = Cursor(root, "", report)
     document = validate_mapping(DocumentSection, at)
     if not isinstance(root, Mapping):
         return None
@@ -108,32 +86,32 @@ def resolve_document(
     names = NodeNames()
     start_rules = StartRules(names.__contains__)
     if document is None:
-        given = well_formed(LoadingSection, at.value(_LOADING))
+        loading = well_formed(LoadingSection, at.value(_LOADING))
     else:
-        given = document.composable_node_loading
-    loading = given or LoadingSection()
-    groups = GroupRules(loading.cgroups, at.blame(_LOADING).value("cgroups"))
-    shared = Shared(ParameterFiles(report, read), environment, start_rules, names, groups)
+        loading = document.composable_node_loading
+    loading = loading or LoadingSection()
+    groups = GroupRules(loading.cgroups, at.at_key(_LOADING).value("cgroups"))
+    shared = Context(files, environment, start_rules, names, groups)
     containers = _containers(at, shared, loading)
-    nodes = _processes(at, shared)
+    processes = [resolve_process(item, shared) for item in items_of(at.value("nodes"), "nodes")]
+    nodes = tuple(process for process in processes if process is not None)
     rules = start_rules.resolved(containers, nodes)
-    _refuse_nothing(at)
+    lists = [at.value("containers"), at.value("nodes")]
+    if all(one is None or (isinstance(one.node, Sequence) and not one.node.items) for one in lists):
+        at.problem("nothing to start; give containers or nodes")
     if document is None:
         return None
-    stop = {} if document.stop is None else document.stop.given
-    log_dir = None
-    if document.log_dir is not None:
-        log_dir = path_from(at.blame("log_dir"), document.log_dir)
+    log_dir = document.log_dir
     return ReplayConfig(
         name=source.stem if document.name is None else document.name,
         source=source,
         text=content,
-        parameter_files=shared.files.read,
+        parameter_files=tuple(files.read),
         duration=document.duration,
-        log_dir=log_dir,
+        log_dir=None if log_dir is None else path_from(at.at_key("log_dir"), log_dir),
         graph_daemon=bool(document.graph_daemon),
         environment=MappingProxyType(environment),
-        stop=replace(StopLimits(), **stop),
+        stop=StopLimits(**document.stop.given) if document.stop else StopLimits(),
         record=resolve_record(document.record),
         cgroups=groups.policy,
         containers=containers,
@@ -143,12 +121,13 @@ def resolve_document(
     )
 
 
-def _containers(at: At, shared: Shared, loading: LoadingSection) -> tuple[ContainerConfig, ...]:
-    at_loading = at.blame(_LOADING)
+def _containers(
+    at: Cursor, shared: Context, loading: LoadingSection
+) -> tuple[ContainerConfig, ...]:
+    at_loading = at.at_key(_LOADING)
     policy = Policy().refined(loading, at_loading)
-    process = node_process(policy.isolation)
-    resources = shared.groups.defaults(policy.resources, process)
-    resources = refined_resources(resources, loading.resources, at_loading, process)
+    resources = shared.groups.defaults(policy.resources, policy.node_process)
+    resources = refined_resources(resources, loading.resources, at_loading, policy.node_process)
     policy = replace(policy, resources=resources)
     items = items_of(at.value("containers"), "containers")
     resolved = [resolve_container(item, shared, policy) for item in items]
@@ -159,7 +138,7 @@ def _containers(at: At, shared: Shared, loading: LoadingSection) -> tuple[Contai
     return complete
 
 
-def _refuse_unread(at: At, loading: LoadingSection, kinds: set[ContainerType]) -> None:
+def _refuse_unread(at: Cursor, loading: LoadingSection, kinds: set[ContainerType]) -> None:
     """Report keys of `composable_node_loading` that no container reads."""
     unread: dict[str, str] = {}
     if not any(kind.is_multi_threaded for kind in kinds):
@@ -173,14 +152,3 @@ def _refuse_unread(at: At, loading: LoadingSection, kinds: set[ContainerType]) -
         if value is not None and getattr(loading, key) is not None:
             message = f"no container has container_type {readers}, so nothing reads {key}"
             value.problem(message)
-
-
-def _processes(at: At, shared: Shared) -> tuple[ProcessConfig, ...]:
-    resolved = [resolve_process(item, shared) for item in items_of(at.value("nodes"), "nodes")]
-    return tuple(one for one in resolved if one is not None)
-
-
-def _refuse_nothing(at: At) -> None:
-    lists = [at.value("containers"), at.value("nodes")]
-    if all(one is None or (isinstance(one.node, Sequence) and not one.node.items) for one in lists):
-        at.problem("nothing to start; give containers or nodes")

@@ -9,13 +9,15 @@ from collections.abc import Mapping
 from enum import IntEnum, StrEnum
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Final, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
-from msgspec import Struct, field
+from msgspec import Struct
 
 from play_launch.config.dependency import StartRule
 from play_launch.config.node_key import NodeKey
 from play_launch.config.resources import GroupPolicy, Resources
+
+_EMPTY: Final[Mapping[str, Any]] = MappingProxyType({})
 
 
 class OnExit(StrEnum):
@@ -254,18 +256,6 @@ class ManagedConfig(Struct, frozen=True):
     timeout: float = 60.0
 
 
-def _none_managed() -> Mapping[str, ManagedConfig]:
-    return MappingProxyType({})
-
-
-def _no_rules() -> Mapping[str, StartRule]:
-    return MappingProxyType({})
-
-
-def _no_environment() -> Mapping[str, str]:
-    return MappingProxyType({})
-
-
 class ComposableNodeConfig(Struct, frozen=True, kw_only=True):
     """A node to load into a container.
 
@@ -276,15 +266,15 @@ class ComposableNodeConfig(Struct, frozen=True, kw_only=True):
 
     package: str
     plugin: str
-    name: str
-    namespace: str
+    name: str = ""
+    namespace: str = ""
     key: NodeKey
     parameters: tuple[ParameterConfig, ...] = ()
     remappings: tuple[tuple[str, str], ...] = ()
     extra_arguments: tuple[ParameterConfig, ...] = ()
     log_level: str | None = None
     on_crash: OnCrash = OnCrash.RELOAD
-    restart: RestartLimits = field(default_factory=RestartLimits)
+    restart: RestartLimits = RestartLimits()
     resources: Resources = Resources()
     line: int = 0
     file: str = ""
@@ -325,9 +315,9 @@ class ContainerConfig(Struct, frozen=True, kw_only=True):
     output: Output = Output.BOTH
     on_exit: OnExit = OnExit.RESTART
     log_level: str | None = None
-    environment: Mapping[str, str] = field(default_factory=_no_environment)
+    environment: Mapping[str, str] = _EMPTY
     ros_arguments: tuple[str, ...] = ()
-    restart: RestartLimits = field(default_factory=RestartLimits)
+    restart: RestartLimits = RestartLimits()
     loading_timeout: float = 10.0
     probe_timeout: float = 60.0
     composable_nodes: tuple[ComposableNodeConfig, ...] = ()
@@ -346,8 +336,8 @@ class ProcessConfig(Struct, frozen=True, kw_only=True):
     are for all nodes in the process, in the order in which rcl reads them.
     """
 
-    name: str
-    namespace: str
+    name: str = ""
+    namespace: str = ""
     full_name: str
     command: tuple[str, ...] | None = None
     package: str | None = None
@@ -356,14 +346,14 @@ class ProcessConfig(Struct, frozen=True, kw_only=True):
     parameters: tuple[ParameterConfig, ...] = ()
     process_parameters: tuple[ParameterSection, ...] = ()
     remappings: tuple[tuple[str, str], ...] = ()
-    environment: Mapping[str, str] = field(default_factory=_no_environment)
+    environment: Mapping[str, str] = _EMPTY
     ros_arguments: tuple[str, ...] = ()
     prefix: tuple[str, ...] = ()
     cwd: Path | None = None
     emulate_tty: bool = False
     output: Output = Output.BOTH
     on_exit: OnExit = OnExit.IGNORE
-    restart: RestartLimits = field(default_factory=RestartLimits)
+    restart: RestartLimits = RestartLimits()
     log_level: str | None = None
     resources: Resources = Resources()
     line: int = 0
@@ -383,9 +373,9 @@ class TakenValues(Struct, frozen=True):
     A variable that was not set is None; `packages` are share folders.
     """
 
-    arguments: Mapping[str, str] = field(default_factory=_no_environment)
-    variables: Mapping[str, str | None] = field(default_factory=_no_environment)
-    packages: Mapping[str, str] = field(default_factory=_no_environment)
+    arguments: Mapping[str, str] = _EMPTY
+    variables: Mapping[str, str | None] = _EMPTY
+    packages: Mapping[str, str] = _EMPTY
 
 
 class ReplayConfig(Struct, frozen=True, kw_only=True):
@@ -409,14 +399,14 @@ class ReplayConfig(Struct, frozen=True, kw_only=True):
     duration: float | None = None
     log_dir: Path | None = None
     graph_daemon: bool = False
-    environment: Mapping[str, str] = field(default_factory=_no_environment)
+    environment: Mapping[str, str] = _EMPTY
     stop: StopLimits = StopLimits()
     record: RecordConfig = RecordConfig()
     cgroups: GroupPolicy = GroupPolicy()
     containers: tuple[ContainerConfig, ...] = ()
     nodes: tuple[ProcessConfig, ...] = ()
-    start_rules: Mapping[str, StartRule] = field(default_factory=_no_rules)
-    managed: Mapping[str, ManagedConfig] = field(default_factory=_none_managed)
+    start_rules: Mapping[str, StartRule] = _EMPTY
+    managed: Mapping[str, ManagedConfig] = _EMPTY
 
     @property
     def units(self) -> dict[str, tuple[str, ...]]:

@@ -14,7 +14,7 @@ _LONGEST_EXCERPT = 60
 _PLAIN_KEY = re.compile(r"[\w\-./~*]+")
 
 
-class Place(Struct, frozen=True):
+class Location(Struct, frozen=True):
     """A character in a file: `line` and `column` count from 1, columns in characters.
 
     `included_from` is where another file includes this one; None in the file that was given.
@@ -23,16 +23,16 @@ class Place(Struct, frozen=True):
     file: str
     line: int
     column: int
-    included_from: Place | None = None
+    included_from: Location | None = None
 
     @property
     def inclusions(self) -> tuple[str, ...]:
         """Where the file is included from, the nearest first."""
         found = []
-        place = self.included_from
-        while place is not None:
-            found.append(str(place))
-            place = place.included_from
+        location = self.included_from
+        while location is not None:
+            found.append(str(location))
+            location = location.included_from
         return tuple(found)
 
     def __str__(self) -> str:
@@ -44,7 +44,7 @@ class Problem(Struct, frozen=True, order=True):
 
     `path` leads to the value, for example `containers[0].composable_nodes[1].plugin`, or is
     `(file)`, `(yaml)` or `(top level)` where no key is to blame. `line` and `column` count from 1.
-    `included_from` holds the places of the inclusions that led to the file, the nearest first.
+    `included_from` holds the locations of the inclusions that led to the file, the nearest first.
     """
 
     file: str
@@ -62,9 +62,11 @@ class Problem(Struct, frozen=True, order=True):
         return _on_one_line(text)
 
     @classmethod
-    def at(cls, place: Place, path: str, message: str) -> Problem:
-        """Make the problem `message` at `place`."""
-        return cls(place.file, place.line, place.column, path, message, place.inclusions)
+    def at(cls, location: Location, path: str, message: str) -> Problem:
+        """Make the problem `message` at `location`."""
+        return cls(
+            location.file, location.line, location.column, path, message, location.inclusions
+        )
 
 
 class ConfigError(Exception):
@@ -103,12 +105,12 @@ class Report:
     def __iter__(self) -> Iterator[Problem]:
         return iter(self._problems)
 
-    def add(self, place: Place, path: str, message: str) -> None:
-        """Add the problem `message` at `place`, where `path` leads."""
-        self._problems[Problem.at(place, path, message)] = None
+    def add(self, location: Location, path: str, message: str) -> None:
+        """Add the problem `message` at `location`, where `path` leads."""
+        self._problems[Problem.at(location, path, message)] = None
 
     def raise_if_any(self, first_file: str) -> None:
-        """Raise ConfigError if anything was found: `first_file` first, then by place."""
+        """Raise ConfigError if anything was found: `first_file` first, then by location."""
         if not self._problems:
             return
         ordered = sorted(self._problems, key=lambda found: (found.file != first_file, found))

@@ -1,9 +1,8 @@
-"""What a process asks of the kernel for itself: scheduling, CPUs, limits, and its control group.
+"""What a process requests of the kernel: scheduling, CPUs, limits, and its control group.
 
-All but the control group is inherited by the threads and processes that it starts.
-`Resources.settings` is what ``container_native/src/base/resource_setting.hpp`` reads. The files of
-control groups (see the kernel's documentation, Control Group v2) are written by
-`play_launch.process.cgroups`.
+All but the control group is inherited by its threads and processes. `Resources.settings` is what
+``container_native/src/base/resource_setting.hpp`` reads. The files of control groups (see the
+kernel's documentation, Control Group v2) are written by `play_launch.process.cgroups`.
 """
 
 from __future__ import annotations
@@ -12,17 +11,29 @@ import math
 import resource
 from enum import IntEnum, StrEnum
 from pathlib import Path  # noqa: TC003 - as in `play_launch.config.model`
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from msgspec import Struct
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
+    _Infinite = TypeVar("_Infinite", int, str)
 
 NO_LIMIT: Final = math.inf
-_MAX: Final = "max"
-_PERCENT: Final = 100
+_UNLIMITED: Final = 2**64 - 1
+_IO_CLASS_SHIFT: Final = 13
+_NICE_TO_LIMIT: Final = 20
+_GROUP_FILES: Final = {
+    "cpuset": "cpuset.cpus",
+    "cpu_weight": "cpu.weight",
+    "cpu_max": "cpu.max",
+    "io_weight": "io.weight",
+    "pids_max": "pids.max",
+    "memory_high": "memory.high",
+    "memory_max": "memory.max",
+}
+"""The file of each limit, in the order in which they are written."""
 
 
 class CpuMax(Struct, frozen=True):
@@ -34,14 +45,14 @@ class CpuMax(Struct, frozen=True):
     @property
     def percent(self) -> float:
         """The share of one CPU; 200 is two CPUs."""
-        return _PERCENT * self.quota / self.period
+        return 100 * self.quota / self.period
 
     def __str__(self) -> str:
-        return f"{_number(self.quota)} {self.period}"
+        return f"{_number(self.quota, 'max')} {self.period}"
 
 
 class GroupLimits(Struct, frozen=True, kw_only=True):
-    """What is asked for; None and empty: nothing. Memory is in bytes, infinity is no limit."""
+    """Limits of a control group; None and empty: none. Memory is in bytes, infinity is no limit."""
 
     cpu_max: CpuMax | None = None
     cpu_weight: int | None = None
@@ -53,45 +64,27 @@ class GroupLimits(Struct, frozen=True, kw_only=True):
     memory_max: float | None = None
 
     def __bool__(self) -> bool:
-        """Whether anything is asked for."""
         return self != NO_LIMITS
 
-    def files(self) -> dict[str, str]:
-        """Give what is written into each file of the group, in the order in which that is done."""
-        return dict(self._files())
+    def _given(self) -> dict[str, Any]:
+        """Values of the limits that are set, in the order in which they are written."""
+        values = {name: getattr(self, name) for name in _GROUP_FILES}
+        return {name: value for name, value in values.items() if value not in (None, ())}
 
-    def _files(self) -> Iterator[tuple[str, str]]:
-        if self.cpuset:
-            yield "cpuset.cpus", cpu_text(self.cpuset)
-        if self.cpu_weight is not None:
-            yield "cpu.weight", str(self.cpu_weight)
-        if self.cpu_max is not None:
-            yield "cpu.max", str(self.cpu_max)
-        if self.io_weight is not None:
-            yield "io.weight", str(self.io_weight)
-        if self.pids_max is not None:
-            yield "pids.max", _number(self.pids_max)
-        if self.memory_high is not None:
-            yield "memory.high", _number(self.memory_high)
-        if self.memory_max is not None:
-            yield "memory.max", _number(self.memory_max)
+    def files(self) -> dict[str, str]:
+        """Return the line of each file of the group, in the order in which they are written."""
+        return {
+            _GROUP_FILES[name]: cpu_text(value) if name == "cpuset" else str(_plain(value))
+            for name, value in self._given().items()
+        }
 
     def controllers(self) -> frozenset[str]:
-        """Name the controllers that have these files."""
-        return frozenset(file.partition(".")[0] for file, _ in self._files())
+        """Return the controllers that have these files."""
+        return frozenset(file.partition(".")[0] for file in self.files())
 
     def described(self) -> dict[str, object]:
-        """Give what is asked for as values for JSON, by the keys of the configuration."""
-        given = {
-            "cpu_max": self.cpu_max and str(self.cpu_max),
-            "cpu_weight": self.cpu_weight,
-            "cpuset": list(self.cpuset) or None,
-            "io_weight": self.io_weight,
-            "pids_max": _plain(self.pids_max),
-            "memory_high": _plain(self.memory_high),
-            "memory_max": _plain(self.memory_max),
-        }
-        return {name: value for name, value in given.items() if value is not None}
+        """Return the limits as values for JSON, by the keys of the configuration."""
+        return {name: _plain(value) for name, value in self._given().items()}
 
 
 NO_LIMITS: Final = GroupLimits()
@@ -103,55 +96,11 @@ class GroupPolicy(Struct, frozen=True, kw_only=True):
     """Whether processes have control groups, and where these are."""
 
     enabled: bool | None = None
-    """None: where any limit is asked for."""
+    """None: where any limit is set."""
     base_path: Path | None = None
-    """The group below which they are made; None: the one that play-launch runs in, if delegated."""
+    """Group below which they are made; None: the one that play-launch runs in, if delegated."""
     required: bool = False
     """Whether nothing starts without its group and its limits."""
-
-    def described(self) -> dict[str, object]:
-        """Give it as values for JSON."""
-        return {
-            "enabled": self.enabled,
-            "base_path": None if self.base_path is None else str(self.base_path),
-            "required": self.required,
-        }
-
-
-def _number(limit: float) -> str:
-    return _MAX if math.isinf(limit) else str(int(limit))
-
-
-def _plain(limit: float | None) -> int | str | None:
-    if limit is None:
-        return None
-    return _MAX if math.isinf(limit) else int(limit)
-
-
-def cpu_text(cpus: Iterable[int]) -> str:
-    """Write them."""
-    ranges: list[tuple[int, int]] = []
-    for cpu in sorted(cpus):
-        if ranges and cpu == ranges[-1][1] + 1:
-            ranges[-1] = (ranges[-1][0], cpu)
-        else:
-            ranges.append((cpu, cpu))
-    return ",".join(str(low) if low == high else f"{low}-{high}" for low, high in ranges)
-
-
-def cpus_in(text: str) -> frozenset[int]:
-    """Read them; raises ValueError."""
-    cpus: set[int] = set()
-    for part in text.strip().split(","):
-        if part:
-            low, _, high = part.partition("-")
-            cpus |= set(range(int(low), int(high or low) + 1))
-    return frozenset(cpus)
-
-
-_UNLIMITED: Final = 2**64 - 1
-_IO_CLASS_SHIFT: Final = 13
-_NICE_TO_LIMIT: Final = 20
 
 
 class SchedulerPolicy(StrEnum):
@@ -165,7 +114,6 @@ class SchedulerPolicy(StrEnum):
 
     @property
     def is_real_time(self) -> bool:
-        """Whether it has priorities, and goes before all threads of other policies."""
         return self in {SchedulerPolicy.FIFO, SchedulerPolicy.RR}
 
 
@@ -211,7 +159,6 @@ class IoPriority(Struct, frozen=True):
 
     @classmethod
     def of_number(cls, number: int) -> IoPriority:
-        """Read what the kernel gives."""
         return cls(IoClass(number >> _IO_CLASS_SHIFT & 3), number & 7)
 
     def __str__(self) -> str:
@@ -231,14 +178,14 @@ class ResourceLimit(Struct, frozen=True):
     hard: float
 
     @property
-    def number(self) -> int:
-        """Which one it is for the kernel."""
-        number: int = getattr(resource, f"RLIMIT_{self.name.upper()}")
-        return number
+    def setting(self) -> str:
+        number = getattr(resource, f"RLIMIT_{self.name.upper()}")
+        soft, hard = _number(self.soft, _UNLIMITED), _number(self.hard, _UNLIMITED)
+        return f"rlimit {number} {soft} {hard}"
 
 
 class Resources(Struct, frozen=True, kw_only=True):
-    """What is asked for; None and empty: what the process has anyway."""
+    """What a process requests; None and empty: what it inherits."""
 
     nice: int | None = None
     scheduler: Scheduler | None = None
@@ -251,25 +198,22 @@ class Resources(Struct, frozen=True, kw_only=True):
     group: GroupLimits = NO_LIMITS
 
     def __bool__(self) -> bool:
-        """Whether anything is asked for."""
         return self != NO_RESOURCES
 
     @property
     def limit_names(self) -> tuple[str, ...]:
-        """Which limits are asked for."""
+        """Names of the limits of setrlimit(2) that are set."""
         return tuple(limit.name for limit in self.rlimits)
 
     def settings(self) -> tuple[str, ...]:
-        """Write all but `lock_memory` and `group`, in the order in which they are applied.
+        """Return all but `lock_memory` and `group`, in the order in which they are applied.
 
         Limits come first: they decide what of the others is allowed.
         """
         return tuple(self._settings())
 
     def _settings(self) -> Iterator[str]:
-        for limit in self.rlimits:
-            soft, hard = _kernel_limit(limit.soft), _kernel_limit(limit.hard)
-            yield f"rlimit {limit.number} {soft} {hard}"
+        yield from (limit.setting for limit in self.rlimits)
         if self.oom_score_adj is not None:
             yield f"oom_score_adj {self.oom_score_adj}"
         if self.io_priority is not None:
@@ -283,20 +227,20 @@ class Resources(Struct, frozen=True, kw_only=True):
             yield f"scheduler {number} {self.scheduler.priority}"
 
     def described(self) -> dict[str, object]:
-        """Give what is asked for as values for JSON, by the keys of the configuration."""
+        """Return what is requested as values for JSON, by the keys of the configuration."""
+        scheduler = self.scheduler
+        limits = {
+            limit.name: [limit_text(limit.soft), limit_text(limit.hard)] for limit in self.rlimits
+        }
         given = {
             "nice": self.nice,
-            "scheduler": self.scheduler
-            and {"policy": str(self.scheduler.policy), "priority": self.scheduler.priority},
+            "scheduler": scheduler
+            and {"policy": str(scheduler.policy), "priority": scheduler.priority},
             "cpu_affinity": list(self.cpu_affinity) or None,
             "io_priority": self.io_priority and str(self.io_priority),
             "oom_score_adj": self.oom_score_adj,
             "lock_memory": self.lock_memory or None,
-            "rlimits": {
-                limit.name: [limit_text(limit.soft), limit_text(limit.hard)]
-                for limit in self.rlimits
-            }
-            or None,
+            "rlimits": limits or None,
         }
         own = {name: value for name, value in given.items() if value is not None}
         return own | self.group.described()
@@ -311,9 +255,35 @@ def nice_limit(nice: int) -> int:
 
 
 def limit_text(limit: float) -> int | str:
-    """Write a limit for people and JSON."""
-    return "unlimited" if math.isinf(limit) else int(limit)
+    return _number(limit, "unlimited")
 
 
-def _kernel_limit(limit: float) -> int:
-    return _UNLIMITED if math.isinf(limit) else int(limit)
+def _number(limit: float, infinite: _Infinite) -> int | _Infinite:
+    return infinite if math.isinf(limit) else int(limit)
+
+
+def _plain(value: Any) -> list[int] | str | int:
+    if isinstance(value, tuple):
+        return list(value)
+    return str(value) if isinstance(value, CpuMax) else _number(value, "max")
+
+
+def cpu_text(cpus: Iterable[int]) -> str:
+    """Write numbers of CPUs as the kernel does, such as ``0-3,6``."""
+    ranges: list[tuple[int, int]] = []
+    for cpu in sorted(cpus):
+        if ranges and cpu == ranges[-1][1] + 1:
+            ranges[-1] = (ranges[-1][0], cpu)
+        else:
+            ranges.append((cpu, cpu))
+    return ",".join(str(low) if low == high else f"{low}-{high}" for low, high in ranges)
+
+
+def cpus_in(text: str) -> frozenset[int]:
+    """Read what `cpu_text` writes; raises ValueError."""
+    cpus: set[int] = set()
+    for part in text.strip().split(","):
+        if part:
+            low, _, high = part.partition("-")
+            cpus |= set(range(int(low), int(high or low) + 1))
+    return frozenset(cpus)

@@ -134,7 +134,7 @@ _RAW: Final[Mapping[str, JsonSchema]] = {
     },
     "include": {"anyOf": [*_ENTRY_OR_LIST["anyOf"], {"type": "array", "items": _ENTRY_OR_LIST}]},
 }
-"""Keys that are checked with their places at hand."""
+"""Keys that are checked with their locations at hand."""
 _LISTS: Final[Mapping[str, str]] = {
     "containers": "ContainerSection",
     "composable_nodes": "ComposableNodeSection",

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from pydantic_core import CoreSchema, ErrorDetails
 
     from play_launch.config.problems import Report
-    from play_launch.config.tree import At, Entry, Node
+    from play_launch.config.tree import Cursor, Entry, Node
 
 
 class Key(NamedTuple):
@@ -127,7 +127,7 @@ _EXPECTED = {
 }
 
 
-def validate_mapping(section: type[SomeSection], at: At) -> SomeSection | None:
+def validate_mapping(section: type[SomeSection], at: Cursor) -> SomeSection | None:
     """Return what stands there as `section`, or None after every problem in it was reported."""
     if not isinstance(at.node, Mapping):
         at.expected(f"a mapping ({_keys(section)})")
@@ -153,7 +153,7 @@ def validate_mapping(section: type[SomeSection], at: At) -> SomeSection | None:
     return None if refused else checked
 
 
-def well_formed(section: type[SomeSection], at: At | None) -> SomeSection | None:
+def well_formed(section: type[SomeSection], at: Cursor | None) -> SomeSection | None:
     """Return `section` of the keys whose values are right; None where no mapping stands there.
 
     For reading on after a mistake, in a section that requires no key: the rest of what is said
@@ -173,7 +173,7 @@ def well_formed(section: type[SomeSection], at: At | None) -> SomeSection | None
         return section.of({key: value for key, value in values.items() if key not in wrong})
 
 
-def items_of(at: At | None, what: str) -> Iterator[At]:
+def items_of(at: Cursor | None, what: str) -> Iterator[Cursor]:
     """Yield each element of the list; report anything else."""
     if at is None:
         return
@@ -184,7 +184,7 @@ def items_of(at: At | None, what: str) -> Iterator[At]:
 
 
 def _plain(node: Node, schema: Any) -> object:
-    """Return what stands at `node` without places, as pydantic takes it.
+    """Return what stands at `node` without locations, as pydantic takes it.
 
     Where `schema` has a string, what was substituted is one.
     """
@@ -203,7 +203,7 @@ def _plain(node: Node, schema: Any) -> object:
     }
 
 
-def _refuse_tags(at: At) -> bool:
+def _refuse_tags(at: Cursor) -> bool:
     """Report tags that mean something for parameters only."""
     tag = None
     if isinstance(at.node, Sequence):
@@ -216,7 +216,7 @@ def _refuse_tags(at: At) -> bool:
     return True
 
 
-def _report_error(details: ErrorDetails, section: type[Section], at: At) -> None:
+def _report_error(details: ErrorDetails, section: type[Section], at: Cursor) -> None:
     entry: Entry | None = None
     owner = section
     steps = list(details["loc"])
@@ -236,7 +236,7 @@ def _report_error(details: ErrorDetails, section: type[Section], at: At) -> None
     if missing:
         at.problem(f"the key {excerpt(str(last))} is missing")
     elif details["type"] == "extra_forbidden" and entry is not None:
-        at.problem(_unknown_key(entry.key, owner, at.report), entry.place)
+        at.problem(_unknown_key(entry.key, owner, at.report), entry.location)
     elif not at.is_invalid:
         at.problem(_message(details, at.node))
 

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 
 from msgspec import Struct
 
-from play_launch.config.problems import Place
+from play_launch.config.problems import Location
 
 if TYPE_CHECKING:
-    from play_launch.config.tree import At
+    from play_launch.config.tree import Cursor
 
 LARGEST_FILE = 4 * 1024 * 1024
 """Bytes; keeps reading under a few seconds and is far more than any hand-written system."""
@@ -32,14 +32,14 @@ _NOT_YAML = re.compile(
 class Refused(Struct, frozen=True):
     """Why a file is of no use, and where; `inside` is whether its content is to blame."""
 
-    place: Place
+    location: Location
     message: str
     inside: bool = False
 
 
 def read_bytes(path: Path, largest: int = LARGEST_FILE) -> bytes | Refused:
     """Read the regular file at `path`, at most `largest` bytes; never waits for a writer."""
-    start = Place(str(path), 1, 1)
+    start = Location(str(path), 1, 1)
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOCTTY)
     except (OSError, ValueError) as error:
@@ -65,33 +65,33 @@ def read_bytes(path: Path, largest: int = LARGEST_FILE) -> bytes | Refused:
     return content
 
 
-def path_from(at: At, path: str) -> Path:
+def path_from(at: Cursor, path: str) -> Path:
     """Return the path that stands there; a relative one starts at the folder of its file."""
-    return Path(at.node.place.file).parent / os.path.expanduser(path)  # noqa: PTH111 - never raises
+    return Path(at.node.location.file).parent / os.path.expanduser(path)  # noqa: PTH111 - never raises
 
 
 def decode(content: bytes, file: str) -> str | Refused:
     """Turn the bytes of `file` into text that a YAML parser takes without complaint."""
     if content.startswith(_MCAP):
-        return Refused(Place(file, 1, 1), MCAP_MESSAGE, inside=True)
+        return Refused(Location(file, 1, 1), MCAP_MESSAGE, inside=True)
     content = content.removeprefix(_BYTE_ORDER_MARK)
     try:
         text = content.decode("utf-8")
     except UnicodeDecodeError as error:
         before = content[: error.start].decode("utf-8")
         return Refused(
-            place_after(before, file),
+            location_after(before, file),
             f"byte 0x{content[error.start]:02x} is not UTF-8; save the file as UTF-8",
             inside=True,
         )
     found = _NOT_YAML.search(text)
     if found is not None:
-        place = place_after(text[: found.start()], file)
+        location = location_after(text[: found.start()], file)
         if found.group() == "\x00":
             message = "a NUL byte; is this UTF-16 or a binary file? Save it as UTF-8"
-            return Refused(place, message, inside=True)
+            return Refused(location, message, inside=True)
         return Refused(
-            place,
+            location,
             f"the control character U+{ord(found.group()):04X} cannot stand in YAML; remove it, "
             'or write it as an escape in double quotes, such as "\\x1b"',
             inside=True,
@@ -99,14 +99,14 @@ def decode(content: bytes, file: str) -> str | Refused:
     return text
 
 
-def place_after(text: str, file: str) -> Place:
-    """Return the place of the character that follows `text` at the beginning of `file`."""
+def location_after(text: str, file: str) -> Location:
+    """Return the location of the character that follows `text` at the beginning of `file`."""
     line = 1
     line_start = 0
     for end in _LINE_END.finditer(text):
         line += 1
         line_start = end.end()
-    return Place(file, line, len(text) - line_start + 1)
+    return Location(file, line, len(text) - line_start + 1)
 
 
 def _why_not_opened(path: Path, error: OSError | ValueError) -> str:

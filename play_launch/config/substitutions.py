@@ -15,20 +15,11 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct, field
 
+from play_launch.config.model import TakenValues
 from play_launch.config.problems import excerpt
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
-
-    from play_launch.config.tree import At
-
-
-def ament_prefixes(environ: Mapping[str, str]) -> list[Path]:
-    """List the entries of AMENT_PREFIX_PATH."""
-    return [
-        Path(entry) for entry in environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if entry
-    ]
-
 
 DEEPEST_DEFAULT: Final = 10
 """Substitutions inside the default of one another."""
@@ -38,6 +29,7 @@ _BEGIN: Final = re.compile(
 _BRACE: Final = re.compile(r"[{}]")
 _NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]*", re.ASCII)
 _PACKAGE: Final = re.compile(r"([A-Za-z][A-Za-z0-9_-]*)\s*\)", re.ASCII)
+_ARGUMENT: Final = re.compile(r"([A-Za-z_][A-Za-z0-9_]*):=(.*)", re.ASCII | re.DOTALL)
 _SHARE: Final = "find-pkg-share"
 _OF_LAUNCH_FILES: Final = {
     "var": "${arg:NAME}",
@@ -46,15 +38,91 @@ _OF_LAUNCH_FILES: Final = {
     "find-pkg-prefix": "$(find-pkg-share package), and the way from there",
 }
 """Substitutions of launch files that no shell has, and what is written here instead."""
-_KINDS: Final = ("env", "arg")
+
+
+def ament_prefixes(environ: Mapping[str, str]) -> list[Path]:
+    """Return the entries of AMENT_PREFIX_PATH, the prefixes of ROS packages."""
+    return [
+        Path(entry) for entry in environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if entry
+    ]
+
+
+def share_folder(package: str, environ: Mapping[str, str] = os.environ) -> Path | None:
+    """Find the share folder of a package as ROS does; our own prefix first."""
+    for prefix in (Path(sys.prefix), *ament_prefixes(environ)):
+        if (prefix / "share/ament_index/resource_index/packages" / package).is_file():
+            return prefix / "share" / package
+    return None
+
+
+class Inputs(Struct, frozen=True):
+    """Arguments of the command line, the environment, and where packages are."""
+
+    arguments: Mapping[str, str] = field(default_factory=dict)
+    environ: Mapping[str, str] = field(default_factory=lambda: dict(os.environ))
+    find_share: Callable[[str], Path | None] = share_folder
+
+
+class InputsUsed:
+    """Looks inputs up for one configuration, and keeps which were used."""
+
+    def __init__(self, inputs: Inputs) -> None:
+        self._inputs = inputs
+        self._variables: dict[str, str | None] = {}
+        self._packages: dict[str, str] = {}
+        self.arguments = dict(inputs.arguments)
+        """The arguments of the command line."""
+        self.known_arguments: set[str] = set()
+        """The arguments that the files read, given or not."""
+
+    def values(self) -> TakenValues:
+        return TakenValues(self.arguments, self._variables, self._packages)
+
+    def substitutions(self, arguments: Mapping[str, str]) -> Callable[[str], str]:
+        """Return a function that substitutes in a file that is included with `arguments`."""
+
+        def argument(name: str) -> str | None:
+            self.known_arguments.add(name)
+            return arguments.get(name)
+
+        lookup = Lookup(self._variable, argument, self._share)
+        return lambda text: substitute(text, lookup)
+
+    def _variable(self, name: str) -> str | None:
+        self._variables[name] = value = self._inputs.environ.get(name)
+        return value
+
+    def _share(self, package: str) -> str:
+        if package not in self._packages:
+            folder = self._inputs.find_share(package)
+            if folder is None:
+                raise SubstitutionError(
+                    f"no package {package} is installed: none of the prefixes in "
+                    f"AMENT_PREFIX_PATH has it, nor has {sys.prefix}; source its workspace"
+                )
+            self._packages[package] = str(folder)
+        return self._packages[package]
+
+
+def parse_arguments(texts: Sequence[str]) -> dict[str, str]:
+    """Read `name:=value` from a command line; raise ValueError with the fix."""
+    arguments: dict[str, str] = {}
+    for text in texts:
+        found = _ARGUMENT.fullmatch(text)
+        if found is None:
+            raise ValueError(f"'{text}' is not an argument; write name:=value")
+        if found[1] in arguments:
+            raise ValueError(f"the argument {found[1]} is given twice")
+        arguments[found[1]] = found[2]
+    return arguments
 
 
 class SubstitutionError(ValueError):
-    """A substitution that is not written as it should be, or has no value; the text is the fix."""
+    """A substitution with a mistake, or without a value; the text is the fix."""
 
 
 class Lookup(Struct, frozen=True):
-    """Where values come from: each gives the value of a name, None without one."""
+    """Sources of values: each function returns the value of a name, None without one."""
 
     variable: Callable[[str], str | None]
     argument: Callable[[str], str | None]
@@ -63,18 +131,16 @@ class Lookup(Struct, frozen=True):
 
 
 def may_hold_substitutions(text: str) -> bool:
-    """Whether `substitute` could change the text, or refuse it; quick."""
+    """Return whether `substitute` could change the text, or refuse it; quick."""
     return "$" in text and ("${" in text or "$(" in text)
 
 
 def substitute(text: str, lookup: Lookup) -> str:
     """Return `text` with its substitutions carried out; raise SubstitutionError.
 
-    A value is not looked at again: a `$` in it is a `$`.
+    A value is not substituted again: a `$` in it is a `$`.
     """
-    result, end = _read(text, 0, lookup, depth=0, needed=True)
-    assert end == len(text)
-    return result
+    return _read(text, 0, lookup, depth=0, needed=True)[0]
 
 
 def _read(text: str, at: int, lookup: Lookup, *, depth: int, needed: bool) -> tuple[str, int]:
@@ -114,16 +180,25 @@ def _braces(
     text: str, found: re.Match[str], lookup: Lookup, depth: int, needed: bool
 ) -> tuple[str, int]:
     kind = found["kind"]
-    if kind not in _KINDS:
+    if kind not in {"env", "arg"}:
         raise SubstitutionError(
             f"{excerpt(text[found.start() : found.end()] + '…}')} is no substitution; known here: "
             "${env:NAME} and ${arg:NAME}; write $${ for the characters ${ themselves"
         )
-    name = _NAME.match(text, found.end())
-    assert name is not None
-    after = name.end()
+    matched = _NAME.match(text, found.end())
+    assert matched is not None
+    name, after = matched[0], matched.end()
+    value = lookup.variable(name) if kind == "env" else lookup.argument(name)
     if text.startswith("}", after):
-        return _value(kind, name[0], lookup, needed), after + 1
+        if value is None and needed:
+            missing = (
+                f"the environment variable {name} is not set; set it"
+                if kind == "env"
+                else f"the argument {name} is not given; append {name}:=value to the command"
+            )
+            fix = f"or write a default: ${{{kind}:{name}:-default}}"
+            raise SubstitutionError(f"{missing}, {fix}")
+        return value or "", after + 1
     if not text.startswith(":-", after):
         raise SubstitutionError(
             f"{excerpt(text[found.start() :])}: after the name of a substitution stands }} or "
@@ -131,9 +206,8 @@ def _braces(
         )
     if depth >= DEEPEST_DEFAULT:
         raise SubstitutionError(f"defaults in one another deeper than {DEEPEST_DEFAULT} levels")
-    given = _given(kind, name[0], lookup)
-    default, close = _read(text, after + 2, lookup, depth=depth + 1, needed=needed and not given)
-    return given or default, close + 1
+    default, close = _read(text, after + 2, lookup, depth=depth + 1, needed=needed and not value)
+    return value or default, close + 1
 
 
 def _parentheses(text: str, found: re.Match[str], lookup: Lookup, needed: bool) -> tuple[str, int]:
@@ -152,132 +226,3 @@ def _parentheses(text: str, found: re.Match[str], lookup: Lookup, needed: bool) 
     if package is None:
         raise SubstitutionError(f"expected $({_SHARE} package), given {excerpt(text)}")
     return lookup.share(package[1]) if needed else "", package.end()
-
-
-def _given(kind: str, name: str, lookup: Lookup) -> str | None:
-    return lookup.variable(name) if kind == "env" else lookup.argument(name)
-
-
-def _value(kind: str, name: str, lookup: Lookup, needed: bool) -> str:
-    value = _given(kind, name, lookup)
-    if value is not None or not needed:
-        return value or ""
-    if kind == "env":
-        raise SubstitutionError(
-            f"the environment variable {name} is not set; set it, or write a default: "
-            f"${{env:{name}:-default}}"
-        )
-    raise SubstitutionError(
-        f"the argument {name} is not given; append {name}:=value to the command, or write a "
-        f"default: ${{arg:{name}:-default}}"
-    )
-
-
-MOST_SUBSTITUTED: Final = 4 * 1024 * 1024
-"""Characters that substitutions put into one configuration."""
-_ARGUMENT: Final = re.compile(r"([A-Za-z_][A-Za-z0-9_]*):=(.*)", re.ASCII | re.DOTALL)
-
-
-def share_folder(package: str, environ: Mapping[str, str] = os.environ) -> Path | None:
-    """Find the share folder of a package as ROS does; our own prefix first."""
-    for prefix in (Path(sys.prefix), *ament_prefixes(environ)):
-        if (prefix / "share/ament_index/resource_index/packages" / package).is_file():
-            return prefix / "share" / package
-    return None
-
-
-class Surroundings(Struct, frozen=True):
-    """Arguments of the command line, the environment, and where packages are."""
-
-    arguments: Mapping[str, str] = field(default_factory=dict)
-    environ: Mapping[str, str] = field(default_factory=lambda: dict(os.environ))
-    find_share: Callable[[str], Path | None] = share_folder
-
-
-class Given(Struct):
-    """An argument of an inclusion or of the command line, where `at` is None."""
-
-    value: str
-    at: At | None = None
-    is_read: bool = False
-
-
-class Taken:
-    """Gives values of the surroundings, and keeps which were asked for; one for each reading."""
-
-    def __init__(self, surroundings: Surroundings) -> None:
-        self._from = surroundings
-        self._left = MOST_SUBSTITUTED
-        self._packages: dict[str, str] = {}
-        self.variables: dict[str, str | None] = {}
-        """The variables that were asked for, and their values; None: not set."""
-        self.known_arguments: set[str] = set()
-        """The arguments that the files read, given or not."""
-
-    @property
-    def arguments(self) -> dict[str, str]:
-        """The arguments that were given."""
-        return dict(self._from.arguments)
-
-    @property
-    def is_touched(self) -> bool:
-        """Whether anything was given or taken."""
-        return bool(self._from.arguments or self.variables or self._packages)
-
-    @property
-    def packages(self) -> dict[str, str]:
-        """The packages whose share folder was taken, and the folders."""
-        return dict(self._packages)
-
-    def substitutions(self, own: Mapping[str, Given]) -> Callable[[str], str]:
-        """Return what carries out substitutions in a file that is included with arguments."""
-
-        def argument(name: str) -> str | None:
-            self.known_arguments.add(name)
-            given = own.get(name)
-            if given is None:
-                return None
-            given.is_read = True
-            return given.value
-
-        lookup = Lookup(self._variable, argument, self._share)
-
-        def carry_out(text: str) -> str:
-            result = substitute(text, lookup)
-            self._left -= len(result)
-            if self._left < 0:
-                mebibytes = MOST_SUBSTITUTED // 2**20
-                raise SubstitutionError(
-                    f"substitutions put more than {mebibytes} Mi characters into the configuration"
-                )
-            return result
-
-        return carry_out
-
-    def _variable(self, name: str) -> str | None:
-        self.variables[name] = value = self._from.environ.get(name)
-        return value
-
-    def _share(self, package: str) -> str:
-        if package not in self._packages:
-            folder = self._from.find_share(package)
-            if folder is None:
-                raise SubstitutionError(
-                    f"no package {package} is installed: none of the prefixes in "
-                    f"AMENT_PREFIX_PATH has it, nor has {sys.prefix}; source its workspace"
-                )
-            self._packages[package] = str(folder)
-        return self._packages[package]
-
-
-def parse_arguments(texts: Sequence[str]) -> dict[str, str]:
-    """Read `name:=value` from a command line; raise ValueError with the fix."""
-    arguments: dict[str, str] = {}
-    for text in texts:
-        found = _ARGUMENT.fullmatch(text)
-        if found is None:
-            raise ValueError(f"'{text}' is not an argument; write name:=value")
-        if found[1] in arguments:
-            raise ValueError(f"the argument {found[1]} is given twice")
-        arguments[found[1]] = found[2]
-    return arguments

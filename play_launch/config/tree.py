@@ -20,7 +20,7 @@ from play_launch.config.problems import excerpt, join_path
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
 
-    from play_launch.config.problems import Place, Report
+    from play_launch.config.problems import Location, Report
 
 _STANDARD = "tag:yaml.org,2002:"
 _NULL = frozenset({"", "~", "null", "Null", "NULL"})
@@ -155,7 +155,7 @@ class Scalar(Struct, frozen=True, eq=False):
     value is one, whatever it looks like.
     """
 
-    place: Place
+    location: Location
     kind: ScalarKind
     value: ScalarValue
     text: str
@@ -166,7 +166,7 @@ class Scalar(Struct, frozen=True, eq=False):
 class Sequence(Struct, frozen=True, eq=False):
     """A list; `array_tag` is one of the tags for ROS arrays, such as `!string_array`."""
 
-    place: Place
+    location: Location
     items: tuple[Node, ...]
     array_tag: str | None = None
 
@@ -175,14 +175,14 @@ class Entry(Struct, frozen=True, eq=False):
     """One key of a mapping and its value."""
 
     key: str
-    place: Place
+    location: Location
     value: Node
 
 
 class Mapping(Struct, frozen=True, eq=False):
     """A mapping with distinct keys, merge keys resolved; keys are the text they are written as."""
 
-    place: Place
+    location: Location
     by_key: dict[str, Entry]
 
     @property
@@ -203,7 +203,7 @@ class Mapping(Struct, frozen=True, eq=False):
 Node: TypeAlias = Scalar | Sequence | Mapping
 
 
-class At(Struct, frozen=True):
+class Cursor(Struct, frozen=True):
     """A node, the path that leads to it, and the report for what is wrong with it."""
 
     node: Node
@@ -223,44 +223,44 @@ class At(Struct, frozen=True):
             return None
         return node.text if node.kind is ScalarKind.STRING or node.substituted else None
 
-    def problem(self, message: str, place: Place | None = None) -> None:
-        """Report `message`, at `place` or where the node stands."""
-        self.report.add(place or self.node.place, self.path or "(top level)", message)
+    def problem(self, message: str, location: Location | None = None) -> None:
+        """Report `message`, at `location` or where the node stands."""
+        self.report.add(location or self.node.location, self.path or "(top level)", message)
 
     def expected(self, what: str) -> None:
         """Report that something else stands here, unless a problem has been reported already."""
         if not self.is_invalid:
             self.problem(f"expected {what}, given {describe_node(self.node)}")
 
-    def below(self, key: str, node: Node | None = None) -> At:
+    def below(self, key: str, node: Node | None = None) -> Cursor:
         """Return what stands below `key`: `node`, or this node where there is no such key."""
-        return At(node or self.node, join_path(self.path, key), self.report)
+        return Cursor(node or self.node, join_path(self.path, key), self.report)
 
-    def value(self, key: str) -> At | None:
+    def value(self, key: str) -> Cursor | None:
         """Return the value of `key`; None where this is no mapping, or has no such key."""
         found = self.node.value(key) if isinstance(self.node, Mapping) else None
         return None if found is None else self.below(key, found)
 
-    def blame(self, key: str) -> At:
+    def at_key(self, key: str) -> Cursor:
         """Return where a problem with `key` is reported, whether it is there or not."""
         return self.value(key) or self.below(key)
 
-    def entries(self) -> Iterator[tuple[Entry, At]]:
+    def entries(self) -> Iterator[tuple[Entry, Cursor]]:
         """Yield the entries of a mapping with their values."""
         if isinstance(self.node, Mapping):
             for entry in self.node.entries:
                 yield entry, self.below(entry.key, entry.value)
 
-    def elements(self) -> Iterator[At]:
+    def elements(self) -> Iterator[Cursor]:
         """Yield the elements of a list."""
         if isinstance(self.node, Sequence):
             for index in range(len(self.node.items)):
                 yield self.element(index)
 
-    def element(self, index: int) -> At:
+    def element(self, index: int) -> Cursor:
         """Return an element of a list."""
         assert isinstance(self.node, Sequence)
-        return At(self.node.items[index], f"{self.path}[{index}]", self.report)
+        return Cursor(self.node.items[index], f"{self.path}[{index}]", self.report)
 
 
 def describe_node(node: Node) -> str:

@@ -18,7 +18,7 @@ from play_launch.config.problems import excerpt
 from play_launch.config.tree import Mapping, Scalar, ScalarKind, describe_node
 
 if TYPE_CHECKING:
-    from play_launch.config.tree import At
+    from play_launch.config.tree import Cursor
 
 LONGEST_DURATION = 365 * 24 * 3600.0
 """Seconds. Longer waits overflow timers."""
@@ -271,7 +271,7 @@ _DOMAIN = "ROS_DOMAIN_ID"
 _QUOTABLE = frozenset({ScalarKind.INTEGER, ScalarKind.FLOAT, ScalarKind.BOOL})
 
 
-def resolve_environment(at: At | None) -> dict[str, str]:
+def resolve_environment(at: Cursor | None) -> dict[str, str]:
     """Return the variables that stand there; names without `=`, values without NUL."""
     if at is None:
         return {}
@@ -281,9 +281,9 @@ def resolve_environment(at: At | None) -> dict[str, str]:
     variables: dict[str, str] = {}
     for entry, value in at.entries():
         if "=" in entry.key or "\x00" in entry.key:
-            value.problem("the name of a variable cannot hold = or NUL", entry.place)
+            value.problem("the name of a variable cannot hold = or NUL", entry.location)
         elif entry.key in _OURS:
-            value.problem(f"{entry.key} is set by this program itself", entry.place)
+            value.problem(f"{entry.key} is set by this program itself", entry.location)
         else:
             text = _string(value)
             problem = domain_problem(text) if text is not None and entry.key == _DOMAIN else None
@@ -303,7 +303,7 @@ def domain_problem(value: str) -> str | None:
     return f"{_DOMAIN} is a number from 0 to {LARGEST_DOMAIN}, given {excerpt(value)}"
 
 
-def _string(at: At) -> str | None:
+def _string(at: Cursor) -> str | None:
     node = at.node
     if at.string is not None and "\x00" in at.string:
         at.problem("an environment variable cannot hold a NUL character")

@@ -12,7 +12,7 @@ from msgspec import Struct
 from play_launch.config.load import load_config
 from play_launch.config.problems import ConfigError
 from play_launch.config.source import Refused, read_bytes
-from play_launch.config.substitutions import Surroundings
+from play_launch.config.substitutions import Inputs
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Iterable, Mapping
@@ -80,7 +80,7 @@ def _load(watched: Watched) -> tuple[ReplayConfig | ConfigError, Contents]:
         contents[path] = found = read_bytes(path)
         return found
 
-    given = Surroundings(arguments=watched.arguments)
+    given = Inputs(arguments=watched.arguments)
     try:
         return load_config(watched.path, given, read), contents
     except ConfigError as error:

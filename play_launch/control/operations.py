@@ -12,7 +12,7 @@ from msgspec import Struct
 
 from play_launch.config.load import load_config, parse_config
 from play_launch.config.problems import ConfigError
-from play_launch.config.substitutions import Surroundings, parse_arguments, share_folder
+from play_launch.config.substitutions import Inputs, parse_arguments, share_folder
 from play_launch.container.cdr.layout import CdrError
 from play_launch.container.cdr.messages import NODE_PARAMETERS
 from play_launch.control.actions import Action, ActionLog, Actions
@@ -339,15 +339,15 @@ class Changes:
 
 def _read(request: ChangeRequest) -> ReplayConfig:
     """Read a configuration; raises ConfigError, ValueError."""
-    surroundings = Surroundings(
+    inputs = Inputs(
         arguments=parse_arguments(request.arguments),
         environ=request.environment,
         find_share=partial(share_folder, environ=request.environment),
     )
     path = Path(request.path)
     if request.text is None:
-        return load_config(path, surroundings)
-    return parse_config(request.text.encode(), path, surroundings=surroundings)
+        return load_config(path, inputs)
+    return parse_config(request.text.encode(), path, inputs=inputs)
 
 
 def _failures(applied: Applied) -> str:

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any, Final
 from msgspec import Struct
 
 from play_launch.config.load import parse_config
-from play_launch.config.problems import ConfigError, Place, Problem
+from play_launch.config.problems import ConfigError, Location, Problem
 from play_launch.config.source import MCAP_MESSAGE, Refused, read_bytes
-from play_launch.config.substitutions import Surroundings, share_folder
+from play_launch.config.substitutions import Inputs, share_folder
 from play_launch.postmortem.bag_reader import BagReader, NotARecordingError
 from play_launch.postmortem.declared import RESOLVED
 from play_launch.recording.resolved_form import kept
@@ -58,27 +58,27 @@ def recorded_config(path: Path, arguments: Mapping[str, str] | None = None) -> R
         next(reader.messages(), None)
     except NotARecordingError as error:
         message = str(error).removeprefix(f"{path}: ")
-        raise ConfigError((Problem.at(Place(str(path), 1, 1), "(file)", message),)) from error
+        raise ConfigError((Problem.at(Location(str(path), 1, 1), "(file)", message),)) from error
     attached = reader.attachments
     name = next((each for each in attached if each.startswith(_CONFIG)), None)
     if name is None or METADATA_NAME not in reader.metadata:
-        raise ConfigError((Problem.at(Place(str(path), 1, 1), "(file)", MCAP_MESSAGE),))
+        raise ConfigError((Problem.at(Location(str(path), 1, 1), "(file)", MCAP_MESSAGE),))
     resolved = _object(attached, RESOLVED)
     source = Path(str(resolved.get("source") or path.with_name(name)))
     files = [
         *_files(attached, INCLUDED, resolved.get("included_files", ())),
         *_files(attached, PARAMETERS, resolved.get("parameter_files", ())),
     ]
-    surroundings = _surroundings(_mapping(resolved.get("taken")), arguments or {}, os.environ)
-    config = parse_config(attached[name].data, source, _RecordedFiles(files), surroundings)
+    inputs = _inputs(_mapping(resolved.get("taken")), arguments or {}, os.environ)
+    config = parse_config(attached[name].data, source, _RecordedFiles(files), inputs)
     return RecordedConfig(
         config, resolved, reader.metadata[METADATA_NAME], _object(attached, "environment.json")
     )
 
 
-def _surroundings(
+def _inputs(
     taken: Mapping[str, Any], arguments: Mapping[str, str], environ: Mapping[str, str]
-) -> Surroundings:
+) -> Inputs:
     """Give what the configuration took then; secrets, which were not recorded, come from here."""
     variables = _mapping(taken.get("variables"))
     unset = {name for name, value in variables.items() if value is None}
@@ -89,7 +89,7 @@ def _surroundings(
         # Its files are in the recording, by the path that they had.
         return here or (Path(str(packages[package])) if package in packages else None)
 
-    return Surroundings(
+    return Inputs(
         arguments={**kept(_mapping(taken.get("arguments"))), **arguments},
         environ={
             **{name: value for name, value in environ.items() if name not in unset},

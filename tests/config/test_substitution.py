@@ -15,10 +15,9 @@ from play_launch.config.model import ParameterType
 from play_launch.config.problems import ConfigError
 from play_launch.config.substitutions import (
     DEEPEST_DEFAULT,
-    MOST_SUBSTITUTED,
+    Inputs,
     Lookup,
     SubstitutionError,
-    Surroundings,
     may_hold_substitutions,
     parse_arguments,
     substitute,
@@ -145,8 +144,8 @@ def test_an_escaped_text_is_the_text(text: str) -> None:
 
 
 def load(text: str, arguments: tuple[str, ...] = (), **environ: str) -> ReplayConfig:
-    surroundings = Surroundings(arguments=parse_arguments(arguments), environ=environ)
-    return parse_config(text.encode(), Path("a/demo.yaml"), surroundings=surroundings)
+    inputs = Inputs(arguments=parse_arguments(arguments), environ=environ)
+    return parse_config(text.encode(), Path("a/demo.yaml"), inputs=inputs)
 
 
 def problems(text: str, arguments: tuple[str, ...] = (), **environ: str) -> list[str]:
@@ -266,14 +265,6 @@ def test_arguments() -> None:
     assert parse_arguments(["a:=1", "b:=x:=y", "c:="]) == {"a": "1", "b": "x:=y", "c": ""}
     with pytest.raises(ValueError, match="given twice"):
         parse_arguments(["a:=1", "a:=2"])
-
-
-def test_growth_is_bounded() -> None:
-    large = "x" * 100_000
-    count = MOST_SUBSTITUTED // len(large) + 1
-    text = NODE.replace("[x]", "[" + ", ".join(['"${env:LARGE}"'] * count) + "]")
-    found = problems(text, LARGE=large)
-    assert "put more than 4 Mi characters" in found[0]
 
 
 def test_a_surrogate_from_the_environment_is_refused() -> None:

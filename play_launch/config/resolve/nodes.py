@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from msgspec import Struct
 from msgspec.structs import replace
@@ -15,7 +15,6 @@ from play_launch.config.model import (
     ContainerConfig,
     ContainerType,
     OnExit,
-    Output,
     ProcessConfig,
     RestartLimits,
 )
@@ -25,15 +24,14 @@ from play_launch.config.resolve.parameter_files import resolve_process_parameter
 from play_launch.config.resolve.parameters import resolve_parameters
 from play_launch.config.resolve.policy import (
     ISOLATED_KEYS,
-    Process,
-    node_process,
+    ProcessKind,
     refined_resources,
     refined_restart,
     refuse,
     refuse_inherited,
     refuse_unread,
 )
-from play_launch.config.resources import Resources
+from play_launch.config.resources import NO_RESOURCES
 from play_launch.config.schema import ComposableNodeSection, ContainerSection, ProcessSection
 from play_launch.config.section import items_of, validate_mapping
 from play_launch.config.source import path_from
@@ -48,38 +46,58 @@ from play_launch.config.values import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from collections.abc import Mapping as Variables
 
-    from play_launch.config.problems import Place, Report
+    from play_launch.config.problems import Location
     from play_launch.config.resolve.order import StartRules
-    from play_launch.config.resolve.parameter_files import ParameterFiles
+    from play_launch.config.resolve.parameter_files import ParameterFileReader
     from play_launch.config.resolve.policy import GroupRules, Policy
-    from play_launch.config.tree import At, Node
+    from play_launch.config.section import Section
+    from play_launch.config.tree import Cursor, Node
 
-
-_COMMAND_OR_PACKAGE = "give either command, or package and executable"
+_COMMAND_OR_PACKAGE: Final = "give either command, or package and executable"
 _NUMBERED: Final = re.compile(r":[0-9]+$")
-_ISOLATED_KEYS: Final = ("auto_reload_on_crash", "on_crash", "restart", "resources")
+_ISOLATED_NODE_KEYS: Final = ("auto_reload_on_crash", "on_crash", "restart", "resources")
+_STOCK_PROGRAM: Final = {"package": "rclcpp_components", "executable": "component_container"}
+_STOCK_KEYS: Final = (*_STOCK_PROGRAM, "arguments", "attach")
+_START_KEYS: Final = (
+    *_STOCK_PROGRAM,
+    "arguments",
+    "environment",
+    "log_level",
+    "ros_arguments",
+    "process_parameters",
+    "prefix",
+    "cwd",
+    "output",
+    "on_exit",
+    "resources",
+)
+"""Keys about starting a container; one that is attached to reads none of them."""
+_REMAPPING: Final = (
+    'expected a remapping such as "chatter:=/sensing/chatter" or {from: chatter, to: /chatter}'
+)
+_NOT_REMAPPED: Final = {"__node": "name", "__name": "name", "__ns": "namespace"}
 
 
 class NodeNames:
-    """Every name in the system once, and labels for nodes whose name is their own affair.
+    """Names of nodes, each once, and labels for nodes without a name.
 
     ROS lets two nodes share a name, and both then misbehave.
     """
 
     def __init__(self) -> None:
-        self._places: dict[str, Place] = {}
+        self._locations: dict[str, Location] = {}
         self._labels: Counter[tuple[str, str]] = Counter()
 
     def __contains__(self, full_name: str) -> bool:
-        """Whether some node gives this name."""
-        return full_name in self._places
+        return full_name in self._locations
 
-    def declare(self, at: At) -> str | None:
+    def declare(self, at: Cursor) -> str | None:
         """Return the full name that a node gives, None if it gives none; report a second owner.
 
-        Looks at the tree, so that two equal names are found even where other keys are wrong.
+        Reads the tree, so that two equal names are found even where other keys are wrong.
         """
         at_name = at.value("name")
         at_namespace = at.value("namespace")
@@ -95,13 +113,13 @@ class NodeNames:
                 f"namespace and name have {len(full_name)} characters; at most "
                 f"{LONGEST_FULL_NAME}, because the names of the node's services are longer"
             )
-        first = self._places.setdefault(full_name, at_name.node.place)
-        if first is not at_name.node.place:
+        first = self._locations.setdefault(full_name, at_name.node.location)
+        if first is not at_name.node.location:
             at_name.problem(f"the name {full_name} is given twice, first at {first}")
         return full_name
 
     def label(self, container: str, namespace: str, what: str) -> str:
-        """Return a label for an unnamed node, `/[what]`, that no other node of the container has.
+        """Return a label for an unnamed node, `/[what]`, unique in its container.
 
         The second of its kind is `/[what:2]`, and so on; what is declared of another kind, or in
         another container, does not change it. `container` is empty for ordinary processes.
@@ -109,123 +127,179 @@ class NodeNames:
         base = join_full_name(namespace or "/", what)
         self._labels[container, base] += 1
         count = self._labels[container, base]
-        # What looks like a number of ours gets one, too: a program can be called `talker:2`.
+        # What looks like such a number gets one, too: a program can be called `talker:2`.
         suffix = "" if count == 1 and not _NUMBERED.search(what) else f":{count}"
         return join_full_name(namespace or "/", f"[{what}{suffix}]")
 
 
-class Shared(Struct, frozen=True):
+class Context(Struct, frozen=True):
     """What all nodes of one configuration share."""
 
-    files: ParameterFiles
+    files: ParameterFileReader
     environment: Variables[str, str]
     start_rules: StartRules
     names: NodeNames
     groups: GroupRules
 
 
-def resolve_composable_node(
-    at: At, shared: Shared, policy: Policy, container: str, kind: ContainerType | None
-) -> ComposableNodeConfig | None:
-    """Return the composable node at `at`, or None after problems were reported.
+def _own(section: Section, config: type[Struct], at: Cursor) -> dict[str, Any]:
+    """Return the given keys that the model has, too, and the location."""
+    given: dict[str, Any] = {"file": at.node.location.file, "line": at.node.location.line}
+    for key, value in section.given.items():
+        if key in config.__struct_fields__:
+            given[key] = tuple(value) if isinstance(value, list) else value
+    if "cwd" in given:
+        given["cwd"] = path_from(at.at_key("cwd"), given["cwd"])
+    return given
 
-    `policy` is that of its container. Where the container could not be read, its full name
-    `container` is empty and `kind` is None.
+
+def resolve_container(at: Cursor, shared: Context, policy: Policy) -> ContainerConfig | None:
+    """Return the container at `at`, None after problems; `policy` is that of all containers."""
+    section = validate_mapping(ContainerSection, at)
+    if not isinstance(at.node, Mapping):
+        return None
+    shared.names.declare(at)
+    variables = resolve_environment(at.value("environment"))
+    sections = resolve_process_parameters(at.value("process_parameters"), shared.files)
+    if section is None:
+        _composable_nodes(at, shared, policy, "", None)
+        return None
+    policy = policy.refined(section, at)
+    kind = policy.container_type
+    refuse_unread(ISOLATED_KEYS, kind, at)
+    namespace = section.namespace or "/"
+    full_name = join_full_name(namespace, section.name)
+    nodes = _composable_nodes(at, shared, policy, full_name, kind)
+    if not kind.is_multi_threaded:
+        policy = replace(policy, given=policy.given | {"thread_num": None})
+        why = f"is for container_type mt and isolated_mt, this container is {kind}"
+        refuse(("thread_num",), why, at)
+    if section.on_exit is OnExit.IGNORE:
+        fix = "for a container that does not come back: restart: {max_restarts: 0}"
+        at.at_key("on_exit").problem(f"containers have restart and shutdown; {fix}")
+    is_stock = kind is ContainerType.STOCK
+    process = ProcessKind.PROGRAM if is_stock else ProcessKind.CONTAINER
+    program: dict[str, str] = {}
+    if not is_stock:
+        refuse(_STOCK_KEYS, f"is for container_type stock, this container is {kind}", at)
+    else:
+        why = "is not for container_type stock, whose libraries are not probed"
+        refuse(("probe_timeout",), why, at)
+        if section.attach:
+            why = "is for a container that is started here, not for attach: true"
+            refuse(_START_KEYS, why, at)
+        else:
+            program = _STOCK_PROGRAM
+    shared.start_rules.declare(full_name, at, section.start_delay)
+    values = {
+        **policy.given,
+        **program,
+        **_own(section, ContainerConfig, at),
+        "thread_num": policy.given.get("thread_num"),
+        "namespace": namespace,
+        "full_name": full_name,
+        "process_parameters": sections,
+        "environment": MappingProxyType({**shared.environment, **variables}),
+        "restart": policy.restart,
+        "resources": refined_resources(NO_RESOURCES, section.resources, at, process),
+        "composable_nodes": nodes,
+    }
+    return ContainerConfig(**values)
+
+
+def _composable_nodes(
+    at: Cursor, shared: Context, policy: Policy, container: str, kind: ContainerType | None
+) -> tuple[ComposableNodeConfig, ...]:
+    items = items_of(at.value("composable_nodes"), "composable nodes")
+    nodes = [_composable_node(item, shared, policy, container, kind) for item in items]
+    return tuple(node for node in nodes if node is not None)
+
+
+def _composable_node(
+    at: Cursor, shared: Context, policy: Policy, container: str, kind: ContainerType | None
+) -> ComposableNodeConfig | None:
+    """Return the composable node at `at`, None after problems; `policy` is its container's.
+
+    Of a container that could not be read, the name is empty and the kind None.
     """
     section = validate_mapping(ComposableNodeSection, at)
     if not isinstance(at.node, Mapping):
         return None
     full_name = shared.names.declare(at)
-    parameters = resolve_parameters(at.value("parameters"), full_name=full_name, files=shared.files)
-    extra_arguments = resolve_parameters(
-        at.value("extra_arguments"), full_name=full_name, files=None
-    )
-    remappings = resolve_remappings(at.value("remappings"))
+    extra_arguments = at.value("extra_arguments")
+    values: dict[str, Any] = {
+        "parameters": resolve_parameters(
+            at.value("parameters"), full_name=full_name, files=shared.files
+        ),
+        "extra_arguments": resolve_parameters(extra_arguments, full_name=full_name, files=None),
+        "remappings": resolve_remappings(at.value("remappings")),
+    }
     if section is None:
         return None
     if kind is not None:
-        refuse_unread(_ISOLATED_KEYS, kind, at)
+        refuse_unread(_ISOLATED_NODE_KEYS, kind, at)
     policy = policy.refined(section, at)
-    resources = Resources()
+    resources = NO_RESOURCES
     if kind is None or kind.is_isolated:
-        process = node_process(policy.isolation)
+        process = policy.node_process
         refuse_inherited(policy.resources, at, process)
-        resources = shared.groups.of_node(policy.resources, section.name or "", full_name, process)
+        names = dict.fromkeys(name for name in (section.name, full_name) if name)
+        resources = shared.groups.of_node(policy.resources, names, process)
         resources = refined_resources(resources, section.resources, at, process)
-    namespace = section.namespace or ""
-    key = NodeKey(container, full_name or shared.names.label(container, namespace, section.plugin))
+    name = full_name or shared.names.label(container, section.namespace or "", section.plugin)
+    key = NodeKey(container, name)
     shared.start_rules.declare(str(key), at, section.start_delay)
     shared.start_rules.declare_managed(str(key), full_name, at, section)
-    return ComposableNodeConfig(
-        package=section.package,
-        plugin=section.plugin,
-        name=section.name or "",
-        namespace=namespace,
-        key=key,
-        parameters=parameters,
-        remappings=remappings,
-        extra_arguments=extra_arguments,
-        log_level=section.log_level,
-        on_crash=policy.on_crash,
-        restart=policy.restart,
-        resources=resources,
-        line=at.node.place.line,
-        file=at.node.place.file,
-    )
+    values = {
+        **_own(section, ComposableNodeConfig, at),
+        **values,
+        "key": key,
+        "on_crash": policy.on_crash,
+        "restart": policy.restart,
+        "resources": resources,
+    }
+    return ComposableNodeConfig(**values)
 
 
-def resolve_process(at: At, shared: Shared) -> ProcessConfig | None:
+def resolve_process(at: Cursor, shared: Context) -> ProcessConfig | None:
     """Return the process at `at`, or None after problems were reported."""
     section = validate_mapping(ProcessSection, at)
     if not isinstance(at.node, Mapping):
         return None
     _check_combinations(at)
-    full_name = shared.names.declare(at)
+    given_name = shared.names.declare(at)
     variables = resolve_environment(at.value("environment"))
-    parameters = resolve_parameters(at.value("parameters"), full_name=full_name, files=shared.files)
-    sections = resolve_process_parameters(at.value("process_parameters"), shared.files)
-    remappings = resolve_remappings(at.value("remappings"))
+    values: dict[str, Any] = {
+        "environment": MappingProxyType({**shared.environment, **variables}),
+        "parameters": resolve_parameters(
+            at.value("parameters"), full_name=given_name, files=shared.files
+        ),
+        "process_parameters": resolve_process_parameters(
+            at.value("process_parameters"), shared.files
+        ),
+        "remappings": resolve_remappings(at.value("remappings")),
+    }
     if section is None:
         return None
-    restart = refined_restart(RestartLimits(), section.restart, at)
-    resources = refined_resources(Resources(), section.resources, at, Process.PROGRAM)
-    on_exit = section.on_exit or OnExit.IGNORE
-    if section.restart is not None and on_exit is not OnExit.RESTART:
-        at.blame("restart").problem("only read with on_exit: restart; add that")
-    namespace = section.namespace or ""
     program = section.executable or (section.command[0] if section.command else "")
-    given_name = full_name
-    if full_name is None:
-        full_name = shared.names.label("", namespace, program.rpartition("/")[2])
+    program = program.rpartition("/")[2]
+    full_name = given_name or shared.names.label("", section.namespace or "", program)
+    values = {
+        **_own(section, ProcessConfig, at),
+        **values,
+        "full_name": full_name,
+        "restart": refined_restart(RestartLimits(), section.restart, at),
+        "resources": refined_resources(NO_RESOURCES, section.resources, at, ProcessKind.PROGRAM),
+    }
+    config = ProcessConfig(**values)
+    if section.restart is not None and config.on_exit is not OnExit.RESTART:
+        at.at_key("restart").problem("only read with on_exit: restart; add that")
     shared.start_rules.declare(full_name, at, section.start_delay)
     shared.start_rules.declare_managed(full_name, given_name, at, section)
-    return ProcessConfig(
-        name=section.name or "",
-        namespace=namespace,
-        full_name=full_name,
-        command=None if section.command is None else tuple(section.command),
-        package=section.package,
-        executable=section.executable,
-        arguments=tuple(section.arguments or ()),
-        parameters=parameters,
-        process_parameters=sections,
-        remappings=remappings,
-        environment=MappingProxyType({**shared.environment, **variables}),
-        ros_arguments=tuple(section.ros_arguments or ()),
-        prefix=tuple(section.prefix or ()),
-        cwd=None if section.cwd is None else path_from(at.blame("cwd"), section.cwd),
-        emulate_tty=bool(section.emulate_tty),
-        output=section.output or Output.BOTH,
-        on_exit=on_exit,
-        restart=restart,
-        resources=resources,
-        log_level=section.log_level,
-        line=at.node.place.line,
-        file=at.node.place.file,
-    )
+    return config
 
 
-def _check_combinations(at: At) -> None:
+def _check_combinations(at: Cursor) -> None:
     given = {entry.key: (entry, value) for entry, value in at.entries()}
     if "command" not in given:
         if "package" not in given and "executable" not in given:
@@ -242,194 +316,72 @@ def _check_combinations(at: At) -> None:
     ):
         if key in given:
             entry, value = given[key]
-            value.problem(message, entry.place)
+            value.problem(message, entry.location)
 
 
-STOCK_PACKAGE: Final = "rclcpp_components"
-STOCK_EXECUTABLE: Final = "component_container"
-_KEYS: Final = ("package", "executable", "arguments", "attach")
-_OUR_KEYS: Final = ("probe_timeout",)
-"""Keys that say something for play-launch's own containers only."""
-_FOR_STARTING: Final = (
-    "package",
-    "executable",
-    "arguments",
-    "environment",
-    "log_level",
-    "ros_arguments",
-    "process_parameters",
-    "prefix",
-    "cwd",
-    "output",
-    "on_exit",
-    "resources",
-)
-"""Keys about starting a container; one that runs already reads none of them."""
+def resolve_remappings(at: Cursor | None) -> tuple[tuple[str, str], ...]:
+    """Return the pairs (from, to) in their order.
 
-
-def resolve_container(at: At, shared: Shared, policy: Policy) -> ContainerConfig | None:
-    """Return the container at `at`, None after problems; `policy` is that of all containers."""
-    section = validate_mapping(ContainerSection, at)
-    if not isinstance(at.node, Mapping):
-        return None
-    shared.names.declare(at)
-    variables = resolve_environment(at.value("environment"))
-    sections = resolve_process_parameters(at.value("process_parameters"), shared.files)
-    if section is None:
-        _composable_nodes(at, shared, policy, "", None)
-        return None
-    policy = policy.refined(section, at)
-    kind = policy.container_type
-    refuse_unread(ISOLATED_KEYS, kind, at)
-    namespace = section.namespace or "/"
-    full_name = join_full_name(namespace, section.name)
-    composable_nodes = _composable_nodes(at, shared, policy, full_name, kind)
-    if not kind.is_multi_threaded:
-        policy = replace(policy, thread_num=None)
-        why = f"is for container_type mt and isolated_mt, this container is {kind}"
-        refuse(("thread_num",), why, at)
-    if section.on_exit is OnExit.IGNORE:
-        fix = "for a container that does not come back: restart: {max_restarts: 0}"
-        at.blame("on_exit").problem(f"containers have restart and shutdown; {fix}")
-    stock = _stock_program(section, kind, at)
-    process = Process.PROGRAM if kind is ContainerType.STOCK else Process.CONTAINER
-    shared.start_rules.declare(full_name, at, section.start_delay)
-    return ContainerConfig(
-        name=section.name,
-        namespace=namespace,
-        full_name=full_name,
-        container_type=kind,
-        thread_num=policy.thread_num,
-        isolation=policy.isolation,
-        memory_domains=policy.memory_domains,
-        core_dumps=policy.core_dumps,
-        package=stock.package,
-        executable=stock.executable,
-        arguments=stock.arguments,
-        attach=stock.attach,
-        process_parameters=sections,
-        prefix=tuple(section.prefix or ()),
-        cwd=None if section.cwd is None else path_from(at.blame("cwd"), section.cwd),
-        output=section.output or Output.BOTH,
-        on_exit=section.on_exit or OnExit.RESTART,
-        log_level=section.log_level,
-        environment=MappingProxyType({**shared.environment, **variables}),
-        ros_arguments=tuple(section.ros_arguments or ()),
-        restart=policy.restart,
-        resources=refined_resources(Resources(), section.resources, at, process),
-        loading_timeout=policy.loading_timeout,
-        probe_timeout=policy.probe_timeout,
-        composable_nodes=composable_nodes,
-        line=at.node.place.line,
-        file=at.node.place.file,
-    )
-
-
-def _composable_nodes(
-    at: At, shared: Shared, policy: Policy, container: str, kind: ContainerType | None
-) -> tuple[ComposableNodeConfig, ...]:
-    items = items_of(at.value("composable_nodes"), "composable nodes")
-    resolved = [resolve_composable_node(item, shared, policy, container, kind) for item in items]
-    return tuple(one for one in resolved if one is not None)
-
-
-class _StockProgram(Struct, frozen=True, kw_only=True):
-    """What a stock container is; all empty for one of play-launch's own."""
-
-    package: str = ""
-    executable: str = ""
-    arguments: tuple[str, ...] = ()
-    attach: bool = False
-
-
-def _stock_program(section: ContainerSection, kind: ContainerType, at: At) -> _StockProgram:
-    """Return what `section` says; report keys that nothing would read."""
-    if kind is not ContainerType.STOCK:
-        refuse(_KEYS, f"is for container_type stock, this container is {kind}", at)
-        return _StockProgram()
-    refuse(_OUR_KEYS, "is not for container_type stock, whose libraries are not probed", at)
-    if section.attach:
-        why = "is for a container that is started here, not for attach: true"
-        refuse(_FOR_STARTING, why, at)
-        return _StockProgram(attach=True)
-    return _StockProgram(
-        package=section.package or STOCK_PACKAGE,
-        executable=section.executable or STOCK_EXECUTABLE,
-        arguments=tuple(section.arguments or ()),
-    )
-
-
-_FORMS = 'expected a remapping such as "chatter:=/sensing/chatter" or {from: chatter, to: /chatter}'
-_SPECIAL = {"__node": "name", "__name": "name", "__ns": "namespace"}
-
-
-def resolve_remappings(at: At | None) -> tuple[tuple[str, str], ...]:
-    """Return the (from, to) pairs that stand there, in their order.
-
-    Taken are a mapping `{from: to}`, and a list of `from:=to`, `[from, to]` or
+    The forms are a mapping `{from: to}`, and a list of `from:=to`, `[from, to]` or
     `{from: ..., to: ...}`.
     """
     if at is None:
         return ()
-    collected = _Collected(at.report)
-    if isinstance(at.node, Mapping):
-        for entry, value in at.entries():
-            target = _string(value)
-            if target is not None:
-                collected.add(value, (entry.key, entry.place), (target, entry.value.place))
-    elif isinstance(at.node, Sequence) and at.node.array_tag is None:
-        for item in at.elements():
-            _add_item(item, collected)
-    elif not at.is_invalid:
-        at.problem(f"{_FORMS}, in a list, given {describe_node(at.node)}")
-    return tuple(collected.pairs)
-
-
-class _Collected:
-    def __init__(self, report: Report) -> None:
-        self.pairs: list[tuple[str, str]] = []
-        self._report = report
-        self._places: dict[str, Place] = {}
-
-    def add(self, at: At, source: tuple[str, Place], target: tuple[str, Place]) -> None:
-        before = len(self._report)
-        name, place = source
-        if name in _SPECIAL:
-            at.problem(f"{name} cannot be remapped here; use the key {_SPECIAL[name]}", place)
-            return
-        for side, side_place in (source, target):
+    pairs: list[tuple[str, str]] = []
+    first: dict[str, Location] = {}
+    for value, source, target in _remapping_sides(at):
+        before = len(at.report)
+        name, location = source
+        if name in _NOT_REMAPPED:
+            fix = f"use the key {_NOT_REMAPPED[name]}"
+            value.problem(f"{name} cannot be remapped here; {fix}", location)
+            continue
+        for side, side_location in (source, target):
             try:
                 check_topic(side)
             except ValueError as error:
-                at.problem(str(error), side_place)
-        if name in self._places:
-            first = self._places[name]
-            at.problem(f"{excerpt(name)} is remapped twice, first at {first}", place)
-        self._places.setdefault(name, place)
-        if len(self._report) == before:
-            self.pairs.append((name, target[0]))
+                value.problem(str(error), side_location)
+        if name in first:
+            value.problem(f"{excerpt(name)} is remapped twice, first at {first[name]}", location)
+        first.setdefault(name, location)
+        if len(at.report) == before:
+            pairs.append((name, target[0]))
+    return tuple(pairs)
 
 
-def _add_item(at: At, collected: _Collected) -> None:
-    item = at.node
-    sides: tuple[Node, ...] = ()
-    if isinstance(item, Mapping) and item.by_key.keys() == {"from", "to"}:
-        sides = (item.by_key["from"].value, item.by_key["to"].value)
-    elif isinstance(item, Sequence) and item.array_tag is None and len(item.items) == 2:
-        sides = item.items
-    if not sides:
-        source, separator, target = (at.string or "").partition(":=")
-        if separator:
-            collected.add(at, (source.strip(), item.place), (target.strip(), item.place))
-        elif not at.is_invalid:
-            at.problem(f"{_FORMS}, given {describe_node(item)}")
+def _remapping_sides(
+    at: Cursor,
+) -> Iterator[tuple[Cursor, tuple[str, Location], tuple[str, Location]]]:
+    if isinstance(at.node, Mapping):
+        for entry, value in at.entries():
+            if (target := _name(value)) is not None:
+                location = value.node.location
+                yield value, (entry.key, entry.location), (target, location)
         return
-    names = [_string(replace(at, node=side)) for side in sides]
-    if names[0] is not None and names[1] is not None:
-        collected.add(at, (names[0], sides[0].place), (names[1], sides[1].place))
+    if not isinstance(at.node, Sequence) or at.node.array_tag is not None:
+        if not at.is_invalid:
+            at.problem(f"{_REMAPPING}, in a list, given {describe_node(at.node)}")
+        return
+    for item in at.elements():
+        node = item.node
+        sides: tuple[Node, ...] = ()
+        if isinstance(node, Mapping) and node.by_key.keys() == {"from", "to"}:
+            sides = (node.by_key["from"].value, node.by_key["to"].value)
+        elif isinstance(node, Sequence) and node.array_tag is None and len(node.items) == 2:
+            sides = node.items
+        if sides:
+            names = [_name(replace(item, node=side)) for side in sides]
+            if names[0] is not None and names[1] is not None:
+                yield item, (names[0], sides[0].location), (names[1], sides[1].location)
+            continue
+        source, separator, target = (item.string or "").partition(":=")
+        if separator:
+            yield item, (source.strip(), node.location), (target.strip(), node.location)
+        elif not item.is_invalid:
+            item.problem(f"{_REMAPPING}, given {describe_node(node)}")
 
 
-def _string(at: At) -> str | None:
+def _name(at: Cursor) -> str | None:
     if at.string is None:
         at.expected("a topic or service name")
     return at.string

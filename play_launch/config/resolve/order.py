@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from play_launch.config.model import ContainerConfig, ProcessConfig
     from play_launch.config.schema import ComposableNodeSection, ProcessSection
-    from play_launch.config.tree import At
+    from play_launch.config.tree import Cursor
 
 _SUBJECTS: Final = ("name", "node", "topic", "service", "file")
 _CLOSE_ENOUGH: Final = 0.6
@@ -36,7 +36,7 @@ _CLOSE_ENOUGH: Final = 0.6
 
 class _Declared(NamedTuple):
     unit: str
-    dependencies: At | None
+    dependencies: Cursor | None
     """What stands at `depends_on`."""
     delay: float
 
@@ -49,7 +49,7 @@ class StartRules(Struct):
     _declared: list[_Declared] = field(default_factory=list)
     _managed: dict[str, ManagedConfig] = field(default_factory=dict)
 
-    def declare(self, unit: str, at: At, delay: float | None) -> None:
+    def declare(self, unit: str, at: Cursor, delay: float | None) -> None:
         """Take what the entry of a unit says."""
         dependencies = at.value("depends_on")
         if dependencies is not None or delay:
@@ -59,17 +59,17 @@ class StartRules(Struct):
         self,
         unit: str,
         full_name: str | None,
-        at: At,
+        at: Cursor,
         section: ComposableNodeSection | ProcessSection,
     ) -> None:
         """Take whether a node is a managed one that is brought somewhere."""
         timeout = section.transition_timeout
         if section.autostart is None:
             if timeout is not None:
-                at.blame("transition_timeout").problem("only read with autostart; add that")
+                at.at_key("transition_timeout").problem("only read with autostart; add that")
         elif full_name is None:
             message = "needs the name of the node, for its lifecycle services; give it a name"
-            at.blame("autostart").problem(message)
+            at.at_key("autostart").problem(message)
         else:
             given = {} if timeout is None else {"timeout": timeout}
             self._managed[unit] = ManagedConfig(full_name, section.autostart, **given)
@@ -90,21 +90,21 @@ class StartRules(Struct):
         """Return the rules by unit; unknown names and cycles are reported."""
         units = _Units(containers, processes, self.is_declared)
         rules: dict[str, StartRule] = {}
-        places: dict[tuple[str, str], At] = {}
+        locations: dict[tuple[str, str], Cursor] = {}
         for unit, at, delay in self._declared:
             dependencies = []
             for item in items_of(at, "dependencies"):
                 dependency = self._dependency(item, units)
                 if dependency is not None:
                     dependencies.append(dependency)
-                    places.setdefault((unit, dependency.unit), item)
+                    locations.setdefault((unit, dependency.unit), item)
             if unit in units:
                 rules[unit] = StartRule(dependencies=tuple(dependencies), delay=delay)
         for cycle in DependencyGraph(rules, units.members).cycles():
-            _report_cycle(cycle, places)
+            _report_cycle(cycle, locations)
         return rules
 
-    def _dependency(self, at: At, units: _Units) -> Dependency | None:
+    def _dependency(self, at: Cursor, units: _Units) -> Dependency | None:
         if at.string is not None:
             section = DependencySection({"name": at.string})
         else:
@@ -120,7 +120,7 @@ class StartRules(Struct):
         if given != ["name"]:
             for key in ("condition", "log"):
                 if getattr(section, key) is not None:
-                    at.blame(key).problem(
+                    at.at_key(key).problem(
                         f"{key} is about the unit that name gives, not {given[0]}"
                     )
         common = _Common(
@@ -129,15 +129,17 @@ class StartRules(Struct):
         )
         if section.name is None:
             return self._about_the_world(section, common, at)
-        other = units.find(section.name, at.blame("name") if at.string is None else at)
+        other = units.find(section.name, at.at_key("name") if at.string is None else at)
         if other is None:
             return None
         return units.about(other, section, common, at)
 
-    def _about_the_world(self, section: DependencySection, common: _Common, at: At) -> Dependency:
+    def _about_the_world(
+        self, section: DependencySection, common: _Common, at: Cursor
+    ) -> Dependency:
         if section.file is not None:
             return common.dependency(
-                Condition.FILE, subject=os.fspath(path_from(at.blame("file"), section.file))
+                Condition.FILE, subject=os.fspath(path_from(at.at_key("file"), section.file))
             )
         for condition in (Condition.NODE, Condition.TOPIC, Condition.SERVICE):
             name = getattr(section, condition)
@@ -187,7 +189,7 @@ class _Units:
     def __contains__(self, unit: str) -> bool:
         return self._named.get(unit) == [unit]
 
-    def find(self, name: str, at: At) -> str | None:
+    def find(self, name: str, at: Cursor) -> str | None:
         """Return the unit; report a name that is unknown, or that several have."""
         full_name = name if name.startswith("/") else f"/{name}"
         found = self._named.get(full_name, [])
@@ -212,15 +214,15 @@ class _Units:
         return None
 
     def about(
-        self, unit: str, section: DependencySection, common: _Common, at: At
+        self, unit: str, section: DependencySection, common: _Common, at: Cursor
     ) -> Dependency | None:
         """Return what `section` says about a unit; report what can never hold for it."""
         if section.log is not None:
             if section.condition is not None:
-                at.blame("log").problem("give either condition or log")
+                at.at_key("log").problem("give either condition or log")
             elif unit not in self.members:
                 container = unit.partition(":/")[0]
-                at.blame("log").problem(f"a node writes through its container; name {container}")
+                at.at_key("log").problem(f"a node writes through its container; name {container}")
             return common.dependency(Condition.LOG, unit=unit, subject=section.log)
         process = self._processes.get(unit)
         condition = section.condition
@@ -228,7 +230,7 @@ class _Units:
             condition = UnitCondition.LOADED if process is None else UnitCondition.STARTED
         why = self._never_holds(unit, process, condition)
         if why:
-            at.blame("condition").problem(f"{condition} {why}")
+            at.at_key("condition").problem(f"{condition} {why}")
         if process is not None and condition is UnitCondition.LOADED:
             return common.dependency(Condition.NODE, unit=unit, subject=unit)
         return common.dependency(Condition(condition.value), unit=unit)
@@ -249,13 +251,13 @@ class _Units:
         return ""
 
 
-def _report_cycle(cycle: list[str], places: dict[tuple[str, str], At]) -> None:
+def _report_cycle(cycle: list[str], locations: dict[tuple[str, str], Cursor]) -> None:
     steps = []
-    first: At | None = None
+    first: Cursor | None = None
     for unit, other in pairwise(cycle):
         # A node needs its container anyway, and all nodes of a container include each.
-        at = places.get((unit, other)) or places.get((unit, other.partition(":/")[0]))
+        at = locations.get((unit, other)) or locations.get((unit, other.partition(":/")[0]))
         first = first or at
-        steps.append(f"{unit} ({at.node.place})" if at is not None else unit)
+        steps.append(f"{unit} ({at.node.location})" if at is not None else unit)
     assert first is not None
     first.problem(f"a dependency cycle: {' -> '.join([*steps, cycle[-1]])}")

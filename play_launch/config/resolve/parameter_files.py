@@ -17,7 +17,7 @@ from play_launch.config.model import FOR_ALL, ParameterConfig, ParameterSection,
 from play_launch.config.problems import excerpt
 from play_launch.config.resolve.parameters import flatten
 from play_launch.config.source import Refused, decode, path_from, read_bytes
-from play_launch.config.tree import At, Mapping, Scalar, ScalarKind, Sequence, describe_node
+from play_launch.config.tree import Cursor, Mapping, Scalar, ScalarKind, Sequence, describe_node
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -34,7 +34,7 @@ PATTERN: Final = re.compile(r"(?:/(?:\*\*|\*|[A-Za-z_][A-Za-z0-9_]*))+", re.ASCI
 
 class _Section(Struct):
     pattern: str
-    at: At
+    at: Cursor
     values: dict[str, ParameterValue] | None = None
 
     def flat(self) -> dict[str, ParameterValue]:
@@ -44,7 +44,7 @@ class _Section(Struct):
         return self.values
 
 
-class ParameterFiles:
+class ParameterFileReader:
     """The parameter files of one configuration, each read once.
 
     Relative paths start at the directory of the file in which they stand.
@@ -63,7 +63,7 @@ class ParameterFiles:
         """The files that were read so far, in that order."""
         return tuple(self._read_files)
 
-    def select(self, at: At, path: str, full_name: str | None) -> dict[str, ParameterValue]:
+    def select(self, at: Cursor, path: str, full_name: str | None) -> dict[str, ParameterValue]:
         """Return what the file at `path`, which stands there, holds for the node `full_name`."""
         values: dict[str, ParameterValue] = {}
         for section in self._sections_of(at, path):
@@ -77,11 +77,11 @@ class ParameterFiles:
                 values.update(section.flat())
         return values
 
-    def sections(self, at: At, path: str) -> list[tuple[str, dict[str, ParameterValue]]]:
+    def sections(self, at: Cursor, path: str) -> list[tuple[str, dict[str, ParameterValue]]]:
         """Return all that the file at `path` holds: patterns of nodes, and their parameters."""
         return [(each.pattern, each.flat()) for each in self._sections_of(at, path)]
 
-    def _sections_of(self, at: At, path: str) -> list[_Section]:
+    def _sections_of(self, at: Cursor, path: str) -> list[_Section]:
         if not path.strip() or "\x00" in path:
             at.problem("expected the path of a parameter file")
             return []
@@ -91,7 +91,7 @@ class ParameterFiles:
         sections = self._sections[file]
         if isinstance(sections, Refused):
             if sections.inside:
-                self._report.add(sections.place, "(file)", sections.message)
+                self._report.add(sections.location, "(file)", sections.message)
             else:
                 at.problem(f"the parameter file {file}: {sections.message}")
             return []
@@ -109,24 +109,24 @@ class ParameterFiles:
         return [_Section(pattern, at) for pattern, at in parameter_sections(root, self._report)]
 
 
-def parameter_sections(root: Node | None, report: Report) -> list[tuple[str, At]]:
+def parameter_sections(root: Node | None, report: Report) -> list[tuple[str, Cursor]]:
     """Return the sections of a parameter file: the pattern of each, and where its values stand."""
-    sections: list[tuple[str, At]] = []
+    sections: list[tuple[str, Cursor]] = []
     if isinstance(root, Mapping):
-        _collect(At(root, "", report), "", sections)
+        _collect(Cursor(root, "", report), "", sections)
     elif root is not None and not (isinstance(root, Scalar) and root.kind is ScalarKind.NULL):
         message = f"expected node names with {_PARAMETERS} below, given {describe_node(root)}"
-        At(root, "", report).problem(message)
+        Cursor(root, "", report).problem(message)
     return sections
 
 
-def _collect(at: At, pattern: str, into: list[tuple[str, At]]) -> None:
+def _collect(at: Cursor, pattern: str, into: list[tuple[str, Cursor]]) -> None:
     """Walk down namespaces and names to the sections; nested names are joined with `/`."""
     for entry, value in at.entries():
         if entry.key == _PARAMETERS:
             if not pattern:
                 message = f'{_PARAMETERS} needs a node name above it, or "{FOR_ALL}" for all'
-                value.problem(message, entry.place)
+                value.problem(message, entry.location)
             elif isinstance(value.node, Mapping):
                 into.append((pattern, value))
             else:
@@ -135,7 +135,7 @@ def _collect(at: At, pattern: str, into: list[tuple[str, At]]) -> None:
         below = f"{pattern}/{entry.key.removeprefix('/')}"
         if not PATTERN.fullmatch(below):
             message = f"{excerpt(entry.key)} is neither {_PARAMETERS} nor the name of a node"
-            value.problem(message, entry.place)
+            value.problem(message, entry.location)
         elif isinstance(value.node, Mapping):
             _collect(value, below, into)
         else:
@@ -145,7 +145,7 @@ def _collect(at: At, pattern: str, into: list[tuple[str, At]]) -> None:
 def matches(pattern: str, full_name: str) -> bool:
     """Return whether the pattern of a section is for a node.
 
-    Match part by part; taking `**` at its shortest first keeps one place to come back to.
+    Match part by part; taking `**` at its shortest first keeps one location to come back to.
     """
     parts = pattern.split("/")[1:]
     names = full_name.split("/")[1:]
@@ -170,7 +170,7 @@ _FORM = "a mapping of names of nodes to parameters"
 
 
 def resolve_process_parameters(
-    at: At | None, files: ParameterFiles
+    at: Cursor | None, files: ParameterFileReader
 ) -> tuple[ParameterSection, ...]:
     """Return the sections from the sources that stand there: mappings, and parameter files.
 
@@ -191,7 +191,7 @@ def resolve_process_parameters(
     )
 
 
-def _sources(at: At) -> Iterable[At]:
+def _sources(at: Cursor) -> Iterable[Cursor]:
     if isinstance(at.node, Mapping):
         return [at]
     if isinstance(at.node, Sequence) and at.node.array_tag is None:
@@ -202,7 +202,9 @@ def _sources(at: At) -> Iterable[At]:
     return []
 
 
-def _sections(source: At, files: ParameterFiles) -> Iterable[tuple[str, dict[str, ParameterValue]]]:
+def _sections(
+    source: Cursor, files: ParameterFileReader
+) -> Iterable[tuple[str, dict[str, ParameterValue]]]:
     if source.string is not None:
         yield from files.sections(source, source.string)
         return
@@ -215,7 +217,7 @@ def _sections(source: At, files: ParameterFiles) -> Iterable[tuple[str, dict[str
             message = (
                 f"{excerpt(entry.key)} is not the full name of a node, nor a pattern such as /**"
             )
-            value.problem(message, entry.place)
+            value.problem(message, entry.location)
         elif isinstance(value.node, Mapping):
             yield pattern, flatten(value)
         else:

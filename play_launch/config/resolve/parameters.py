@@ -13,9 +13,9 @@ from play_launch.config.problems import excerpt
 from play_launch.config.tree import Mapping, Scalar, ScalarKind, Sequence, describe_node
 
 if TYPE_CHECKING:
-    from play_launch.config.problems import Place
-    from play_launch.config.resolve.parameter_files import ParameterFiles
-    from play_launch.config.tree import At, Node
+    from play_launch.config.problems import Location
+    from play_launch.config.resolve.parameter_files import ParameterFileReader
+    from play_launch.config.tree import Cursor, Node
 
 _KEY_OF_PARAMETER_FILES = "ros__parameters"
 _SMALLEST_INTEGER = -(2**63)
@@ -52,7 +52,7 @@ _TAGGED_ARRAY = {
 
 
 def resolve_parameters(
-    at: At | None, *, full_name: str | None, files: ParameterFiles | None
+    at: Cursor | None, *, full_name: str | None, files: ParameterFileReader | None
 ) -> tuple[ParameterConfig, ...]:
     """Return the parameters from the sources that stand there.
 
@@ -82,7 +82,7 @@ def resolve_parameters(
     return tuple(ParameterConfig(name, value) for name, value in values.items())
 
 
-def flatten(at: At, *, is_file: bool = False) -> dict[str, ParameterValue]:
+def flatten(at: Cursor, *, is_file: bool = False) -> dict[str, ParameterValue]:
     """Return the parameters in a mapping, the names of nested ones joined with dots.
 
     With `is_file`, those of a parameter file, in which rcl skips empty lists.
@@ -93,27 +93,27 @@ def flatten(at: At, *, is_file: bool = False) -> dict[str, ParameterValue]:
 
 
 def _flatten_into(
-    at: At,
+    at: Cursor,
     prefix: str,
     values: dict[str, ParameterValue],
-    places: dict[str, Place],
+    locations: dict[str, Location],
     *,
     is_file: bool,
 ) -> None:
     for entry, value in at.entries():
         name = prefix + entry.key
         if "\x00" in entry.key:
-            value.problem("a parameter name cannot hold a NUL character", entry.place)
+            value.problem("a parameter name cannot hold a NUL character", entry.location)
         elif entry.key == _KEY_OF_PARAMETER_FILES:
             message = f"{_KEY_OF_PARAMETER_FILES} belongs into parameter files, above the names"
-            value.problem(f"{message}; write the names here directly", entry.place)
+            value.problem(f"{message}; write the names here directly", entry.location)
         elif isinstance(value.node, Mapping):
-            _flatten_into(value, name + ".", values, places, is_file=is_file)
-        elif name in places:
-            message = f"the parameter {name} is given twice, first at {places[name]}"
-            value.problem(message, entry.place)
+            _flatten_into(value, name + ".", values, locations, is_file=is_file)
+        elif name in locations:
+            message = f"the parameter {name} is given twice, first at {locations[name]}"
+            value.problem(message, entry.location)
         else:
-            places[name] = entry.place
+            locations[name] = entry.location
             if is_file and _is_empty_list(value.node):
                 continue
             typed = _parameter_value(value)
@@ -125,7 +125,7 @@ def _is_empty_list(node: Node) -> bool:
     return isinstance(node, Sequence) and not node.items and node.array_tag is None
 
 
-def _parameter_value(at: At) -> ParameterValue | None:
+def _parameter_value(at: Cursor) -> ParameterValue | None:
     """Return the typed value, a scalar or a list; None where a problem was reported."""
     node = at.node
     if isinstance(node, Sequence):
@@ -142,7 +142,7 @@ def _parameter_value(at: At) -> ParameterValue | None:
     return ParameterValue(_TYPE_OF_KIND[node.kind], node.value)
 
 
-def _array(at: At, node: Sequence) -> ParameterValue | None:
+def _array(at: Cursor, node: Sequence) -> ParameterValue | None:
     items = _usable_items(at)
     if items is None:
         return None
@@ -166,13 +166,13 @@ def _array(at: At, node: Sequence) -> ParameterValue | None:
         at.problem(
             "the elements of a list must have one type; the first is "
             f"{describe_node(items[0])}, this is {describe_node(odd)}",
-            odd.place,
+            odd.location,
         )
         return None
     return _make_array(_ARRAY_OF[items[0].kind], items)
 
 
-def _usable_items(at: At) -> list[Scalar] | None:
+def _usable_items(at: Cursor) -> list[Scalar] | None:
     usable: list[Scalar] = []
     is_complete = True
     for item in at.elements():
@@ -186,7 +186,7 @@ def _usable_items(at: At) -> list[Scalar] | None:
     return usable if is_complete else None
 
 
-def _tagged_array(at: At, tag: str, items: list[Scalar]) -> ParameterValue | None:
+def _tagged_array(at: Cursor, tag: str, items: list[Scalar]) -> ParameterValue | None:
     array_type, allowed = _TAGGED_ARRAY[tag]
     fits = True
     for index, item in enumerate(items):
@@ -221,7 +221,7 @@ def _integer(item: Scalar) -> int:
     return item.value
 
 
-def _usable(at: At, node: Scalar) -> bool:
+def _usable(at: Cursor, node: Scalar) -> bool:
     """Return whether the scalar may be a parameter's value; report why not."""
     problem = _scalar_problem(node)
     if problem:

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from play_launch.config.model import FOR_ALL, ParameterConfig, ParameterType
-from play_launch.config.problems import Place, Report
-from play_launch.config.resolve.parameter_files import ParameterFiles
+from play_launch.config.problems import Location, Report
+from play_launch.config.resolve.parameter_files import ParameterFileReader
 from play_launch.config.source import Refused, read_bytes
-from play_launch.config.tree import At, Scalar, ScalarKind
+from play_launch.config.tree import Cursor, Scalar, ScalarKind
 from play_launch.container.command import parameter_file_text
 from play_launch.launch_files.configuration.yaml_text import Verbatim
 from play_launch.launch_files.losses import Losses
@@ -69,7 +69,7 @@ class ParameterSources:
         self._copies = copies
         self._report = Report()
         self._texts: dict[Path, bytes] = {}
-        self._files = ParameterFiles(self._report, self._content)
+        self._files = ParameterFileReader(self._report, self._content)
         self._unusable: set[tuple[str, _Use]] = set()
 
     def written(self, unit: Unit, values: Parameters) -> Any:
@@ -176,12 +176,12 @@ class ParameterSources:
     def _content(self, path: Path) -> bytes | Refused:
         return self._texts[path] if path in self._texts else read_bytes(path)
 
-    def _at(self, source: ParameterFile) -> At:
+    def _at(self, source: ParameterFile) -> Cursor:
         if source.text is not None:
             self._texts[Path(source.path)] = source.text.encode()
-        start = Place(str(Path(source.path)), 1, 1)
+        start = Location(str(Path(source.path)), 1, 1)
         scalar = Scalar(start, ScalarKind.STRING, source.path, source.path, plain=False)
-        return At(scalar, "", self._report)
+        return Cursor(scalar, "", self._report)
 
     def _read(self, source: ParameterFile, full_name: str | None) -> Parameters:
         use = _Use.UNNAMED if full_name is None else _Use.NAMED

@@ -10,7 +10,7 @@ from msgspec import Struct
 from play_launch.config.load import parse_config
 from play_launch.config.problems import ConfigError, Problem
 from play_launch.config.source import Refused, read_bytes
-from play_launch.config.substitutions import Surroundings
+from play_launch.config.substitutions import Inputs
 from play_launch.launch_files.configuration.copies import Copies
 from play_launch.launch_files.configuration.system import configuration_of
 from play_launch.launch_files.configuration.yaml_text import printable, yaml_text
@@ -71,7 +71,7 @@ def _problems(text: str, files: Mapping[Path, bytes], options: Options) -> tuple
         return files[path] if path in files else read_bytes(path)
 
     try:
-        parse_config(text.encode(), place, read, Surroundings())
+        parse_config(text.encode(), place, read, Inputs())
     except ConfigError as error:
         return error.problems
     return ()

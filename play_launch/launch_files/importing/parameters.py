@@ -9,7 +9,7 @@ from play_launch.config.compose import compose
 from play_launch.config.model import ParameterType, ParameterValue
 from play_launch.config.problems import Report, excerpt
 from play_launch.config.resolve.parameters import flatten
-from play_launch.config.tree import At, Entry, Mapping, Sequence
+from play_launch.config.tree import Cursor, Entry, Mapping, Sequence
 from play_launch.launch_files.records import Parameter, parameter
 
 _INTEGER: Final = re.compile(r"[-+]?[0-9]+", re.ASCII)
@@ -50,7 +50,9 @@ def _collection(name: str, text: str) -> _Values | None:
         return None
     if isinstance(root, Sequence) and not root.items:
         return {}
-    values = flatten(At(Mapping(root.place, {name: Entry(name, root.place, root)}), "", report))
+    values = flatten(
+        Cursor(Mapping(root.location, {name: Entry(name, root.location, root)}), "", report)
+    )
     if len(report) == 0:
         return values
     numbers = [getattr(item, "value", None) for item in getattr(root, "items", ())]

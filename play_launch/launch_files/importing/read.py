@@ -65,7 +65,7 @@ def _values_of(path: Path) -> Any:
             raise NotImportableError(f"{path}: is not JSON: {error}") from error
     text = decode(content, str(path))
     if isinstance(text, Refused):
-        raise NotImportableError(f"{text.place}: {text.message}")
+        raise NotImportableError(f"{text.location}: {text.message}")
     report = Report()
     root = compose(text, str(path), report, Reading(tally=Tally(MOST_VALUES), nulls=True))
     for problem in report:

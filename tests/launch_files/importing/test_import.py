@@ -18,7 +18,7 @@ from play_launch.config.load import load_config
 from play_launch.config.model import ParameterType, ReplayConfig
 from play_launch.config.problems import ConfigError, Report
 from play_launch.config.substitutions import Lookup, substitute
-from play_launch.config.tree import At, Mapping
+from play_launch.config.tree import Cursor, Mapping
 from play_launch.launch_files.configuration.write import Written
 from play_launch.launch_files.configuration.yaml_text import yaml_text
 from play_launch.launch_files.importing.parameters import typed_values
@@ -213,7 +213,7 @@ def test_texts_are_read_as_they_were_written(values: dict[str, str]) -> None:
     reading = Reading(substitute=lambda text: substitute(text, lookup))
     root = compose(yaml_text({"at": values}), "x", report, reading)
     assert isinstance(root, Mapping)
-    found = {entry.key: At(entry.value, "", report).string for entry in _entries(root)}
+    found = {entry.key: Cursor(entry.value, "", report).string for entry in _entries(root)}
     assert found == values
 
 
