@@ -8,7 +8,18 @@ from typing import TYPE_CHECKING
 from msgspec.structs import replace
 
 from play_launch.config.includes import Documents
-from play_launch.config.model import ContainerType, ReplayConfig, SourceFile, StopLimits
+from play_launch.config.model import (
+    DEFAULT_TOPICS,
+    BeforeCrashConfig,
+    ContainerType,
+    KeepConfig,
+    RecordConfig,
+    ReplayConfig,
+    RotateConfig,
+    SamplingConfig,
+    SourceFile,
+    StopLimits,
+)
 from play_launch.config.problems import ConfigError, Problem, Report
 from play_launch.config.resolve.nodes import Context, NodeNames, resolve_container, resolve_process
 from play_launch.config.resolve.order import StartRules
@@ -19,7 +30,6 @@ from play_launch.config.resolve.policy import (
     Policy,
     refined_resources,
 )
-from play_launch.config.resolve.record import resolve_record
 from play_launch.config.schema import DocumentSection, LoadingSection
 from play_launch.config.section import items_of, validate_mapping, well_formed
 from play_launch.config.source import Refused, path_from, read_bytes
@@ -32,6 +42,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from play_launch.config.model import ContainerConfig
+    from play_launch.config.sections import RecordSection
     from play_launch.config.tree import Node
 
 _LOADING = "composable_node_loading"
@@ -112,7 +123,7 @@ def _resolve(
         graph_daemon=bool(document.graph_daemon),
         environment=MappingProxyType(environment),
         stop=StopLimits(**document.stop.given) if document.stop else StopLimits(),
-        record=resolve_record(document.record),
+        record=_record(document.record),
         cgroups=groups.policy,
         containers=containers,
         nodes=nodes,
@@ -152,3 +163,21 @@ def _refuse_unread(at: Cursor, loading: LoadingSection, kinds: set[ContainerType
         if value is not None and getattr(loading, key) is not None:
             message = f"no container has container_type {readers}, so nothing reads {key}"
             value.problem(message)
+
+
+def _record(section: RecordSection | None) -> RecordConfig:
+    if section is None:
+        return RecordConfig()
+    given = section.given
+    parts = {"rotate": RotateConfig, "keep": KeepConfig, "sampling": SamplingConfig}
+    for name in parts.keys() & given.keys():
+        given[name] = parts[name](**given[name].given)
+    given["topics"] = tuple(dict.fromkeys((*DEFAULT_TOPICS, *(section.topics or ()))))
+    given["exclude"] = tuple(section.exclude or ())
+    if isinstance(section.budget, dict):
+        given["budget"], given["topic_budgets"] = None, tuple(section.budget.items())
+    if section.before_crash is not None:
+        before_crash = section.before_crash.given
+        topics = tuple(before_crash.pop("topics"))
+        given["before_crash"] = BeforeCrashConfig(topics, **before_crash)
+    return RecordConfig(**given)

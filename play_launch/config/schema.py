@@ -2,16 +2,16 @@
 
 A key is declared once, with what checks it, its description and examples: the JSON Schema and the
 checks follow from that. Raw keys get the YAML node instead of a value: parameters, remappings,
-environment and nested lists are checked where their locations are known. Absent keys are None here;
-defaults are filled in when the section is resolved.
+environment and lists of sections are checked where their locations are known. Absent keys are None
+here; defaults are filled in when the section is resolved.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Final
 
 from play_launch.config import kinds
-from play_launch.config.dependency import OnTimeout, UnitCondition
+from play_launch.config.kinds import STRING_FORM, any_of, list_form, mapping_form
 from play_launch.config.model import (
     Autostart,
     ContainerType,
@@ -21,85 +21,34 @@ from play_launch.config.model import (
     OnExit,
     Output,
 )
-from play_launch.config.resolve.record import RecordSection
-from play_launch.config.resource_schema import CgroupsSection, ResourcesSection
-from play_launch.config.section import Section, merging, nested, optional, raw, required
+from play_launch.config.section import Section, listed, nested, optional, raw, required
+from play_launch.config.sections import (
+    CgroupsSection,
+    DependencySection,
+    RecordSection,
+    ResourcesSection,
+    RestartSection,
+    StopSection,
+)
 
+if TYPE_CHECKING:
+    from play_launch.config.section import JsonSchema
 
-class DependencySection(Section):
-    """One entry of `depends_on`; a string there is the `name`."""
-
-    name: str | None = optional(
-        kinds.FILLED_TEXT, "Full name of a container, node or process of this file.", "driver"
-    )
-    condition: UnitCondition | None = optional(
-        kinds.choice(UnitCondition), "With name: started, loaded, active or exited.", "loaded"
-    )
-    log: str | None = optional(
-        kinds.PATTERN,
-        "With name: a line of its output matches this regular expression.",
-        "streaming at",
-    )
-    node: str | None = optional(kinds.GRAPH_NAME, "This node is in the ROS graph.", "/map_server")
-    topic: str | None = optional(kinds.GRAPH_NAME, "This topic has a publisher.", "/scan")
-    service: str | None = optional(
-        kinds.GRAPH_NAME, "This service is offered.", "/map_server/load_map"
-    )
-    file: str | None = optional(kinds.FILLED_TEXT, "This file exists.", "/dev/ttyUSB0")
-    timeout: float | None = optional(
-        kinds.POSITIVE_DURATION_OR_NEVER,
-        "Duration to wait for it, or never. By default never.",
-        "10 s",
-    )
-    on_timeout: OnTimeout | None = optional(
-        kinds.choice(OnTimeout),
-        "What follows if it does not come in time: fail or start. By default fail.",
-        "start",
-    )
-
-
-class BackoffSection(Section):
-    """`backoff`: the pause before a restart grows from `initial` to `maximum`."""
-
-    initial: float | None = optional(
-        kinds.POSITIVE_DURATION, "Duration of the first pause. By default 100 ms.", "100 ms"
-    )
-    maximum: float | None = optional(
-        kinds.POSITIVE_DURATION, "Duration of the longest pause. By default 30 s.", "30 s"
-    )
-
-
-class RestartSection(Section):
-    """`restart`: at most `max_restarts` times `within` a duration."""
-
-    max_restarts: int | None = optional(
-        kinds.integer(0, 1_000_000),
-        "How often it is brought back within the time; 0 is never. By default 5.",
-        5,
-    )
-    within: float | None = optional(
-        kinds.POSITIVE_DURATION, "Duration in which restarts are counted. By default 60 s.", "60 s"
-    )
-    backoff: BackoffSection | None = nested(
-        BackoffSection,
-        "The pause before a restart, which grows.",
-        {"initial": "100 ms", "maximum": "30 s"},
-    )
-
-
-class StopSection(Section):
-    """`stop`: how long each step of stopping may take."""
-
-    ask: float | None = optional(
-        kinds.DURATION, "Duration after it was asked, before SIGINT. By default 3 s.", "3 s"
-    )
-    sigint: float | None = optional(
-        kinds.DURATION, "Duration after SIGINT, before SIGTERM. By default 2 s.", "2 s"
-    )
-    sigterm: float | None = optional(
-        kinds.DURATION, "Duration after SIGTERM, before SIGKILL. By default 2 s.", "2 s"
-    )
-
+_VARIABLES: Final = mapping_form(STRING_FORM)
+_VALUES: Final[JsonSchema] = {"type": "object"}
+_OF_NODES: Final = mapping_form(_VALUES)
+_REMAPPING: Final = any_of(
+    STRING_FORM,
+    list_form(STRING_FORM, least=2),
+    {"type": "object", "required": ["from", "to"]},
+)
+_INCLUSION: Final[JsonSchema] = {
+    "type": "object",
+    "required": ["file"],
+    "properties": {"file": STRING_FORM, "arguments": mapping_form(kinds.SCALAR_FORM)},
+    "additionalProperties": False,
+}
+_FILE: Final = any_of(STRING_FORM, _INCLUSION)
 
 _CONTAINER_TYPE = optional(
     kinds.choice(ContainerType),
@@ -153,6 +102,7 @@ _NAMESPACE = optional(
     "/sensing/lidar",
 )
 _PROCESS_PARAMETERS = raw(
+    any_of(_OF_NODES, list_form(any_of(STRING_FORM, _OF_NODES))),
     "Parameters for all nodes of the process, by their full names or patterns: parameter files, "
     "and mappings of such names to parameters, of which later ones win.",
     {"/local_costmap/local_costmap": {"width": 3}},
@@ -171,10 +121,12 @@ _CWD = optional(
 _OUTPUT = optional(
     kinds.choice(Output), "Where what it writes goes: screen, log or both. By default both.", "log"
 )
-_DEPENDS_ON = raw(
+_DEPENDS_ON = listed(
+    DependencySection,
     "What it waits for: names of containers, nodes and processes, or mappings with a condition.",
     ["driver"],
     [{"topic": "/scan", "timeout": "10 s"}],
+    or_name=True,
 )
 _START_DELAY = optional(
     kinds.DURATION, "Duration to wait once everything is there that it depends on.", "500 ms"
@@ -183,6 +135,7 @@ _LOG_LEVEL = optional(
     kinds.LOG_LEVEL, "Logging severity: debug, info, warn, error or fatal.", "warn"
 )
 _ENVIRONMENT = raw(
+    _VARIABLES,
     "Environment variables, names to strings.",
     {"ROS_DOMAIN_ID": "5", "RCUTILS_COLORIZED_OUTPUT": "1"},
 )
@@ -206,11 +159,13 @@ _TRANSITION_TIMEOUT = optional(
     "30 s",
 )
 _PARAMETERS = raw(
+    any_of(_VALUES, list_form(any_of(STRING_FORM, _VALUES))),
     "Parameters: a mapping, or a list of mappings and parameter files, of which later ones win.",
     {"rate": 10.0},
     ["params/common.yaml", {"rate": 20.0}],
 )
 _REMAPPINGS = raw(
+    any_of(_VARIABLES, list_form(_REMAPPING)),
     "Remappings of topics and services: a mapping, or a list of from:=to.",
     {"chatter": "/sensing/chatter"},
     ["image:=~/image"],
@@ -220,213 +175,215 @@ _REMAPPINGS = raw(
 class LoadingSection(Section):
     """`composable_node_loading`: defaults for all containers."""
 
-    container_type: ContainerType | None = _CONTAINER_TYPE
-    thread_num: int | None = _THREAD_NUM
-    isolation: Isolation | None = _ISOLATION
-    memory_domains: MemoryDomains | None = _MEMORY_DOMAINS
-    core_dumps: bool | None = _CORE_DUMPS
-    auto_reload_on_crash: bool | None = _AUTO_RELOAD_ON_CRASH
-    on_crash: OnCrash | None = _ON_CRASH
-    loading_timeout: float | None = _LOADING_TIMEOUT
-    probe_timeout: float | None = _PROBE_TIMEOUT
-    resources: ResourcesSection | None = nested(
+    container_type = _CONTAINER_TYPE
+    thread_num = _THREAD_NUM
+    isolation = _ISOLATION
+    memory_domains = _MEMORY_DOMAINS
+    core_dumps = _CORE_DUMPS
+    auto_reload_on_crash = _AUTO_RELOAD_ON_CRASH
+    on_crash = _ON_CRASH
+    loading_timeout = _LOADING_TIMEOUT
+    probe_timeout = _PROBE_TIMEOUT
+    resources = nested(
         ResourcesSection, "Defaults for the resources of isolated nodes.", {"nice": 5}
     )
-    cgroups: CgroupsSection | None = nested(
+    cgroups = nested(
         CgroupsSection,
         "Control groups (cgroup v2): whether there are any, where, and limits of nodes.",
         {"enabled": True},
         {"base_path": "/sys/fs/cgroup/play_launch", "required": True},
     )
-    restart: RestartSection | None = _RESTART
-
-
-class DocumentSection(Section):
-    """The top level of the file."""
-
-    version: int = required(kinds.VERSION, "Version of this format.", 1)
-    name: str | None = optional(
-        kinds.RUN_NAME,
-        "Name of the run; its recording is named after it. By default the name of the file.",
-        "robot",
-    )
-    duration: float | None = optional(
-        kinds.POSITIVE_DURATION,
-        "Duration after which the system is stopped. By default it runs until Ctrl-C.",
-        "10 s",
-        "2 min",
-    )
-    log_dir: str | None = optional(
-        kinds.FILLED_TEXT,
-        "Folder for recordings; a relative path starts at the folder of this file.",
-        "~/recordings",
-    )
-    graph_daemon: bool | None = optional(
-        kinds.BOOLEAN,
-        "Whether the graph daemon runs beside the nodes, and what it sees is recorded.",
-        True,
-    )
-    environment: Any = raw(
-        "Environment variables for every container and process, names to strings.",
-        {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"},
-    )
-    stop: StopSection | None = nested(
-        StopSection,
-        "How long each step of stopping may take before the next one is taken.",
-        {"ask": "3 s", "sigint": "2 s", "sigterm": "2 s"},
-    )
-    record: RecordSection | None = nested(
-        RecordSection, "How the session is recorded.", {"topics": ["/tf", "/lidar/*"]}
-    )
-    composable_node_loading: LoadingSection | None = nested(
-        LoadingSection,
-        "Defaults for all containers.",
-        {"container_type": "isolated"},
-    )
-    containers: Any = raw(
-        "Component containers and their nodes. In a file that includes others, an entry is "
-        "merged with the included one of the same name.",
-        [{"name": "sensing"}],
-    )
-    nodes: Any = raw(
-        "Ordinary processes: package and executable, or a command. Merged by name, too.",
-        [{"package": "demo_nodes_py", "executable": "listener", "name": "listener"}],
-    )
-    include: Any = merging(
-        "Other configuration files, which this one is merged over. Relative paths start at the "
-        "folder of this file.",
-        "base.yaml",
-        [{"file": "camera.yaml", "arguments": {"side": "left"}}],
-    )
-
-
-class ContainerSection(Section):
-    """One entry of `containers`."""
-
-    name: str = required(
-        kinds.NODE_NAME,
-        "A node name: letters, digits and _, not beginning with a digit. Containers are merged "
-        "by it.",
-        "sensing",
-    )
-    namespace: str | None = _NAMESPACE
-    container_type: ContainerType | None = _CONTAINER_TYPE
-    thread_num: int | None = _THREAD_NUM
-    isolation: Isolation | None = _ISOLATION
-    memory_domains: MemoryDomains | None = _MEMORY_DOMAINS
-    core_dumps: bool | None = _CORE_DUMPS
-    package: str | None = optional(
-        kinds.PACKAGE,
-        "Package with the program of a stock container. By default rclcpp_components.",
-        "rclcpp_components",
-    )
-    executable: str | None = optional(
-        kinds.EXECUTABLE,
-        "Program of a stock container. By default component_container.",
-        "component_container_mt",
-    )
-    arguments: list[str] | None = optional(
-        kinds.list_of(kinds.TEXT), "Strings for the program of a stock container.", ["--verbose"]
-    )
-    attach: bool | None = optional(
-        kinds.BOOLEAN, "Whether to attach to a stock container that is already running.", True
-    )
-    process_parameters: Any = _PROCESS_PARAMETERS
-    prefix: list[str] | None = _PREFIX
-    cwd: str | None = _CWD
-    output: Output | None = _OUTPUT
-    on_exit: OnExit | None = optional(
-        kinds.choice(OnExit),
-        "Reaction when it exits unasked: restart or shutdown. By default restart.",
-        "shutdown",
-    )
-    depends_on: Any = _DEPENDS_ON
-    start_delay: float | None = _START_DELAY
-    auto_reload_on_crash: bool | None = _AUTO_RELOAD_ON_CRASH
-    on_crash: OnCrash | None = _ON_CRASH
-    log_level: str | None = _LOG_LEVEL
-    environment: Any = _ENVIRONMENT
-    ros_arguments: list[str] | None = _ROS_ARGUMENTS
-    resources: ResourcesSection | None = _RESOURCES
-    restart: RestartSection | None = _RESTART
-    loading_timeout: float | None = _LOADING_TIMEOUT
-    probe_timeout: float | None = _PROBE_TIMEOUT
-    composable_nodes: Any = raw(
-        "Nodes that are loaded into the container. Merged by name with included ones.",
-        [{"package": "demo", "plugin": "demo::Talker", "name": "talker"}],
-    )
+    restart = _RESTART
 
 
 class ComposableNodeSection(Section):
     """One entry of `composable_nodes`."""
 
-    package: str = required(kinds.PACKAGE, "Package that has the component.", "play_launch_demo")
-    plugin: str = required(kinds.PLUGIN, "Class of the component.", "play_launch_demo::Talker")
-    name: str | None = optional(
+    package = required(kinds.PACKAGE, "Package that has the component.", "play_launch_demo")
+    plugin = required(kinds.PLUGIN, "Class of the component.", "play_launch_demo::Talker")
+    name = optional(
         kinds.OWN_NODE_NAME,
         "A node name: letters, digits and _, not beginning with a digit. Without it, the "
         "component keeps its own.",
         "talker",
     )
-    namespace: str | None = _NAMESPACE
-    depends_on: Any = _DEPENDS_ON
-    start_delay: float | None = _START_DELAY
-    autostart: Autostart | None = _AUTOSTART
-    transition_timeout: float | None = _TRANSITION_TIMEOUT
-    parameters: Any = _PARAMETERS
-    remappings: Any = _REMAPPINGS
-    extra_arguments: Any = raw(
-        "Parameters for the container; no files.", {"use_intra_process_comms": True}
+    namespace = _NAMESPACE
+    depends_on = _DEPENDS_ON
+    start_delay = _START_DELAY
+    autostart = _AUTOSTART
+    transition_timeout = _TRANSITION_TIMEOUT
+    parameters = _PARAMETERS
+    remappings = _REMAPPINGS
+    extra_arguments = raw(
+        any_of(_VALUES, list_form(_VALUES)),
+        "Parameters for the container; no files.",
+        {"use_intra_process_comms": True},
     )
-    log_level: str | None = _LOG_LEVEL
-    auto_reload_on_crash: bool | None = _AUTO_RELOAD_ON_CRASH
-    on_crash: OnCrash | None = _ON_CRASH
-    resources: ResourcesSection | None = _RESOURCES
-    restart: RestartSection | None = _RESTART
+    log_level = _LOG_LEVEL
+    auto_reload_on_crash = _AUTO_RELOAD_ON_CRASH
+    on_crash = _ON_CRASH
+    resources = _RESOURCES
+    restart = _RESTART
+
+
+class ContainerSection(Section):
+    """One entry of `containers`."""
+
+    name = required(
+        kinds.NODE_NAME,
+        "A node name: letters, digits and _, not beginning with a digit. Containers are merged "
+        "by it.",
+        "sensing",
+    )
+    namespace = _NAMESPACE
+    container_type = _CONTAINER_TYPE
+    thread_num = _THREAD_NUM
+    isolation = _ISOLATION
+    memory_domains = _MEMORY_DOMAINS
+    core_dumps = _CORE_DUMPS
+    package = optional(
+        kinds.PACKAGE,
+        "Package with the program of a stock container. By default rclcpp_components.",
+        "rclcpp_components",
+    )
+    executable = optional(
+        kinds.EXECUTABLE,
+        "Program of a stock container. By default component_container.",
+        "component_container_mt",
+    )
+    arguments = optional(
+        kinds.list_of(kinds.TEXT), "Strings for the program of a stock container.", ["--verbose"]
+    )
+    attach = optional(
+        kinds.BOOLEAN, "Whether to attach to a stock container that is already running.", True
+    )
+    process_parameters = _PROCESS_PARAMETERS
+    prefix = _PREFIX
+    cwd = _CWD
+    output = _OUTPUT
+    on_exit = optional(
+        kinds.choice(OnExit),
+        "Reaction when it exits unasked: restart or shutdown. By default restart.",
+        "shutdown",
+    )
+    depends_on = _DEPENDS_ON
+    start_delay = _START_DELAY
+    auto_reload_on_crash = _AUTO_RELOAD_ON_CRASH
+    on_crash = _ON_CRASH
+    log_level = _LOG_LEVEL
+    environment = _ENVIRONMENT
+    ros_arguments = _ROS_ARGUMENTS
+    resources = _RESOURCES
+    restart = _RESTART
+    loading_timeout = _LOADING_TIMEOUT
+    probe_timeout = _PROBE_TIMEOUT
+    composable_nodes = listed(
+        ComposableNodeSection,
+        "Nodes that are loaded into the container. Merged by name with included ones.",
+        [{"package": "demo", "plugin": "demo::Talker", "name": "talker"}],
+    )
 
 
 class ProcessSection(Section):
     """One entry of `nodes`."""
 
-    command: list[str] | None = optional(
-        kinds.COMMAND, "The program and its arguments.", ["python3", "my_node.py"]
-    )
-    package: str | None = optional(kinds.PACKAGE, "Package with the executable.", "demo_nodes_py")
-    executable: str | None = optional(
-        kinds.EXECUTABLE, "Name of the executable, without folders.", "listener"
-    )
-    name: str | None = optional(
+    command = optional(kinds.COMMAND, "The program and its arguments.", ["python3", "my_node.py"])
+    package = optional(kinds.PACKAGE, "Package with the executable.", "demo_nodes_py")
+    executable = optional(kinds.EXECUTABLE, "Name of the executable, without folders.", "listener")
+    name = optional(
         kinds.OWN_NODE_NAME,
         "A node name: letters, digits and _, not beginning with a digit. With command only a "
         "label.",
         "listener",
     )
-    namespace: str | None = _NAMESPACE
-    parameters: Any = _PARAMETERS
-    process_parameters: Any = _PROCESS_PARAMETERS
-    remappings: Any = _REMAPPINGS
-    arguments: list[str] | None = optional(
+    namespace = _NAMESPACE
+    parameters = _PARAMETERS
+    process_parameters = _PROCESS_PARAMETERS
+    remappings = _REMAPPINGS
+    arguments = optional(
         kinds.list_of(kinds.TEXT), "Strings for the executable; not with command.", ["--fast"]
     )
-    ros_arguments: list[str] | None = _ROS_ARGUMENTS
-    environment: Any = _ENVIRONMENT
-    prefix: list[str] | None = _PREFIX
-    depends_on: Any = _DEPENDS_ON
-    start_delay: float | None = _START_DELAY
-    autostart: Autostart | None = _AUTOSTART
-    transition_timeout: float | None = _TRANSITION_TIMEOUT
-    cwd: str | None = _CWD
-    emulate_tty: bool | None = optional(
+    ros_arguments = _ROS_ARGUMENTS
+    environment = _ENVIRONMENT
+    prefix = _PREFIX
+    depends_on = _DEPENDS_ON
+    start_delay = _START_DELAY
+    autostart = _AUTOSTART
+    transition_timeout = _TRANSITION_TIMEOUT
+    cwd = _CWD
+    emulate_tty = optional(
         kinds.BOOLEAN, "Whether its output goes to a terminal. By default false.", True
     )
-    output: Output | None = _OUTPUT
-    on_exit: OnExit | None = optional(
+    output = _OUTPUT
+    on_exit = optional(
         kinds.choice(OnExit),
         "Reaction when it exits unasked: ignore, restart or shutdown. By default ignore.",
         "restart",
     )
-    resources: ResourcesSection | None = _RESOURCES
-    restart: RestartSection | None = nested(
+    resources = _RESOURCES
+    restart = nested(
         RestartSection, "Restart limits; only with on_exit: restart.", {"max_restarts": 5}
     )
-    log_level: str | None = _LOG_LEVEL
+    log_level = _LOG_LEVEL
+
+
+class DocumentSection(Section):
+    """The top level of the file."""
+
+    version = required(kinds.VERSION, "Version of this format.", 1)
+    name = optional(
+        kinds.RUN_NAME,
+        "Name of the run; its recording is named after it. By default the name of the file.",
+        "robot",
+    )
+    duration = optional(
+        kinds.POSITIVE_DURATION,
+        "Duration after which the system is stopped. By default it runs until Ctrl-C.",
+        "10 s",
+        "2 min",
+    )
+    log_dir = optional(
+        kinds.FILLED_TEXT,
+        "Folder for recordings; a relative path starts at the folder of this file.",
+        "~/recordings",
+    )
+    graph_daemon = optional(
+        kinds.BOOLEAN,
+        "Whether the graph daemon runs beside the nodes, and what it sees is recorded.",
+        True,
+    )
+    environment = raw(
+        _VARIABLES,
+        "Environment variables for every container and process, names to strings.",
+        {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"},
+    )
+    stop = nested(
+        StopSection,
+        "How long each step of stopping may take before the next one is taken.",
+        {"ask": "3 s", "sigint": "2 s", "sigterm": "2 s"},
+    )
+    record = nested(RecordSection, "How the session is recorded.", {"topics": ["/tf", "/lidar/*"]})
+    composable_node_loading = nested(
+        LoadingSection,
+        "Defaults for all containers.",
+        {"container_type": "isolated"},
+    )
+    containers = listed(
+        ContainerSection,
+        "Component containers and their nodes. In a file that includes others, an entry is "
+        "merged with the included one of the same name.",
+        [{"name": "sensing"}],
+    )
+    nodes = listed(
+        ProcessSection,
+        "Ordinary processes: package and executable, or a command. Merged by name, too.",
+        [{"package": "demo_nodes_py", "executable": "listener", "name": "listener"}],
+    )
+    include = raw(
+        any_of(STRING_FORM, _INCLUSION, list_form(_FILE)),
+        "Other configuration files, which this one is merged over. Relative paths start at the "
+        "folder of this file.",
+        "base.yaml",
+        [{"file": "camera.yaml", "arguments": {"side": "left"}}],
+        merging=True,
+    )

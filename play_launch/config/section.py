@@ -7,7 +7,7 @@ reads them takes longer to import than everything else before the first process.
 from __future__ import annotations
 
 from functools import cache
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, TypeVar
 
 from pydantic_core import SchemaValidator, ValidationError, core_schema
 
@@ -23,49 +23,85 @@ if TYPE_CHECKING:
     from play_launch.config.problems import Report
     from play_launch.config.tree import Cursor, Entry, Node
 
+JsonSchema = dict[str, Any]
+Value = TypeVar("Value")
+SomeSection = TypeVar("SomeSection", bound="Section")
+
+_LONGEST_KEY_TO_GUESS = 40
+_MOST_GUESSES = 100  # guessing takes long beside everything else; a file with more is no typo
+_YAML_1_1_BOOL = {"yes": "true", "on": "true", "y": "true", "no": "false", "off": "false"}
+_WRAPPERS = frozenset({"nullable", "function-after"})
+_EXPECTED = {
+    "string_type": "a string",
+    "int_type": "an integer",
+    "bool_type": "true or false",
+    "list_type": "a list",
+    "dict_type": "a mapping",
+}
+
+
+class Kind(Generic[Value]):
+    """A kind of values: the schema by which pydantic's core checks them, and the JSON Schema."""
+
+    def __init__(self, schema: CoreSchema, form: JsonSchema) -> None:
+        self.schema = schema
+        self.form = form
+
 
 class Key(NamedTuple):
-    """A key of a section: what checks its value, or the section of the mapping that is its value.
-
-    A raw key gets the YAML node instead of a value. A `merging` key is about included files and is
-    dropped when these are merged.
-    """
+    """A key of a section, with what checks its value."""
 
     schema: CoreSchema
     description: str
     """One or two sentences for editors and the reference."""
-    examples: tuple[Any, ...] = ()
+    examples: tuple[Any, ...]
     """Values as they are written in the file."""
+    form: JsonSchema = {}  # noqa: RUF012 - never changed
+    """The value in JSON Schema, where it is no section."""
     required: bool = False
     raw: bool = False
+    """Whether the section gets the YAML node in place of a value."""
     section: type[Section] | None = None
+    """The section of the value, or of each item in it where `is_list`."""
+    is_list: bool = False
+    or_name: bool = False
+    """Whether a string can stand in place of an item."""
     merging: bool = False
+    """Whether it is about included files, and is dropped when these are merged."""
 
 
-def required(schema: CoreSchema, description: str, *examples: object) -> Any:
+def required(kind: Kind[Value], description: str, *examples: object) -> Value:
     """Declare a key that has to be given."""
-    return Key(schema, description, examples, required=True)
+    key: Any = Key(kind.schema, description, examples, kind.form, required=True)
+    return key  # type: ignore[no-any-return]
 
 
-def optional(schema: CoreSchema, description: str, *examples: object) -> Any:
+def optional(kind: Kind[Value], description: str, *examples: object) -> Value | None:
     """Declare a key that may be absent or null, which are the same."""
-    return Key(core_schema.nullable_schema(schema), description, examples)
+    schema = core_schema.nullable_schema(kind.schema)
+    key: Any = Key(schema, description, examples, kind.form)
+    return key  # type: ignore[no-any-return]
 
 
-def raw(description: str, *examples: object) -> Any:
+def raw(form: JsonSchema, description: str, *examples: object, merging: bool = False) -> Any:
     """Declare an optional key whose value is checked where its location is known."""
-    return Key(core_schema.any_schema(), description, examples, raw=True)
+    schema = core_schema.any_schema()
+    return Key(schema, description, examples, form, raw=True, merging=merging)
 
 
-def merging(description: str, *examples: object) -> Any:
-    """Declare a key about included files."""
-    return Key(core_schema.any_schema(), description, examples, raw=True, merging=True)
+def listed(
+    section: type[Section], description: str, *examples: object, or_name: bool = False
+) -> Any:
+    """Declare an optional key with a list of sections, which are checked one by one."""
+    key = Key(core_schema.any_schema(), description, examples, raw=True, section=section)
+    return key._replace(is_list=True, or_name=or_name)
 
 
-def nested(section: type[Section], description: str, *examples: object) -> Any:
+def nested(section: type[SomeSection], description: str, *examples: object) -> SomeSection | None:
     """Declare an optional key whose value is a mapping with a section of its own."""
     schema = core_schema.nullable_schema(section.schema())
-    return Key(schema, description, examples, section=section)
+    key: Any = Key(schema, description, examples, section=section)
+    return key  # type: ignore[no-any-return]
 
 
 class Section:
@@ -111,26 +147,10 @@ class Section:
         return SchemaValidator(cls.schema())
 
 
-SomeSection = TypeVar("SomeSection", bound=Section)
-
-_LONGEST_KEY_TO_GUESS = 40
-_MOST_GUESSES = 100  # guessing takes long beside everything else; a file with more is no typo
-_YAML_1_1_BOOL = {"yes": "true", "on": "true", "y": "true", "no": "false", "off": "false"}
-_RENAMED = {"otherwise": "on_timeout", "respawn": "on_exit: restart"}
-_WRAPPERS = frozenset({"nullable", "function-after"})
-_EXPECTED = {
-    "string_type": "a string",
-    "int_type": "an integer",
-    "bool_type": "true or false",
-    "list_type": "a list",
-    "dict_type": "a mapping",
-}
-
-
 def validate_mapping(section: type[SomeSection], at: Cursor) -> SomeSection | None:
     """Return what stands there as `section`, or None after every problem in it was reported."""
     if not isinstance(at.node, Mapping):
-        at.expected(f"a mapping ({_keys(section)})")
+        at.expected(f"a mapping ({', '.join(section.keys)})")
         return None
     values: dict[str, object] = {}
     refused = False
@@ -156,8 +176,8 @@ def validate_mapping(section: type[SomeSection], at: Cursor) -> SomeSection | No
 def well_formed(section: type[SomeSection], at: Cursor | None) -> SomeSection | None:
     """Return `section` of the keys whose values are right; None where no mapping stands there.
 
-    For reading on after a mistake, in a section that requires no key: the rest of what is said
-    there still decides what is wrong elsewhere.
+    Used to go on after a mistake, in a section that requires no key: the other keys still decide
+    about mistakes elsewhere.
     """
     if at is None or not isinstance(at.node, Mapping):
         return None
@@ -184,9 +204,9 @@ def items_of(at: Cursor | None, what: str) -> Iterator[Cursor]:
 
 
 def _plain(node: Node, schema: Any) -> object:
-    """Return what stands at `node` without locations, as pydantic takes it.
+    """Return the value of `node` as pydantic reads it.
 
-    Where `schema` has a string, what was substituted is one.
+    Where `schema` has a string, a substituted value is one.
     """
     while schema is not None and schema["type"] in _WRAPPERS:
         schema = schema["schema"]
@@ -204,7 +224,7 @@ def _plain(node: Node, schema: Any) -> object:
 
 
 def _refuse_tags(at: Cursor) -> bool:
-    """Report tags that mean something for parameters only."""
+    """Report tags that only parameters have."""
     tag = None
     if isinstance(at.node, Sequence):
         tag = at.node.array_tag
@@ -236,27 +256,19 @@ def _report_error(details: ErrorDetails, section: type[Section], at: Cursor) -> 
     if missing:
         at.problem(f"the key {excerpt(str(last))} is missing")
     elif details["type"] == "extra_forbidden" and entry is not None:
-        at.problem(_unknown_key(entry.key, owner, at.report), entry.location)
+        at.problem(_unknown_key(entry.key, list(owner.keys), at.report), entry.location)
     elif not at.is_invalid:
         at.problem(_message(details, at.node))
 
 
-def _keys(section: type[Section]) -> str:
-    return ", ".join(section.keys)
-
-
-def _unknown_key(key: str, section: type[Section], report: Report) -> str:
-    known = list(section.keys)
-    message = f"unknown key {excerpt(key)}"
-    if key in _RENAMED:
-        return f"{message}; did you mean {excerpt(_RENAMED[key])}?"
+def _unknown_key(key: str, known: list[str], report: Report) -> str:
     if len(key) <= _LONGEST_KEY_TO_GUESS and len(report) < _MOST_GUESSES:
         import difflib  # noqa: PLC0415 - a good file needs no guesses
 
         close = difflib.get_close_matches(key.lower().replace("-", "_"), known, n=1)
         if close:
-            return f"{message}; did you mean {excerpt(close[0])}?"
-    return f"{message}; known here: {', '.join(known)}"
+            return f"unknown key {excerpt(key)}; did you mean {excerpt(close[0])}?"
+    return f"unknown key {excerpt(key)}; known here: {', '.join(known)}"
 
 
 def _message(details: ErrorDetails, node: Node) -> str:
@@ -266,13 +278,13 @@ def _message(details: ErrorDetails, node: Node) -> str:
         return str(context["error"])
     if kind in _EXPECTED:
         message = f"expected {_EXPECTED[kind]}, given {describe_node(node)}"
-        if kind == "string_type" and isinstance(node, Scalar) and node.kind in _QUOTABLE:
-            message += f"; quote it: {excerpt(node.text)}"
-        if isinstance(node, Scalar) and node.substituted and not node.plain:
-            message += "; write the substitution without quotes"
-        if kind == "bool_type" and isinstance(node, Scalar):
-            meant = _YAML_1_1_BOOL.get(node.text.lower())
-            message += f"; write {meant}" if meant is not None else ""
+        if isinstance(node, Scalar):
+            if kind == "string_type" and node.is_quotable:
+                message += f"; quote it: {excerpt(node.text)}"
+            if node.substituted and not node.plain:
+                message += "; write the substitution without quotes"
+            if kind == "bool_type" and node.text.lower() in _YAML_1_1_BOOL:
+                message += f"; write {_YAML_1_1_BOOL[node.text.lower()]}"
         return message
     if kind == "greater_than_equal":
         return f"must be at least {context['ge']}, given {describe_node(node)}"
@@ -281,6 +293,3 @@ def _message(details: ErrorDetails, node: Node) -> str:
     if kind == "too_short":
         return "the list cannot be empty"
     return f"{details['msg']}, given {describe_node(node)}"
-
-
-_QUOTABLE = frozenset({ScalarKind.INTEGER, ScalarKind.FLOAT, ScalarKind.BOOL})

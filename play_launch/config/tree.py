@@ -162,6 +162,11 @@ class Scalar(Struct, frozen=True, eq=False):
     plain: bool
     substituted: bool = False
 
+    @property
+    def is_quotable(self) -> bool:
+        """Whether it would be a string in quotes."""
+        return self.kind in _NAMES
+
 
 class Sequence(Struct, frozen=True, eq=False):
     """A list; `array_tag` is one of the tags for ROS arrays, such as `!string_array`."""

@@ -15,7 +15,7 @@ import shlex
 from typing import TYPE_CHECKING, Final
 
 from play_launch.config.problems import excerpt
-from play_launch.config.tree import Mapping, Scalar, ScalarKind, describe_node
+from play_launch.config.tree import Mapping, Scalar, describe_node
 
 if TYPE_CHECKING:
     from play_launch.config.tree import Cursor
@@ -268,7 +268,6 @@ def _check_token(token: str, what: str, whole: str) -> None:
 
 _OURS = frozenset({"PLAY_LAUNCH_CONTROL_FD", "PLAY_LAUNCH_MEMBER"})
 _DOMAIN = "ROS_DOMAIN_ID"
-_QUOTABLE = frozenset({ScalarKind.INTEGER, ScalarKind.FLOAT, ScalarKind.BOOL})
 
 
 def resolve_environment(at: Cursor | None) -> dict[str, str]:
@@ -308,7 +307,7 @@ def _string(at: Cursor) -> str | None:
     if at.string is not None and "\x00" in at.string:
         at.problem("an environment variable cannot hold a NUL character")
         return None
-    if isinstance(node, Scalar) and node.kind in _QUOTABLE and not node.substituted:
+    if isinstance(node, Scalar) and node.is_quotable and not node.substituted:
         at.problem(
             f"expected a string, given {describe_node(node)}; quote it: {excerpt(node.text)}"
         )

@@ -10,6 +10,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from play_launch.config import schema as keys
+from play_launch.config import sections
 from play_launch.config.description import describe
 from play_launch.config.load import parse_config
 from play_launch.config.model import ReplayConfig
@@ -25,9 +26,9 @@ WORDS = sorted(
         for section in (
             keys.DocumentSection,
             keys.LoadingSection,
-            keys.RestartSection,
-            keys.BackoffSection,
-            keys.StopSection,
+            sections.RestartSection,
+            sections.BackoffSection,
+            sections.StopSection,
             keys.ContainerSection,
             keys.ComposableNodeSection,
             keys.ProcessSection,

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from play_launch.config.kinds import parse_cpu_max
 from play_launch.config.load import load_config
 from play_launch.config.model import ReplayConfig
 from play_launch.config.problems import ConfigError
-from play_launch.config.resource_values import parse_cpu_max
 from play_launch.config.resources import CpuMax, GroupLimits, GroupPolicy
 
 SEEDS_FORM = """\

@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from play_launch.cli.schema import SCHEMA_FILE, schema_text
-from play_launch.config import resource_schema, schema
+from play_launch.config import schema, sections
 from play_launch.config.load import parse_config
 from play_launch.config.problems import ConfigError
 from play_launch.config.schema_export import json_schema
@@ -22,7 +22,7 @@ ROOT = Path(__file__).resolve().parents[2]
 SAMPLES = sorted((ROOT / "configs").glob("*.yaml"))
 SECTIONS = {
     name: found
-    for name, found in {**vars(schema), **vars(resource_schema)}.items()
+    for name, found in {**vars(schema), **vars(sections)}.items()
     if isinstance(found, type)
     and issubclass(found, Section)
     and found is not Section

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from play_launch.config import resource_schema, schema
+from play_launch.config import schema, sections
 from play_launch.config.load import load_config
 from play_launch.config.model import (
     DEFAULT_TOPICS,
@@ -25,9 +25,8 @@ from play_launch.config.model import (
     StopLimits,
 )
 from play_launch.config.problems import ConfigError
-from play_launch.config.resolve import record
-from play_launch.config.schema import DependencySection
 from play_launch.config.section import Section
+from play_launch.config.sections import DependencySection
 from play_launch.config.values import (
     parse_duration,
     parse_size,
@@ -54,9 +53,9 @@ SURROUNDINGS = {
 }
 SECTIONS: dict[str, type[Section]] = {
     "Top level": schema.DocumentSection,
-    "stop": schema.StopSection,
+    "stop": sections.StopSection,
     "composable_node_loading": schema.LoadingSection,
-    "cgroups": resource_schema.CgroupsSection,
+    "cgroups": sections.CgroupsSection,
     "containers": schema.ContainerSection,
     "composable_nodes": schema.ComposableNodeSection,
     "nodes": schema.ProcessSection,
@@ -137,16 +136,16 @@ def test_every_choice_is_explained(title: str, key: str, choices: type[StrEnum])
 
 def test_keys_of_restart() -> None:
     listed = re.findall(r"^\| `(\w+)` \|", section("restart"), re.MULTILINE)
-    keys = [*schema.RestartSection.keys, *schema.BackoffSection.keys]
+    keys = [*sections.RestartSection.keys, *sections.BackoffSection.keys]
     assert sorted(listed) == sorted(keys)
 
 
 @pytest.mark.parametrize(
     ("key", "owner"),
     [
-        ("key", resource_schema.ResourcesSection),
-        ("key of `scheduler`", resource_schema.SchedulerSection),
-        ("key of `rlimits`", resource_schema.RlimitsSection),
+        ("key", sections.ResourcesSection),
+        ("key of `scheduler`", sections.SchedulerSection),
+        ("key of `rlimits`", sections.RlimitsSection),
     ],
 )
 def test_keys_of_resources(key: str, owner: type[Section]) -> None:
@@ -157,11 +156,11 @@ def test_keys_of_resources(key: str, owner: type[Section]) -> None:
 @pytest.mark.parametrize(
     ("key", "listed_as", "owner"),
     [
-        ("key", "record", record.RecordSection),
-        ("key of `rotate`", "rotate", record.RotateSection),
-        ("key of `keep`", "keep", record.KeepSection),
-        ("key of `sampling`", "sampling", record.SamplingSection),
-        ("key of `before_crash`", "before_crash", record.BeforeCrashSection),
+        ("key", "record", sections.RecordSection),
+        ("key of `rotate`", "rotate", sections.RotateSection),
+        ("key of `keep`", "keep", sections.KeepSection),
+        ("key of `sampling`", "sampling", sections.SamplingSection),
+        ("key of `before_crash`", "before_crash", sections.BeforeCrashSection),
     ],
 )
 def test_keys_of_record(key: str, listed_as: str, owner: type[Section]) -> None:

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from play_launch.config.resource_values import LIMIT_FORMS, parse_cpus
+from play_launch.config.kinds import parse_cpus
 from play_launch.config.resources import (
     IoClass,
     IoPriority,
@@ -22,6 +22,7 @@ from play_launch.config.resources import (
     cpu_text,
     nice_limit,
 )
+from play_launch.config.sections import RlimitsSection
 from play_launch.process.resources import HeldResources, held_resources, shortfalls
 
 schedulers = st.one_of(
@@ -44,7 +45,7 @@ cpu_sets = st.sets(st.integers(0, 1023), max_size=20).map(lambda cpus: tuple(sor
 bounds = st.one_of(st.integers(0, 2**62), st.just(math.inf))
 limits = st.builds(
     lambda name, low, high: ResourceLimit(name, min(low, high), max(low, high)),
-    st.sampled_from(sorted(LIMIT_FORMS)),
+    st.sampled_from(sorted(RlimitsSection.keys)),
     bounds,
     bounds,
 )

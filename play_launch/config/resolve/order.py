@@ -18,8 +18,8 @@ from play_launch.config.dependency import (
 )
 from play_launch.config.model import ManagedConfig, OnExit
 from play_launch.config.problems import excerpt
-from play_launch.config.schema import DependencySection
 from play_launch.config.section import items_of, validate_mapping
+from play_launch.config.sections import DependencySection
 from play_launch.config.source import path_from
 from play_launch.config.values import NEVER
 

@@ -10,7 +10,6 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from play_launch.config.model import ContainerType, Isolation, OnCrash, RestartLimits
-from play_launch.config.resource_schema import CgroupsSection, GroupLimitsSection
 from play_launch.config.resources import (
     LIMIT_KEYS,
     NO_LIMIT,
@@ -20,17 +19,22 @@ from play_launch.config.resources import (
     cpu_text,
 )
 from play_launch.config.section import validate_mapping
+from play_launch.config.sections import CgroupsSection, GroupLimitsSection
 from play_launch.config.tree import Mapping
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from play_launch.config.resource_schema import LimitsSection, ResourcesSection, SchedulerSection
     from play_launch.config.schema import (
         ComposableNodeSection,
         ContainerSection,
         LoadingSection,
+    )
+    from play_launch.config.sections import (
+        LimitsSection,
+        ResourcesSection,
         RestartSection,
+        SchedulerSection,
     )
     from play_launch.config.tree import Cursor
 
