@@ -197,7 +197,7 @@ def items_of(at: Cursor | None, what: str) -> Iterator[Cursor]:
     """Yield each element of the list; report anything else."""
     if at is None:
         return
-    if not isinstance(at.node, Sequence) or at.node.array_tag is not None:
+    if not at.is_plain_list:
         at.expected(f"a list of {what}")
         return
     yield from at.elements()
@@ -244,7 +244,7 @@ def _report_error(details: ErrorDetails, section: type[Section], at: Cursor) -> 
     last = steps.pop() if missing else None
     for index, step in enumerate(steps):
         if isinstance(at.node, Mapping):
-            entry = at.node.entry(str(step))
+            entry = at.node.by_key.get(str(step))
             if entry is None:
                 break
             if index < len(steps) - 1:

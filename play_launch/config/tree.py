@@ -28,12 +28,11 @@ _BOOL = {
     **dict.fromkeys(("true", "True", "TRUE"), True),
     **dict.fromkeys(("false", "False", "FALSE"), False),
 }
-_DECIMAL = re.compile(r"[-+]?[0-9]+", re.ASCII)
-_OCTAL = re.compile(r"0o[0-7]+", re.ASCII)
-_HEXADECIMAL = re.compile(r"0x[0-9a-fA-F]+", re.ASCII)
-_FLOAT = re.compile(r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?", re.ASCII)
-_INFINITY = re.compile(r"([-+]?)\.(?:inf|Inf|INF)")
-_NOT_A_NUMBER = frozenset({".nan", ".NaN", ".NAN"})
+_INTEGER = re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+", re.ASCII)
+_FLOAT = re.compile(
+    r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN)",
+    re.ASCII,
+)
 
 
 class ScalarKind(Enum):
@@ -49,16 +48,18 @@ class ScalarKind(Enum):
 
 
 ScalarValue: TypeAlias = bool | int | float | str | bytes | None
-
-
-class ScalarRefusedError(ValueError):
-    """The text does not go with its tag, or the tag is not supported."""
+_KIND_OF_TAG = {
+    _STANDARD + "null": ScalarKind.NULL,
+    _STANDARD + "bool": ScalarKind.BOOL,
+    _STANDARD + "int": ScalarKind.INTEGER,
+    _STANDARD + "float": ScalarKind.FLOAT,
+}
 
 
 def resolve_scalar(text: str, tag: str | None, *, plain: bool) -> tuple[ScalarKind, ScalarValue]:
     """Return kind and value of the scalar `text`; `plain` is whether it stands without quotes.
 
-    Raises ScalarRefusedError for unknown tags, and where text and tag do not go together.
+    Raises ValueError for unknown tags, and where text and tag do not go together.
     """
     if tag is None:
         return _resolve_plain(text) if plain else (ScalarKind.STRING, text)
@@ -68,27 +69,19 @@ def resolve_scalar(text: str, tag: str | None, *, plain: bool) -> tuple[ScalarKi
         return ScalarKind.BINARY, _decode_base64(text)
     expected = _KIND_OF_TAG.get(tag)
     if expected is None:
-        raise ScalarRefusedError(unknown_tag(tag))
+        raise ValueError(unknown_tag(tag))
     kind, value = _resolve_plain(text)
     if kind is expected:
         return kind, value
-    if expected is ScalarKind.FLOAT and isinstance(value, int) and kind is ScalarKind.INTEGER:
+    if expected is ScalarKind.FLOAT and kind is ScalarKind.INTEGER:
         return ScalarKind.FLOAT, _to_float(text)
-    raise ScalarRefusedError(f"{excerpt(text)} does not go with the tag {shown_tag(tag)}")
-
-
-_KIND_OF_TAG = {
-    _STANDARD + "null": ScalarKind.NULL,
-    _STANDARD + "bool": ScalarKind.BOOL,
-    _STANDARD + "int": ScalarKind.INTEGER,
-    _STANDARD + "float": ScalarKind.FLOAT,
-}
+    raise ValueError(f"{excerpt(text)} does not go with the tag {shown_tag(tag)}")
 
 
 def shown_tag(tag: str) -> str:
     """Write `tag` the way it is written in a file."""
     if tag.startswith(_STANDARD):
-        return excerpt("!!" + tag.removeprefix(_STANDARD))[1:-1]
+        tag = "!!" + tag.removeprefix(_STANDARD)
     return excerpt(tag)[1:-1]
 
 
@@ -104,38 +97,29 @@ def _resolve_plain(text: str) -> tuple[ScalarKind, ScalarValue]:
         return ScalarKind.BOOL, _BOOL[text]
     if text[0] not in "+-.0123456789":
         return ScalarKind.STRING, text
-    if _DECIMAL.fullmatch(text):
-        return ScalarKind.INTEGER, _to_int(text, 10)
-    if _OCTAL.fullmatch(text):
-        return ScalarKind.INTEGER, _to_int(text, 8)
-    if _HEXADECIMAL.fullmatch(text):
-        return ScalarKind.INTEGER, _to_int(text, 16)
+    if _INTEGER.fullmatch(text):
+        return ScalarKind.INTEGER, _to_int(text)
     if _FLOAT.fullmatch(text):
         return ScalarKind.FLOAT, _to_float(text)
-    infinity = _INFINITY.fullmatch(text)
-    if infinity is not None:
-        return ScalarKind.FLOAT, -math.inf if infinity.group(1) == "-" else math.inf
-    if text in _NOT_A_NUMBER:
-        return ScalarKind.FLOAT, math.nan
     return ScalarKind.STRING, text
 
 
-def _to_int(text: str, base: int) -> int:
+def _to_int(text: str) -> int:
     try:
-        return int(text, 0 if base != 10 else 10)
+        return int(text, 0 if text[:2] in {"0x", "0o"} else 10)
     except ValueError:  # Python refuses more than 4,300 decimal digits
-        raise ScalarRefusedError(f"a number of {len(text)} characters") from None
+        raise ValueError(f"a number of {len(text)} characters") from None
 
 
 def _to_float(text: str) -> float:
+    if text[-1] in "fFnN" and text[:2] != "0x":
+        return float(text.replace(".", ""))
     try:
         number = float(int(text, 0)) if text[:2] in {"0x", "0o"} else float(text)
     except OverflowError:
         number = math.inf
     if math.isinf(number):
-        raise ScalarRefusedError(
-            f"{excerpt(text)} is larger than any double; write .inf for infinity"
-        )
+        raise ValueError(f"{excerpt(text)} is larger than any double; write .inf for infinity")
     return number
 
 
@@ -143,9 +127,8 @@ def _decode_base64(text: str) -> bytes:
     try:
         return base64.b64decode("".join(text.split()), validate=True)
     except (binascii.Error, ValueError):
-        raise ScalarRefusedError(
-            f"{excerpt(text)} is not base64, which the tag !!binary needs"
-        ) from None
+        message = f"{excerpt(text)} is not base64, which the tag !!binary needs"
+        raise ValueError(message) from None
 
 
 class Scalar(Struct, frozen=True, eq=False):
@@ -195,13 +178,8 @@ class Mapping(Struct, frozen=True, eq=False):
         """The entries in the order of the file."""
         return self.by_key.values()
 
-    def entry(self, key: str) -> Entry | None:
-        """Return the entry called `key`."""
-        return self.by_key.get(key)
-
     def value(self, key: str) -> Node | None:
-        """Return the value of `key`."""
-        entry = self.entry(key)
+        entry = self.by_key.get(key)
         return None if entry is None else entry.value
 
 
@@ -209,7 +187,7 @@ Node: TypeAlias = Scalar | Sequence | Mapping
 
 
 class Cursor(Struct, frozen=True):
-    """A node, the path that leads to it, and the report for what is wrong with it."""
+    """A node, the path that leads to it, and the report for problems with it."""
 
     node: Node
     path: str
@@ -219,6 +197,11 @@ class Cursor(Struct, frozen=True):
     def is_invalid(self) -> bool:
         """Whether a problem has been reported already, in place of a value."""
         return isinstance(self.node, Scalar) and self.node.kind is ScalarKind.INVALID
+
+    @property
+    def is_plain_list(self) -> bool:
+        """Whether it is a list without the tag of an array."""
+        return isinstance(self.node, Sequence) and self.node.array_tag is None
 
     @property
     def string(self) -> str | None:
@@ -238,7 +221,7 @@ class Cursor(Struct, frozen=True):
             self.problem(f"expected {what}, given {describe_node(self.node)}")
 
     def below(self, key: str, node: Node | None = None) -> Cursor:
-        """Return what stands below `key`: `node`, or this node where there is no such key."""
+        """Return `node` below `key`; without one, this node with that path."""
         return Cursor(node or self.node, join_path(self.path, key), self.report)
 
     def value(self, key: str) -> Cursor | None:
@@ -247,7 +230,7 @@ class Cursor(Struct, frozen=True):
         return None if found is None else self.below(key, found)
 
     def at_key(self, key: str) -> Cursor:
-        """Return where a problem with `key` is reported, whether it is there or not."""
+        """Return where a problem with `key` is reported, whether it is given or not."""
         return self.value(key) or self.below(key)
 
     def entries(self) -> Iterator[tuple[Entry, Cursor]]:
@@ -263,9 +246,15 @@ class Cursor(Struct, frozen=True):
                 yield self.element(index)
 
     def element(self, index: int) -> Cursor:
-        """Return an element of a list."""
         assert isinstance(self.node, Sequence)
         return Cursor(self.node.items[index], f"{self.path}[{index}]", self.report)
+
+
+_NAMES = {
+    ScalarKind.BOOL: "the boolean",
+    ScalarKind.INTEGER: "the integer",
+    ScalarKind.FLOAT: "the number",
+}
 
 
 def describe_node(node: Node) -> str:
@@ -279,10 +268,3 @@ def describe_node(node: Node) -> str:
     if node.kind is ScalarKind.STRING:
         return f"the string {excerpt(node.text)}"
     return "binary data" if node.kind is ScalarKind.BINARY else "nothing"
-
-
-_NAMES = {
-    ScalarKind.BOOL: "the boolean",
-    ScalarKind.INTEGER: "the integer",
-    ScalarKind.FLOAT: "the number",
-}

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 from msgspec.structs import replace
 
 from play_launch.config.description import describe
-from play_launch.config.tree import ScalarRefusedError, resolve_scalar
+from play_launch.config.tree import resolve_scalar
 from play_launch.recording.facts import REDACTED, is_secret
 from play_launch.supervisor.events import ActionEvent, ProcessEvent
 
@@ -79,7 +79,7 @@ def _number(secret: str) -> int | float | None:
     """Return the number that a configuration reads; None for none, and for short ones such as 0."""
     try:
         _, value = resolve_scalar(secret, None, plain=True)
-    except ScalarRefusedError:
+    except ValueError:
         return None
     if not isinstance(value, int | float) or not abs(value) <= sys.float_info.max:
         return None

@@ -358,7 +358,7 @@ def _remapping_sides(
                 location = value.node.location
                 yield value, (entry.key, entry.location), (target, location)
         return
-    if not isinstance(at.node, Sequence) or at.node.array_tag is not None:
+    if not at.is_plain_list:
         if not at.is_invalid:
             at.problem(f"{_REMAPPING}, in a list, given {describe_node(at.node)}")
         return

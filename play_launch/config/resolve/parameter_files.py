@@ -17,7 +17,7 @@ from play_launch.config.model import FOR_ALL, ParameterConfig, ParameterSection,
 from play_launch.config.problems import excerpt
 from play_launch.config.resolve.parameters import flatten
 from play_launch.config.source import Refused, decode, path_from, read_bytes
-from play_launch.config.tree import Cursor, Mapping, Scalar, ScalarKind, Sequence, describe_node
+from play_launch.config.tree import Cursor, Mapping, Scalar, ScalarKind, describe_node
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -194,7 +194,7 @@ def resolve_process_parameters(
 def _sources(at: Cursor) -> Iterable[Cursor]:
     if isinstance(at.node, Mapping):
         return [at]
-    if isinstance(at.node, Sequence) and at.node.array_tag is None:
+    if at.is_plain_list:
         return at.elements()
     if not at.is_invalid:
         fix = "; put the file into a list: [ ... ]" if at.string is not None else ""

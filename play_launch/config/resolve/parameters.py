@@ -65,7 +65,7 @@ def resolve_parameters(
     values: dict[str, ParameterValue] = {}
     if isinstance(at.node, Mapping):
         values.update(flatten(at))
-    elif isinstance(at.node, Sequence) and at.node.array_tag is None:
+    elif at.is_plain_list:
         for source in at.elements():
             if isinstance(source.node, Mapping):
                 values.update(flatten(source))
