@@ -133,7 +133,7 @@ def _or_never(parse: Callable[[object], float]) -> Callable[[object], float]:
 
 def _check_text(text: str) -> str:
     if "\x00" in text:
-        raise ValueError("a NUL character cannot be handed to a program")
+        raise ValueError("a NUL character cannot be passed to a program")
     return text
 
 

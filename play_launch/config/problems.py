@@ -1,4 +1,4 @@
-"""What can be wrong with a configuration, where, and all of it together."""
+"""Problems of a configuration, and their locations."""
 
 from __future__ import annotations
 
@@ -28,23 +28,19 @@ class Location(Struct, frozen=True):
     @property
     def inclusions(self) -> tuple[str, ...]:
         """Where the file is included from, the nearest first."""
-        found = []
-        location = self.included_from
-        while location is not None:
-            found.append(str(location))
-            location = location.included_from
-        return tuple(found)
+        above = self.included_from
+        return () if above is None else (str(above), *above.inclusions)
 
     def __str__(self) -> str:
         return f"{self.file}:{self.line}:{self.column}"
 
 
 class Problem(Struct, frozen=True, order=True):
-    """One thing wrong with a configuration.
+    """One mistake in a configuration.
 
     `path` leads to the value, for example `containers[0].composable_nodes[1].plugin`, or is
-    `(file)`, `(yaml)` or `(top level)` where no key is to blame. `line` and `column` count from 1.
-    `included_from` holds the locations of the inclusions that led to the file, the nearest first.
+    `(file)`, `(yaml)` or `(top level)` for a mistake that belongs to no key. `included_from` holds
+    the locations of the inclusions that led to the file, the nearest first.
     """
 
     file: str
@@ -63,14 +59,12 @@ class Problem(Struct, frozen=True, order=True):
 
     @classmethod
     def at(cls, location: Location, path: str, message: str) -> Problem:
-        """Make the problem `message` at `location`."""
-        return cls(
-            location.file, location.line, location.column, path, message, location.inclusions
-        )
+        file, line, column = location.file, location.line, location.column
+        return cls(file, line, column, path, message, location.inclusions)
 
 
 class ConfigError(Exception):
-    """A configuration that cannot be used; `problems` holds everything found, one entry each.
+    """A configuration that cannot be used, with every problem found.
 
     Its text is one line for each problem: `file:line:column: path: message`.
     """
@@ -83,7 +77,7 @@ class ConfigError(Exception):
         return "\n".join(str(problem) for problem in self.problems)
 
     def for_people(self, most: int = 50) -> str:
-        """Give the text of the first ``most`` problems, and how many more there are."""
+        """Return the text of the first ``most`` problems, and how many more there are."""
         lines = [str(problem) for problem in self.problems[:most]]
         if left := len(self.problems) - len(lines):
             lines.append(f"and {left:,} more; play-launch check --json lists them all")
@@ -91,10 +85,7 @@ class ConfigError(Exception):
 
 
 class Report:
-    """The problems found so far, each once.
-
-    One report belongs to one call of `load_config`, so nothing is shared between threads.
-    """
+    """The problems found so far, each once; one belongs to one call of `load_config`."""
 
     def __init__(self) -> None:
         self._problems: dict[Problem, None] = {}
@@ -106,38 +97,27 @@ class Report:
         return iter(self._problems)
 
     def add(self, location: Location, path: str, message: str) -> None:
-        """Add the problem `message` at `location`, where `path` leads."""
         self._problems[Problem.at(location, path, message)] = None
 
     def raise_if_any(self, first_file: str) -> None:
         """Raise ConfigError if anything was found: `first_file` first, then by location."""
-        if not self._problems:
-            return
-        ordered = sorted(self._problems, key=lambda found: (found.file != first_file, found))
-        raise ConfigError(tuple(ordered))
+        if self._problems:
+            ordered = sorted(self._problems, key=lambda found: (found.file != first_file, found))
+            raise ConfigError(tuple(ordered))
 
 
 def excerpt(text: str) -> str:
     """Quote `text` for a message: on one line, printable, and shortened when it is long."""
     if len(text) > _LONGEST_EXCERPT:
         text = text[: _LONGEST_EXCERPT - 1] + "…"
-    return '"' + "".join(_printable(character) for character in text) + '"'
-
-
-def path_key(key: str) -> str:
-    """Write one key of a path so that the path stays on one line and can be read back."""
-    if _PLAIN_KEY.fullmatch(key):
-        return key[:_LONGEST_EXCERPT]
-    return excerpt(key)
+    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
+    return f'"{_on_one_line(escaped)}"'
 
 
 def join_path(path: str, key: str) -> str:
-    """Append the mapping key `key` to `path`."""
-    return f"{path}.{path_key(key)}" if path else path_key(key)
-
-
-def _printable(character: str) -> str:
-    return "\\" + character if character in '"\\' else _on_one_line(character)
+    """Append the mapping key `key` to `path`, which stays on one line and can be read back."""
+    written = key[:_LONGEST_EXCERPT] if _PLAIN_KEY.fullmatch(key) else excerpt(key)
+    return f"{path}.{written}" if path else written
 
 
 def _on_one_line(text: str) -> str:

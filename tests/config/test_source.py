@@ -43,7 +43,7 @@ def test_directory(tmp_path: Path) -> None:
 
 def test_file_below_a_file(tmp_path: Path) -> None:
     (tmp_path / "file").write_bytes(GOOD)
-    assert "Not a directory" in refusal(tmp_path / "file" / "demo.yaml").message
+    assert "not a directory" in refusal(tmp_path / "file" / "demo.yaml").message
 
 
 def test_dangling_symbolic_link(tmp_path: Path) -> None:
@@ -55,7 +55,7 @@ def test_dangling_symbolic_link(tmp_path: Path) -> None:
 def test_symbolic_link_to_itself(tmp_path: Path) -> None:
     link = tmp_path / "demo.yaml"
     link.symlink_to(link)
-    assert "cannot be opened" in refusal(link).message
+    assert "too many levels of symbolic links" in refusal(link).message
 
 
 def test_symbolic_link_is_followed(tmp_path: Path) -> None:
