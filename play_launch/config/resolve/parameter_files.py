@@ -1,8 +1,8 @@
-"""ROS parameter files: sections for nodes, each with `ros__parameters` below.
+"""ROS parameter files, and parameters for all nodes of a process: sections by names of nodes.
 
-Which sections are for a node is decided as rclcpp does it (`parameter_map_from`): a section's
-name is absolute, `*` stands for one part, `**` for any number of parts, sections count in the
-order of the file.
+In a file, each section has `ros__parameters` below its name. Which sections are for a node is
+decided as rclcpp does it (`parameter_map_from`): a section's name is absolute, `*` stands for one
+part, `**` for any number of parts, sections count in the order of the file.
 """
 
 from __future__ import annotations
@@ -15,21 +15,19 @@ from msgspec import Struct
 from play_launch.config.compose import compose
 from play_launch.config.model import FOR_ALL, ParameterConfig, ParameterSection, SourceFile
 from play_launch.config.problems import excerpt
-from play_launch.config.resolve.parameters import flatten
+from play_launch.config.resolve.parameters import KEY_IN_FILES, flatten
 from play_launch.config.source import Refused, decode, path_from, read_bytes
 from play_launch.config.tree import Cursor, Mapping, Scalar, ScalarKind, describe_node
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable
     from pathlib import Path
 
     from play_launch.config.model import ParameterValue
     from play_launch.config.problems import Report
-    from play_launch.config.tree import Node
 
-
-_PARAMETERS = "ros__parameters"
-PATTERN: Final = re.compile(r"(?:/(?:\*\*|\*|[A-Za-z_][A-Za-z0-9_]*))+", re.ASCII)
+_PATTERN: Final = re.compile(r"(?:/(?:\*\*|\*|[A-Za-z_][A-Za-z0-9_]*))+", re.ASCII)
+_FORM: Final = "a mapping of names of nodes to parameters"
 
 
 class _Section(Struct):
@@ -38,7 +36,7 @@ class _Section(Struct):
     values: dict[str, ParameterValue] | None = None
 
     def flat(self) -> dict[str, ParameterValue]:
-        """Return its parameters; mistakes in them are reported to the first that asks."""
+        """Return its parameters; mistakes in them are reported at the first call."""
         if self.values is None:
             self.values = flatten(self.at, is_file=True)
         return self.values
@@ -56,12 +54,8 @@ class ParameterFileReader:
         self._read_bytes = read
         self._report = report
         self._sections: dict[Path, list[_Section] | Refused] = {}
-        self._read_files: list[SourceFile] = []
-
-    @property
-    def read(self) -> tuple[SourceFile, ...]:
+        self.read: list[SourceFile] = []
         """The files that were read so far, in that order."""
-        return tuple(self._read_files)
 
     def select(self, at: Cursor, path: str, full_name: str | None) -> dict[str, ParameterValue]:
         """Return what the file at `path`, which stands there, holds for the node `full_name`."""
@@ -89,63 +83,56 @@ class ParameterFileReader:
         if file not in self._sections:
             self._sections[file] = self._read(file)
         sections = self._sections[file]
-        if isinstance(sections, Refused):
-            if sections.inside:
-                self._report.add(sections.location, "(file)", sections.message)
-            else:
-                at.problem(f"the parameter file {file}: {sections.message}")
-            return []
-        return sections
+        if not isinstance(sections, Refused):
+            return sections
+        if sections.inside:
+            self._report.add(sections.location, "(file)", sections.message)
+        else:
+            at.problem(f"the parameter file {file}: {sections.message}")
+        return []
 
     def _read(self, file: Path) -> list[_Section] | Refused:
         content = self._read_bytes(file)
         if isinstance(content, Refused):
             return content
-        self._read_files.append(SourceFile(file, content))
+        self.read.append(SourceFile(file, content))
         text = decode(content, str(file))
         if isinstance(text, Refused):
             return text
         root = compose(text, str(file), self._report)
-        return [_Section(pattern, at) for pattern, at in parameter_sections(root, self._report)]
+        sections: list[_Section] = []
+        if isinstance(root, Mapping):
+            _collect(Cursor(root, "", self._report), "", sections)
+        elif root is not None and not (isinstance(root, Scalar) and root.kind is ScalarKind.NULL):
+            Cursor(root, "", self._report).expected(f"node names with {KEY_IN_FILES} below")
+        return sections
 
 
-def parameter_sections(root: Node | None, report: Report) -> list[tuple[str, Cursor]]:
-    """Return the sections of a parameter file: the pattern of each, and where its values stand."""
-    sections: list[tuple[str, Cursor]] = []
-    if isinstance(root, Mapping):
-        _collect(Cursor(root, "", report), "", sections)
-    elif root is not None and not (isinstance(root, Scalar) and root.kind is ScalarKind.NULL):
-        message = f"expected node names with {_PARAMETERS} below, given {describe_node(root)}"
-        Cursor(root, "", report).problem(message)
-    return sections
-
-
-def _collect(at: Cursor, pattern: str, into: list[tuple[str, Cursor]]) -> None:
+def _collect(at: Cursor, pattern: str, into: list[_Section]) -> None:
     """Walk down namespaces and names to the sections; nested names are joined with `/`."""
     for entry, value in at.entries():
-        if entry.key == _PARAMETERS:
+        below = f"{pattern}/{entry.key.removeprefix('/')}"
+        if entry.key == KEY_IN_FILES:
             if not pattern:
-                message = f'{_PARAMETERS} needs a node name above it, or "{FOR_ALL}" for all'
+                message = f'{KEY_IN_FILES} needs a node name above it, or "{FOR_ALL}" for all'
                 value.problem(message, entry.location)
             elif isinstance(value.node, Mapping):
-                into.append((pattern, value))
+                into.append(_Section(pattern, value))
             else:
                 value.expected("parameter names and values")
-            continue
-        below = f"{pattern}/{entry.key.removeprefix('/')}"
-        if not PATTERN.fullmatch(below):
-            message = f"{excerpt(entry.key)} is neither {_PARAMETERS} nor the name of a node"
+        elif not _PATTERN.fullmatch(below):
+            message = f"{excerpt(entry.key)} is neither {KEY_IN_FILES} nor the name of a node"
             value.problem(message, entry.location)
         elif isinstance(value.node, Mapping):
             _collect(value, below, into)
         else:
-            value.expected(f"{_PARAMETERS} below a node name")
+            value.expected(f"{KEY_IN_FILES} below a node name")
 
 
 def matches(pattern: str, full_name: str) -> bool:
     """Return whether the pattern of a section is for a node.
 
-    Match part by part; taking `**` at its shortest first keeps one location to come back to.
+    Matches part by part; `**` at its shortest first leaves one position to continue from.
     """
     parts = pattern.split("/")[1:]
     names = full_name.split("/")[1:]
@@ -166,9 +153,6 @@ def matches(pattern: str, full_name: str) -> bool:
     return all(left == "**" for left in parts[part:])
 
 
-_FORM = "a mapping of names of nodes to parameters"
-
-
 def resolve_process_parameters(
     at: Cursor | None, files: ParameterFileReader
 ) -> tuple[ParameterSection, ...]:
@@ -176,49 +160,39 @@ def resolve_process_parameters(
 
     As in rcl, a section counts where it is mentioned first, and within it the later value wins.
     """
+    found: dict[str, dict[str, ParameterValue]] = {}
     if at is None:
         return ()
-    found: dict[str, dict[str, ParameterValue]] = {}
-    for source in _sources(at):
-        for pattern, values in _sections(source, files):
-            found.setdefault(pattern, {}).update(values)
+    if isinstance(at.node, Mapping):
+        _add_sections(at, found)
+    elif at.is_plain_list:
+        for source in at.elements():
+            if source.string is not None:
+                for pattern, values in files.sections(source, source.string):
+                    found.setdefault(pattern, {}).update(values)
+            elif isinstance(source.node, Mapping):
+                _add_sections(source, found)
+            else:
+                source.expected(f"{_FORM}, or the path of a parameter file")
+    elif not at.is_invalid:
+        fix = "; put the file into a list: [ ... ]" if at.string is not None else ""
+        at.problem(f"expected {_FORM}, or a list, given {describe_node(at.node)}{fix}")
     return tuple(
-        ParameterSection(
-            pattern, tuple(ParameterConfig(name, value) for name, value in values.items())
-        )
+        ParameterSection(pattern, tuple(map(ParameterConfig, values.keys(), values.values())))
         for pattern, values in found.items()
         if values
     )
 
 
-def _sources(at: Cursor) -> Iterable[Cursor]:
-    if isinstance(at.node, Mapping):
-        return [at]
-    if at.is_plain_list:
-        return at.elements()
-    if not at.is_invalid:
-        fix = "; put the file into a list: [ ... ]" if at.string is not None else ""
-        at.problem(f"expected {_FORM}, or a list, given {describe_node(at.node)}{fix}")
-    return []
-
-
-def _sections(
-    source: Cursor, files: ParameterFileReader
-) -> Iterable[tuple[str, dict[str, ParameterValue]]]:
-    if source.string is not None:
-        yield from files.sections(source, source.string)
-        return
-    if not isinstance(source.node, Mapping):
-        source.expected(f"{_FORM}, or the path of a parameter file")
-        return
+def _add_sections(source: Cursor, found: dict[str, dict[str, ParameterValue]]) -> None:
     for entry, value in source.entries():
         pattern = f"/{entry.key.removeprefix('/')}"
-        if not PATTERN.fullmatch(pattern):
+        if not _PATTERN.fullmatch(pattern):
             message = (
                 f"{excerpt(entry.key)} is not the full name of a node, nor a pattern such as /**"
             )
             value.problem(message, entry.location)
         elif isinstance(value.node, Mapping):
-            yield pattern, flatten(value)
+            found.setdefault(pattern, {}).update(flatten(value))
         else:
             value.expected("parameter names and values")

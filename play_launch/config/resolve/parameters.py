@@ -1,12 +1,12 @@
 """Parameters of a node: their sources, of which the later one wins, and their types.
 
-The type of a parameter is decided from how its value is written.
+The type of a parameter follows from how its value is written.
 """
 
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from play_launch.config.model import ParameterConfig, ParameterType, ParameterValue
 from play_launch.config.problems import excerpt
@@ -15,39 +15,28 @@ from play_launch.config.tree import Mapping, Scalar, ScalarKind, Sequence, descr
 if TYPE_CHECKING:
     from play_launch.config.problems import Location
     from play_launch.config.resolve.parameter_files import ParameterFileReader
-    from play_launch.config.tree import Cursor, Node
+    from play_launch.config.tree import Cursor
 
-_KEY_OF_PARAMETER_FILES = "ros__parameters"
-_SMALLEST_INTEGER = -(2**63)
-_LARGEST_INTEGER = 2**63 - 1
-
+KEY_IN_FILES: Final = "ros__parameters"
 # Strings in YAML 1.2, booleans to ROS's own parser of parameter files, which reads YAML 1.1.
-# Either reading would surprise, so neither is taken.
-_TRUE_IN_YAML_1_1 = frozenset({"y", "Y", "yes", "Yes", "YES", "on", "On", "ON"})
-_FALSE_IN_YAML_1_1 = frozenset({"n", "N", "no", "No", "NO", "off", "Off", "OFF"})
-_OCTAL_IN_YAML_1_1 = re.compile(r"[-+]?0[0-9]+", re.ASCII)
+# Either reading would surprise, so neither is used.
+_TRUE_IN_YAML_1_1: Final = frozenset({"y", "Y", "yes", "Yes", "YES", "on", "On", "ON"})
+_FALSE_IN_YAML_1_1: Final = frozenset({"n", "N", "no", "No", "NO", "off", "Off", "OFF"})
+_OCTAL_IN_YAML_1_1: Final = re.compile(r"[-+]?0[0-9]+", re.ASCII)
 
-_TYPE_OF_KIND = {
-    ScalarKind.BOOL: ParameterType.BOOL,
-    ScalarKind.INTEGER: ParameterType.INTEGER,
-    ScalarKind.FLOAT: ParameterType.DOUBLE,
-    ScalarKind.STRING: ParameterType.STRING,
+_TYPES: Final = {
+    ScalarKind.BOOL: (ParameterType.BOOL, ParameterType.BOOL_ARRAY),
+    ScalarKind.INTEGER: (ParameterType.INTEGER, ParameterType.INTEGER_ARRAY),
+    ScalarKind.FLOAT: (ParameterType.DOUBLE, ParameterType.DOUBLE_ARRAY),
+    ScalarKind.STRING: (ParameterType.STRING, ParameterType.STRING_ARRAY),
 }
-_ARRAY_OF = {
-    ScalarKind.BOOL: ParameterType.BOOL_ARRAY,
-    ScalarKind.INTEGER: ParameterType.INTEGER_ARRAY,
-    ScalarKind.FLOAT: ParameterType.DOUBLE_ARRAY,
-    ScalarKind.STRING: ParameterType.STRING_ARRAY,
-}
-_TAGGED_ARRAY = {
-    "!bool_array": (ParameterType.BOOL_ARRAY, frozenset({ScalarKind.BOOL})),
-    "!integer_array": (ParameterType.INTEGER_ARRAY, frozenset({ScalarKind.INTEGER})),
-    "!double_array": (
-        ParameterType.DOUBLE_ARRAY,
-        frozenset({ScalarKind.FLOAT, ScalarKind.INTEGER}),
-    ),
-    "!string_array": (ParameterType.STRING_ARRAY, frozenset({ScalarKind.STRING})),
-    "!byte_array": (ParameterType.BYTE_ARRAY, frozenset({ScalarKind.INTEGER})),
+"""The types of a value, and of a list of such values."""
+_TAGGED_ARRAY: Final = {
+    "!bool_array": (ParameterType.BOOL_ARRAY, {ScalarKind.BOOL}),
+    "!integer_array": (ParameterType.INTEGER_ARRAY, {ScalarKind.INTEGER}),
+    "!double_array": (ParameterType.DOUBLE_ARRAY, {ScalarKind.FLOAT, ScalarKind.INTEGER}),
+    "!string_array": (ParameterType.STRING_ARRAY, {ScalarKind.STRING}),
+    "!byte_array": (ParameterType.BYTE_ARRAY, {ScalarKind.INTEGER}),
 }
 
 
@@ -60,9 +49,9 @@ def resolve_parameters(
     configuration does not give it) selects the sections of such a file. `files` is None where
     files are not allowed.
     """
+    values: dict[str, ParameterValue] = {}
     if at is None:
         return ()
-    values: dict[str, ParameterValue] = {}
     if isinstance(at.node, Mapping):
         values.update(flatten(at))
     elif at.is_plain_list:
@@ -102,117 +91,98 @@ def _flatten_into(
 ) -> None:
     for entry, value in at.entries():
         name = prefix + entry.key
+        node = value.node
         if "\x00" in entry.key:
             value.problem("a parameter name cannot hold a NUL character", entry.location)
-        elif entry.key == _KEY_OF_PARAMETER_FILES:
-            message = f"{_KEY_OF_PARAMETER_FILES} belongs into parameter files, above the names"
+        elif entry.key == KEY_IN_FILES:
+            message = f"{KEY_IN_FILES} belongs into parameter files, above the names"
             value.problem(f"{message}; write the names here directly", entry.location)
-        elif isinstance(value.node, Mapping):
+        elif isinstance(node, Mapping):
             _flatten_into(value, name + ".", values, locations, is_file=is_file)
         elif name in locations:
             message = f"the parameter {name} is given twice, first at {locations[name]}"
             value.problem(message, entry.location)
         else:
             locations[name] = entry.location
-            if is_file and _is_empty_list(value.node):
+            if is_file and value.is_plain_list and isinstance(node, Sequence) and not node.items:
                 continue
-            typed = _parameter_value(value)
+            typed = _array(value, node) if isinstance(node, Sequence) else _scalar(value, node)
             if typed is not None:
                 values[name] = typed
 
 
-def _is_empty_list(node: Node) -> bool:
-    return isinstance(node, Sequence) and not node.items and node.array_tag is None
-
-
-def _parameter_value(at: Cursor) -> ParameterValue | None:
-    """Return the typed value, a scalar or a list; None where a problem was reported."""
-    node = at.node
-    if isinstance(node, Sequence):
-        return _array(at, node)
-    if isinstance(node, Mapping):
-        at.expected("a value or a list of values")
-        return None
-    if not _usable(at, node):
+def _scalar(at: Cursor, node: Scalar) -> ParameterValue | None:
+    if not _is_usable(at, node) or node.value is None:
         return None
     if isinstance(node.value, bytes):
         return ParameterValue(ParameterType.BYTE_ARRAY, node.value)
-    if node.value is None:
-        return None
-    return ParameterValue(_TYPE_OF_KIND[node.kind], node.value)
+    return ParameterValue(_TYPES[node.kind][0], node.value)
 
 
 def _array(at: Cursor, node: Sequence) -> ParameterValue | None:
-    items = _usable_items(at)
-    if items is None:
-        return None
-    if node.array_tag is not None:
-        return _tagged_array(at, node.array_tag, items)
-    if not items:
-        at.problem(
-            "an empty list has no type; write it with one, for example !string_array [] (also "
-            "!bool_array, !integer_array, !double_array, !byte_array), or remove the parameter"
-        )
-        return None
-    kinds = {item.kind for item in items}
-    if kinds == {ScalarKind.INTEGER, ScalarKind.FLOAT}:
-        at.problem(
-            "a list of integers and doubles; write every element as a double (1.0), "
-            "or put !double_array before the list"
-        )
-        return None
-    if len(kinds) > 1 or ScalarKind.BINARY in kinds:
-        odd = next((item for item in items if item.kind is not items[0].kind), items[0])
-        at.problem(
-            "the elements of a list must have one type; the first is "
-            f"{describe_node(items[0])}, this is {describe_node(odd)}",
-            odd.location,
-        )
-        return None
-    return _make_array(_ARRAY_OF[items[0].kind], items)
-
-
-def _usable_items(at: Cursor) -> list[Scalar] | None:
-    usable: list[Scalar] = []
-    is_complete = True
+    items: list[Scalar] = []
     for item in at.elements():
         if not isinstance(item.node, Scalar):
             item.problem(f"a ROS parameter cannot hold {describe_node(item.node)} in a list")
-            is_complete = False
-        elif _usable(item, item.node):
-            usable.append(item.node)
-        else:
-            is_complete = False
-    return usable if is_complete else None
+        elif _is_usable(item, item.node):
+            items.append(item.node)
+    if len(items) < len(node.items):
+        return None
+    if node.array_tag is not None:
+        return _tagged_array(at, node.array_tag, items)
+    kinds = {item.kind for item in items}
+    location = None
+    if not items:
+        message = (
+            "an empty list has no type; write it with one, for example !string_array [] (also "
+            "!bool_array, !integer_array, !double_array, !byte_array), or remove the parameter"
+        )
+    elif kinds == {ScalarKind.INTEGER, ScalarKind.FLOAT}:
+        message = (
+            "a list of integers and doubles; write every element as a double (1.0), "
+            "or put !double_array before the list"
+        )
+    elif len(kinds) > 1 or ScalarKind.BINARY in kinds:
+        odd = next((item for item in items if item.kind is not items[0].kind), items[0])
+        location = odd.location
+        message = (
+            "the elements of a list must have one type; the first is "
+            f"{describe_node(items[0])}, this is {describe_node(odd)}"
+        )
+    else:
+        return _made_array(_TYPES[items[0].kind][1], items)
+    at.problem(message, location)
+    return None
 
 
 def _tagged_array(at: Cursor, tag: str, items: list[Scalar]) -> ParameterValue | None:
     array_type, allowed = _TAGGED_ARRAY[tag]
     fits = True
     for index, item in enumerate(items):
+        message = ""
         if item.kind not in allowed:
-            fits = False
             message = f"{describe_node(item)} does not belong into {tag}"
             if item.kind is not ScalarKind.BINARY and allowed == {ScalarKind.STRING}:
                 message += f"; quote it: {excerpt(item.text)}"
-            at.element(index).problem(message)
         elif array_type is ParameterType.BYTE_ARRAY and not 0 <= _integer(item) <= 255:
+            message = f"{item.text} is not a byte (0 to 255)"
+        if message:
             fits = False
-            at.element(index).problem(f"{item.text} is not a byte (0 to 255)")
-    return _make_array(array_type, items) if fits else None
+            at.element(index).problem(message)
+    return _made_array(array_type, items) if fits else None
 
 
-def _make_array(array_type: ParameterType, items: list[Scalar]) -> ParameterValue:
-    values = [item.value for item in items]
-    if array_type is ParameterType.BYTE_ARRAY:
-        return ParameterValue(array_type, bytes(_integer(item) for item in items))
-    if array_type is ParameterType.BOOL_ARRAY:
-        return ParameterValue(array_type, tuple(value is True for value in values))
-    if array_type is ParameterType.INTEGER_ARRAY:
-        return ParameterValue(array_type, tuple(_integer(item) for item in items))
-    if array_type is ParameterType.DOUBLE_ARRAY:
-        numbers = (value for value in values if isinstance(value, int | float))
-        return ParameterValue(array_type, tuple(float(number) for number in numbers))
+def _made_array(array_type: ParameterType, items: list[Scalar]) -> ParameterValue:
+    match array_type:
+        case ParameterType.BYTE_ARRAY:
+            return ParameterValue(array_type, bytes(_integer(item) for item in items))
+        case ParameterType.BOOL_ARRAY:
+            return ParameterValue(array_type, tuple(item.value is True for item in items))
+        case ParameterType.INTEGER_ARRAY:
+            return ParameterValue(array_type, tuple(_integer(item) for item in items))
+        case ParameterType.DOUBLE_ARRAY:
+            numbers = (item.value for item in items if isinstance(item.value, int | float))
+            return ParameterValue(array_type, tuple(float(number) for number in numbers))
     return ParameterValue(array_type, tuple(item.text for item in items))
 
 
@@ -221,30 +191,26 @@ def _integer(item: Scalar) -> int:
     return item.value
 
 
-def _usable(at: Cursor, node: Scalar) -> bool:
+def _is_usable(at: Cursor, node: Scalar) -> bool:
     """Return whether the scalar may be a parameter's value; report why not."""
-    problem = _scalar_problem(node)
+    text = node.text
+    problem = ""
+    if node.kind is ScalarKind.INTEGER:
+        if not -(2**63) <= _integer(node) < 2**63:
+            shown = excerpt(text)[1:-1]
+            problem = f"{shown} does not fit into a 64-bit integer; write it with .0 for a double"
+        elif node.plain and _OCTAL_IN_YAML_1_1.fullmatch(text):
+            problem = _leading_zero(text)
+    elif node.kind is ScalarKind.STRING:
+        if node.plain and text in _TRUE_IN_YAML_1_1 | _FALSE_IN_YAML_1_1:
+            meant = "true" if text in _TRUE_IN_YAML_1_1 else "false"
+            problem = f"{text} is a boolean to YAML 1.1 and a string to YAML 1.2"
+            problem += f'; write {meant} or "{text}"'
+        elif "\x00" in text:
+            problem = "a string parameter cannot hold a NUL character"
     if problem:
         at.problem(problem)
     return not problem and node.kind is not ScalarKind.INVALID
-
-
-def _scalar_problem(node: Scalar) -> str:
-    text = node.text
-    if node.kind is ScalarKind.INTEGER:
-        if not _SMALLEST_INTEGER <= _integer(node) <= _LARGEST_INTEGER:
-            fix = "write it with .0 for a double"
-            return f"{excerpt(text)[1:-1]} does not fit into a 64-bit integer; {fix}"
-        if node.plain and _OCTAL_IN_YAML_1_1.fullmatch(text):
-            return _leading_zero(text)
-    if node.kind is ScalarKind.STRING:
-        if node.plain and text in _TRUE_IN_YAML_1_1 | _FALSE_IN_YAML_1_1:
-            meant = "true" if text in _TRUE_IN_YAML_1_1 else "false"
-            says = f"{text} is a boolean to YAML 1.1 and a string to YAML 1.2"
-            return f'{says}; write {meant} or "{text}"'
-        if "\x00" in text:
-            return "a string parameter cannot hold a NUL character"
-    return ""
 
 
 def _leading_zero(text: str) -> str:
