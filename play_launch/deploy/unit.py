@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 from msgspec import Struct
 
 from play_launch.config.dependency import DependencyGraph
+from play_launch.config.resources import nice_limit
 from play_launch.process.stop import StopPolicy
 from play_launch.recording.facts import is_secret
 
@@ -25,6 +26,11 @@ _PREFIXES: Final = (
 """Of ROS's setup files, the middlewares, and play-launch."""
 _CLOSING_TIME: Final = 10.0
 """Seconds to clean up and to close the recording."""
+_OPEN_FILES: Final = 524288
+_OWN_PRIORITY: Final = 1
+"""Real-time priority of the supervisor while it starts processes."""
+_RESTRICTED: Final = ("memlock", "msgqueue", "nproc", "sigpending")
+"""Limits with a finite default."""
 _MAIN_PID: Final = "$MAINPID"
 _ESCAPES: Final = {"\\": "\\\\", '"': '\\"', "\n": "\\n", "\t": "\\t"}
 _PLAIN: Final = frozenset("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789/._-+:=,@")
@@ -32,7 +38,8 @@ _PLAIN: Final = frozenset("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0
 _UNIT: Final = """\
 # {name}: a system of play-launch. To install the unit:
 #   cp {unit}.service {place}/ && {systemctl} daemon-reload && {systemctl} enable --now {unit}
-# Generate it again when `stop` or `depends_on` of the configuration, or the environment, change.
+# Generate it again when `stop`, `depends_on` or `resources` of the configuration, or the
+# environment, change.
 # Explanations: docs/service.md.
 
 [Unit]
@@ -59,14 +66,8 @@ SuccessExitStatus=129 130 143
 RestartPreventExitStatus=2
 Delegate=yes
 OOMPolicy=continue
-# Upper bounds of `resources`; a user's manager lowers them to its own (user@.service).
-LimitNOFILE=4096:524288
-LimitNPROC=infinity
-LimitMEMLOCK=infinity
-LimitRTPRIO=99
-LimitNICE=-20
-LimitCORE=0:infinity
-TasksMax=infinity
+# What `resources` request; a user's manager lowers them to its own (user@.service).
+{limits}TasksMax=infinity
 
 [Install]
 WantedBy={target}
@@ -128,6 +129,7 @@ def unit_text(service: Service) -> str:
         start=_command(service, "replay", "--quiet", *log_dir),
         reload=reload.replace(argument(_MAIN_PID), _MAIN_PID),
         environment=environment,
+        limits="".join(f"Limit{name}={limit}\n" for name, limit in _limits(config).items()),
         stop=stop_seconds(config),
         target="multi-user.target" if user else "default.target",
     )
@@ -136,6 +138,39 @@ def unit_text(service: Service) -> str:
 def _command(service: Service, *words: str) -> str:
     every = (str(service.program), *words, str(service.config.source), *service.arguments)
     return " ".join(map(argument, every))
+
+
+def _limits(config: ReplayConfig) -> dict[str, str]:
+    """Return the limits by the names of systemd.exec(5) that the configuration needs.
+
+    Limits whose default is infinity, and lower ones, which would bind the supervisor, are not set.
+    """
+    every = [each.resources for each in config.containers]
+    every += [node.resources for each in config.containers for node in each.composable_nodes]
+    every += [each.resources for each in config.nodes]
+    highest: dict[str, float] = {"nofile": _OPEN_FILES, "rtprio": _OWN_PRIORITY, "nice": 0}
+    for resources in every:
+        wanted = [(limit.name, limit.hard) for limit in resources.rlimits]
+        if resources.scheduler is not None:
+            wanted.append(("rtprio", resources.scheduler.priority))
+        if resources.nice is not None and resources.nice < 0:
+            wanted.append(("nice", nice_limit(resources.nice)))
+        if resources.lock_memory:
+            wanted.append(("memlock", math.inf))
+        for name, limit in wanted:
+            highest[name] = max(limit, highest.get(name, 0))
+    files, priority, nice = (highest[name] for name in ("nofile", "rtprio", "nice"))
+    return {
+        "NOFILE": f"4096:{'infinity' if math.isinf(files) else int(files)}",
+        "RTPRIO": str(int(min(priority, 99))),
+        **({"NICE": str(int(min(nice, 40)))} if nice else {}),
+        **{name.upper(): "infinity" for name in _RESTRICTED if name in highest},
+        **(
+            {"CORE": "0:infinity"}
+            if "core" in highest or any(each.core_dumps for each in config.containers)
+            else {}
+        ),
+    }
 
 
 def stop_seconds(config: ReplayConfig) -> int:

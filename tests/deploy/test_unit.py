@@ -37,6 +37,36 @@ def service(**more: Any) -> Service:
     return Service(**made)
 
 
+def limits_of(**keys: Any) -> dict[str, str]:
+    found = settings_of(unit_text(service(keys=keys)))
+    limits = {key.partition("Limit")[2]: each[0] for key, each in found.items() if ".Limit" in key}
+    assert limits.pop("NOFILE") == "4096:524288"
+    return limits
+
+
+def test_the_unit_grants_the_limits_that_the_configuration_requests() -> None:
+    assert limits_of(nodes=[SLEEP]) == {"RTPRIO": "1"}, "the supervisor's own"
+    fifo = {"scheduler": {"policy": "fifo", "priority": 50}, "rlimits": {"memlock": "1 MiB"}}
+    node = {"package": "p", "plugin": "P", "resources": {"nice": -5}}
+    container = {"name": "c", "container_type": "isolated", "core_dumps": True}
+    assert limits_of(
+        nodes=[{**SLEEP, "resources": fifo}, {**SLEEP, "resources": {"nice": 5}}],
+        containers=[{**container, "resources": {"lock_memory": True}, "composable_nodes": [node]}],
+    ) == {"RTPRIO": "50", "NICE": "25", "MEMLOCK": "infinity", "CORE": "0:infinity"}
+    rlimits = {"rtprio": 80, "nice": -10, "memlock": "1 MiB", "nproc": "10:20", "stack": "1 MiB"}
+    assert limits_of(nodes=[{**SLEEP, "resources": {"rlimits": rlimits}}]) == {
+        "RTPRIO": "80",
+        "NICE": "30",
+        "MEMLOCK": "infinity",
+        "NPROC": "infinity",
+    }, "infinity is the default of the others, and a lower one would bind the supervisor"
+    files = {"resources": {"rlimits": {"nofile": 600_000}}}
+    (found,) = settings_of(unit_text(service(keys={"nodes": [{**SLEEP, **files}]})))[
+        "Service.LimitNOFILE"
+    ]
+    assert found == "4096:600000"
+
+
 @pytest.mark.parametrize("for_user", [False, True])
 def test_systemd_accepts_it(tmp_path: Path, for_user: bool) -> None:
     config = tmp_path / "100 % of it $HOME.yaml"
