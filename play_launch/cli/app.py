@@ -1,17 +1,18 @@
-"""The command ``play-launch``: commands are imported when they are called."""
+"""The command ``play-launch``: all its commands, each imported when it is called."""
 
 from __future__ import annotations
 
 import gc
 import os
+import sys
 from importlib import import_module
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple, NoReturn
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from play_launch.cli.commands import COMMANDS, Command, Needs
 from play_launch.cli.options import PLAIN
+from play_launch.cli.output import fail, note
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -19,12 +20,12 @@ if TYPE_CHECKING:
 # \b keeps the lines of a paragraph as they are.
 _EPILOG = """\b
 Examples:
-  play-launch check robot.yaml                   find mistakes, start nothing
+  play-launch check robot.yaml                   find mistakes; start nothing
   play-launch replay robot.yaml                  start it; Ctrl-C stops it
+  play-launch replay robot.yaml --duration 30s   stop it after 30 s
+  play-launch replay robot.yaml --json | jq .    print events as JSON
   play-launch launch PKG FILE name:=value        start a launch file of ROS
-  play-launch dump PKG FILE -o robot.yaml        ... write it as a configuration
-  play-launch replay robot.yaml --duration 30s   ... stop it after 30 s
-  play-launch replay robot.yaml --json | jq .    events as JSON
+  play-launch dump PKG FILE -o robot.yaml        convert a launch file
 
 \b
 Exit codes:
@@ -38,6 +39,77 @@ Exit codes:
 """
 
 
+class Command(NamedTuple):
+    """A command: a function or a `Typer` in a module of `play_launch.cli`."""
+
+    name: str
+    group: str
+    """Heading in the help."""
+    help: str
+    shared_module: str = ""
+    """The module, if it is not named like the command."""
+
+    @property
+    def function(self) -> str:
+        """Name of the function, and of its module: dashes are underscores."""
+        return "import_" if self.name == "import" else self.name.replace("-", "_")
+
+    @property
+    def module(self) -> str:
+        return self.shared_module or self.function
+
+
+_START, CONTROL = "Configure and start", "Control a running session"
+_ANALYSE, _GRAPH, _SETUP = "Analyse recordings", "ROS graph", "Installation"
+# In the order of the help.
+_ALL: Final = (
+    Command("replay", _START, "Start a system and record it."),
+    Command("launch", _START, "Start a ROS launch file and record it."),
+    Command("dump", _START, "Convert a ROS launch file to a configuration."),
+    Command("check", _START, "Check a configuration; start nothing."),
+    Command("init", _START, "Write a configuration to begin with."),
+    Command("schema", _START, "Print the JSON Schema of configurations.", "init"),
+    Command("import", _START, "Convert a dump of play_launch (Rust)."),
+    Command("systemd-unit", _START, "Write a systemd unit."),
+    Command("demo", _START, "Start the demo system: eight nodes, 10 s.", "replay"),
+    Command("ps", CONTROL, "List containers, nodes and processes."),
+    Command("status", CONTROL, "Show all about one container, node or process."),
+    Command("top", CONTROL, "Watch and operate a session on a screen."),
+    Command("events", CONTROL, "Print events; with -f new ones, too."),
+    Command("logs", CONTROL, "Print output of nodes; with -f new lines, too.", "events"),
+    Command("wait", CONTROL, "Wait until a system is up."),
+    Command("start", CONTROL, "Start stopped containers or processes.", "operate"),
+    Command("stop", CONTROL, "Stop containers or processes.", "operate"),
+    Command("restart", CONTROL, "Restart containers or processes.", "operate"),
+    Command("load", CONTROL, "Load composable nodes that are not loaded.", "operate"),
+    Command("unload", CONTROL, "Unload composable nodes.", "operate"),
+    Command("reload", CONTROL, "Unload composable nodes and load them again.", "operate"),
+    Command("signal", CONTROL, "Send a signal to processes.", "operate"),
+    Command("diff", CONTROL, "Compare a session with a configuration.", "apply"),
+    Command("apply", CONTROL, "Change a session to match a configuration."),
+    Command("param", CONTROL, "Get, set and dump parameters of nodes."),
+    Command("snapshot", CONTROL, "Write the pre-crash buffer (record.before_crash).", "operate"),
+    Command("info", _ANALYSE, "Summarise a recording."),
+    Command("inspect", _ANALYSE, "Print the events of a recording."),
+    Command("report", _ANALYSE, "Write an HTML page about a recording."),
+    Command("explain", _ANALYSE, "Explain what went wrong in a session."),
+    Command("crashes", _ANALYSE, "Group the crashes of many sessions."),
+    Command("compare", _ANALYSE, "Compare two sessions."),
+    Command("rerun", _ANALYSE, "Repeat and compare the supervisor's decisions."),
+    Command("recover", _ANALYSE, "Repair a damaged or unfinished recording."),
+    Command("export", _ANALYSE, "Convert a recording to Perfetto, CSV or Parquet."),
+    Command("layout", _ANALYSE, "Print a layout for Foxglove or PlotJuggler."),
+    Command("node", _GRAPH, "List nodes; show one.", "graph"),
+    Command("topic", _GRAPH, "List topics.", "graph"),
+    Command("service", _GRAPH, "List services.", "graph"),
+    Command("daemon", _GRAPH, "Run the graph daemon in place of ros2cli's."),
+    Command("doctor", _SETUP, "Check this machine, with fixes."),
+    Command("completion", _SETUP, "Print the completion script of a shell."),
+    Command("version", _SETUP, "Print versions.", "doctor"),
+)
+COMMANDS: Final = {each.name: each for each in _ALL}
+
+
 def command_of(command: Command) -> Any:
     """Import a command and build its parser."""
     found = getattr(import_module(f"play_launch.cli.{command.module}"), command.function)
@@ -46,6 +118,9 @@ def command_of(command: Command) -> Any:
         found = typer.Typer(**PLAIN)
         found.command(command.name)(function)
     return typer.main.get_command(found)
+
+
+_UsageError: Any = typer.BadParameter.__base__
 
 
 class _Commands(TyperGroup):
@@ -87,6 +162,19 @@ class _Commands(TyperGroup):
                     ]
                 )
 
+    def main(self, *args: Any, **extra: Any) -> NoReturn:
+        """Run a command line and exit; an error has the form of all others."""
+        try:
+            code = super().main(*args, **{**extra, "standalone_mode": False})
+        except _UsageError as error:
+            message = error.format_message()
+            if message.startswith("Usage: "):  # the help, where a command is missing
+                note(message)
+                sys.exit(error.exit_code)
+            command = error.ctx.command_path if error.ctx else "play-launch"
+            fail(f"{message.rstrip('.')}; see '{command} --help'", error.exit_code)
+        sys.exit(code or 0)
+
     def shell_complete(self, ctx: Any, incomplete: str) -> Any:
         self._lists = True
         return super().shell_complete(ctx, incomplete)
@@ -94,7 +182,7 @@ class _Commands(TyperGroup):
     def invoke(self, ctx: Any) -> None:
         """Run the command; its result is the exit code."""
         name = (*ctx._protected_args, "")[0]  # noqa: SLF001 - not yet resolved
-        if name in COMMANDS and COMMANDS[name].needs is not Needs.CONFIGURATION:
+        if name in COMMANDS and COMMANDS[name].group != _START:
             gc.enable()  # see `entry`
         raise typer.Exit(super().invoke(ctx) or 0)
 
@@ -111,7 +199,7 @@ app = typer.Typer(
 
 def _print_version(is_given: bool) -> None:
     if is_given:
-        from play_launch.cli.version import version  # noqa: PLC0415 - not for other commands
+        from play_launch.cli.doctor import version  # noqa: PLC0415 - not for other commands
 
         version()
         raise typer.Exit

@@ -10,7 +10,7 @@ import typer
 
 from play_launch.cli import options
 from play_launch.cli.info import report_damage
-from play_launch.cli.output import fail, printable, say
+from play_launch.cli.output import OutputError, fail, printable, say, write_file
 from play_launch.postmortem import comparison
 from play_launch.postmortem.bag_reader import NotARecordingError
 from play_launch.postmortem.comparison import (
@@ -22,9 +22,7 @@ from play_launch.postmortem.comparison import (
 )
 from play_launch.postmortem.parameters import shortened
 from play_launch.postmortem.report.comparison import Words, comparison_page, scaled
-from play_launch.postmortem.report.page import put
 from play_launch.postmortem.story import read_story
-from play_launch.postmortem.whole_file import OutputError
 from play_launch.supervisor.exit_code import ExitCode
 
 if TYPE_CHECKING:
@@ -74,7 +72,7 @@ def compare(
     words = _words(found)
     if output is not None:
         try:
-            put(comparison_page(stories, found, words), output)
+            write_file(output, comparison_page(stories, found, words))
         except OutputError as error:
             fail(str(error), ExitCode.NODE_FAILED)
     if as_json:
@@ -91,7 +89,7 @@ def compare(
         say(msgspec.json.encode(values).decode(), beside=output)
     else:
         for line in _lines(words):
-            say(printable(line, colour=False), beside=output)
+            say(printable(line), beside=output)
     damaged = [report_damage(story.session.reader) for story in stories]
     if any(damaged):
         return ExitCode.DAMAGED

@@ -1,4 +1,4 @@
-"""Connection of a command to a running session: finding it, its errors, its end.
+"""Connection of a command to a running session: finding it, its errors, its end, its ROS.
 
 These commands import as little as they can: they are called often.
 """
@@ -11,8 +11,8 @@ import sys
 import time
 from typing import TYPE_CHECKING, Final, NoReturn
 
-from play_launch.cli.output import printable
-from play_launch.control.protocol import Code, ControlError
+from play_launch.cli.output import note, redirect_to_devnull, report
+from play_launch.control.protocol import ROS_VARIABLES, Code, ControlError
 from play_launch.control.registration import CONTROL_SOCKET
 from play_launch.control.sessions import AmbiguousSessionError, NoSessionError, connect, connect_to
 from play_launch.supervisor.exit_code import ExitCode
@@ -55,8 +55,6 @@ def connected(
         _end(_messages(error), _EXIT_CODES.get(error.code, failed))
     except BrokenPipeError:
         # The reader has enough (`| head`).
-        from play_launch.cli.output import redirect_to_devnull  # noqa: PLC0415 - rarely needed
-
         redirect_to_devnull(sys.stdout)
         sys.exit(ExitCode.OK)
 
@@ -85,15 +83,10 @@ def report_end(hello: Hello, reason: str = "") -> int:
     """
     text, status = _how_it_ended(hello, reason)
     if status == ExitCode.OK:
-        sys.stderr.write(f"{printable(text, colour=False)}\n")
+        note(text)
     else:
         report(text)
     return status
-
-
-def report(message: str) -> None:
-    """Write an error to stderr; names in it may hold any character."""
-    sys.stderr.write(f"error: {printable(message, colour=False)}\n")
 
 
 def _how_it_ended(hello: Hello, reason: str) -> tuple[str, ExitCode]:
@@ -124,3 +117,56 @@ def _end(messages: list[str], code: ExitCode) -> NoReturn:
     for message in messages:
         report(message)
     sys.exit(code)
+
+
+def enter_environment_of(client: ControlClient) -> None:
+    """Set what the session says about ROS; before anything of rclpy is imported.
+
+    Root becomes the user of the session before that: profiles and middleware, which that user
+    chooses, load libraries. Raises ControlError.
+    """
+    from play_launch.process.machine import (  # noqa: PLC0415 - slow, and rclpy is slower
+        SHARED_MEMORY_FIX,
+        full_shared_memory,
+        shared_memory_room,
+    )
+
+    if full := full_shared_memory(shared_memory_room()):
+        raise ControlError(Code.REFUSED, f"{full}; fix: {SHARED_MEMORY_FIX}")
+    found = client.ask("environment")
+    user = client.peer()
+    if os.geteuid() == 0 and user.uid != 0:
+        try:
+            _become(user.uid, user.gid)
+        except OSError as error:
+            raise ControlError(
+                Code.REFUSED, f"run this as user {user.uid}, whose session it is: {error}"
+            ) from None
+    for name in [name for name in os.environ if name.startswith(ROS_VARIABLES)]:
+        del os.environ[name]
+    # What it says besides is not taken over: LD_LIBRARY_PATH would choose libraries.
+    os.environ.update(
+        {name: str(value) for name, value in found.items() if name.startswith(ROS_VARIABLES)}
+    )
+    try:
+        import rclpy  # noqa: F401, PLC0415
+    except ImportError as error:
+        raise ControlError(
+            Code.REFUSED, f"ROS cannot be loaded as user {os.geteuid()}: {error}"
+        ) from None
+
+
+def _become(user: int, group: int) -> None:
+    """Become a user for good, with home and groups."""
+    import pwd  # noqa: PLC0415 - for root only
+
+    groups, home = [group], "/"
+    try:
+        entry = pwd.getpwuid(user)
+        groups, home = os.getgrouplist(entry.pw_name, group), entry.pw_dir
+    except KeyError:
+        pass  # a user of a container, without a name here
+    os.setgroups(groups)
+    os.setresgid(group, group, group)
+    os.setresuid(user, user, user)
+    os.environ["HOME"] = home

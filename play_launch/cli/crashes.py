@@ -11,9 +11,7 @@ import msgspec
 import typer
 
 from play_launch.cli import options
-from play_launch.cli.check import counted
-from play_launch.cli.output import fail, printable, say
-from play_launch.cli.target import complain
+from play_launch.cli.output import counted, fail, printable, say, warn
 from play_launch.postmortem.bag_reader import NotARecordingError
 from play_launch.postmortem.crash_groups import CrashGroup, CrashGroups
 from play_launch.postmortem.story import read_story
@@ -65,10 +63,10 @@ def crashes(
     else:
         for each in found:
             for line in _lines(each):
-                say(printable(line, colour=False))
+                say(printable(line))
         say(f"{counted(len(found), 'signature')} in {counted(count, 'session')}")
     for text in unread:
-        complain(f"warning: {text}")
+        warn(text)
     return ExitCode.DAMAGED if unread else 0
 
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from play_launch.cli import options
-from play_launch.cli.daemon_patch import patch, unpatch
-from play_launch.cli.output import fail, say, wants_colour
+from play_launch.cli.output import fail, say, warn
 from play_launch.supervisor.exit_code import ExitCode
 
 if TYPE_CHECKING:
@@ -43,10 +43,10 @@ def start(
     ] = False,
     idle_timeout: IdleTimeout = 7200.0,
 ) -> None:
-    """Start the daemon of this ROS_DOMAIN_ID, and wait until it knows the graph.
+    """Start the daemon of this ROS_DOMAIN_ID.
 
-    If ros2cli's own daemon runs, it is replaced. If ours runs already, it is kept, with a warning
-    where its settings are not yours.
+    Returns when the daemon knows the graph. A running daemon of ros2cli is replaced. A running
+    daemon of play-launch is kept, with a warning where its settings are not yours.
     """
     address = _address()
     _require_ros()
@@ -72,7 +72,10 @@ def start(
 
 
 def stop() -> None:
-    """Stop the daemon of this ROS_DOMAIN_ID, ours or ros2cli's."""
+    """Stop the daemon of this ROS_DOMAIN_ID.
+
+    It may be ros2cli's own one.
+    """
     address = _address()
     from play_launch.graph_daemon.port import Kind, PortHeldError, stop_daemon  # noqa: PLC0415
 
@@ -88,7 +91,7 @@ def stop() -> None:
 
 
 def status(as_json: options.Json = False) -> None:
-    """Report which daemon runs for this ROS_DOMAIN_ID, and its state.
+    """Show the daemon of this ROS_DOMAIN_ID.
 
     Warns where its settings are not those of your environment: then it sees another graph than
     your programs. Exits with 1 when none runs.
@@ -123,7 +126,10 @@ def status(as_json: options.Json = False) -> None:
 
 
 def run(idle_timeout: IdleTimeout = 0.0) -> None:
-    """Run the daemon here, in the foreground, until Ctrl-C; for services and containers."""
+    """Run the daemon in the foreground, until Ctrl-C.
+
+    For services and containers.
+    """
     address = _address()
     _require_ros()
     import asyncio  # noqa: PLC0415
@@ -154,6 +160,81 @@ def run(idle_timeout: IdleTimeout = 0.0) -> None:
     asyncio.run(server.run(port.listener, report))
 
 
+_CHANGES = (
+    "listens with a queue of 512 connections, not 5",
+    "no client that is silent, slow or does not read delays others; 10 s for each",
+    "answers about the graph are given again for 200 ms",
+    "the network's interfaces are listed every 30 s, not at each call",
+    "the machine's own addresses are remembered for 30 s",
+    "web pages are refused",
+    "calls are not printed",
+    "the loop wakes every 200 ms and handles signals",
+)
+_RESTART = (
+    "A daemon that runs already keeps its code: `ros2 daemon stop`; the next ros2 starts a new one"
+)
+
+_DryRun = Annotated[
+    bool, typer.Option("--dry-run", help="Print what would be done, and change nothing.")
+]
+_Into = Annotated[
+    Path | None,
+    typer.Option(
+        "--into",
+        metavar="FOLDER",
+        help="Folder of packages that the Python of ros2 reads; default: your own, or that of "
+        "its virtual environment.",
+    ),
+]
+
+
+def patch(dry_run: _DryRun = False, into: _Into = None) -> None:
+    """Improve the daemon of an installed ros2cli.
+
+    It stays responsive while many nodes start. For systems that must keep that daemon;
+    'play-launch daemon start' is the better one. No file of ros2cli is changed: a package is
+    written beside it, which changes the daemon when Python imports it. 'play-launch daemon unpatch'
+    removes it.
+    """
+    # Only when it runs: help comes up faster.
+    from play_launch.graph_daemon.patch import PatchError, default_folder, write  # noqa: PLC0415
+
+    try:
+        folder = into or default_folder()
+        if not dry_run:
+            write(folder)
+    except PatchError as error:
+        fail(str(error), ExitCode.USAGE)
+    say("would change in ros2cli's daemon:" if dry_run else "changes in ros2cli's daemon:")
+    for change in _CHANGES:
+        say(f"  {change}")
+    say(f"{'would be written' if dry_run else 'written'} to {folder}")
+    if not dry_run:
+        say(_RESTART)
+
+
+def unpatch(dry_run: _DryRun = False, into: _Into = None) -> None:
+    """Remove what 'play-launch daemon patch' has written."""
+    from play_launch.graph_daemon.patch import (  # noqa: PLC0415
+        PatchError,
+        default_folder,
+        is_written,
+        remove,
+    )
+
+    try:
+        folder = into or default_folder()
+        present = is_written(folder) if dry_run else remove(folder)
+    except PatchError as error:
+        fail(str(error), ExitCode.USAGE)
+    if not present:
+        say(f"no patch in {folder}; nothing to do")
+        return
+    say(f"{'would remove' if dry_run else 'removed'} the patch from {folder}")
+    if not dry_run:
+        say(_RESTART)
+
+
 for _verb in (start, stop, status, run, patch, unpatch):
     daemon.command()(_verb)
 
@@ -173,14 +254,6 @@ def describe(address: DaemonAddress, owner: PortOwner) -> list[str]:
             return [f"{owner} has the port of the daemon for {domain}: {owner.problem}"]
         case Kind.OURS:
             return [f"the daemon runs for {domain} ({pid})", *_facts(owner.status)]
-
-
-def warn(message: str) -> None:
-    """Write a warning to stderr."""
-    import sys  # noqa: PLC0415
-
-    label = "\x1b[33mwarning:\x1b[0m" if wants_colour(sys.stderr) else "warning:"
-    typer.echo(f"{label} {message}", err=True, color=True)
 
 
 def _facts(status: Mapping[str, Any]) -> list[str]:

@@ -1,82 +1,128 @@
-"""``play-launch doctor``: what this machine can do, and what to do about what it cannot."""
+"""``play-launch doctor``, ``play-launch version``: what this machine can do, what is installed."""
 
 from __future__ import annotations
 
 import json
+import os
 import sys
 from dataclasses import asdict
+from shutil import get_terminal_size
+from textwrap import wrap
 from typing import TYPE_CHECKING, Final
 
 from play_launch.cli import options
-from play_launch.cli.output import say, surviving_the_reader, wants_colour
+from play_launch.cli.output import BOLD, GREEN, RED, RESET, YELLOW, counted, say, wants_colour
 from play_launch.supervisor.exit_code import ExitCode
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from typing import IO
+    from collections.abc import Iterator, Sequence
 
-    from play_launch.doctor.finding import Finding
+    from play_launch.doctor.check_result import CheckResult
 
-_PIPE_WIDTH: Final = 120
-_COLOURS: Final = {"ok": "green", "warn": "yellow", "fail": "red"}
+_COLOURS: Final = {"ok": GREEN, "warn": YELLOW, "fail": RED}
 
 
-def doctor(
-    as_json: options.Json = False,
-) -> int:
+def doctor(as_json: options.Json = False) -> int:
     """Check this machine: what works, what does not, the impact, and the fix.
 
     The container program is started once; nothing is changed. Exits with 1 if no system can be
     started here.
     """
-    from play_launch.doctor.finding import can_run  # noqa: PLC0415
-    from play_launch.doctor.report import examine  # noqa: PLC0415
-
-    findings = examine()
-    runs = can_run(findings)
+    found = examine()
+    failed = any(each.level.value == "fail" for each in found)
     if as_json:
-        values = {"can_run": runs, "findings": [asdict(finding) for finding in findings]}
+        values = {"can_run": not failed, "findings": [asdict(each) for each in found]}
         say(json.dumps(values, ensure_ascii=False))
     else:
-        with surviving_the_reader():
-            print_findings(findings, sys.stdout, colour=wants_colour(sys.stdout))
-            sys.stdout.flush()
-    return ExitCode.OK if runs else ExitCode.NODE_FAILED
+        say("\n".join(lines(found, colour=wants_colour(sys.stdout))))
+    return ExitCode.NODE_FAILED if failed else ExitCode.OK
 
 
-def print_findings(findings: Sequence[Finding], stream: IO[str], *, colour: bool) -> None:
-    """Print a table, and below it one line of result."""
-    from rich import box  # noqa: PLC0415
-    from rich.console import Console  # noqa: PLC0415
-    from rich.table import Table  # noqa: PLC0415
-    from rich.text import Text  # noqa: PLC0415
+def examine() -> list[CheckResult]:
+    """Run all checks; takes a second, most of it for starting two processes."""
+    from play_launch.doctor import machine, ros  # noqa: PLC0415 - slow
 
-    console = Console(
-        file=stream,
-        width=None if stream.isatty() else _PIPE_WIDTH,
-        no_color=not colour,
-        force_terminal=colour,
-        highlight=False,
-    )
-    table = Table(box=box.SIMPLE, show_header=False, pad_edge=False)
-    table.add_column(no_wrap=True)
-    table.add_column(no_wrap=True)
-    table.add_column(overflow="fold")
-    for finding in findings:
-        says = Text(finding.says)
-        if finding.impact:
-            says.append(f"\nimpact: {finding.impact}", "dim")
-        if finding.fix:
-            says.append(f"\nfix: {finding.fix}", "bold")
-        level = Text(finding.level.value, _COLOURS[finding.level.value])
-        table.add_row(level, finding.subject, says)
-    console.print(table)
-    console.print(Text(_result(findings)))
+    rmw, found = ros.ros()
+    return [
+        ros.python(),
+        ros.packages(),
+        *found,
+        machine.kernel(),
+        machine.proc(),
+        machine.control_groups(),
+        machine.protection_keys(),
+        machine.address_space(),
+        machine.open_files(),
+        machine.processes(),
+        machine.core_dumps(),
+        machine.real_time(),
+        machine.nice_values(),
+        machine.locked_memory(),
+        *machine.shared_memory(rmw),
+        machine.loopback(os.environ),
+        machine.discovery(os.environ, rmw),
+        machine.domain(os.environ),
+        machine.recordings(),
+    ]
 
 
-def _result(findings: Sequence[Finding]) -> str:
-    failed = [finding.subject for finding in findings if finding.level.value == "fail"]
+def lines(results: Sequence[CheckResult], *, colour: bool) -> Iterator[str]:
+    """Yield a table, and below it one line of result."""
+    subjects = max(len(each.subject) for each in results)
+    indent = 6 + subjects + 2
+    room = max(get_terminal_size((120, 24)).columns - indent, 20)
+    for each in results:
+        paint, bold, end = (_COLOURS[each.level], BOLD, RESET) if colour else ("", "", "")
+        first, *more = wrap(each.says, room) or [""]
+        yield f"{paint}{each.level:<4}{end}  {each.subject:<{subjects}}  {first}".rstrip()
+        for style, text in (
+            ("", more),
+            ("", wrap(f"impact: {each.impact}", room) if each.impact else ()),
+            (bold, wrap(f"fix: {each.fix}", room) if each.fix else ()),
+        ):
+            yield from (f"{' ' * indent}{style}{line}{end if style else ''}" for line in text)
+    yield ""
+    failed = [each.subject for each in results if each.level.value == "fail"]
+    warned = sum(each.level.value == "warn" for each in results)
     if failed:
-        return f"No system can be brought up here: {', '.join(failed)}."
-    warned = sum(finding.level.value == "warn" for finding in findings)
-    return f"Systems can be brought up here; {warned or 'no'} warning{'' if warned == 1 else 's'}."
+        yield f"No system can be started here: {', '.join(failed)}."
+    else:
+        warnings = counted(warned, "warning") if warned else "no warnings"
+        yield f"Systems can be started here; {warnings}."
+
+
+def version(as_json: options.Json = False) -> None:
+    """Print versions for a bug report: play-launch, Python packages, ROS, the container program."""
+    from play_launch.container.ros import (  # noqa: PLC0415
+        MixedInstallationError,
+        NotInstalledError,
+        component_container,
+        ros_installation,
+    )
+    from play_launch.recording.facts import host_facts, versions  # noqa: PLC0415
+
+    found = versions()
+    own = found.pop("play-launch-py", "not installed as a package")
+    try:
+        ros = ros_installation().source.value
+    except (NotInstalledError, MixedInstallationError) as error:
+        ros = f"unusable: {error}"
+    try:
+        container = str(component_container())
+    except NotInstalledError:
+        container = ""
+    facts = host_facts()
+    values = {
+        "play-launch": own,
+        **found,
+        "ros": ros,
+        "ros_distro": os.environ.get("ROS_DISTRO", ""),
+        "component_container": container,
+        "system": ", ".join(str(facts[key]) for key in ("distribution", "kernel", "machine")),
+    }
+    if as_json:
+        say(json.dumps(values, ensure_ascii=False))
+        return
+    width = max(len(name) for name in values)
+    for name, value in values.items():
+        say(f"{name:<{width}}  {value or 'none'}")

@@ -11,7 +11,7 @@ import typer
 from msgspec.structs import replace
 
 from play_launch.cli import options
-from play_launch.cli.output import say
+from play_launch.cli.output import is_passed_on, say
 from play_launch.cli.target import (
     USUAL_TIMEOUT,
     ContainerType,
@@ -22,7 +22,6 @@ from play_launch.cli.target import (
     target_of,
 )
 from play_launch.launch_files.configuration.options import Containers, Options
-from play_launch.postmortem.whole_file import is_passed_on
 from play_launch.supervisor.exit_code import ExitCode
 
 

@@ -48,7 +48,7 @@ def explain(file: options.Recording, as_json: options.Json = False) -> int:
         say(msgspec.json.encode(values).decode())
     else:
         for line in paragraphs(findings, session):
-            say(printable(line, colour=False))
+            say(printable(line))
     if report_damage(reader):
         return ExitCode.DAMAGED
     return ExitCode.NODE_FAILED if wrong else ExitCode.OK

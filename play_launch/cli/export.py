@@ -12,12 +12,11 @@ import typer
 
 from play_launch.cli import options
 from play_launch.cli.info import report_damage
-from play_launch.cli.output import fail, say
+from play_launch.cli.output import OutputError, fail, is_passed_on, say, whole_file
 from play_launch.postmortem.bag_reader import NotARecordingError
 from play_launch.postmortem.export.tables import WRITERS, rows
 from play_launch.postmortem.export.trace import trace_events, write_trace
 from play_launch.postmortem.session import PastSession
-from play_launch.postmortem.whole_file import OutputError, is_passed_on, whole_file
 from play_launch.recording.folder import beside
 from play_launch.supervisor.exit_code import ExitCode
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Final, NamedTuple
 import typer
 
 from play_launch.cli import options
-from play_launch.cli.output import printable, redirect_to_devnull
+from play_launch.cli.output import note, printable, redirect_to_devnull, report, warn
 from play_launch.graph_daemon.contract import DomainError, daemon_address
 from play_launch.graph_daemon.graph_client import (
     DEFAULT_TIMEOUT,
@@ -90,7 +90,8 @@ def node_list(
             _print_lines(names)
         twice = sorted({name for name, after in pairwise(names) if name == after})
         if twice:
-            _warn(f"several nodes have the same name, which ROS does not allow: {', '.join(twice)}")
+            names_twice = _one_line(", ".join(twice))
+            warn(f"several nodes have the same name, which ROS does not allow: {names_twice}")
         return ExitCode.OK
 
     return _asked(show, call_timeout, no_start=no_start)
@@ -191,7 +192,7 @@ def _asked(
             status = show(client)
         except NoDaemonError as error:
             if no_start:
-                _report(f"{error}; start one with 'play-launch daemon start'")
+                report(f"{error}; start one with 'play-launch daemon start'")
                 return ExitCode.NODE_FAILED
             _start(address)
             status = show(client)
@@ -201,10 +202,10 @@ def _asked(
         redirect_to_devnull(sys.stdout)
         return ExitCode.OK
     except DomainError as error:
-        _report(str(error))
+        report(str(error))
         return ExitCode.USAGE
     except DaemonError as error:
-        _report(str(error))
+        report(str(error))
         return ExitCode.NODE_FAILED
     return status
 
@@ -215,13 +216,13 @@ def _start(address: DaemonAddress) -> None:
     from play_launch.graph_daemon.port import PortHeldError  # noqa: PLC0415
     from play_launch.graph_daemon.start_stop import StartError, start_daemon  # noqa: PLC0415
 
-    sys.stderr.write(f"starting the graph daemon of ROS domain {address.domain}\n")
+    note(f"starting the graph daemon of ROS domain {address.domain}")
     try:
-        messages = start_daemon(address, notify=_warn).messages
+        messages = start_daemon(address, notify=warn).messages
     except (PortHeldError, StartError, OSError) as error:
         raise DaemonError(str(error)) from None
     for message in messages:
-        _warn(message)
+        warn(message)
 
 
 def _list(found: list[Named], shown_as: _Shown) -> int:
@@ -240,10 +241,10 @@ def _list(found: list[Named], shown_as: _Shown) -> int:
 def _info(client: GraphClient, wanted: str, *, with_hidden: bool, as_json: bool) -> int:
     same = [each for each in client.nodes() if each.full_name == wanted]
     if not same:
-        _report(f"there is no node {wanted}")
+        report(f"there is no node {wanted}")
         return ExitCode.NODE_FAILED
     if len(same) > 1:
-        _warn(f"{len(same)} nodes have the name {wanted}; this is one of them")
+        warn(f"{len(same)} nodes have the name {wanted}; this is one of them")
     found_node = same[0]
     sections: dict[str, list[Named]] = {}
     try:
@@ -253,7 +254,7 @@ def _info(client: GraphClient, wanted: str, *, with_hidden: bool, as_json: bool)
     except RemoteError as error:
         if found_node in client.nodes():
             raise
-        _report(f"the node {wanted} has exited meanwhile ({error.text})")
+        report(f"the node {wanted} has exited meanwhile ({error.text})")
         return ExitCode.NODE_FAILED
     if as_json:
         facts = {key: [_plain(entry) for entry in found] for key, found in sections.items()}
@@ -302,14 +303,6 @@ def _print_lines(lines: Iterable[str]) -> None:
     sys.stdout.writelines(f"{_one_line(line)}\n" for line in lines)
 
 
-def _report(message: str) -> None:
-    sys.stderr.write(f"error: {printable(message, colour=False)}\n")
-
-
-def _warn(message: str) -> None:
-    sys.stderr.write(f"warning: {_one_line(message)}\n")
-
-
 def _one_line(text: str) -> str:
     """Make a line of what holds names: those come from any program in the network."""
-    return printable(text.replace("\n", " "), colour=False)
+    return printable(text.replace("\n", " "))

@@ -8,9 +8,7 @@ from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
 from play_launch.cli import options
-from play_launch.cli.check import counted
-from play_launch.cli.output import fail, printable, say
-from play_launch.cli.target import complain
+from play_launch.cli.output import counted, fail, note, printable, say, warn
 from play_launch.postmortem.bag_reader import NotARecordingError
 from play_launch.postmortem.crash_groups import crashes_of
 from play_launch.postmortem.story import read_story
@@ -40,15 +38,12 @@ def info(file: options.Recording, as_json: options.Json = False) -> int:
 
 def report_damage(reader: BagReader) -> bool:
     """Write to stderr what cannot be read of a file; return whether there is anything."""
-    lines = [f"warning: {reader.path}: {damage}" for damage in reader.damages]
+    for damage in reader.damages:
+        warn(f"{reader.path}: {damage}")
     if reader.clock_note:
-        lines.append(f"note: {reader.path}: {reader.clock_note}")
+        note(f"note: {reader.path}: {reader.clock_note}")
     if not reader.is_complete and not reader.damages:
-        lines.append(
-            f"warning: {reader.path}: it was not closed in order, so its end may be missing"
-        )
-    for line in lines:
-        complain(line)
+        warn(f"{reader.path}: it was not closed in order, so its end may be missing")
     return bool(reader.damages) or not reader.is_complete
 
 
@@ -121,7 +116,7 @@ def _lines(found: dict[str, Any]) -> list[str]:
     }
     if found["topic_drops"]:
         rows["Dropped"] = f"messages of topics: {_counts(found['topic_drops'])}"
-    lines = [f"{name + ':':<10} {printable(text, colour=False)}" for name, text in rows.items()]
+    lines = [f"{name + ':':<10} {printable(text)}" for name, text in rows.items()]
     width = max((len(topic["name"]) for topic in found["topics"]), default=0)
     types = max((len(topic["type"]) for topic in found["topics"]), default=0)
     lines += [

@@ -1,17 +1,18 @@
-"""``play-launch init``: a configuration to begin with."""
+"""``play-launch init``, ``play-launch schema``: a configuration to begin with, and the schema."""
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 from typing import Annotated, Final
 
 import typer
 
-from play_launch.cli.output import fail, say
-from play_launch.cli.schema import SCHEMA_FILE
-from play_launch.postmortem.whole_file import is_standard_output
+from play_launch.cli.output import fail, is_standard_output, say
 
+SCHEMA_FILE = Path(__file__).resolve().parents[1] / "config" / "config.schema.json"
+"""The schema as it is installed."""
 _STARTER: Final = """\
 # yaml-language-server: $schema=SCHEMA
 #
@@ -68,3 +69,24 @@ def init(
     except OSError as error:
         fail(f"{file} cannot be written: {error.strerror}")
     say(f"{file} is written; next: play-launch replay {file}")
+
+
+def schema(
+    show_path: Annotated[
+        bool,
+        typer.Option("--path", help="Print the path of the installed file, for editors."),
+    ] = False,
+) -> None:
+    """Print the JSON Schema of configurations.
+
+    Editors with the YAML language server read its path from the first line of a file:
+    `# yaml-language-server: $schema=PATH`. `play-launch init` writes that line.
+    """
+    say(str(SCHEMA_FILE) if show_path else schema_text().rstrip("\n"))
+
+
+def schema_text() -> str:
+    """Return the schema as the installed file has it."""
+    from play_launch.config.schema_export import json_schema  # noqa: PLC0415
+
+    return json.dumps(json_schema(), indent=1, ensure_ascii=False) + "\n"

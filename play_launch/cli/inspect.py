@@ -14,8 +14,8 @@ import typer
 from play_launch.cli import options
 from play_launch.cli.info import report_damage
 from play_launch.cli.output import clock_times, fail, printable, redirect_to_devnull
-from play_launch.cli.show.json_style import encode
 from play_launch.cli.show.lines import Line, line_of
+from play_launch.cli.show.styles import encode
 from play_launch.cli.story_words import change
 from play_launch.config.values import parse_duration
 from play_launch.postmortem.bag_reader import BagReader, NotARecordingError
@@ -204,7 +204,7 @@ def _shown(
     if line is None or line.level < level:
         return
     for text in line.text.split("\n"):
-        yield f"{since:10.3f} [{line.source}] {printable(text, colour=False)}"
+        yield f"{since:10.3f} [{line.source}] {printable(text)}"
 
 
 def _of_parameters(said: Said, log_time: int) -> tuple[Line, dict[str, object]]:

@@ -11,11 +11,10 @@ from typing import Annotated
 import typer
 
 from play_launch.cli import options
-from play_launch.cli.output import fail
+from play_launch.cli.output import fail, note
 from play_launch.cli.target import (
     USUAL_TIMEOUT,
     ContainerType,
-    complain,
     evaluated,
     report_losses,
     say_arguments,
@@ -69,7 +68,7 @@ def launch(  # noqa: PLR0917 - options, by name
             description, chosen, f"From {shlex.join(found.words)}, by play-launch launch."
         )
         report_losses(made)
-        complain(sizes(made))
+        note(sizes(made))
         if made.problems:
             fail(
                 "the launch file describes something that cannot be brought up; nothing was started"

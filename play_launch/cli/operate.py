@@ -1,16 +1,15 @@
-"""``play-launch start``, ``stop``, ``restart``, ``load``, ``unload``, ``reload``, ``signal``."""
+"""``play-launch start``, ``stop``, ``restart``, ``load`` and others: one request, its results."""
 
 from __future__ import annotations
 
 import json
-import sys
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
 from play_launch.cli import options
 from play_launch.cli.connection import connected
-from play_launch.cli.output import printable
+from play_launch.cli.output import printable, say, size
 from play_launch.control.protocol import ControlError
 
 if TYPE_CHECKING:
@@ -25,8 +24,10 @@ _DONE: Final = {
     "reload": "reloaded",
     "signal": "signalled",
 }
-_SPARE: Final = 10.0
+_GRACE: Final = 10.0
 """Seconds that the answer may be later than the timeout."""
+_SNAPSHOT_TIMEOUT: Final = 40.0
+"""Seconds: gigabytes may have to be written."""
 
 Timeout = Annotated[
     float, options.timeout("How long to wait; the operation itself continues.", "60s")
@@ -40,7 +41,7 @@ def _command(operation: str, about: str) -> Callable[..., None]:
         session: options.Session = None,
         as_json: options.Json = False,
     ) -> None:
-        _operate(operation, names, timeout, session, as_json=as_json)
+        _operate(operation, {"names": names}, timeout, session, as_json=as_json)
 
     run.__doc__ = about
     return run
@@ -70,33 +71,42 @@ def signal(
     as_json: options.Json = False,
 ) -> None:
     """Send a signal to containers, processes or isolated nodes."""
-    _operate("signal", names, timeout, session, as_json=as_json, more={"signal": signal})
+    _operate("signal", {"names": names, "signal": signal}, timeout, session, as_json=as_json)
+
+
+def snapshot(session: options.Session = None, as_json: options.Json = False) -> None:
+    """Write the pre-crash buffer (record.before_crash) into the recording now."""
+    with connected(session) as client:
+        written = client.ask("snapshot", limit=_SNAPSHOT_TIMEOUT)
+    if as_json:
+        say(json.dumps(written))
+    else:
+        say(
+            f"{client.hello.folder}: {written['messages']:,} messages, {size(written['bytes'])}, "
+            f"of {written['seconds']:.1f} s"
+        )
 
 
 def _operate(
     operation: str,
-    names: list[str],
+    arguments: dict[str, Any],
     timeout: float,
     session: str | None,
     *,
     as_json: bool,
-    more: dict[str, Any] | None = None,
 ) -> None:
-    arguments = {"names": names, "timeout": timeout, **(more or {})}
+    def show(results: Any) -> None:
+        if as_json:
+            say(json.dumps(results))
+            return
+        for each in results:
+            if each["done"]:
+                say(f"{printable(each['name'])}: {_DONE[operation]}")
+
     with connected(session) as client:
+        request = {**arguments, "timeout": timeout}
         try:
-            results = client.ask(operation, arguments, limit=timeout + _SPARE)["results"]
+            show(client.ask(operation, request, limit=timeout + _GRACE)["results"])
         except ControlError as error:
-            _print(operation, error.details.get("results", []), as_json=as_json)
+            show(error.details.get("results", []))
             raise
-        _print(operation, results, as_json=as_json)
-
-
-def _print(operation: str, results: Any, *, as_json: bool) -> None:
-    if as_json:
-        sys.stdout.write(f"{json.dumps(results)}\n")
-        return
-    for each in results:
-        if each["done"]:
-            name = printable(each["name"], colour=False)
-            sys.stdout.write(f"{name}: {_DONE[operation]}\n")

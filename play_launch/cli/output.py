@@ -1,4 +1,4 @@
-"""What the commands write: the standard streams, errors, foreign text, sizes, times.
+"""The only writer of the commands: streams, errors, foreign text, figures, times, tables, files.
 
 Standard output belongs to the command: its readers are programs. Libraries write to descriptor 1,
 too (Fast DDS reports its errors there), so a copy of the descriptor is used, and descriptor 1
@@ -14,24 +14,27 @@ import os
 import re
 import sys
 import time
-from typing import IO, TYPE_CHECKING, Any, Final, NoReturn
+from itertools import zip_longest
+from typing import IO, TYPE_CHECKING, Final, NoReturn
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterable, Iterator, Sequence
     from pathlib import Path
+    from types import FrameType
 
-_TAKES_NO_MORE: Final = frozenset(
+_UNWRITABLE: Final = frozenset(
     {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF, errno.ENXIO}
 )
 _ESCAPED: Final = "backslashreplace"
 
+# Standard streams.
+
 
 def prepare_standard_streams() -> None:
-    """Put the null device in the place of closed streams, and keep stdout for what we write.
+    """Put the null device in the place of closed streams, and keep stdout for the command.
 
-    A file that is opened later would otherwise get the number of a closed stream, and with it
-    whatever is written there; Python has no stream object then either. A character that the
-    encoding of stdout lacks is written as an escape, as on stderr.
+    A file that is opened later would otherwise get the number and the output of a closed stream.
+    A character that the encoding of stdout lacks is written as an escape, as on stderr.
     """
     for number in range(3):
         try:
@@ -39,22 +42,16 @@ def prepare_standard_streams() -> None:
         except OSError:
             os.open(os.devnull, os.O_RDWR)  # the lowest free number: this one
     sys.stdin = sys.stdin or _null(0, "r")
-    sys.stdout = sys.stdout or _null(1, "w")
     sys.stderr = sys.stderr or _null(2, "w")
-    sys.stdout = kept = _kept_to_ourselves(sys.stdout)
-    # The terminal's width is asked of the original.
-    sys.__stdout__ = kept  # type: ignore[misc]
-
-
-def _kept_to_ourselves(stdout: IO[str]) -> io.TextIOWrapper:
-    """Return a stream like ``stdout`` unknown to libraries; writes to descriptor 1 go to stderr."""
+    stdout = sys.stdout or _null(1, "w")
     assert isinstance(stdout, io.TextIOWrapper)
     stdout.flush()
     # Children do not inherit the copy. Python closes neither this one nor descriptor 1.
     unbuffered = stdout.write_through
     binary = open(os.dup(1), "wb", buffering=0 if unbuffered else -1, closefd=False)  # noqa: SIM115
     os.dup2(2, 1)
-    return io.TextIOWrapper(
+    # Python asks the original for the terminal's width.
+    sys.stdout = sys.__stdout__ = io.TextIOWrapper(  # type: ignore[misc]
         binary,
         encoding=stdout.encoding,
         errors=_ESCAPED,
@@ -64,15 +61,15 @@ def _kept_to_ourselves(stdout: IO[str]) -> io.TextIOWrapper:
     )
 
 
+def _null(number: int, mode: str) -> IO[str]:
+    return open(number, mode, encoding="utf-8", errors=_ESCAPED, closefd=False)
+
+
 def stdout_is_kept() -> bool:
-    """Whether what we write goes to another descriptor than 1."""
+    """Whether the command writes to another descriptor than 1."""
     with contextlib.suppress(OSError, ValueError):
         return sys.stdout.fileno() != 1
     return False
-
-
-def _null(number: int, mode: str) -> IO[str]:
-    return open(number, mode, encoding="utf-8", errors=_ESCAPED, closefd=False)
 
 
 def redirect_to_devnull(stream: IO[str]) -> None:
@@ -82,29 +79,43 @@ def redirect_to_devnull(stream: IO[str]) -> None:
     """
     with contextlib.suppress(OSError, ValueError):
         number = stream.fileno()
-        nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, number, inheritable=number == 2)
-        os.close(nowhere)
+        null = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(null, number, inheritable=number == 2)
+        os.close(null)
 
 
 def is_about_output(error: OSError) -> bool:
     """Whether a stream cannot be written: a full disk, a closed terminal."""
-    return error.errno in _TAKES_NO_MORE and error.filename is None
+    return error.errno in _UNWRITABLE and error.filename is None
 
 
 def report_write_error(error: OSError) -> None:
     """Report on stderr, if possible, that stdout cannot be written."""
     redirect_to_devnull(sys.stdout)
     try:
-        sys.stderr.write(f"error: cannot write the output: {error.strerror}\n")
-        sys.stderr.flush()
+        report(f"cannot write the output: {error.strerror}")
     except OSError:
         redirect_to_devnull(sys.stderr)
+
+
+@contextlib.contextmanager
+def surviving_the_loss_of_stdout() -> Iterator[None]:
+    """Stop writing to stdout when any write to it fails, and go on: a run needs no output."""
+    try:
+        yield
+    except OSError as error:
+        if not (isinstance(error, BrokenPipeError) or is_about_output(error)):
+            raise
+        redirect_to_devnull(sys.stdout)
 
 
 # Terminals and foreign text.
 
 RESET: Final = "\x1b[0m"
+RED: Final = "\x1b[31m"
+YELLOW: Final = "\x1b[33m"
+GREEN: Final = "\x1b[32m"
+BOLD: Final = "\x1b[1m"
 _COLOUR: Final = re.compile(r"\x1b\[[0-9;]*m")
 _CONTROL: Final = re.compile(
     r"\x1b\[[0-?]*[ -/]*[@-~]"  # CSI: moves the cursor, erases, sets modes
@@ -115,8 +126,8 @@ _CONTROL: Final = re.compile(
 )
 
 
-def printable(text: str, *, colour: bool) -> str:
-    """Take out of foreign text what would disturb a terminal.
+def printable(text: str, *, colour: bool = False) -> str:
+    """Remove from foreign text what would disturb a terminal.
 
     Tabs stay, and colours where ``colour`` is set; a text that kept colours ends without any.
     """
@@ -138,10 +149,10 @@ def wants_colour(stream: IO[str]) -> bool:
         return False
     if os.environ.get("FORCE_COLOR"):
         return True
-    return is_terminal(stream) and has_colours(os.environ.get("TERM", ""))
+    return is_terminal(stream) and _has_colours(os.environ.get("TERM", ""))
 
 
-def has_colours(term: str) -> bool:
+def _has_colours(term: str) -> bool:
     """Whether a type of terminal has colours; one that terminfo does not know has."""
     if term in {"", "dumb", "unknown"}:
         return not term
@@ -165,45 +176,21 @@ def is_terminal(stream: IO[str]) -> bool:
         return False
 
 
+# Lines.
+
+
 def say(text: str, *, beside: Path | None = None) -> None:
     """Write ``text`` and a line end to stdout; a reader that has gone is no error.
 
     Where a file that was written ``beside`` is stdout itself, ``text`` goes to stderr.
     """
-    if beside is not None:
-        from play_launch.postmortem.whole_file import is_standard_output  # noqa: PLC0415
-
-        if is_standard_output(beside):
-            print(text, file=sys.stderr)  # noqa: T201 - what it is for
-            return
-    with surviving_the_reader():
-        print(text, flush=True)  # noqa: T201 - what it is for
-
-
-@contextlib.contextmanager
-def surviving_the_reader() -> Iterator[None]:
-    """Stop writing to stdout when its reader has closed it, and go on."""
+    if beside is not None and is_standard_output(beside):
+        note(text)
+        return
     try:
-        yield
+        print(text, flush=True)  # noqa: T201 - what it is for
     except BrokenPipeError:
         redirect_to_devnull(sys.stdout)
-
-
-@contextlib.contextmanager
-def surviving_the_loss_of_stdout() -> Iterator[None]:
-    """Stop writing to stdout when it takes no more, for whatever reason, and go on.
-
-    For a run, whose output is not what it is for: its reader, its disk or its terminal may go.
-    """
-    try:
-        yield
-    except OSError as error:
-        if not (isinstance(error, BrokenPipeError) or is_about_output(error)):
-            raise
-        redirect_to_devnull(sys.stdout)
-
-
-# Errors.
 
 
 def fail(message: str, code: int = 2) -> NoReturn:
@@ -213,34 +200,81 @@ def fail(message: str, code: int = 2) -> NoReturn:
 
 
 def report(message: str) -> None:
-    """Write ``error: message`` to stderr; several lines keep their form.
-
-    Names of files and what stands in them may hold anything.
-    """
-    label = "\x1b[1;31merror:\x1b[0m" if wants_colour(sys.stderr) else "error:"
-    print(f"{label} {printable(message, colour=False)}", file=sys.stderr, flush=True)  # noqa: T201 - what it is for
+    """Write ``error: message`` to stderr; several lines keep their form."""
+    _write_labelled("error:", "\x1b[1;31m", message)
 
 
-# Sizes and times.
+def warn(message: str) -> None:
+    """Write ``warning: message`` to stderr."""
+    _write_labelled("warning:", YELLOW, message)
 
-_BYTES: Final = (("GB", 1_000_000_000), ("MB", 1_000_000), ("kB", 1_000))
+
+def note(text: str) -> None:
+    """Write a line to stderr."""
+    # Names of files and their content may hold any character.
+    print(printable(text), file=sys.stderr, flush=True)  # noqa: T201 - what it is for
+
+
+def _write_labelled(label: str, colour: str, message: str) -> None:
+    if wants_colour(sys.stderr):
+        label = f"{colour}{label}{RESET}"
+    print(f"{label} {printable(message)}", file=sys.stderr, flush=True)  # noqa: T201 - as above
+
+
+# Figures and tables.
+
+_BYTES: Final = (("TB", 10**12), ("GB", 10**9), ("MB", 10**6), ("kB", 10**3))
 
 
 def size(count: int) -> str:
-    """Write a number of bytes for people, in powers of ten."""
+    """Write a number of bytes in powers of ten: ``999 B``, ``12.3 MB``."""
     for unit, factor in _BYTES:
-        if count >= factor:
-            return f"{count / factor:.3g} {unit}"
-    return f"{count} bytes"
+        if count >= factor * 0.9995:  # which rounds to one of the unit
+            return f"{count / factor:{'.3g' if count < factor * 999.5 else '.0f'}} {unit}"
+    return f"{count} B"
 
 
-_SECOND: Final = 1_000_000_000
+def counted(number: int, noun: str) -> str:
+    """``1 node``, ``2 nodes``, ``3 processes``."""
+    plural = f"{noun}es" if noun.endswith("s") else f"{noun}s"
+    return f"{number} {noun if number == 1 else plural}"
+
+
+def table(
+    titles: Sequence[str],
+    rows: Iterable[Sequence[str]],
+    *,
+    words: int = 1,
+    width: int | None = None,
+) -> list[str]:
+    """Lay out rows in columns; colours in cells take no room.
+
+    The first ``words`` columns and the last one are flush left, the others hold numbers. The last
+    cell is cut where a terminal of that ``width`` ends.
+    """
+    cells = [titles, *rows]
+    widths = [max(len(printable(line[at])) for line in cells) for at in range(len(titles) - 1)]
+    room = None if width is None else max(width - sum(widths) - 2 * len(widths), 20)
+    lines = []
+    for line in cells:
+        laid = []
+        for at, (cell, most) in enumerate(zip_longest(line, widths, fillvalue=0)):
+            gap = " " * (int(most) - len(printable(str(cell))))
+            laid.append(f"{cell}{gap}" if at < words or at == len(widths) else f"{gap}{cell}")
+        if room is not None and len(line[-1]) > room:
+            laid[-1] = f"{line[-1][: room - 3]}..."
+        lines.append("  ".join(laid).rstrip())
+    return lines
+
+
+# Times.
+
 _CLOCK: Final = re.compile(r"([01]?\d|2[0-3]):([0-5]\d)(?::([0-5]\d(?:\.\d+)?))?")
 
 
 def duration(nanoseconds: int) -> str:
-    """Write a time for people: ``0.8 s``, ``12 s``, ``3 min 20 s``, ``2 h 5 min``."""
-    seconds = nanoseconds / _SECOND
+    """Write a duration: ``0.8 s``, ``12 s``, ``3 min 20 s``, ``2 h 5 min``, ``4 d 3 h``."""
+    seconds = nanoseconds / 1e9
     if seconds < 9.95:
         return f"{seconds:.1f} s"
     whole = round(seconds)
@@ -248,15 +282,21 @@ def duration(nanoseconds: int) -> str:
         return f"{whole} s"
     if whole < 3600:
         return f"{whole // 60} min {whole % 60} s"
-    return f"{whole // 3600} h {whole // 60 % 60} min"
+    if whole < 86400:
+        return f"{whole // 3600} h {whole // 60 % 60} min"
+    return f"{whole // 86400} d {whole // 3600 % 24} h"
+
+
+def clock(stamp_ns: int, form: str = "%H:%M:%S.%3N") -> str:
+    """Write the local time; ``%3N`` in the form are its milliseconds."""
+    seconds, rest = divmod(stamp_ns, 10**9)
+    return time.strftime(form.replace("%3N", f"{rest // 10**6:03}"), time.localtime(seconds))
 
 
 def clock_times(text: str, near: float) -> list[float]:
-    """List when the clock shows ``14:03`` or ``14:03:07``: the day before, that day, the next.
+    """List when the clock shows ``14:03`` or ``14:03:07``, one day around ``near``.
 
-    Args:
-        text: What was typed; there are none when it is something else.
-        near: A time of that day; it and the result are seconds since the epoch.
+    Times are seconds since the epoch; there are none for any other text.
     """
     clock = _CLOCK.fullmatch(text)
     if clock is None:
@@ -269,15 +309,140 @@ def clock_times(text: str, near: float) -> list[float]:
     ]
 
 
-def lines_of(event: Mapping[str, Any]) -> str:
-    """Write an event of the control socket; a text of several lines stays."""
-    source = str(event["source"])
-    text = str(event["text"]) + (" [cut]" if event.get("truncated") else "")
-    clean = printable(text, colour=False).replace("\n", f"\n{' ' * 13}")
-    return f"{clock(event.get('stamp_ns', 0))} [{printable(source, colour=False)}] {clean}"
+# Files. Each appears when it is whole. Nothing but regular files is replaced: a pipe or a device
+# gets the whole content, and a symbolic link continues to lead to its target.
+
+_STDOUT: Final = frozenset({"-", "/dev/stdout", "/dev/fd/1", "/proc/self/fd/1"})
+_LINKS_LIMIT: Final = 40
+"""Links that the kernel follows."""
+_unfinished: Final[set[Path]] = set()
 
 
-def clock(stamp_ns: int) -> str:
-    """Write the local time of day to the millisecond."""
-    seconds, rest = divmod(stamp_ns, 1_000_000_000)
-    return f"{time.strftime('%H:%M:%S', time.localtime(seconds))}.{rest // 1_000_000:03}"
+class OutputError(Exception):
+    """A file cannot be written; the text has the file, the cause and the fix."""
+
+    def __init__(self, output: Path, reason: str) -> None:
+        super().__init__(f"{output}: {reason}; name another file with --output")
+
+
+@contextlib.contextmanager
+def whole_file(output: Path) -> Iterator[Path]:
+    """Provide the path to write to; after the block, its content is at ``output``.
+
+    Nothing is left of a file that was not completed because of a full disk or Ctrl-C. ``-`` is
+    standard output, as is what leads to descriptor 1.
+
+    Raises:
+        OutputError: When it cannot be written, also for an OSError in the block, or would replace
+            a recording.
+    """
+    import tempfile  # noqa: PLC0415 - not for verbs without a file
+    from pathlib import Path  # noqa: PLC0415
+
+    try:
+        if is_passed_on(output):
+            descriptor, name = tempfile.mkstemp(prefix="play_launch-")
+            os.close(descriptor)
+            with _removed_by_signals(Path(name)):
+                yield Path(name)
+                _pass_on(Path(name), output)
+            return
+        _refuse_to_replace(output)
+        target = output.resolve() if output.is_symlink() else output
+        # Names are limited to 255 bytes.
+        half = target.parent / f".{target.name[:50]}.{os.getpid()}.writing"
+        with _removed_by_signals(half):
+            yield half
+            half.replace(target)
+    except OSError as error:
+        raise OutputError(output, error.strerror or str(error) or type(error).__name__) from error
+
+
+def write_file(output: Path, content: str | bytes) -> int:
+    """Write a whole file, as `whole_file` does, and return its size in bytes."""
+    data = content if isinstance(content, bytes) else content.encode()
+    with whole_file(output) as file:
+        file.write_bytes(data)
+    return len(data)
+
+
+def is_standard_output(output: Path) -> bool:
+    """Whether that is what this process writes to as ``sys.stdout``; descriptor 1 is stderr."""
+    return any(step in _STDOUT for step in _steps(output))
+
+
+def is_passed_on(output: Path) -> bool:
+    """Whether that is neither a regular file nor one that is to be made."""
+    if output.exists() and not (output.is_file() or output.is_dir()):
+        return True
+    # The target of a descriptor may have no name, or one that has to stay.
+    return is_standard_output(output) or any(
+        step.startswith(("/proc/", "/dev/fd/")) for step in _steps(output)
+    )
+
+
+def _steps(output: Path) -> Iterator[str]:
+    """Yield a path, and the targets of its symbolic links, step by step."""
+    step = str(output)
+    for _ in range(_LINKS_LIMIT):
+        yield step
+        try:
+            step = os.path.join(os.path.dirname(step), os.readlink(step))  # noqa: PTH115, PTH118, PTH120
+        except OSError:
+            return
+
+
+def _pass_on(whole: Path, output: Path) -> None:
+    import shutil  # noqa: PLC0415 - as above
+
+    with whole.open("rb") as content:
+        if not is_standard_output(output):
+            with output.open("wb") as sink:
+                shutil.copyfileobj(content, sink)
+            return
+        try:
+            shutil.copyfileobj(content, sys.stdout.buffer)
+            sys.stdout.buffer.flush()
+        except OSError as error:
+            redirect_to_devnull(sys.stdout)
+            if not isinstance(error, BrokenPipeError):  # a reader that closed early is no error
+                raise
+
+
+def _refuse_to_replace(output: Path) -> None:
+    if output.is_dir():
+        raise OutputError(output, "Is a directory")
+    if not output.exists():
+        return
+    from play_launch.recording.mcap_file import MAGIC  # noqa: PLC0415 - slow, rarely needed
+
+    with output.open("rb") as file:
+        if file.read(len(MAGIC)) == MAGIC:
+            raise OutputError(output, "is a recording")
+
+
+@contextlib.contextmanager
+def _removed_by_signals(path: Path) -> Iterator[None]:
+    """Remove the file, also when a signal without a handler ends the process."""
+    import signal  # noqa: PLC0415 - as above
+    import threading  # noqa: PLC0415
+
+    def remove_and_end(number: int, _: FrameType | None) -> None:
+        for each in _unfinished:
+            each.unlink(missing_ok=True)
+        signal.signal(number, signal.SIG_DFL)
+        signal.raise_signal(number)
+
+    is_main = threading.current_thread() is threading.main_thread()
+    endings = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    handled = [each for each in endings if is_main and signal.getsignal(each) == signal.SIG_DFL]
+    _unfinished.add(path)
+    for each in handled:
+        signal.signal(each, remove_and_end)
+    try:
+        yield
+    finally:
+        for each in handled:
+            signal.signal(each, signal.SIG_DFL)
+        _unfinished.discard(path)
+        path.unlink(missing_ok=True)

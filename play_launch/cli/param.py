@@ -10,6 +10,7 @@ import typer
 
 from play_launch.cli import options
 from play_launch.cli.connection import connected
+from play_launch.cli.output import report, warn
 from play_launch.control.protocol import Code, ControlError
 from play_launch.supervisor.exit_code import ExitCode
 
@@ -125,7 +126,7 @@ def dump(
         values = {node: {"ros__parameters": each} for node, each in found.items()}
         sys.stdout.write(yaml.safe_dump(values, sort_keys=True, default_flow_style=None))
     for each in missing:
-        sys.stderr.write(f"{'error' if nodes else 'left out'}: {each}\n")
+        (report if nodes else warn)(each)
     return ExitCode.NODE_FAILED if missing and (nodes or not found) else ExitCode.OK
 
 
@@ -147,7 +148,7 @@ def _nodes(client: ControlClient, wanted: list[str], *, is_one: bool = False) ->
 
 def _asked(client: ControlClient, timeout: float, request: Callable[[NodeParameters], Any]) -> Any:
     """Call services of nodes in the session's domain; raises ControlError."""
-    from play_launch.cli.session_environment import enter_environment_of  # noqa: PLC0415 - slow
+    from play_launch.cli.connection import enter_environment_of  # noqa: PLC0415 - slow
 
     enter_environment_of(client)
     from play_launch.ros.node_parameters import NodeParameters  # noqa: PLC0415 - slow

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from play_launch.cli.output import printable
+from play_launch.cli.output import warn
 from play_launch.config.substitutions import ament_prefixes
 from play_launch.control.protocol import ROS_VARIABLES
 from play_launch.postmortem.recorded_config import RecordedConfig, recorded_config
@@ -103,5 +103,4 @@ def _quoted(value: str | None) -> str:
 
 
 def _warn(text: str) -> None:
-    line = printable(f"warning: {text}", colour=False)
-    print(line, file=sys.stderr, flush=True)  # noqa: T201 - for people
+    warn(text)

@@ -9,8 +9,7 @@ from typing import Annotated
 import typer
 
 from play_launch.cli.info import report_damage
-from play_launch.cli.output import fail, say
-from play_launch.cli.target import complain
+from play_launch.cli.output import OutputError, fail, is_passed_on, say, warn, whole_file
 from play_launch.postmortem.recover import RecoverError, default_output
 from play_launch.postmortem.recover import recover as recover_file
 from play_launch.supervisor.exit_code import ExitCode
@@ -46,8 +45,13 @@ def recover(
     try:
         if file.is_dir():
             return _complete_folder(file, output)
-        recovered = recover_file(file, output or default_output(file))
-    except RecoverError as error:
+        target = output or default_output(file)
+        if is_passed_on(target):
+            with whole_file(target) as whole:
+                recovered = recover_file(file, whole, replace=True)._replace(path=target)
+        else:
+            recovered = recover_file(file, target)
+    except (RecoverError, OutputError) as error:
         fail(str(error), ExitCode.NODE_FAILED)
     say(f"{recovered.path}: {recovered.messages:,} messages", beside=recovered.path)
     if not recovered.reader.damages:
@@ -82,5 +86,5 @@ def _complete_folder(folder: Path, output: Path | None) -> int:
     for one in completed:
         say(f"{one.path}: {one.messages:,} messages")
         for damage in one.damages:
-            complain(f"warning: {one.path}: {damage}")
+            warn(f"{one.path}: {damage}")
     return ExitCode.DAMAGED if any(one.damages for one in completed) else 0

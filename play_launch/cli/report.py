@@ -6,19 +6,18 @@ from typing import TYPE_CHECKING
 
 from play_launch.cli import options
 from play_launch.cli.info import report_damage
-from play_launch.cli.output import fail, say
+from play_launch.cli.output import OutputError, fail, say, size, write_file
 from play_launch.cli.story_words import details, headline
 from play_launch.postmortem.bag_reader import NotARecordingError
 from play_launch.postmortem.findings import IMPORTANCE
 from play_launch.postmortem.locate import located
 from play_launch.postmortem.report.facts import contents
 from play_launch.postmortem.report.gather import Gathering
-from play_launch.postmortem.report.page import write_page
+from play_launch.postmortem.report.page import render
 from play_launch.postmortem.report.parameters import parameters_shown
 from play_launch.postmortem.report.story import Point
 from play_launch.postmortem.session import PastSession
 from play_launch.postmortem.story import Telling
-from play_launch.postmortem.whole_file import OutputError
 from play_launch.recording.folder import beside
 from play_launch.supervisor.exit_code import ExitCode
 
@@ -46,12 +45,12 @@ def report(file: options.Recording, output: options.OutputBeside = None) -> int:
         points = _points(telling.findings(), session.started_ns)
         parameters = parameters_shown(telling.parameters, session.started_ns)
         every = contents(session, gathering.finish(), tuple(points), parameters)
-        size = write_page(every, output)
+        count = write_file(output, render(every))
     except NotARecordingError as error:
         fail(str(error))
     except OutputError as error:
         fail(str(error), ExitCode.NODE_FAILED)
-    say(f"{output}: {size / 1e6:.1f} MB", beside=output)
+    say(f"{output}: {size(count)}", beside=output)
     return ExitCode.DAMAGED if report_damage(session.reader) else 0
 
 

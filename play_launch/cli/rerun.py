@@ -13,10 +13,8 @@ import msgspec
 import typer
 
 from play_launch.cli import options
-from play_launch.cli.check import counted
 from play_launch.cli.info import report_damage
-from play_launch.cli.output import fail, printable, say
-from play_launch.cli.target import complain
+from play_launch.cli.output import counted, fail, printable, say, warn
 from play_launch.container.cdr.layout import CdrError
 from play_launch.container.cdr.messages import STATE_EVENT
 from play_launch.postmortem.bag_reader import NotARecordingError
@@ -112,7 +110,7 @@ def rerun(
         say(msgspec.json.encode(_object(file, repeated, differences, flaw)).decode())
     else:
         for line in _lines(repeated, differences, flaw):
-            say(printable(line, colour=False))
+            say(printable(line))
     if differences:
         return ExitCode.NODE_FAILED
     return ExitCode.DAMAGED if flaw else ExitCode.OK
@@ -218,7 +216,7 @@ def _events(world: World, decision: Decision) -> list[Fields]:
 
 
 def _warn(decision: Decision, error: Exception) -> None:
-    complain(f"warning: input {decision.number}: {type(error).__name__}: {error}")
+    warn(f"input {decision.number}: {type(error).__name__}: {error}")
 
 
 def _unequal(old: list[Fields], new: list[Fields]) -> Iterator[tuple[Fields | None, Fields | None]]:

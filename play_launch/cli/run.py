@@ -7,21 +7,18 @@ import contextlib
 import gc
 import json
 import logging
-import math
 import os
 import sys
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from msgspec import Struct
 from msgspec.structs import replace
 
+from play_launch.cli.background import Background, library_output_logged
 from play_launch.cli.check import describe
-from play_launch.cli.library_output import library_output_logged
 from play_launch.cli.output import is_terminal, surviving_the_loss_of_stdout, wants_colour
 from play_launch.cli.show.display import Display, Style
-from play_launch.cli.show.group_totals import GroupTotals
-from play_launch.cli.show.json_style import JsonStyle, encode
-from play_launch.cli.show.text_styles import LiveStyle, PlainStyle
+from play_launch.cli.show.styles import JsonStyle, LiveStyle, PlainStyle, encode
 from play_launch.control.feed import Feed
 from play_launch.control.registration import ControlSocket
 from play_launch.process import open_files
@@ -38,34 +35,69 @@ from play_launch.recording.resolved_form import (
 from play_launch.recording.session import Session, SessionDescription, open_session
 from play_launch.recording.topic_recorder import Snapshots
 from play_launch.runtime.signals import RunSignals
-from play_launch.runtime.startup_priority import run_ahead_of
 from play_launch.supervisor.events import GroupSample, OutputLine
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Coroutine, Mapping
+    from collections.abc import Mapping
     from pathlib import Path
 
-    from play_launch.cli.show.group_totals import GroupTotal
     from play_launch.config.model import ReplayConfig
     from play_launch.control.config_watch import Watched
     from play_launch.deploy.notification import ServiceManager
     from play_launch.recording.limits import RecordingSummary
     from play_launch.recording.recorder import Recorder
-    from play_launch.runtime.publisher import Publisher, StopRequests
     from play_launch.runtime.run import Outcome
-    from play_launch.runtime.system import System
-    from play_launch.supervisor.events import EventSink, LogRecord, RunEvent, SubjectKind
+    from play_launch.supervisor.events import LogRecord, RunEvent, SubjectKind
     from play_launch.supervisor.view import SystemView
 
 _log = logging.getLogger(__name__)
-_HEAD_START: Final = 1.0
-"""Seconds in which the system has the machine for its start."""
 
-_BEFORE_TOPICS: Final = 0.1
-"""Seconds before the first look whether the start is over, and topics are to be recorded."""
 
-_BEFORE_CONTROL: Final = 0.2
-"""Seconds from the start of the first processes until commands are answered."""
+class GroupTotal(Struct, frozen=True, kw_only=True):
+    """The sums over all control groups of one unit; see `GroupSample`."""
+
+    cpu_seconds: float = 0.0
+    throttled_periods: int = 0
+    throttled_seconds: float = 0.0
+    oom_kills: int = 0
+    pids_max_hits: int = 0
+
+    @property
+    def is_throttled(self) -> bool:
+        """Whether a limit had an effect."""
+        return bool(self.throttled_periods or self.oom_kills or self.pids_max_hits)
+
+    def plus(self, sample: GroupSample) -> GroupTotal:
+        values = {
+            name: getattr(self, name) + getattr(sample, name) for name in self.__struct_fields__
+        }
+        return GroupTotal(**values)
+
+
+class GroupTotals:
+    """Sums of a run's samples; of each control group, the last sample counts."""
+
+    def __init__(self) -> None:
+        self._last: dict[tuple[SubjectKind, str], GroupSample] = {}
+        self._before: dict[tuple[SubjectKind, str], GroupTotal] = {}
+        """Sums of the groups before that of the last sample."""
+
+    def add(self, sample: GroupSample) -> None:
+        """Add a sample; one that is older than the last one of its unit changes nothing."""
+        unit = sample.kind, sample.key
+        last = self._last.get(unit, sample)
+        if sample.stamp_ns < last.stamp_ns:
+            return
+        if sample.group != last.group:
+            self._before[unit] = self._before.get(unit, GroupTotal()).plus(last)
+        self._last[unit] = sample
+
+    def get(self) -> dict[tuple[SubjectKind, str], GroupTotal]:
+        """Return the sums by kind and key, in the order in which they were seen first."""
+        return {
+            unit: self._before.get(unit, GroupTotal()).plus(last)
+            for unit, last in self._last.items()
+        }
 
 
 class RunOptions(Struct, frozen=True):
@@ -121,7 +153,7 @@ class RunSink:
             self._display.publish(event, before, after)
         self.feed.publish(event, before, after)
         if isinstance(event, GroupSample):
-            self.used.take(event)
+            self.used.add(event)
 
     def publish_log(self, event: LogRecord) -> None:
         """Take a record of the log, in any thread; it changes nothing in the view."""
@@ -153,7 +185,7 @@ def run(config: ReplayConfig, options: RunOptions) -> int:
         control = ControlSocket(str(session.folder.path))
         opened.callback(control.close)
         _announce(config, session, options)
-        display = Display(_style(options))
+        display = Display(_style(options), quiet=options.quiet)
         sink = RunSink(session.recorder, display, config)
         try:
             with log_published(sink.publish_log):
@@ -163,7 +195,7 @@ def run(config: ReplayConfig, options: RunOptions) -> int:
             opened.close()
             display.close()
             recording = session.recorder.close()
-    _sum_up(outcome, recording, sink.used.get(), options)
+    _sum_up(outcome, recording, sink.used, options)
     return outcome.exit_code
 
 
@@ -183,162 +215,29 @@ async def _until_the_end(
     gc.freeze()
     gc.enable()
     stop = StopRequests()
-    folder = session.folder.path
-    system: asyncio.Future[System] = asyncio.get_running_loop().create_future()
-    operable: asyncio.Future[None] = asyncio.get_running_loop().create_future()
     sink.feed.begin()
-    snapshots = Snapshots()
     with library_output_logged(), signals.delivered_to(stop.request):
         publisher = Publisher(sink)
-        async with (
-            # To the very end: the watchdog is to be fed while the others come to theirs.
-            _beside("running ahead of others", run_ahead_of(publisher, stop)),
-            _beside(
-                "reports to systemd", _report(options.manager, publisher, stop, system, operable)
-            ),
-            _beside("samples of processes", _sample(config, publisher, folder)),
-            _beside(
-                "care for earlier recordings",
-                _look_after_sessions(config, publisher, folder.parent),
-            ),
-            _beside(
-                "the recording of ROS topics",
-                _record_topics(config, session, publisher, stop, snapshots=snapshots),
-            ),
-            _beside(
-                "control by commands",
-                _serve_control(
-                    config,
-                    session,
-                    system,
-                    operable,
-                    control=control,
-                    publisher=publisher,
-                    sink=sink,
-                    snapshots=snapshots,
-                    options=options,
-                ),
-            ),
-            _beside("the record of the ROS graph", _observe_graph(config, publisher)),
-        ):
-            return await run_system(
-                config, publisher, stop, on_begin=system.set_result, decisions=sink.decisions
-            )
-
-
-@contextlib.asynccontextmanager
-async def _beside(what: str, work: Coroutine[None, None, None]) -> AsyncIterator[None]:
-    """Run a coroutine while the block runs, which goes on without ``what`` if that fails."""
-    task = asyncio.create_task(_failure_logged(what, work))
-    try:
-        yield
-    finally:
-        task.cancel()
-        await asyncio.gather(task, return_exceptions=True)
-        work.close()  # it has not begun where the block has ended at once
-
-
-async def _failure_logged(what: str, work: Coroutine[None, None, None]) -> None:
-    try:
-        await work
-    except Exception:  # noqa: BLE001 - it is logged, and the system goes on
-        _log.exception("the system goes on without %s", what)
-
-
-async def _report(
-    manager: ServiceManager | None,
-    publisher: Publisher,
-    stop: StopRequests,
-    system: asyncio.Future[System],
-    operable: asyncio.Future[None],
-) -> None:
-    if manager is None:
-        return
-    from play_launch.deploy.report import ServiceReport  # noqa: PLC0415 - for services only
-
-    await ServiceReport(manager, publisher, stop, system, operable).run()
-
-
-async def _sample(config: ReplayConfig, publisher: Publisher, folder: Path) -> None:
-    period = config.record.sampling.period
-    if not math.isfinite(period):
-        return
-    await asyncio.sleep(_HEAD_START)
-    from play_launch.process.sampling.sampling import sample  # noqa: PLC0415 - after the processes' start
-
-    await sample(lambda: publisher.view, publisher.publish, period=period, folder=folder)
-
-
-async def _record_topics(
-    config: ReplayConfig,
-    session: Session,
-    publisher: Publisher,
-    stop: StopRequests,
-    *,
-    snapshots: Snapshots,
-) -> None:
-    if not config.record.ros:
-        return
-    await asyncio.sleep(_BEFORE_TOPICS)
-    from play_launch.cli.record_topics import record_topics  # noqa: PLC0415 - as above
-
-    await record_topics(config, session, publisher, stop, snapshots=snapshots)
-
-
-async def _serve_control(
-    config: ReplayConfig,
-    session: Session,
-    system: asyncio.Future[System],
-    operable: asyncio.Future[None],
-    *,
-    control: ControlSocket,
-    publisher: Publisher,
-    sink: RunSink,
-    snapshots: Snapshots,
-    options: RunOptions,
-) -> None:
-    operated = await system
-    await asyncio.sleep(_BEFORE_CONTROL)
-    try:
-        from play_launch.control.serve import serve_control  # noqa: PLC0415 - as above
-
-        await serve_control(
-            config,
-            session,
-            operated,
+        background = Background(
+            config=config,
+            session=session,
+            sink=sink,
+            options=options,
             control=control,
             publisher=publisher,
-            feed=sink.feed,
-            snapshots=snapshots,
-            hide_secrets=sink.hide_secrets,
-            adopt=sink.adopt,
-            keeps_duration=options.keeps_duration,
-            watched=options.watched,
-            operable=operable,
+            stop=stop,
+            snapshots=Snapshots(),
+            system=asyncio.get_running_loop().create_future(),
+            operable=asyncio.get_running_loop().create_future(),
         )
-    finally:
-        if not operable.done():
-            operable.set_result(None)  # nobody waits for what does not come
-        await asyncio.to_thread(control.close)
-
-
-async def _look_after_sessions(
-    config: ReplayConfig, publisher: Publisher, log_folder: Path
-) -> None:
-    await asyncio.sleep(_HEAD_START)
-    from play_launch.container.ros import spawn_guard  # noqa: PLC0415
-    from play_launch.postmortem.upkeep import look_after_sessions  # noqa: PLC0415 - as above
-
-    await look_after_sessions(log_folder, config.record.keep, lambda: publisher.view, spawn_guard())
-
-
-async def _observe_graph(config: ReplayConfig, sink: EventSink) -> None:
-    if not config.graph_daemon:
-        return
-    await asyncio.sleep(_BEFORE_TOPICS)
-    from play_launch.graph_daemon.observer import observe_graph  # noqa: PLC0415 - as above
-
-    await observe_graph({**os.environ, **config.environment}, sink)
+        async with background.running():
+            return await run_system(
+                config,
+                publisher,
+                stop,
+                on_begin=background.system.set_result,
+                decisions=sink.decisions,
+            )
 
 
 def _description(config: ReplayConfig) -> SessionDescription:
@@ -366,14 +265,14 @@ def _one_line_each(values: Mapping[str, object]) -> str:
 def _style(options: RunOptions) -> Style:
     stream = sys.stdout
     if options.as_json:
-        return JsonStyle(stream, quiet=options.quiet)
+        return JsonStyle(stream)
     colour = wants_colour(stream)
     if not is_terminal(stream) or os.environ.get("TERM") == "dumb":
-        return PlainStyle(stream, quiet=options.quiet, colour=colour)
+        return PlainStyle(stream, colour=colour)
     from rich.console import Console  # noqa: PLC0415 - not needed where there is no terminal
 
     console = Console(file=stream, no_color=not colour, highlight=False)
-    return LiveStyle(console, quiet=options.quiet, colour=colour)
+    return LiveStyle(console, colour=colour)
 
 
 def _announce(config: ReplayConfig, session: Session, options: RunOptions) -> None:
@@ -396,27 +295,12 @@ def _say(text: str) -> None:
 
 
 def _sum_up(
-    outcome: Outcome,
-    recording: RecordingSummary,
-    used: Mapping[tuple[SubjectKind, str], GroupTotal],
-    options: RunOptions,
+    outcome: Outcome, recording: RecordingSummary, used: GroupTotals, options: RunOptions
 ) -> None:
-    from play_launch.cli.show.summary import print_summary, summary_object  # noqa: PLC0415
+    from play_launch.cli.show.summary import Summary  # noqa: PLC0415
 
+    summary = Summary(outcome.view, outcome.final_view, recording, used.get())
     if options.as_json:
-        values = summary_object(
-            outcome.view, outcome.final_view, recording, exit_code=outcome.exit_code, used=used
-        )
-        _say(encode(values))
-        return
-    stream = sys.stdout
-    with surviving_the_loss_of_stdout():
-        print_summary(
-            outcome.view,
-            outcome.final_view,
-            recording,
-            stream=stream,
-            colour=wants_colour(stream),
-            used=used,
-        )
-        stream.flush()
+        _say(encode(summary.as_object(outcome.exit_code)))
+    else:
+        _say(summary.text(colour=wants_colour(sys.stdout)))

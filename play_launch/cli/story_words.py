@@ -5,8 +5,7 @@ from __future__ import annotations
 from textwrap import shorten
 from typing import TYPE_CHECKING, Final
 
-from play_launch.cli.check import counted
-from play_launch.cli.output import duration
+from play_launch.cli.output import counted, duration
 from play_launch.postmortem.findings import Finding, Kind, Quantity, Trend, is_crash
 from play_launch.postmortem.frames import plain_function
 from play_launch.postmortem.known_causes import BY_NAME, known_by

@@ -12,9 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from play_launch.cli import options
-from play_launch.cli.output import fail, say
-from play_launch.cli.target import complain
-from play_launch.postmortem.whole_file import is_standard_output
+from play_launch.cli.output import OutputError, fail, is_standard_output, note, say, write_file
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -56,14 +54,14 @@ def systemd_unit(
     _require_plain(service.program, service.config.source, service.folder)
     text = unit_text(service)
     for name in left_out:
-        complain(f"note: the variable {name} is not in the unit, see the comment in it")
+        note(f"note: the variable {name} is not in the unit, see the comment in it")
     if output is None or is_standard_output(output):
         say(text.rstrip("\n"))
         return
     try:
-        output.write_text(text, encoding="utf-8")
-    except OSError as error:
-        fail(f"{output} cannot be written: {error.strerror}")
+        write_file(output, text)
+    except OutputError as error:
+        fail(str(error))
     say(f"{output} is written; to install it, see the comment at its top")
 
 

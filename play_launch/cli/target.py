@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final, TypeAlias
 
 import typer
 from msgspec import Struct
 
-from play_launch.cli.check import counted
-from play_launch.cli.output import fail, printable, say
+from play_launch.cli.output import counted, fail, note, say
 from play_launch.launch_files.configuration.options import Containers
 
 if TYPE_CHECKING:
@@ -108,7 +106,7 @@ def evaluated(target: Target, timeout: float, *, only_arguments: bool = False) -
         declared = {*_OF_LAUNCH, *(each.name for each in found.arguments)}
         for name in target.arguments:
             if name not in declared:  # launch takes it without a word
-                complain(f"note: no launch file declares the argument {name}")
+                note(f"note: no launch file declares the argument {name}")
     return found
 
 
@@ -142,9 +140,9 @@ def argument_values(arguments: Sequence[Argument]) -> list[dict[str, object]]:
 def report_losses(written: Written) -> None:
     """Write to stderr what could not be carried over, and mistakes in the result."""
     for loss in written.losses:
-        complain(f"{'note' if loss.is_note else 'not carried over'}: {loss.where}: {loss.what}")
+        note(f"{'note' if loss.is_note else 'not carried over'}: {loss.where}: {loss.what}")
     for problem in written.problems:
-        complain(f"mistake in the result: {problem}")
+        note(f"mistake in the result: {problem}")
 
 
 def sizes(written: Written) -> str:
@@ -154,8 +152,3 @@ def sizes(written: Written) -> str:
         f"{counted(written.composable_nodes, 'node')}, {counted(written.processes, 'process')}; "
         f"{written.lost} not carried over"
     )
-
-
-def complain(text: str) -> None:
-    """Write a line to stderr."""
-    print(printable(text, colour=False), file=sys.stderr)  # noqa: T201 - for people

@@ -11,6 +11,7 @@ import typer
 
 from play_launch.cli import options as cli_options
 from play_launch.cli.connection import connected
+from play_launch.cli.output import report
 from play_launch.supervisor.exit_code import ExitCode
 
 if TYPE_CHECKING:
@@ -81,7 +82,7 @@ def wait(
     elif not missing:
         sys.stdout.write(f"{len(up)} {condition} after {seconds:.1f} s\n")
     if missing:
-        sys.stderr.write(f"error: not {condition}: {', '.join(missing)}\n")
+        report(f"not {condition}: {', '.join(missing)}")
         return ExitCode.TIMEOUT
     return ExitCode.OK
 
@@ -104,7 +105,7 @@ def _wait_in_the_graph(
 
     The session is asked again from time to time: meanwhile nodes crash, come and go.
     """
-    from play_launch.cli.session_environment import enter_environment_of  # noqa: PLC0415 - slow
+    from play_launch.cli.connection import enter_environment_of  # noqa: PLC0415 - slow
 
     enter_environment_of(client)
     from play_launch.ros.node_services import NodeServices  # noqa: PLC0415 - slow

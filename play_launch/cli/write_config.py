@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING
 
 from msgspec.structs import asdict
 
-from play_launch.cli.output import fail, say
-from play_launch.cli.target import complain, report_losses, sizes
-from play_launch.postmortem.whole_file import OutputError, is_standard_output, whole_file
+from play_launch.cli.output import OutputError, fail, is_standard_output, note, say, write_file
+from play_launch.cli.target import report_losses, sizes
 from play_launch.supervisor.exit_code import ExitCode
 
 if TYPE_CHECKING:
@@ -38,15 +37,15 @@ def write_config(
     if output is not None and not is_refused:
         for path, content in made.files.items():
             _make_folder(path.parent)
-            _write(content, path)
-        _write(made.text.encode(), output)
+            _write(path, content)
+        _write(output, made.text)
     if as_json:
         say(json.dumps({**_values(made, output), **(more or {})}, ensure_ascii=False))
     else:
         if output is None and not is_refused:
             say(made.text.rstrip("\n"))
         report_losses(made)
-        complain(sizes(made))
+        note(sizes(made))
     return ExitCode.USAGE if made.problems or is_refused else ExitCode.OK
 
 
@@ -57,11 +56,9 @@ def _make_folder(folder: Path) -> None:
         fail(f"{folder} cannot be made: {error.strerror}")
 
 
-def _write(content: bytes, output: Path) -> None:
-    """Write all of it or nothing; what was there before stays until then."""
+def _write(output: Path, content: str | bytes) -> None:
     try:
-        with whole_file(output) as file:
-            file.write_bytes(content)
+        write_file(output, content)
     except OutputError as error:
         fail(str(error))
 

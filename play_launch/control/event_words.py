@@ -1,9 +1,10 @@
-"""Events in words: level, source and text, as clients show them."""
+"""Events in words: level, source and text, as clients and the display of a run show them."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
+from play_launch.process.exit import Exit
 from play_launch.recording.console_format import ERROR, INFO, WARN, line_level
 from play_launch.supervisor.event_object import event_object
 from play_launch.supervisor.events import (
@@ -35,10 +36,23 @@ _ERRORS = frozenset(
         NodeState.CRASHED,
         NodeState.GAVE_UP,
         ContainerState.GAVE_UP,
-        ManagedState.FAILED,
+        ProcessEventKind.GAVE_UP,
     }
 )
-_WARNINGS = frozenset({NodeState.LOST, ContainerState.KILLING, ContainerState.BACKOFF})
+_WARNINGS = frozenset(
+    {
+        NodeState.LOST,
+        ContainerState.KILLING,
+        ContainerState.BACKOFF,
+        ProcessEventKind.RESTARTING,
+    }
+)
+_NODE: Final = {
+    NodeState.LOAD_FAILED: "failed to load",
+    NodeState.GAVE_UP: "is not loaded again",
+}
+_TARGETS_LIMIT: Final = 5
+"""Targets of an operation that are named; further ones are counted."""
 
 
 class Words(NamedTuple):
@@ -55,15 +69,14 @@ def words_of(event: RunEvent) -> Words:
     """Word an event; the text may have several lines."""
     match event:
         case NodeStateChanged():
-            text = _because(f"{event.node} {event.state}", event.reason)
-            return Words(_level(event.state), event.container, text)
+            level = WARN if event.state is NodeState.UNLOADED and event.reason else INFO
+            return Words(_level(event.state, level), event.container, _node(event))
         case ContainerStateChanged():
             text = _because(event.state.value, event.reason)
             return Words(_level(event.state), event.container, text)
         case ProcessEvent():
-            reason = event.message or (f"pid {event.pid}" if event.pid else "")
-            text = _because(event.kind.name.lower().replace("_", " "), reason)
-            return Words(_level_of_process(event), event.name, text)
+            level = WARN if event.exit_code or event.signal else INFO
+            return Words(_level(event.kind, level), event.name, _process(event))
         case ComponentEvent():
             is_bad = event.kind in {ComponentEventKind.LOAD_FAILED, ComponentEventKind.CRASHED}
             text = _because(event.kind.name.lower().replace("_", " "), event.error_message)
@@ -75,11 +88,8 @@ def words_of(event: RunEvent) -> Words:
         case LogRecord():
             return Words(event.level, OWN_NAME, event.message)
         case ActionEvent():
-            what = f"{event.action} {', '.join(event.targets)}".rstrip()
-            text = _because(f"{what} {event.phase.name.lower()}", event.reason)
-            if event.phase is ActionPhase.REQUESTED:
-                text = f"{text} (user {event.uid}, pid {event.pid}: {event.command})"
-            return Words(WARN if event.phase is ActionPhase.FAILED else INFO, OWN_NAME, text)
+            level = WARN if event.phase is ActionPhase.FAILED else INFO
+            return Words(level, OWN_NAME, _operation(event))
         case ManagedNodeChanged(state=ManagedState.FAILED):
             return Words(ERROR, event.node, f"autostart failed: {event.reason}")
         case ManagedNodeChanged():
@@ -103,21 +113,58 @@ def words_of(event: RunEvent) -> Words:
             return Words(INFO, OWN_NAME, f"{kind}: {', '.join(shown)}")
 
 
+def _node(event: NodeStateChanged) -> str:
+    if event.state is NodeState.PENDING and event.reason:
+        return f"{event.node} {event.reason}"
+    seconds = f" after {event.elapsed_ns / 1e9:.1f} s" if event.elapsed_ns else ""
+    again = " again" if event.reloads else ""
+    pid = f", pid {event.pid}" if event.pid else ""
+    match event.state:
+        case NodeState.LOADED:
+            state = f"loaded{again}{seconds}{pid}"
+        case NodeState.LOADING if seconds:
+            state = f"is still loading{seconds}"
+        case _:
+            state = _NODE.get(event.state, event.state.value)
+    return _because(f"{event.node} {state}", event.reason)
+
+
+def _process(event: ProcessEvent) -> str:
+    match event.kind:
+        case ProcessEventKind.STARTED:
+            # Without a pid it is an attached container.
+            return f"started, pid {event.pid}" if event.pid else "attaching"
+        case ProcessEventKind.EXITED:
+            return event.message or str(Exit(code=event.exit_code, signal=event.signal))
+        case ProcessEventKind.RESTARTING:
+            return event.message or f"restarting, {event.restarts} times so far"
+        case ProcessEventKind.GAVE_UP:
+            return event.message or "not started again"
+        case ProcessEventKind.WAITING:
+            return event.message
+        case _:
+            return _because(event.kind.name.lower(), event.message)
+
+
+def _operation(event: ActionEvent) -> str:
+    names = ", ".join(event.targets[:_TARGETS_LIMIT])
+    if more := event.targets[_TARGETS_LIMIT:]:
+        names += f" and {len(more)} more"
+    what = f"{event.action} {names}".rstrip()
+    match event.phase:
+        case ActionPhase.REQUESTED:
+            reason = f" ({event.reason})" if event.reason else ""
+            command = f": {event.command}" if event.command else ""
+            return f"{what}{reason}: requested by user {event.uid}, pid {event.pid}{command}"
+        case ActionPhase.FAILED:
+            return f"{what} failed: {event.reason}"
+        case ActionPhase.DONE:
+            return f"{what}: done"
+
+
 def _because(what: str, reason: str) -> str:
     return f"{what}: {reason}" if reason else what
 
 
-def _level(state: NodeState | ContainerState) -> int:
-    return ERROR if state in _ERRORS else WARN if state in _WARNINGS else INFO
-
-
-def _level_of_process(event: ProcessEvent) -> int:
-    match event.kind:
-        case ProcessEventKind.GAVE_UP:
-            return ERROR
-        case ProcessEventKind.RESTARTING:
-            return WARN
-        case ProcessEventKind.EXITED if event.exit_code or event.signal:
-            return WARN
-        case _:
-            return INFO
+def _level(state: NodeState | ContainerState | ProcessEventKind, default: int = INFO) -> int:
+    return ERROR if state in _ERRORS else WARN if state in _WARNINGS else default

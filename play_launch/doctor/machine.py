@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Final
 
 from play_launch.config.resources import nice_limit
 from play_launch.config.values import LARGEST_DOMAIN
-from play_launch.doctor.finding import Finding, fail, ok, size_text, warn
+from play_launch.doctor.check_result import CheckResult, fail, ok, size_text, warn
 from play_launch.process.capabilities import Capability, has_capability
 from play_launch.process.cgroups.group import GroupError
 from play_launch.process.cgroups.session import delegated_group
@@ -61,7 +61,7 @@ _IFF_MULTICAST: Final = 0x1000
 _DATAGRAM_TIMEOUT: Final = 2.0
 
 
-def kernel() -> Finding:
+def kernel() -> CheckResult:
     says = f"Linux {platform.release()}"
     try:
         os.close(os.pidfd_open(os.getpid()))
@@ -75,13 +75,13 @@ def kernel() -> Finding:
     return ok("kernel", says)
 
 
-def proc() -> Finding:
+def proc() -> CheckResult:
     if problem := proc_problem():
         return fail("/proc", problem, _NOTHING_STARTS, PROC_FIX)
     return ok("/proc", "mounted")
 
 
-def control_groups() -> Finding:
+def control_groups() -> CheckResult:
     subject = "control groups"
     try:
         group = delegated_group()
@@ -97,7 +97,7 @@ def control_groups() -> Finding:
     return ok(subject, says, "see docs/cgroups.md#where-they-are-made")
 
 
-def protection_keys() -> Finding:
+def protection_keys() -> CheckResult:
     """Check CPU (x86: pku, ospke) and kernel for memory protection keys."""
     subject, loss = "protection keys", "private memory of isolated nodes is ordinary memory"
     found = re.search(r"^(?:flags|Features)\s*:(.*)$", _text(Path("/proc/cpuinfo")), re.MULTILINE)
@@ -115,7 +115,7 @@ def protection_keys() -> Finding:
     return ok(subject, "CPU and kernel have them, for the private memory of isolated nodes")
 
 
-def address_space() -> Finding:
+def address_space() -> CheckResult:
     subject, soft = "address space", _limit(resource.RLIMIT_AS)[0]
     if problem := address_space_problem(soft):
         return fail(subject, problem, _NOTHING_STARTS, ADDRESS_SPACE_FIX)
@@ -125,7 +125,7 @@ def address_space() -> Finding:
     return warn(subject, size_text(soft), impact, ADDRESS_SPACE_FIX)
 
 
-def open_files() -> Finding:
+def open_files() -> CheckResult:
     subject = "open files"
     soft, hard = _limit(resource.RLIMIT_NOFILE)
     if soft is None or soft >= _ENOUGH:
@@ -139,7 +139,7 @@ def open_files() -> Finding:
     return warn(subject, f"{soft:,} (at most {hard:,})", impact, fix)
 
 
-def processes() -> Finding:
+def processes() -> CheckResult:
     subject = "processes"
     soft, hard = _limit(resource.RLIMIT_NPROC)
     if soft is None or soft >= _ENOUGH:
@@ -149,13 +149,13 @@ def processes() -> Finding:
     return warn(subject, f"{soft:,} (at most {_count(hard)})", impact, fix)
 
 
-def core_dumps() -> Finding:
+def core_dumps() -> CheckResult:
     soft = _limit(resource.RLIMIT_CORE)[0]
     off = "off; a crash is recorded with its backtrace all the same (ulimit -c unlimited)"
     return ok("core dumps", off if soft == 0 else f"up to {size_text(soft)}")
 
 
-def real_time() -> Finding:
+def real_time() -> CheckResult:
     subject, refused = "real-time", "scheduler policies fifo and rr are refused"
     of_time = ""
     with suppress(ValueError, ZeroDivisionError):
@@ -173,7 +173,7 @@ def real_time() -> Finding:
     return ok(subject, f"priorities up to {99 if highest is None else highest}{of_time}")
 
 
-def nice_values() -> Finding:
+def nice_values() -> CheckResult:
     limit = _limit(resource.RLIMIT_NICE)[0]
     lowest = -20 if limit is None or has_capability(Capability.SYS_NICE) else nice_limit(limit)
     if lowest > 0:
@@ -181,14 +181,14 @@ def nice_values() -> Finding:
     return ok("nice values", f"down to {lowest}")
 
 
-def locked_memory() -> Finding:
+def locked_memory() -> CheckResult:
     subject, soft = "locked memory", _limit(resource.RLIMIT_MEMLOCK)[0]
     if soft is None or has_capability(Capability.IPC_LOCK):
         return ok(subject, "unlimited")
     return ok(subject, f"{size_text(soft)}; lock_memory and mlockall() need more", _RIGHTS)
 
 
-def shared_memory(rmw: str) -> list[Finding]:
+def shared_memory(rmw: str) -> list[CheckResult]:
     """Check `/dev/shm` for the middleware in use; empty if that is unknown."""
     subject = "shared memory"
     room = shared_memory_room()
@@ -226,7 +226,7 @@ def shared_memory(rmw: str) -> list[Finding]:
     ]
 
 
-def loopback(environ: Mapping[str, str]) -> Finding:
+def loopback(environ: Mapping[str, str]) -> CheckResult:
     if not _datagram_arrives():
         says, impact = "a datagram to 127.0.0.1 does not arrive", "nodes do not discover each other"
         return fail("loopback", says, impact, "ip link set lo up")
@@ -255,7 +255,7 @@ def _datagram_arrives() -> bool:
         return False
 
 
-def discovery(environ: Mapping[str, str], rmw: str) -> Finding:
+def discovery(environ: Mapping[str, str], rmw: str) -> CheckResult:
     subject, variable = "discovery", "ROS_AUTOMATIC_DISCOVERY_RANGE"
     given = environ.get(variable, "")
     reach = given.upper()
@@ -293,7 +293,7 @@ def discovery(environ: Mapping[str, str], rmw: str) -> Finding:
     return ok(subject, f"{reach or 'SUBNET, the default'}: all machines in this network")
 
 
-def domain(environ: Mapping[str, str]) -> Finding:
+def domain(environ: Mapping[str, str]) -> CheckResult:
     given = environ.get("ROS_DOMAIN_ID", "")
     text = given or "0"
     if not text.isascii() or not text.isdecimal() or int(text) > LARGEST_DOMAIN:
@@ -309,7 +309,7 @@ def domain(environ: Mapping[str, str]) -> Finding:
     return ok("domain", says)
 
 
-def recordings() -> Finding:
+def recordings() -> CheckResult:
     """Check the folder for recordings, or the nearest existing one above it."""
     folder = nearest = default_log_folder()
     while not nearest.exists() and nearest != nearest.parent:

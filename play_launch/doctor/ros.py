@@ -32,7 +32,7 @@ from play_launch.container.ros import (
     ros_installation,
     spawn_guard,
 )
-from play_launch.doctor.finding import Finding, fail, ok, warn
+from play_launch.doctor.check_result import CheckResult, fail, ok, warn
 from play_launch.process.machine import (
     ADDRESS_SPACE_FIX,
     SHARED_MEMORY_FIX,
@@ -72,7 +72,7 @@ _OUTPUT_LIMIT: Final = 500
 """Characters of the container's output that are quoted."""
 
 
-def python(version: tuple[int, ...] = sys.version_info[:3]) -> Finding:
+def python(version: tuple[int, ...] = sys.version_info[:3]) -> CheckResult:
     says = f"{'.'.join(map(str, version))}, {sys.executable}"
     oldest, newest = (".".join(map(str, each)) for each in (_OLDEST, _NEWEST))
     if version[:2] < _OLDEST:
@@ -83,7 +83,7 @@ def python(version: tuple[int, ...] = sys.version_info[:3]) -> Finding:
     return ok("Python", says)
 
 
-def packages() -> Finding:
+def packages() -> CheckResult:
     found = {name: version for name, version in versions().items() if name != "python"}
     if _OURSELVES not in found:
         says = "play-launch-py is not installed as a package"
@@ -92,7 +92,7 @@ def packages() -> Finding:
     return ok("packages", named)
 
 
-def ros(environ: Mapping[str, str] = os.environ) -> tuple[str, list[Finding]]:
+def ros(environ: Mapping[str, str] = os.environ) -> tuple[str, list[CheckResult]]:
     """Return the middleware in use, empty if unknown, and the findings on ROS and container."""
     try:
         installation = ros_installation()
@@ -167,7 +167,7 @@ def _imports(environ: Mapping[str, str]) -> tuple[dict[str, str], str]:
     return errors, rmw
 
 
-def _middleware(rmw: str, ros: RosInstallation, environ: Mapping[str, str]) -> Finding:
+def _middleware(rmw: str, ros: RosInstallation, environ: Mapping[str, str]) -> CheckResult:
     in_use, requested = rmw or "unknown", environ.get(RMW_VARIABLE, "")
     if requested in {"", in_use}:
         return ok("middleware", in_use)
@@ -180,7 +180,7 @@ def _middleware(rmw: str, ros: RosInstallation, environ: Mapping[str, str]) -> F
     )
 
 
-def _stock_container(prefixes: list[Path]) -> Finding:
+def _stock_container(prefixes: list[Path]) -> CheckResult:
     try:
         program = find_executable("rclcpp_components", "component_container", prefixes)
     except ExecutableNotFoundError:
@@ -193,7 +193,7 @@ def _stock_container(prefixes: list[Path]) -> Finding:
     return ok("stock containers", str(program))
 
 
-def _ros2_command(ros: RosInstallation, environ: Mapping[str, str]) -> list[Finding]:
+def _ros2_command(ros: RosInstallation, environ: Mapping[str, str]) -> list[CheckResult]:
     """Report how the `ros2` of a sourced ROS finds the packages of our environment."""
     prefix = ros.prefix
     is_ours = (prefix / "share" / "play_launch_container").is_dir()
@@ -207,7 +207,7 @@ def _ros2_command(ros: RosInstallation, environ: Mapping[str, str]) -> list[Find
     return [ok("ros2 command", f"finds our container and messages after: {line}")]
 
 
-def container(ros: RosInstallation, environ: Mapping[str, str]) -> list[Finding]:
+def container(ros: RosInstallation, environ: Mapping[str, str]) -> list[CheckResult]:
     """Start our container once, isolated and without discovery, and judge its hello message."""
     try:
         program = component_container()
@@ -266,7 +266,7 @@ async def _hello(program: Path, environment: Mapping[str, str]) -> Hello | str:
     return hello
 
 
-def _version(program: Path, version: str) -> Finding:
+def _version(program: Path, version: str) -> CheckResult:
     ours = versions().get(_OURSELVES, "")
     if version and ours and version != ours:
         says = f"{program} is version {version}, the supervisor is {ours}"
@@ -274,7 +274,7 @@ def _version(program: Path, version: str) -> Finding:
     return ok("container", f"{program}, version {version or 'unknown'}")
 
 
-def _rclcpp(backends: tuple[str, ...]) -> Finding:
+def _rclcpp(backends: tuple[str, ...]) -> CheckResult:
     named = ", ".join(backends) or "none"
     if "rclcpp" in backends:
         return ok("rclcpp components", f"in; backends: {named}")
@@ -287,7 +287,7 @@ def _rclcpp(backends: tuple[str, ...]) -> Finding:
     )
 
 
-def isolation(mechanism: str, notes: tuple[str, ...]) -> Finding:
+def isolation(mechanism: str, notes: tuple[str, ...]) -> CheckResult:
     if mechanism == "shared_memory":
         says = "by shared memory: messages between nodes go by pointer"
         return ok("isolation", "; ".join((says, *notes)))
@@ -299,7 +299,7 @@ def isolation(mechanism: str, notes: tuple[str, ...]) -> Finding:
     )
 
 
-def _allocator(found: Allocator) -> Finding:
+def _allocator(found: Allocator) -> CheckResult:
     if found.library is not None:
         return ok("allocator", str(found.library))
     return warn(

@@ -13,7 +13,6 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
 from play_launch.postmortem.bag_reader import BagReader, NotARecordingError
-from play_launch.postmortem.whole_file import OutputError, is_passed_on, whole_file
 from play_launch.recording.folder import (
     ACTIVE_SUFFIX,
     HALF_SUFFIX,
@@ -51,29 +50,25 @@ def default_output(path: Path) -> Path:
     return path.with_name(f"{path.name.removesuffix('.mcap')}.recovered.mcap")
 
 
-def recover(path: Path, output: Path) -> Recovered:
+def recover(path: Path, output: Path, *, replace: bool = False) -> Recovered:
     """Write what can be read of ``path`` to ``output``, with an index.
 
     The file itself is not changed. ``output`` appears when it is whole. Where it is a file of the
     session beside ``path``, the folder gets the index that makes it a bag to rosbag2.
+    ``replace`` permits that ``output`` exists.
 
     Raises:
         RecoverError: When the file is no recording, is being written, or ``output`` exists or
             cannot be written.
     """
-    is_through = is_passed_on(output)
-    if output.exists() and not is_through:
+    if output.exists() and not replace:
         raise RecoverError(f"{output} exists; name another file with --output")
     try:
         with open_bag(path) as source:
             _refuse_what_is_written(path, source)
-            if is_through:
-                with whole_file(output) as file:
-                    recovered = write_whole(path, file)._replace(path=output)
-            else:
-                target = output.resolve() if output.is_symlink() else output
-                recovered = write_whole(path, target)._replace(path=output)
-    except (NotARecordingError, OutputError) as error:
+            target = output.resolve() if output.is_symlink() else output
+            recovered = write_whole(path, target)._replace(path=output)
+    except NotARecordingError as error:
         raise RecoverError(str(error)) from error
     except OSError as error:
         raise RecoverError(f"{error.filename or path}: {error.strerror}") from error

@@ -5,13 +5,12 @@ import json
 import threading
 from typing import TYPE_CHECKING, Any
 
+import pytest
 from rich.console import Console
 
 from play_launch.cli.show import display as display_module
-from play_launch.cli.show.display import Display, DisplayLimits, Shown
-from play_launch.cli.show.json_style import JsonStyle
-from play_launch.cli.show.live_view import live_view
-from play_launch.cli.show.text_styles import LiveStyle, PlainStyle
+from play_launch.cli.show.display import Display, Shown, Style
+from play_launch.cli.show.styles import JsonStyle, LiveStyle, PlainStyle, live_view
 from play_launch.supervisor.events import (
     ComponentEvent,
     ComponentEventKind,
@@ -28,12 +27,10 @@ from tests.cli.scenes import SECOND, START, container, node, output, process, vi
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    import pytest
-
 EMPTY = SystemView()
 
 
-class StubStyle:
+class StubStyle(Style):
     """Collects; ``gate`` stands for a terminal that takes nothing."""
 
     def __init__(self, error: Exception | None = None) -> None:
@@ -44,9 +41,6 @@ class StubStyle:
         self.gate.set()
         self.entered = threading.Event()
         self.closed = threading.Event()
-
-    def wants(self, event: RunEvent) -> bool:
-        return True
 
     def show(self, batch: Sequence[Shown], missed: int) -> float | None:
         if batch:
@@ -74,10 +68,12 @@ def test_everything_is_shown_in_order() -> None:
     assert style.closed.is_set()
 
 
-def test_a_terminal_that_takes_nothing_holds_nobody_up() -> None:
+def test_a_blocked_terminal_blocks_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(display_module, "_LINES_LIMIT", 10)
+    monkeypatch.setattr(display_module, "_OTHERS_LIMIT", 5)
     style = StubStyle()
     style.gate.clear()
-    shower = Display(style, DisplayLimits(lines=10, other_events=5, batch=0))
+    shower = Display(style)
     shower.publish(output("first"), EMPTY, EMPTY)
     style.entered.wait()
     for number in range(100):
@@ -90,11 +86,11 @@ def test_a_terminal_that_takes_nothing_holds_nobody_up() -> None:
     assert style.missed == 90 + 5
 
 
-def test_the_end_does_not_wait_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(display_module, "_LAST_WORDS", 0.01)
+def test_the_end_does_not_wait_forever(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(display_module, "_CLOSE_TIMEOUT", 0.01)
     style = StubStyle()
     style.gate.clear()
-    shower = Display(style, DisplayLimits(batch=0))
+    shower = Display(style)
     shower.publish(output("first"), EMPTY, EMPTY)
     style.entered.wait()
     shower.close()
@@ -107,7 +103,7 @@ def test_showing_ends_when_the_reader_has_gone(monkeypatch: pytest.MonkeyPatch) 
     let_go: list[bool] = []
     monkeypatch.setattr(display_module, "redirect_to_devnull", lambda stream: let_go.append(True))
     style = StubStyle(BrokenPipeError())
-    shower = Display(style, DisplayLimits(batch=0))
+    shower = Display(style)
     shower.publish(output("first"), EMPTY, EMPTY)
     style.closed.wait()
     assert let_go == [True]
@@ -127,7 +123,7 @@ def folded(*events: RunEvent) -> list[Shown]:
 
 def test_plain_lines_have_a_time_and_a_source() -> None:
     stream = io.StringIO()
-    style = PlainStyle(stream, quiet=False, colour=False)
+    style = PlainStyle(stream, colour=False)
     style.show(folded(container("/c"), node("/c", 0, NodeState.LOADED), output("hello")), 3)
     lines = stream.getvalue().splitlines()
     assert [line.split(" ", 1)[1] for line in lines] == [
@@ -137,35 +133,22 @@ def test_plain_lines_have_a_time_and_a_source() -> None:
     ]
 
 
-def test_quiet_leaves_output_away_in_every_style() -> None:
-    stream = io.StringIO()
-    console = Console(file=stream)
-    for style in (
-        PlainStyle(stream, quiet=True, colour=False),
-        JsonStyle(stream, quiet=True),
-        LiveStyle(console, quiet=True, colour=False),
-    ):
-        assert not style.wants(output("x"))
-        assert style.wants(node("/c", 0, NodeState.LOADED))
-
-
-def test_samples_are_shown_in_no_style() -> None:
+@pytest.mark.parametrize("quiet", [True, False])
+def test_samples_are_not_shown_nor_output_where_it_is_quiet(quiet: bool) -> None:
     values: dict[str, Any] = dict.fromkeys(ProcessSample.__annotations__, 0)
-    stream = io.StringIO()
-    for style in (
-        PlainStyle(stream, quiet=False, colour=False),
-        LiveStyle(Console(file=stream), quiet=False, colour=False),
-        JsonStyle(stream, quiet=False),
-    ):
-        assert not style.wants(ProcessSample(**values))
+    style = StubStyle()
+    shower = Display(style, quiet=quiet)
+    events: list[RunEvent] = [output("x"), node("/c", 0, NodeState.LOADED)]
+    for event in (ProcessSample(**values), *events):
+        shower.publish(event, EMPTY, EMPTY)
+    shower.close()
+    assert style.shown == (events[1:] if quiet else events)
 
 
 def test_a_record_of_the_log_leaves_the_live_view_as_it_is() -> None:
     # It comes from any thread, and what that thread knows of the view may be older.
     stream = io.StringIO()
-    style = LiveStyle(
-        Console(file=stream, force_terminal=True, width=80), quiet=False, colour=False
-    )
+    style = LiveStyle(Console(file=stream, force_terminal=True, width=80), colour=False)
     heard: list[Shown] = []
     collecting = StubStyle()
     collecting.show = lambda batch, _: heard.extend(batch)  # type: ignore[assignment, method-assign]
@@ -181,7 +164,7 @@ def test_a_record_of_the_log_leaves_the_live_view_as_it_is() -> None:
 
 def test_json_has_the_key_of_a_node_and_its_parts() -> None:
     stream = io.StringIO()
-    JsonStyle(stream, quiet=False).show(folded(node("/c", 0, NodeState.LOADED)), 0)
+    JsonStyle(stream).show(folded(node("/c", 0, NodeState.LOADED)), 0)
     read = json.loads(stream.getvalue())
     assert (read["key"], read["container"], read["node"]) == ("/c:/c/n0", "/c", "/c/n0")
 
@@ -208,7 +191,7 @@ def test_json_has_one_object_for_each_event() -> None:
         node("/c", 0, NodeState.LOAD_FAILED),
         container("/c", ContainerState.GAVE_UP),
     ]
-    JsonStyle(stream, quiet=False).show(folded(*events), 2)
+    JsonStyle(stream).show(folded(*events), 2)
     objects = [json.loads(line) for line in stream.getvalue().splitlines()]
     assert stream.getvalue().isascii()
     assert [each["event"] for each in objects] == [
@@ -271,7 +254,7 @@ def test_the_live_view_fits_a_small_terminal() -> None:
 def test_the_live_style_leaves_the_lines_and_takes_the_view_away() -> None:
     stream = io.StringIO()
     console = Console(file=stream, force_terminal=True, width=60, height=10, color_system=None)
-    style = LiveStyle(console, quiet=False, colour=False)
+    style = LiveStyle(console, colour=False)
     again = style.show(
         folded(
             container("/c"),

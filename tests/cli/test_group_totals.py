@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from hypothesis import given
 from hypothesis import strategies as st
 
-from play_launch.cli.show.group_totals import GroupTotal, GroupTotals
+from play_launch.cli.run import GroupTotal, GroupTotals
 from play_launch.supervisor.events import GroupSample, SubjectKind
 
 
@@ -53,9 +53,9 @@ def test_the_last_sample_of_each_group_counts(groups: list[Life], data: st.DataO
     taken: list[GroupSample] = []
     for at, one in enumerate(samples):
         taken.append(sample(at, one.group, one.oom_kills))
-        totals.take(taken[-1])
+        totals.add(taken[-1])
         # One that was taken before may come after it.
-        totals.take(data.draw(st.sampled_from(taken)))
+        totals.add(data.draw(st.sampled_from(taken)))
     (total,) = totals.get().values()
     expected = sum(life.numbers[-1] for life in groups)
     assert total == GroupTotal(
@@ -65,13 +65,13 @@ def test_the_last_sample_of_each_group_counts(groups: list[Life], data: st.DataO
         oom_kills=expected,
         pids_max_hits=expected,
     )
-    assert total.is_held_back == bool(expected)
+    assert total.is_throttled == bool(expected)
 
 
 def test_everything_has_sums_of_its_own() -> None:
     totals = GroupTotals()
     for key in ("/a", "/b", "/a"):
-        totals.take(sample(1, 1, 3, key))
+        totals.add(sample(1, 1, 3, key))
     assert [(key, total.oom_kills) for (_, key), total in totals.get().items()] == [
         ("/a", 3),
         ("/b", 3),

@@ -310,7 +310,7 @@ def test_a_pipe_stays_one_and_a_link_leads_where_it_did(
         passed = pipe.read_bytes()
     assert writing.returncode == 0
     # A reader that goes, while more comes than a pipe holds.
-    program = "import pathlib, sys; from play_launch.postmortem.whole_file import *\n"
+    program = "import pathlib, sys; from play_launch.cli.output import *\n"
     program += "with whole_file(pathlib.Path(sys.argv[1])) as f: f.write_bytes(bytes(1_000_000))"
     with subprocess.Popen([sys.executable, "-c", program, pipe], stderr=subprocess.PIPE) as writing:
         with pipe.open("rb") as reading:
@@ -375,7 +375,7 @@ def test_nothing_is_left_of_outputs_that_are_interrupted(
     program = """
 import signal, sys
 from pathlib import Path
-from play_launch.postmortem.whole_file import whole_file
+from play_launch.cli.output import whole_file
 for each in signal.SIGINT, signal.SIGTERM, signal.SIGHUP:
     signal.signal(each, signal.SIG_DFL)
 with whole_file(Path(sys.argv[1])) as one, whole_file(Path(sys.argv[2])) as other:

@@ -8,8 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from play_launch.cli.app import command_of
-from play_launch.cli.commands import COMMANDS, Needs
+from play_launch.cli.app import COMMANDS, CONTROL, command_of
 from tests.support.replay import COMMAND, replaying
 from tests.support.scenes import TALKER_AND_SLEEPER
 from tests.support.waiting import until
@@ -45,7 +44,7 @@ def test_every_command_that_answers_has_json() -> None:
 
 FOR_PEOPLE = {"top"}
 
-SESSION_COMMANDS = {each.name for each in COMMANDS.values() if each.needs is Needs.SESSION}
+SESSION_COMMANDS = {each.name for each in COMMANDS.values() if each.group == CONTROL}
 ASKED = {
     "ps": [],
     "status": ["talker"],

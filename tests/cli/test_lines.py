@@ -2,8 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from play_launch.cli.show.lines import Line, line_of
-from play_launch.cli.show.text_styles import format_lines
+from play_launch.cli.show.lines import Line, format_lines, line_of
 from play_launch.supervisor.events import (
     ActionEvent,
     ActionPhase,
@@ -53,13 +52,11 @@ def test_nodes_that_load_count_up() -> None:
 
 def test_a_node_with_a_process_of_its_own_is_told_with_its_pid() -> None:
     started: list[RunEvent] = [container("/c"), process("/c", ProcessEventKind.READY)]
-    shared = node("/c", 0, NodeState.LOADED, pid=77)
-    assert text(shared, *started) == "20 /c /c/n0 loaded (1/1)"
     own = node("/c", 0, NodeState.LOADED, pid=78)
-    assert text(own, *started) == "20 /c /c/n0 loaded (1/1), pid 78"
+    assert text(own, *started) == "20 /c /c/n0 loaded, pid 78 (1/1)"
     again = line(node("/c", 0, NodeState.LOADED, pid=79, crashes=1, reloads=1), *started)
     assert again is not None
-    assert again.text == "/c/n0 loaded again (1/1), pid 79"
+    assert again.text == "/c/n0 loaded again, pid 79 (1/1)"
     assert not again.is_progress
 
 
@@ -67,8 +64,8 @@ def test_a_slow_node_is_reported_when_it_is_told_again() -> None:
     loading: list[RunEvent] = [container("/c"), node("/c", 0, NodeState.LOADING)]
     assert line(loading[1], loading[0]) is None
     again = node("/c", 0, NodeState.LOADING, at=15, elapsed=15, reason="its constructor runs")
-    assert text(again, *loading) == (
-        "20 /c loaded 0/1, waiting on /c/n0 … 15 s: its constructor runs"
+    assert (
+        text(again, *loading) == "20 /c /c/n0 is still loading after 15.0 s: its constructor runs"
     )
 
 
@@ -154,7 +151,7 @@ def test_what_waits_says_for_what() -> None:
     waiting = node("/c", 0, NodeState.PENDING, reason="waits for /d to be loaded")
     assert text(waiting) == "20 /c /c/n0 waits for /d to be loaded"
     held = container("/c", ContainerState.STARTING, reason="waits for a publisher of /scan")
-    assert text(held) == "20 /c waits for a publisher of /scan"
+    assert text(held) == "20 /c starting: waits for a publisher of /scan"
 
 
 def test_an_action_on_the_whole_system_has_no_names() -> None:
@@ -169,4 +166,4 @@ def test_an_action_on_the_whole_system_has_no_names() -> None:
         command="",
         reason="a.yaml",
     )
-    assert text(asked) == "20 play-launch apply (a.yaml): asked for by user 7, pid 8"
+    assert text(asked) == "20 play-launch apply (a.yaml): requested by user 7, pid 8"

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from play_launch.cli.logs import since_when
+from play_launch.cli.events import since_when
 from play_launch.config.node_key import NodeKey
 from play_launch.supervisor.events import (
     ComponentEvent,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from play_launch.cli.show.plan_text import plan_lines
+from play_launch.cli.apply import plan_lines
 
 WORDS = "/driver to be started; the file /flag, at most 2 s, else start; 0.5 s more"
 

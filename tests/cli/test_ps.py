@@ -6,7 +6,7 @@ import subprocess
 import sys
 from typing import TYPE_CHECKING, Any
 
-from play_launch.cli.ps import table
+from play_launch.cli.ps import lines
 from play_launch.control.registration import LINKS
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ WAITING = {**ROW, "state": "waiting", "reason": "waits for the file flag, which 
 
 
 def test_without_details_there_is_no_column_of_them() -> None:
-    assert table([ROW]).splitlines() == [
+    assert lines([ROW]) == [
         "NAME  KIND     STATE    PID  UPTIME  RESTARTS  CPU  MEMORY",
         "/a    process  running    7   3.0 s         0    -       -",
     ]
@@ -40,9 +40,9 @@ def test_without_details_there_is_no_column_of_them() -> None:
 def test_why_something_is_as_it_is_comes_last() -> None:
     failed = {**ROW, "managed": {"state": "failed", "reason": "its transition configure failed"}}
     active = {**ROW, "managed": {"state": "active", "reason": ""}, "reason": "blocked"}
-    title, *lines = table([ROW, WAITING, failed, active]).splitlines()
+    title, *shown = lines([ROW, WAITING, failed, active])
     at = title.index("DETAILS")
-    assert [line[at:] for line in lines] == [
+    assert [line[at:] for line in shown] == [
         "",
         WAITING["reason"],
         "autostart failed: its transition configure failed",
@@ -51,10 +51,10 @@ def test_why_something_is_as_it_is_comes_last() -> None:
 
 
 def test_details_end_where_the_terminal_ends() -> None:
-    assert max(map(len, table([WAITING], 90).splitlines())) == 90
-    assert table([WAITING], 90).endswith("...\n")
-    assert table([WAITING], 40).endswith("  waits for the fil...\n")
-    assert table([WAITING], 200) == table([WAITING])
+    assert max(map(len, lines([WAITING], 90))) == 90
+    assert lines([WAITING], 90)[-1].endswith("...")
+    assert lines([WAITING], 40)[-1].endswith("  waits for the fil...")
+    assert lines([WAITING], 200) == lines([WAITING])
 
 
 def test_ps_imports_next_to_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

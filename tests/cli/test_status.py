@@ -5,7 +5,6 @@ import pytest
 from play_launch.cli.output import duration
 from play_launch.cli.show.status import (
     container_status,
-    ending,
     is_complete,
     process_status,
 )
@@ -80,9 +79,6 @@ def test_durations_are_for_people(seconds: float, expected: str) -> None:
 
 
 def test_how_a_process_ended() -> None:
-    assert ending(3, 0) == "exited with status 3"
-    assert ending(0, 11) == "exited with signal 11 (SIGSEGV)"
-    assert ending(0, 60) == "exited with signal 60 (SIGRTMIN+26)"
     killed = view(process("/p", ProcessEventKind.EXITED, signal=9)).processes["/p"]
     assert process_status(killed) == "exited with signal 9 (SIGKILL)"
     gone = view(process("/p", ProcessEventKind.GAVE_UP, message="5 restarts")).processes["/p"]

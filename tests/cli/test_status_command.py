@@ -6,7 +6,7 @@ import json
 import subprocess
 from pathlib import Path
 
-from play_launch.cli.demo import CONFIG as DEMO
+from play_launch.cli.replay import DEMO
 from tests.support.replay import COMMAND, replaying
 from tests.support.waiting import until
 

@@ -1,14 +1,13 @@
 from __future__ import annotations
 
-import io
 import json
 from pathlib import Path
 
 from msgspec.structs import replace
 
 from play_launch.cli.output import size
-from play_launch.cli.show.group_totals import GroupTotal
-from play_launch.cli.show.summary import print_summary, summary_object
+from play_launch.cli.run import GroupTotal
+from play_launch.cli.show.summary import Summary
 from play_launch.config.node_key import NodeKey
 from play_launch.recording.limits import RecordingSummary
 from play_launch.supervisor.events import (
@@ -38,9 +37,7 @@ SYSTEM = view(
 
 
 def printed(recording: RecordingSummary = RECORDING) -> str:
-    stream = io.StringIO()
-    print_summary(SYSTEM, SYSTEM, recording, stream=stream, colour=False)
-    return stream.getvalue()
+    return Summary(SYSTEM, SYSTEM, recording).text(colour=False) + "\n"
 
 
 def test_the_summary_says_what_was_up_what_failed_and_where_the_recording_is() -> None:
@@ -51,7 +48,7 @@ def test_the_summary_says_what_was_up_what_failed_and_where_the_recording_is() -
     assert "waiting on /bad/n1" in text
     assert "gave up: 5 restarts within 60 s" in text
     assert rows["3"][:6] == ["3", "containers", "4", "2", "1", "2"]
-    assert rows["/listener"] == ["/listener", "exited", "with", "status", "3", "1"]
+    assert rows["/listener"] == ["/listener", "1", "exited", "with", "status", "3"]
     assert "/bad/n0 (/bad): load failed: no such class demo::Gone" in text
     assert f"Recording: {LONG} (1,234 messages, 56 kB)\n" in text
     assert "\x1b" not in text
@@ -68,14 +65,14 @@ def test_a_recording_that_stopped_early_says_so() -> None:
 def test_several_files_and_interruptions_are_counted() -> None:
     summary = RecordingSummary(path=LONG, messages=1, dropped=0, bytes=5, parts=3, interruptions=1)
     text = printed(summary)
-    assert "(3 files, 1 messages, 5 bytes, interrupted 1 time)" in text
-    recording = summary_object(SYSTEM, SYSTEM, summary, exit_code=0)["recording"]
+    assert "(3 files, 1 messages, 5 B, interrupted 1 time)" in text
+    recording = Summary(SYSTEM, SYSTEM, summary).as_object(0)["recording"]
     assert isinstance(recording, dict)
     assert (recording["parts"], recording["interruptions"]) == (3, 1)
 
 
 def test_the_summary_for_machines_has_the_same() -> None:
-    values = json.loads(json.dumps(summary_object(SYSTEM, SYSTEM, RECORDING, exit_code=1)))
+    values = json.loads(json.dumps(Summary(SYSTEM, SYSTEM, RECORDING).as_object(1)))
     assert values["exit_code"] == 1
     assert values["containers"][1] == {
         "name": "/bad",
@@ -156,17 +153,16 @@ ENDS = {
 
 
 def test_the_summary_says_that_what_ran_has_stopped_and_how_if_not_as_it_should() -> None:
-    stream = io.StringIO()
-    print_summary(RAN, AFTER, RECORDING, stream=stream, colour=False)
-    rows = [" ".join(line.split()) for line in stream.getvalue().splitlines()]
+    text = Summary(RAN, AFTER, RECORDING).text(colour=False)
+    rows = [" ".join(line.split()) for line in text.splitlines()]
     for name, end in ENDS.items():
-        assert f"{name} {end} 0" in rows
+        assert f"{name} 0 {end}" in rows
     assert "/fine 1 1 0 0" in rows
     assert "/deaf 0 0 0 0 stopped: exited with signal 9 (SIGKILL)" in rows
 
 
 def test_the_summary_for_machines_says_how_each_process_ended() -> None:
-    values = json.loads(json.dumps(summary_object(RAN, AFTER, RECORDING, exit_code=130)))
+    values = json.loads(json.dumps(Summary(RAN, AFTER, RECORDING).as_object(130)))
     assert {each["name"]: each["state"] for each in values["processes"]} == ENDS
     ended = {
         each["name"]: (each["exit_code"], each["signal"])
@@ -186,14 +182,13 @@ def test_crashes_and_reloads_of_each_node_are_told() -> None:
         node("/c", 1, NodeState.GAVE_UP, reason="too often", pid=4712, crashes=4, reloads=3),
         node("/c", 2, NodeState.LOADED, pid=4713),
     )
-    stream = io.StringIO()
-    print_summary(crashed, crashed, RECORDING, stream=stream, colour=False)
-    rows = [line.split() for line in stream.getvalue().splitlines()]
+    text = Summary(crashed, crashed, RECORDING).text(colour=False)
+    rows = [line.split() for line in text.splitlines()]
     assert ["/c/n0", "2", "2", "4711", "loaded"] in rows
     assert ["/c/n1", "4", "3", "gave", "up"] in rows
-    assert "/c/n1 (/c): gave up: too often" in stream.getvalue()
-    assert "/c/n2" not in stream.getvalue()
-    values = summary_object(crashed, crashed, RECORDING, exit_code=1)
+    assert "/c/n1 (/c): gave up: too often" in text
+    assert "/c/n2" not in text
+    values = Summary(crashed, crashed, RECORDING).as_object(1)
     assert values["containers"][0]["crashes"] == 6  # type: ignore[index]
 
 
@@ -202,11 +197,10 @@ def test_crashed_nodes_with_the_same_label_are_told_apart_by_their_containers() 
         replace(node(owner, 0, NodeState.LOADED, crashes=1), key=NodeKey(owner, "/[demo::Talker]"))
         for owner in ("/c", "/d")
     ]
-    stream = io.StringIO()
     crashed = view(container("/c"), container("/d"), *unnamed)
-    print_summary(crashed, crashed, RECORDING, stream=stream, colour=False)
-    assert "/c:/[demo::Talker]" in stream.getvalue()
-    assert "/d:/[demo::Talker]" in stream.getvalue()
+    text = Summary(crashed, crashed, RECORDING).text(colour=False)
+    assert "/c:/[demo::Talker]" in text
+    assert "/d:/[demo::Talker]" in text
 
 
 def test_who_was_held_back_by_limits_is_in_the_summary() -> None:
@@ -217,16 +211,13 @@ def test_who_was_held_back_by_limits_is_in_the_summary() -> None:
         ),
         (SubjectKind.PROCESS, "/listener"): GroupTotal(oom_kills=2, pids_max_hits=3),
     }
-    stream = io.StringIO()
-    print_summary(SYSTEM, SYSTEM, RECORDING, stream=stream, colour=False, used=used)
-    _, _, table = stream.getvalue().partition("throttled by cgroup limits")
+    summary = Summary(SYSTEM, SYSTEM, RECORDING, used)
+    _, _, table = summary.text(colour=False).partition("throttled by cgroup limits")
     rows = [line.split() for line in table.splitlines()]
     assert ["/bad/n0", "4.50", "s", "1.25", "s", "0", "0"] in rows
     assert ["/listener", "0.00", "s", "2", "3"] in rows
     assert not [row for row in rows if "/bad" in row]
-    values = json.loads(
-        json.dumps(summary_object(SYSTEM, SYSTEM, RECORDING, exit_code=0, used=used))
-    )
+    values = json.loads(json.dumps(summary.as_object(0)))
     assert [(each["kind"], each["key"]) for each in values["cgroups"]] == [
         ("container", "/bad"),
         ("node", "/bad:/bad/n0"),
@@ -237,10 +228,7 @@ def test_who_was_held_back_by_limits_is_in_the_summary() -> None:
 
 
 def test_sizes_are_for_people() -> None:
-    assert [size(count) for count in (0, 999, 1500, 12_345_678, 10**10)] == [
-        "0 bytes",
-        "999 bytes",
-        "1.5 kB",
-        "12.3 MB",
-        "10 GB",
+    counts = (0, 999, 1500, 12_345_678, 999_400_000, 999_600_000, 10**10, 5 * 10**15)
+    assert [size(count) for count in counts] == [
+        *("0 B", "999 B", "1.5 kB", "12.3 MB", "999 MB", "1 GB", "10 GB", "5000 TB")
     ]

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import yaml
 
-from play_launch.cli.schema import SCHEMA_FILE, schema_text
+from play_launch.cli.init import SCHEMA_FILE, schema_text
 from play_launch.config import schema, sections
 from play_launch.config.load import parse_config
 from play_launch.config.problems import ConfigError

@@ -170,7 +170,7 @@ def test_actions_touch_only_what_they_are_about(
     # What a client says, not what has its pid by then; and whatever it says can be recorded.
     assert recorded[-1].command == "tool token:=(redacted) ?"  # type: ignore[union-attr]
     shown = ask("inspect", str(replay.bag))
-    assert "reload /chat:/talker: asked for by user" in shown
+    assert "reload /chat:/talker: requested by user" in shown
 
 
 def test_what_cannot_be_done_is_refused_with_the_reason(config: Path, tmp_path: Path) -> None:

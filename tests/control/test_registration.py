@@ -53,7 +53,7 @@ client.recv(1)
 ROOT = """
 import json, os, sys, types
 sys.modules["rclpy"] = types.ModuleType("rclpy")  # root's Python may be out of that user's sight
-from play_launch.cli.session_environment import enter_environment_of
+from play_launch.cli.connection import enter_environment_of
 from play_launch.control.sessions import connect_to
 with connect_to(sys.argv[1]) as client:
     enter_environment_of(client)

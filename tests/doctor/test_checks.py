@@ -10,14 +10,14 @@ from pathlib import Path
 import pytest
 
 from play_launch.doctor import machine, ros
-from play_launch.doctor.finding import Finding, Level
+from play_launch.doctor.check_result import CheckResult, Severity
 
-OK, WARN, FAIL = Level.OK, Level.WARN, Level.FAIL
+OK, WARN, FAIL = Severity.OK, Severity.WARN, Severity.FAIL
 CYCLONE, FASTDDS = "rmw_cyclonedds_cpp", "rmw_fastrtps_cpp"
 NO_LIMIT = resource.RLIM_INFINITY
 
 
-def is_(finding: Finding, level: Level, words: str) -> None:
+def is_(finding: CheckResult, level: Severity, words: str) -> None:
     assert finding.level is level
     assert words in f"{finding.says} | {finding.impact} | {finding.fix}"
     assert bool(finding.impact) is (level is not OK)
@@ -49,7 +49,7 @@ def is_(finding: Finding, level: Level, words: str) -> None:
         ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "NEAR"}, FASTDDS, WARN, "does not know"),
     ],
 )
-def test_discovery(given: dict[str, str], rmw: str, level: Level, words: str) -> None:
+def test_discovery(given: dict[str, str], rmw: str, level: Severity, words: str) -> None:
     is_(machine.discovery(given, rmw), level, words)
 
 
@@ -64,7 +64,7 @@ def test_discovery(given: dict[str, str], rmw: str, level: Level, words: str) ->
         ("102", WARN, "ephemeral"),
     ],
 )
-def test_domain(given: str, level: Level, words: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_domain(given: str, level: Severity, words: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(machine, "_text", lambda _: "32768\t60999\n")
     is_(machine.domain({"ROS_DOMAIN_ID": given}), level, words)
 
@@ -93,7 +93,7 @@ def test_domain(given: str, level: Level, words: str, monkeypatch: pytest.Monkey
 def test_limits_of_a_user(
     check: str,
     limits: tuple[int, int],
-    level: Level,
+    level: Severity,
     words: str,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -153,7 +153,7 @@ def test_the_folder_for_recordings(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         ((3, 14, 0), WARN, "not tested"),
     ],
 )
-def test_python(version: tuple[int, ...], level: Level, words: str) -> None:
+def test_python(version: tuple[int, ...], level: Severity, words: str) -> None:
     is_(ros.python(version), level, words)
 
 

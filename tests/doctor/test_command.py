@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import os
 import re
@@ -13,9 +12,8 @@ from typing import Any
 import psutil
 import pytest
 
-from play_launch.cli.doctor import print_findings
-from play_launch.doctor.finding import Level, fail, ok, warn
-from play_launch.doctor.report import examine
+from play_launch.cli.doctor import examine, lines
+from play_launch.doctor.check_result import Severity, fail, ok, warn
 from tests.support.replay import COMMAND
 
 DOCS = Path(__file__).parents[2] / "docs" / "doctor.md"
@@ -55,7 +53,7 @@ def test_what_keeps_a_system_from_running_is_said_by_exit_code_and_result() -> N
     assert json.loads(result.stdout)["can_run"] is False
     levels = {subject: each["level"] for subject, each in findings(result).items()}
     assert [subject for subject, level in levels.items() if level == "fail"] == ["domain"]
-    assert "No system can be brought up here" in run(ROS_DOMAIN_ID="999").stdout
+    assert "No system can be started here" in run(ROS_DOMAIN_ID="999").stdout
 
 
 def test_two_installations_of_ros_are_seen(tmp_path: Path) -> None:
@@ -96,28 +94,30 @@ def test_a_container_that_does_not_start_is_quoted(monkeypatch: pytest.MonkeyPat
     monkeypatch.setenv("LD_PRELOAD", "/not/there.so")
     monkeypatch.setattr("play_launch.doctor.ros.component_container", lambda: Path("/bin/false"))
     container = next(each for each in examine() if each.subject == "container")
-    assert container.level is Level.FAIL
+    assert container.level is Severity.FAIL
     assert "/bin/false: " in container.says
     assert "/not/there.so" in container.says
 
 
 def test_the_table_has_a_line_for_each_and_its_fix() -> None:
-    stream = io.StringIO()
     report = [ok("a", "fine"), warn("b", "so so", "time", "wait"), fail("c", "bad", "all", "mend")]
-    print_findings(report, stream, colour=False)
-    lines = [line.strip() for line in stream.getvalue().splitlines()]
-    assert "ok     a   fine" in lines
-    assert "warn   b   so so" in lines
-    assert "impact: time" in lines
-    assert "fix: mend" in lines
-    assert lines[-1] == "No system can be brought up here: c."
+    assert list(lines(report, colour=False)) == [
+        "ok    a  fine",
+        "warn  b  so so",
+        "         impact: time",
+        "         fix: wait",
+        "fail  c  bad",
+        "         impact: all",
+        "         fix: mend",
+        "",
+        "No system can be started here: c.",
+    ]
 
 
 def test_the_result_counts_what_is_lost() -> None:
     for count, words in ((0, "no warnings."), (1, "1 warning."), (2, "2 warnings.")):
-        stream = io.StringIO()
-        print_findings([warn("b", "so so", "time", "wait")] * count, stream, colour=False)
-        assert stream.getvalue().strip().endswith(words)
+        report = [ok("a", "fine"), *[warn("b", "so so", "time", "wait")] * count]
+        assert [*lines(report, colour=False)][-1].endswith(words)
 
 
 def test_every_subject_is_documented() -> None:

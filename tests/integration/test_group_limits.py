@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from benchmarks.figures import Figures
-from play_launch.cli.show.group_totals import GroupTotals
+from play_launch.cli.run import GroupTotals
 from play_launch.postmortem.session import PastSession
 from play_launch.process.cgroups.group import Group
 from play_launch.process.cgroups.session import own_hierarchy
@@ -175,7 +175,7 @@ def in_the_recording(replay: Replay) -> None:
     totals = GroupTotals()
     for happened in PastSession(replay.bag).events():
         if isinstance(happened.event, GroupSample):
-            totals.take(happened.event)
+            totals.add(happened.event)
     found = {key: total for (_, key), total in totals.get().items()}
     # Of both processes, one after the other.
     assert found["/hungry"].oom_kills == 2

@@ -145,7 +145,7 @@ def test_a_signal_before_anything_runs_leaves_nothing(ros_domain: int, step: int
     run_and_interrupt(ros_domain, step * 0.04, signum, from_first_line=False)
 
 
-@pytest.mark.parametrize("module", ["play_launch.cli.commands", "play_launch.cli.output"])
+@pytest.mark.parametrize("module", ["play_launch.cli.app", "play_launch.cli.output"])
 def test_a_signal_amid_our_imports_ends_the_command_without_a_word(
     module: str, tmp_path: Path
 ) -> None:

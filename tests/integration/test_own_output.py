@@ -24,7 +24,7 @@ from tests.support.replay import COMMAND
 from tests.support.stock import EXECUTABLE, PACKAGE, install
 
 NOISE = "noise of a library"
-WORDS = f"a library of the supervisor writes: {NOISE}"
+WORDS = f"stdout of a library: {NOISE}"
 # Python runs it at its start. It stands for a library that writes when it is loaded.
 SITE = """
 import ctypes, sys
@@ -127,7 +127,7 @@ def test_a_library_that_writes_without_end_does_not_stop_the_supervisor(tmp_path
     ("module", "arguments"),
     [
         ("play_launch.config", ["check", "CONFIG", "--json"]),
-        ("play_launch.doctor.report", ["doctor", "--json"]),
+        ("play_launch.doctor.ros", ["doctor", "--json"]),
         ("play_launch.graph_daemon.port", ["daemon", "status", "--json"]),
         ("play_launch.recording.facts", ["version", "--json"]),
     ],
@@ -181,7 +181,7 @@ def test_errors_of_fast_dds_leave_json_as_it_is(tmp_path: Path) -> None:
         stderr = process.stderr.read()
     assert (process.returncode, stderr) == (128 + signal.SIGTERM, "")
     assert events[-1]["containers"][0]["loaded"] == 1
-    words = "a library of the supervisor writes: "
+    words = "stdout of a library: "
     errors = [each for each in warnings(events) if each.startswith(words)]
     assert len(errors) == len(PORTS)
     for error in errors:

@@ -309,8 +309,8 @@ def test_the_system_goes_on_without_what_fails_beside_it_and_reports_that(
     program = (sys.executable, "-c", BROKEN.format(module=module, function=function))
     with replaying(config, tmp_path / "logs", program=program) as replay:
         reported = replay.read_until(lambda event: event["event"] == "log", "a report")
-        assert (reported["level"], reported["name"]) == (40, "play_launch.cli.run")
-        assert f"the system goes on without {what}" in reported["message"]
+        assert (reported["level"], reported["name"]) == (40, "play_launch.cli.background")
+        assert f"the system continues without {what}" in reported["message"]
         assert "Too many open files" in reported["message"]
         if module == "serve_control":
             folder = (tmp_path / "logs" / "latest").resolve()

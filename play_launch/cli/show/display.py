@@ -1,4 +1,4 @@
-"""Shows a run while it happens, without ever making it wait for a slow terminal."""
+"""Display of a run in a thread of its own: a slow terminal never delays the run."""
 
 from __future__ import annotations
 
@@ -6,12 +6,10 @@ import contextlib
 import logging
 import sys
 import threading
-from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
-
-from msgspec import Struct
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from play_launch.cli.output import redirect_to_devnull
-from play_launch.supervisor.events import LogRecord, OutputLine, RunEvent
+from play_launch.supervisor.events import LogRecord, OutputLine, RunEvent, Sample
 from play_launch.supervisor.view import SystemView
 
 if TYPE_CHECKING:
@@ -19,9 +17,14 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 _NO_VIEW: Final = SystemView()
-
-_LAST_WORDS: Final = 2.0
-"""Seconds that the end waits for a terminal which takes no more."""
+_LINES_LIMIT: Final = 5_000
+"""Lines of output waiting to be shown; further ones are left out and counted."""
+_OTHERS_LIMIT: Final = 100_000
+"""Room for other events; it is used up only if stdout is not read."""
+_INTERVAL: Final = 0.05
+"""Seconds between two writes."""
+_CLOSE_TIMEOUT: Final = 2.0
+"""Seconds for the last events at the end of the run."""
 
 
 class Shown(NamedTuple):
@@ -32,11 +35,8 @@ class Shown(NamedTuple):
     after: SystemView
 
 
-class Style(Protocol):
-    """One way to show a run. All but :meth:`wants` is called in the display's thread."""
-
-    def wants(self, event: RunEvent) -> bool:
-        """Whether an event shows in this style; called for every event, so it must be quick."""
+class Style:
+    """One way to show a run; called in the display's thread."""
 
     def show(self, batch: Sequence[Shown], missed: int) -> float | None:
         """Show events; ``missed`` lines of output before the last of them are not among them.
@@ -44,39 +44,28 @@ class Style(Protocol):
         Returns the seconds after which to be called again even though nothing has happened, or
         None.
         """
+        raise NotImplementedError
 
     def close(self) -> None:
-        """Leave the terminal as it was."""
-
-
-class DisplayLimits(Struct, frozen=True):
-    """Sizes and times of a display."""
-
-    lines: int = 5_000
-    """Lines of output waiting to be shown; further ones are left out and counted."""
-    other_events: int = 100_000
-    """Room for other events; it is used up only if stdout is not read."""
-    batch: float = 0.05
-    """Seconds between two writes."""
+        """Restore the terminal."""
 
 
 class Display:
-    """Takes events on any thread and shows them from one of its own.
+    """Shows events of any thread, samples excepted, and without output where ``quiet``.
 
     A terminal can be stopped (Ctrl-S) and a pipe can be full; both would block the writing thread.
-    When stdout takes no more (its reader has gone, the disk is full, the terminal was closed),
-    showing ends, and the run goes on.
+    When a write to stdout fails (its reader has exited, the disk is full, the terminal was closed),
+    the display ends, and the run continues.
     """
 
-    def __init__(self, style: Style, limits: DisplayLimits | None = None) -> None:
-        """Start the thread."""
+    def __init__(self, style: Style, *, quiet: bool = False) -> None:
         self._style = style
-        self._limits = limits or DisplayLimits()
+        self._hidden = (Sample, OutputLine) if quiet else Sample
         self._lock = threading.Lock()
         self._queue: list[Shown] = []
         self._missed = 0
         self._closing = False
-        self._gone = False
+        self._is_off = False
         self._wake = threading.Event()
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._run, name="display", daemon=True)
@@ -84,11 +73,9 @@ class Display:
 
     def publish(self, event: RunEvent, before: SystemView, after: SystemView) -> None:
         """Show an event soon; never blocks."""
-        if self._gone or not self._style.wants(event):
+        if self._is_off or isinstance(event, self._hidden):
             return
-        room = self._limits.lines
-        if not isinstance(event, OutputLine):
-            room += self._limits.other_events
+        room = _LINES_LIMIT + (0 if isinstance(event, OutputLine) else _OTHERS_LIMIT)
         with self._lock:
             waiting = len(self._queue)
             if self._closing or waiting >= room:
@@ -103,19 +90,19 @@ class Display:
         self.publish(event, _NO_VIEW, _NO_VIEW)
 
     def close(self) -> None:
-        """Show what is waiting and leave the terminal as it was."""
+        """Show waiting events and restore the terminal."""
         with self._lock:
             self._closing = True
         self._end.set()
         self._wake.set()
-        self._thread.join(_LAST_WORDS)
+        self._thread.join(_CLOSE_TIMEOUT)
 
     def _run(self) -> None:
         again: float | None = 0.0
         try:
             while True:
                 self._wake.wait(again)
-                self._end.wait(self._limits.batch)
+                self._end.wait(_INTERVAL)
                 self._wake.clear()
                 with self._lock:
                     batch, self._queue = self._queue, []
@@ -125,12 +112,12 @@ class Display:
                 if closing:
                     return
         except OSError as error:
-            # A terminal that was closed answers EIO; what follows for the run is up to SIGHUP.
-            self._gone = True
+            # A closed terminal answers EIO; SIGHUP decides about the run.
+            self._is_off = True
             redirect_to_devnull(sys.stdout)
             if not isinstance(error, BrokenPipeError):
                 _log.warning("the display is off: stdout cannot be written: %s", error.strerror)
         finally:
-            # Also after a mistake of ours: the cursor must come back.
+            # Also after an exception: the cursor must be visible again.
             with contextlib.suppress(OSError, ValueError):
                 self._style.close()

@@ -1,14 +1,16 @@
-"""Lines of `replay` for events."""
+"""Lines of `replay` and `inspect`: which events have one, and its form."""
 
 from __future__ import annotations
 
+import time
+import zlib
 from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
-from play_launch.cli.output import duration
-from play_launch.cli.show.status import container_status, ending
-from play_launch.recording.console_format import ERROR, INFO, WARN, line_level
+from play_launch.cli.output import RED, RESET, YELLOW, clock, printable
+from play_launch.control.event_words import OWN_NAME, words_of
+from play_launch.recording.console_format import ERROR, INFO, WARN
 from play_launch.supervisor.events import (
     REPORTED_LOGGER,
     ActionEvent,
@@ -28,11 +30,11 @@ from play_launch.supervisor.events import (
 from play_launch.supervisor.goal_life import ManagedState
 
 if TYPE_CHECKING:
-    from play_launch.supervisor.view import ProcessView, SystemView
+    from collections.abc import Iterable
 
-OWN_NAME: Final = "play-launch"
-_UNSAID: Final = frozenset({ManagedState.ABSENT, ManagedState.ASKED})
-"""States of a managed node that say nothing that its own do not say."""
+    from play_launch.supervisor.view import SystemView
+
+_NAME_COLOURS: Final = tuple(f"\x1b[{code}m" for code in (36, 35, 34, 32, 96, 95, 94, 92))
 
 
 class Line(Struct, frozen=True):
@@ -44,124 +46,104 @@ class Line(Struct, frozen=True):
     text: str
     level: int = INFO
     is_progress: bool = False
-    """It repeats what the live view shows."""
+    """The live view has the same content."""
 
 
 def line_of(event: RunEvent, before: SystemView, after: SystemView) -> Line | None:
     """Return the line for an event, given the view before and after it; most events have none."""
+    is_progress = _is_progress(event, before, after)
+    if is_progress is None:
+        return None
+    level, source, text = words_of(event)
+    if isinstance(event, OutputLine) and event.truncated:
+        text += " [cut]"
+    elif isinstance(event, ProcessEvent) and event.kind is ProcessEventKind.EXITED:
+        level = INFO if is_progress else ERROR
+    elif isinstance(event, NodeStateChanged) and event.state is NodeState.LOADED:
+        container = after.containers[event.container]
+        text += "" if event.reason else f" ({container.loaded}/{container.total})"
+    return Line(event.stamp_ns, source, text, level, is_progress)
+
+
+def _is_progress(event: RunEvent, before: SystemView, after: SystemView) -> bool | None:
+    """Whether the live view shows an event as well; None: it has no line."""
     match event:
-        case OutputLine():
-            text = f"{event.text} [cut]" if event.truncated else event.text
-            return Line(event.stamp_ns, event.process, text, line_level(event))
+        case OutputLine() | Withdrawn():
+            return False
         case LogRecord() if event.level >= WARN and event.name != REPORTED_LOGGER:
-            return Line(event.stamp_ns, OWN_NAME, event.message, event.level)
+            return False
         case NodeStateChanged():
-            return _node_line(event, before, after)
-        case ProcessEvent():
-            return _process_line(event, before)
-        case ActionEvent():
-            return _action_line(event)
-        case ManagedNodeChanged(state=ManagedState.FAILED):
-            return Line(event.stamp_ns, event.node, f"autostart failed: {event.reason}", ERROR)
-        case ManagedNodeChanged() if event.state not in _UNSAID:
-            return Line(event.stamp_ns, event.node, f"is {event.state}", is_progress=True)
+            return _is_node_progress(event, before, after)
         case ContainerStateChanged(state=ContainerState.STARTING) if event.reason:
-            return Line(event.stamp_ns, event.container, event.reason, is_progress=True)
-        case Withdrawn():
-            reason = f": {event.reason}" if event.reason else ""
-            return Line(event.stamp_ns, event.key, f"taken out of the system{reason}")
+            return True
+        case ProcessEvent(kind=ProcessEventKind.STARTED | ProcessEventKind.WAITING):
+            return True
+        case ProcessEvent(kind=ProcessEventKind.RESTARTING | ProcessEventKind.GAVE_UP):
+            return False
+        case ProcessEvent(kind=ProcessEventKind.EXITED):
+            return not (event.exit_code or event.signal) or _was_stopping(event.name, before)
+        case ActionEvent():
+            return event.phase is ActionPhase.DONE
+        # In the other states, the states of the node itself say the same.
+        case ManagedNodeChanged() if event.state not in {ManagedState.ABSENT, ManagedState.ASKED}:
+            return event.state is not ManagedState.FAILED
         case _:
             return None
 
 
-def _action_line(event: ActionEvent) -> Line | None:
-    names = ", ".join(event.targets[:_MOST_TARGETS])
-    if more := event.targets[_MOST_TARGETS:]:
-        names += f" and {len(more)} more"
-    what = f"{event.action} {names}".rstrip()
-    match event.phase:
-        case ActionPhase.REQUESTED:
-            besides = f" ({event.reason})" if event.reason else ""
-            who = f"user {event.uid}, pid {event.pid}"
-            command = f": {event.command}" if event.command else ""
-            text = f"{what}{besides}: asked for by {who}{command}"
-            return Line(event.stamp_ns, OWN_NAME, text)
-        case ActionPhase.FAILED:
-            return Line(event.stamp_ns, OWN_NAME, f"{what} failed: {event.reason}", WARN)
-        case ActionPhase.DONE:
-            return Line(event.stamp_ns, OWN_NAME, f"{what}: done", is_progress=True)
-
-
-_MOST_TARGETS: Final = 5
-
-
-def _node_line(event: NodeStateChanged, before: SystemView, after: SystemView) -> Line | None:
-    container = after.containers[event.container]
-    known = before.containers.get(event.container)
-    was = known.nodes.get(event.key) if known else None
-    repeated = was is not None and was.state is event.state
-    reason = f": {event.reason}" if event.reason else ""
+def _is_node_progress(
+    event: NodeStateChanged, before: SystemView, after: SystemView
+) -> bool | None:
+    container = before.containers.get(event.container)
+    was = container.nodes.get(event.key) if container else None
+    if was is not None and was.state is event.state:
+        return True if event.state in {NodeState.LOADING, NodeState.PENDING} else None
     match event.state:
-        case NodeState.LOADED if not repeated:
-            took = f" after {duration(event.elapsed_ns)}" if event.elapsed_ns else ""
-            again = " again" if event.reloads else ""
-            # In an isolated container it is the pid of a process that holds nothing else.
-            pid = f", pid {event.pid}" if event.pid not in (0, container.process.pid) else ""
-            count = f"({container.loaded}/{container.total})"
-            text = f"{event.node} loaded{again}{took} {count}{pid}{reason}"
-            # A reason says that something was not as usual; that is worth a line of its own.
-            usual = not reason and not again
-            return Line(event.stamp_ns, event.container, text, is_progress=usual)
+        case NodeState.LOADED:
+            return not event.reason and not event.reloads
         case NodeState.PENDING if event.reason:
-            text = f"{event.node} {event.reason}"
-            return Line(event.stamp_ns, event.container, text, is_progress=True)
-        case NodeState.LOADING if repeated:
-            text = container_status(container, event.stamp_ns) + reason
-            return Line(event.stamp_ns, event.container, text, is_progress=True)
-        case NodeState.LOAD_FAILED | NodeState.CRASHED | NodeState.GAVE_UP if not repeated:
-            text = f"{event.node} {_VERBS[event.state]}{reason}"
-            return Line(event.stamp_ns, event.container, text, ERROR)
+            return True
+        case NodeState.LOAD_FAILED | NodeState.CRASHED | NodeState.GAVE_UP:
+            return False
         # A node that had crashed was down before its container exited.
-        case NodeState.LOST if not repeated and not (was and was.state is NodeState.CRASHED):
-            return Line(event.stamp_ns, event.container, f"{event.node} lost{reason}", WARN)
-        # An orderly stop needs no reason; an unload that was asked for has no reason.
-        case NodeState.UNLOADED if reason and container.state is ContainerState.RUNNING:
-            return Line(event.stamp_ns, event.container, f"{event.node} unloaded{reason}", WARN)
+        case NodeState.LOST if was is None or was.state is not NodeState.CRASHED:
+            return False
+        # An orderly stop needs no reason; an unload that was requested has no reason.
+        case NodeState.UNLOADED if event.reason:
+            is_running = after.containers[event.container].state is ContainerState.RUNNING
+            return False if is_running else None
         case _:
-            return None
-
-
-_VERBS: Final = {
-    NodeState.LOAD_FAILED: "failed to load",
-    NodeState.CRASHED: "crashed",
-    NodeState.GAVE_UP: "is not loaded again",
-}
-
-
-def _process_line(event: ProcessEvent, before: SystemView) -> Line | None:
-    match event.kind:
-        case ProcessEventKind.STARTED:
-            # Without a pid it is an attached container.
-            text = f"started, pid {event.pid}" if event.pid else "attaching"
-            return Line(event.stamp_ns, event.name, text, is_progress=True)
-        case ProcessEventKind.EXITED:
-            text = event.message or ending(event.exit_code, event.signal)
-            ended_badly = event.exit_code != 0 or event.signal != 0
-            level = ERROR if ended_badly and not _was_stopping(event.name, before) else INFO
-            return Line(event.stamp_ns, event.name, text, level, is_progress=level == INFO)
-        case ProcessEventKind.RESTARTING:
-            text = event.message or f"restarting, {event.restarts} times so far"
-            return Line(event.stamp_ns, event.name, text, WARN)
-        case ProcessEventKind.GAVE_UP:
-            return Line(event.stamp_ns, event.name, event.message or "not started again", ERROR)
-        case ProcessEventKind.WAITING:
-            return Line(event.stamp_ns, event.name, event.message, is_progress=True)
-        case ProcessEventKind.READY | ProcessEventKind.STOPPING | ProcessEventKind.STOPPED:
             return None
 
 
 def _was_stopping(name: str, view: SystemView) -> bool:
-    process: ProcessView | None = view.processes.get(name)
-    if container := view.containers.get(name):
-        process = container.process
+    container = view.containers.get(name)
+    process = container.process if container else view.processes.get(name)
     return process is not None and process.kind is ProcessEventKind.STOPPING
+
+
+def missed_line(missed: int) -> Line:
+    """Make the line about skipped lines."""
+    text = f"skipped {missed} lines (the terminal is too slow); they are in the recording"
+    return Line(time.time_ns(), OWN_NAME, text, WARN)
+
+
+def format_lines(lines: Iterable[Line], *, times: bool, colour: bool) -> str:
+    """Lay out lines, each with its source in front; every one ends in a line end.
+
+    Node output is cleaned of what would disturb the terminal; a message of several lines gets the
+    source in front of each.
+    """
+    written: list[str] = []
+    for line in lines:
+        head = f"[{line.source}]"
+        if colour:
+            # By name, not by order of appearance: a node keeps its colour from run to run.
+            name = line.source.encode("utf-8", "replace")
+            head = f"{_NAME_COLOURS[zlib.crc32(name) % len(_NAME_COLOURS)]}{head}{RESET}"
+        head = f"{clock(line.stamp_ns)} {head}" if times else head
+        paint = (RED if line.level >= ERROR else YELLOW) if colour and line.level >= WARN else ""
+        for text in line.text.split("\n"):
+            clean = printable(text, colour=colour)
+            written.append(f"{head} {paint}{clean}{RESET if paint else ''}\n")
+    return "".join(written)

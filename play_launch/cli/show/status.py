@@ -1,4 +1,4 @@
-"""What a view of the system says in words; the same words on a terminal, in a pipe, at the end."""
+"""States of containers and processes in words, for the live view and the summary."""
 
 from __future__ import annotations
 
@@ -12,11 +12,9 @@ from play_launch.supervisor.events import ContainerState, ProcessEventKind
 if TYPE_CHECKING:
     from play_launch.supervisor.view import ContainerView, NodeView, ProcessView
 
-_SECOND: Final = 1_000_000_000
-_SHOWN_AFTER: Final = 2 * _SECOND
-"""Waiting shorter than this is not worth a number."""
-_ASKED_BY: Final = (signal.SIGINT, signal.SIGTERM)
-"""Signals that ask for an end; a shell reports them as 128 more."""
+_SHOWN_AFTER_NS: Final = 2_000_000_000
+"""A shorter wait is shown without its time."""
+_STOP_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
 
 
 def container_status(container: ContainerView, now_ns: int = 0) -> str:
@@ -24,12 +22,10 @@ def container_status(container: ContainerView, now_ns: int = 0) -> str:
 
     For example ``loaded 3/4, waiting on /talker … 12 s``; without ``now_ns`` no time is given.
     """
-    if container.state is ContainerState.STOPPED:
-        return _because("stopped", container.reason)
-    if container.state is ContainerState.STARTING:
-        return _because("starting", container.reason) + _waited(container.since_ns, now_ns)
     if container.state is not ContainerState.RUNNING:
-        return _because(container.state.value, container.reason)
+        is_starting = container.state is ContainerState.STARTING
+        waited = _waited(container.since_ns, now_ns) if is_starting else ""
+        return _because(container.state.value, container.reason) + waited
     parts = [f"loaded {container.loaded}/{container.total}"]
     if container.failed:
         parts.append(f"failed: {_names(container.failed)}")
@@ -50,15 +46,11 @@ def process_status(process: ProcessView) -> str:
     """Describe an ordinary process: ``running``, ``exited with signal 11 (SIGSEGV)`` …."""
     match process.kind:
         case ProcessEventKind.EXITED:
-            return ending(process.exit_code, process.signal)
-        case ProcessEventKind.RESTARTING:
-            return _because("restarting", process.message)
-        case ProcessEventKind.GAVE_UP:
-            return _because("gave up", process.message)
-        case ProcessEventKind.STOPPING:
-            return "stopping"
-        case ProcessEventKind.STOPPED:
-            return "stopped"
+            return ending(process)
+        case ProcessEventKind.RESTARTING | ProcessEventKind.GAVE_UP:
+            return _because(process.kind.name.lower().replace("_", " "), process.message)
+        case ProcessEventKind.STOPPING | ProcessEventKind.STOPPED:
+            return process.kind.name.lower()
         case ProcessEventKind.WAITING:
             return process.message
         case _:
@@ -87,7 +79,7 @@ def process_at_end(before: ProcessView, after: ProcessView, *, dismissed: bool =
     Args:
         before: As it was when the end began.
         after: As it is now.
-        dismissed: Whether a person had stopped it.
+        dismissed: Whether an operator had stopped it.
     """
     match before.kind:
         case ProcessEventKind.EXITED if dismissed:
@@ -95,7 +87,7 @@ def process_at_end(before: ProcessView, after: ProcessView, *, dismissed: bool =
         case ProcessEventKind.EXITED | ProcessEventKind.GAVE_UP:
             return process_status(before)
         case ProcessEventKind.RESTARTING:
-            return f"not restarted: {ending(before.exit_code, before.signal)}"
+            return f"not restarted: {ending(before)}"
         case ProcessEventKind.WAITING:
             return f"not started: {before.message}"
         case _ if after.kind is ProcessEventKind.EXITED:
@@ -106,23 +98,24 @@ def process_at_end(before: ProcessView, after: ProcessView, *, dismissed: bool =
 
 def stop_problem(process: ProcessView) -> str:
     """Describe an unexpected end of a stopped process; empty if it exited as expected."""
-    asked = {128 + number for number in _ASKED_BY}
-    is_well = process.signal in _ASKED_BY or (
-        not process.signal and process.exit_code in {0, *asked}
+    # A shell reports a signal as 128 more.
+    expected = {0, *(128 + number for number in _STOP_SIGNALS)}
+    is_expected = process.signal in _STOP_SIGNALS or (
+        not process.signal and process.exit_code in expected
     )
-    if is_well or process.kind is not ProcessEventKind.EXITED:
+    if is_expected or process.kind is not ProcessEventKind.EXITED:
         return ""
-    return f"stopped: {ending(process.exit_code, process.signal)}"
+    return f"stopped: {ending(process)}"
 
 
-def ending(exit_code: int, signal: int) -> str:
+def ending(process: ProcessView) -> str:
     """Describe the end of a process."""
-    return str(Exit(code=exit_code, signal=signal))
+    return str(Exit(code=process.exit_code, signal=process.signal))
 
 
 def _waited(since_ns: int, now_ns: int) -> str:
     waited = now_ns - since_ns
-    return f" … {duration(waited)}" if since_ns and waited >= _SHOWN_AFTER else ""
+    return f" … {duration(waited)}" if since_ns and waited >= _SHOWN_AFTER_NS else ""
 
 
 def _names(nodes: tuple[NodeView, ...]) -> str:

@@ -28,7 +28,7 @@ def clean(text: str) -> str:
 
     A tab or line end becomes a space; other characters without a shape become U+FFFD.
     """
-    shown = printable(text[:TEXT_LIMIT], colour=False)
+    shown = printable(text[:TEXT_LIMIT])
     if not shown.isprintable():
         shown = "".join(
             each if each.isprintable() else " " if each.isspace() else "\N{REPLACEMENT CHARACTER}"

@@ -11,11 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 import msgspec
 
-from play_launch.postmortem.whole_file import whole_file
-
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from play_launch.postmortem.report.facts import Contents
 
 SCRIPTS: Final = (
@@ -25,23 +21,6 @@ SCRIPTS: Final = (
 """In the order in which they use one another."""
 _ASSETS: Final = files("play_launch.postmortem.report") / "assets"
 _PLACE: Final = re.compile(r"\{\{(\w+)\}\}")
-
-
-def write_page(page: Contents, output: Path) -> int:
-    """Write a page; ``output`` appears, or is replaced, when it is whole. Return its size in bytes.
-
-    Raises:
-        OutputError: When it cannot be written, or would replace a recording.
-    """
-    return put(render(page), output)
-
-
-def put(text: str, output: Path) -> int:
-    """Write the HTML of a page, as `write_page` does."""
-    data = text.encode()
-    with whole_file(output) as file:
-        file.write_bytes(data)
-    return len(data)
 
 
 def render(page: Contents) -> str:

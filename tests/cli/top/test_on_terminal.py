@@ -15,6 +15,7 @@ from typing import Any
 import psutil
 import pytest
 
+from play_launch.cli.output import printable
 from play_launch.control.registration import LINKS
 from tests.support.replay import COMMAND, Replay, replaying
 from tests.support.scenes import TALKER_AND_SLEEPER
@@ -202,9 +203,8 @@ def test_the_end_of_the_session_is_reported(
         replay.process.send_signal(number)
         assert terminal.end() == code
         assert terminal.is_restored()
-        assert terminal.raw.decode().rpartition("\x1b[?1004l")[2].strip() == text.format(
-            pid=replay.pid
-        )
+        shown = printable(terminal.raw.decode().rpartition("\x1b[?1004l")[2])
+        assert shown.strip() == text.format(pid=replay.pid)
 
 
 def test_a_stopped_supervisor_does_not_freeze_the_keys(tmp_path: Path) -> None:

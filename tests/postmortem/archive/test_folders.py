@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from play_launch.cli.export import export as export_session
+from play_launch.cli.output import whole_file
 from play_launch.cli.report import report as write_report
 from play_launch.control.registration import CONTROL_SOCKET
 from play_launch.postmortem.archive import (
@@ -18,7 +19,6 @@ from play_launch.postmortem.archive import (
     remove_session,
     session_entry,
 )
-from play_launch.postmortem.whole_file import whole_file
 from tests.postmortem.archive.scenes import begin_session, cut_off_session, name_of, past_session
 from tests.postmortem.scenes import Scene
 

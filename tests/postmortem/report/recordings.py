@@ -6,10 +6,11 @@ from pathlib import Path
 
 from benchmarks.long_session.plan import Plan
 from benchmarks.long_session.write import write_session
+from play_launch.cli.output import write_file
 from play_launch.config.node_key import NodeKey
 from play_launch.postmortem.report.facts import contents
 from play_launch.postmortem.report.gather import Gathered, Gathering
-from play_launch.postmortem.report.page import write_page
+from play_launch.postmortem.report.page import render
 from play_launch.postmortem.session import PastSession
 from play_launch.recording.bag import BagWriter
 from play_launch.recording.forms import convert
@@ -50,7 +51,7 @@ HOSTILE = (
 def page_of(recording: Path, output: Path) -> None:
     """Write the page without a story."""
     session = PastSession(recording)
-    write_page(contents(session, gather(session)), output)
+    write_file(output, render(contents(session, gather(session))))
 
 
 def gather(session: PastSession) -> Gathered:

@@ -14,6 +14,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from play_launch.cli.output import OutputError, write_file
 from play_launch.postmortem.comparison import (
     Change,
     Comparison,
@@ -24,10 +25,8 @@ from play_launch.postmortem.comparison import (
 )
 from play_launch.postmortem.frames import Signature
 from play_launch.postmortem.report.comparison import MOST, Words, comparison_page
-from play_launch.postmortem.report.page import put
 from play_launch.postmortem.report.text import shown
 from play_launch.postmortem.story import Story, read_story
-from play_launch.postmortem.whole_file import OutputError
 from tests.cli.test_postmortem import run, scene
 from tests.postmortem.report.recordings import HOSTILE
 from tests.postmortem.report.test_page import Reader
@@ -173,6 +172,6 @@ def test_a_recording_is_not_replaced_by_a_page(tmp_path: Path) -> None:
     recording = scene().record(tmp_path / "session.mcap")
     content = recording.read_bytes()
     with pytest.raises(OutputError, match="is a recording; name another file with --output"):
-        put("<html>", recording)
+        write_file(recording, "<html>")
     assert recording.read_bytes() == content
     assert [each.name for each in tmp_path.iterdir()] == ["session.mcap"]

@@ -15,9 +15,9 @@ from typing import Any
 
 import pytest
 
+from play_launch.cli.output import OutputError
 from play_launch.cli.report import report as write_report
 from play_launch.postmortem.bag_reader import NotARecordingError
-from play_launch.postmortem.whole_file import OutputError
 from play_launch.supervisor.events import LogRecord
 from tests.postmortem.report.recordings import (
     BEGIN,

@@ -1,0 +1,198 @@
+"""Tasks beside a run: samples, topics, control, upkeep; and the output of libraries.
+
+Their code is imported when the system has had the machine for its start.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import math
+import os
+from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct
+
+from play_launch.cli.output import printable, stdout_is_kept
+from play_launch.process.lines import LineReader
+from play_launch.runtime.startup_priority import run_ahead_of
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator, Coroutine, Iterator, Sequence
+
+    from play_launch.cli.run import RunOptions, RunSink
+    from play_launch.config.model import ReplayConfig
+    from play_launch.control.registration import ControlSocket
+    from play_launch.process.lines import Line
+    from play_launch.recording.session import Session
+    from play_launch.recording.topic_recorder import Snapshots
+    from play_launch.runtime.publisher import Publisher, StopRequests
+    from play_launch.runtime.system import System
+
+_log = logging.getLogger(__name__)
+_START_TIME: Final = 1.0
+"""Seconds that the start of the system has for itself."""
+_CONTROL_DELAY: Final = 0.2
+"""Seconds from the start of the first processes until commands are answered."""
+_TOPICS_DELAY: Final = 0.1
+"""Seconds from the start until topics and the graph are prepared."""
+_FULL_PIPE: Final = 32 * 1024
+"""Bytes of one read from which on the pipe may have been full: it holds 64 KiB, or half of that."""
+
+
+class Background(Struct):
+    """The parts of a run that its tasks use."""
+
+    config: ReplayConfig
+    session: Session
+    sink: RunSink
+    options: RunOptions
+    control: ControlSocket
+    publisher: Publisher
+    stop: StopRequests
+    snapshots: Snapshots
+    system: asyncio.Future[System]
+    operable: asyncio.Future[None]
+    """Done when commands are answered, or never will be."""
+
+    @contextlib.asynccontextmanager
+    async def running(self) -> AsyncIterator[None]:
+        """Run all tasks while the block runs; they end in reverse order."""
+        tasks = {
+            # They end last: the watchdog is notified while the others end.
+            "the priority of the start": run_ahead_of(self.publisher, self.stop),
+            "reports to systemd": self._report(),
+            "samples of processes": self._sample(),
+            "care for earlier recordings": self._maintain_recordings(),
+            "the recording of ROS topics": self._record_topics(),
+            "control by commands": self._serve_control(),
+            "the record of the ROS graph": self._observe_graph(),
+        }
+        async with contextlib.AsyncExitStack() as stack:
+            for what, work in tasks.items():
+                await stack.enter_async_context(_beside(what, work))
+            yield
+
+    async def _report(self) -> None:
+        if self.options.manager is not None:
+            from play_launch.deploy.report import ServiceReport  # noqa: PLC0415 - for services only
+
+            await ServiceReport(
+                self.options.manager, self.publisher, self.stop, self.system, self.operable
+            ).run()
+
+    async def _sample(self) -> None:
+        period = self.config.record.sampling.period
+        if not math.isfinite(period):
+            return
+        await asyncio.sleep(_START_TIME)
+        from play_launch.process.sampling.sampling import sample  # noqa: PLC0415
+
+        folder = self.session.folder.path
+        publisher = self.publisher
+        await sample(lambda: publisher.view, publisher.publish, period=period, folder=folder)
+
+    async def _maintain_recordings(self) -> None:
+        await asyncio.sleep(_START_TIME)
+        from play_launch.container.ros import spawn_guard  # noqa: PLC0415
+        from play_launch.postmortem.upkeep import look_after_sessions  # noqa: PLC0415
+
+        keep, publisher = self.config.record.keep, self.publisher
+        folder = self.session.folder.path.parent
+        await look_after_sessions(folder, keep, lambda: publisher.view, spawn_guard())
+
+    async def _record_topics(self) -> None:
+        if not self.config.record.ros:
+            return
+        await asyncio.sleep(_TOPICS_DELAY)
+        from play_launch.cli.record_topics import record_topics  # noqa: PLC0415
+
+        await record_topics(
+            self.config, self.session, self.publisher, self.stop, snapshots=self.snapshots
+        )
+
+    async def _serve_control(self) -> None:
+        operated = await self.system
+        await asyncio.sleep(_CONTROL_DELAY)
+        try:
+            from play_launch.control.serve import serve_control  # noqa: PLC0415
+
+            await serve_control(
+                self.config,
+                self.session,
+                operated,
+                control=self.control,
+                publisher=self.publisher,
+                feed=self.sink.feed,
+                snapshots=self.snapshots,
+                hide_secrets=self.sink.hide_secrets,
+                adopt=self.sink.adopt,
+                keeps_duration=self.options.keeps_duration,
+                watched=self.options.watched,
+                operable=self.operable,
+            )
+        finally:
+            if not self.operable.done():
+                self.operable.set_result(None)
+            await asyncio.to_thread(self.control.close)
+
+    async def _observe_graph(self) -> None:
+        if self.config.graph_daemon:
+            await asyncio.sleep(_TOPICS_DELAY)
+            from play_launch.graph_daemon.observer import observe_graph  # noqa: PLC0415
+
+            await observe_graph({**os.environ, **self.config.environment}, self.publisher)
+
+
+@contextlib.asynccontextmanager
+async def _beside(what: str, work: Coroutine[None, None, None]) -> AsyncIterator[None]:
+    """Run a coroutine while the block runs, which continues without ``what`` if that fails."""
+    task = asyncio.create_task(_failure_logged(what, work))
+    try:
+        yield
+    finally:
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+        work.close()  # it has not begun where the block has ended at once
+
+
+async def _failure_logged(what: str, work: Coroutine[None, None, None]) -> None:
+    try:
+        await work
+    except Exception:  # noqa: BLE001 - it is logged, and the system continues
+        _log.exception("the system continues without %s", what)
+
+
+@contextlib.contextmanager
+def library_output_logged() -> Iterator[None]:
+    """Log each line that libraries write to descriptor 1, within a running event loop.
+
+    On a terminal it would appear across the live view, and would be missing in the recording.
+    A write to the full pipe is lost: the writing thread may hold the interpreter's lock, and would
+    wait for this process forever. The log has a warning then.
+    """
+    if not stdout_is_kept():
+        yield
+        return
+    before = os.dup(1)
+    read, write = os.pipe()
+    os.set_blocking(write, False)
+    reader = LineReader(read, _log_lines)
+    os.dup2(write, 1)
+    os.close(write)
+    try:
+        yield
+    finally:
+        os.dup2(before, 1)
+        os.close(before)
+        reader.close()
+
+
+def _log_lines(lines: Sequence[Line]) -> None:
+    for line in lines:
+        if text := printable(line.text).strip():
+            cut = " [cut]" if line.truncated else ""
+            _log.warning("stdout of a library: %s%s", text, cut)
+    if sum(len(line.text) for line in lines) > _FULL_PIPE:
+        _log.warning("stdout of libraries: too many; lines may be missing here")
