@@ -29,7 +29,7 @@ from benchmarks.bring_up import COMMAND, ENVIRONMENT
 from benchmarks.browser import find_browser
 from benchmarks.report import pictures as report_pictures
 from benchmarks.running import running
-from play_launch.cli.top.app import End, TopApp
+from play_launch.cli.top.app import ScreenEnd, TopApp
 from play_launch.control.sessions import connect
 from tests.support.terminal import Terminal, on_terminal
 
@@ -125,7 +125,7 @@ async def screenshot(app: TopApp) -> str:
                 await pilot.pause(0.1)
         await pilot.pause(0.2)
         pictures.append(app.export_screenshot(title=f"play-launch top: {app.hello.name}"))
-        app.exit(End())
+        app.exit(ScreenEnd())
 
     await app.run_async(headless=True, size=TOP_SIZE, auto_pilot=take)
     return without_network(pictures[0])

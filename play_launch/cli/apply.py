@@ -27,7 +27,7 @@ _NOWHERE: Final = Path("/launch file")
 """Where a configuration that is no file stands, so that all paths in it are absolute."""
 
 
-Target = Annotated[
+ConfigTarget = Annotated[
     list[str],
     typer.Argument(
         metavar="CONFIG [NAME:=VALUE]...",
@@ -41,20 +41,20 @@ ContainerType = Annotated[
 ]
 
 
-class _Options(NamedTuple):
+class _Request(NamedTuple):
     target: list[str]
     container_type: Containers
     as_json: bool
 
 
 def diff(
-    target: Target,
+    target: ConfigTarget,
     container_type: ContainerType = Containers.SAME,
     session: cli_options.Session = None,
     as_json: cli_options.Json = False,
 ) -> int:
     """Print what apply would change; exits with 1 if anything differs, with 2 after an error."""
-    options = _Options(target, container_type, as_json)
+    options = _Request(target, container_type, as_json)
     with connected(session, failed=ExitCode.USAGE) as client:
         compared = client.ask("apply", {**_configuration(options), "dry_run": True})
         _print_plan(compared["plan"], compared["applying"], options)
@@ -63,7 +63,7 @@ def diff(
 
 
 def apply(  # noqa: PLR0917 - options, by name
-    target: Target,
+    target: ConfigTarget,
     container_type: ContainerType = Containers.SAME,
     timeout: Annotated[float, cli_options.timeout("Limit for each step.", "60s")] = 60.0,
     rollback_on_failure: Annotated[
@@ -79,7 +79,7 @@ def apply(  # noqa: PLR0917 - options, by name
     as_json: cli_options.Json = False,
 ) -> int:
     """Change a session to match a configuration; what does not differ continues to run."""
-    options = _Options(target, container_type, as_json)
+    options = _Request(target, container_type, as_json)
     with connected(session) as client:
         request = _configuration(options)
         if dry_run:
@@ -90,7 +90,7 @@ def apply(  # noqa: PLR0917 - options, by name
         return _apply(client, request, options)
 
 
-def _apply(client: ControlClient, request: dict[str, Any], options: _Options) -> int:
+def _apply(client: ControlClient, request: dict[str, Any], options: _Request) -> int:
     try:
         for message in client.stream("apply", request):
             if "plan" in message and not options.as_json:
@@ -107,7 +107,7 @@ def _apply(client: ControlClient, request: dict[str, Any], options: _Options) ->
     return ExitCode.NODE_FAILED
 
 
-def _configuration(options: _Options) -> dict[str, Any]:
+def _configuration(options: _Request) -> dict[str, Any]:
     """Name the configuration for the session, with environment and directory of this process."""
     named = [each for each in options.target if ":=" not in each]
     environment = dict(os.environ)
@@ -127,7 +127,7 @@ def _is_launch_file(named: list[str]) -> bool:
     return len(named) != 1
 
 
-def _evaluated(options: _Options) -> tuple[str, str]:
+def _evaluated(options: _Request) -> tuple[str, str]:
     """Convert a launch file as `launch` does, but without other files; return name and text."""
     from play_launch.cli.target import (  # noqa: PLC0415 - takes its time
         USUAL_TIMEOUT,
@@ -145,7 +145,7 @@ def _evaluated(options: _Options) -> tuple[str, str]:
     return str(_NOWHERE / f"{found.name}.yaml"), made.text
 
 
-def _print_plan(plan: Any, applying: Any, options: _Options) -> None:
+def _print_plan(plan: Any, applying: Any, options: _Request) -> None:
     if options.as_json:
         sys.stdout.write(f"{json.dumps({**plan, 'applying': applying})}\n")
         return
@@ -155,13 +155,13 @@ def _print_plan(plan: Any, applying: Any, options: _Options) -> None:
     sys.stdout.flush()
 
 
-def _print_outcome(outcome: Any, options: _Options) -> None:
+def _print_outcome(outcome: Any, options: _Request) -> None:
     if not options.as_json:
         sys.stdout.write(f"{printable(outcome_line(outcome))}\n")
         sys.stdout.flush()
 
 
-def _print_json(applied: Any, options: _Options) -> None:
+def _print_json(applied: Any, options: _Request) -> None:
     if options.as_json and applied is not None:
         sys.stdout.write(f"{json.dumps(applied)}\n")
 

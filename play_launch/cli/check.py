@@ -143,7 +143,7 @@ def _graph_text(config: ReplayConfig) -> str:
 
 
 def _graph_mermaid(config: ReplayConfig) -> str:
-    """Write a flow chart: an arrow leads from what is waited for to who waits."""
+    """Write a flow chart: an arrow leads from each dependency to the unit that waits for it."""
     names: dict[str, str] = {}
     lines = ["flowchart LR"]
     edges = []

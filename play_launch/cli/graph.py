@@ -135,7 +135,7 @@ def topic_list(  # noqa: PLR0917 - options, by name
     as_json: options.Json = False,
 ) -> int:
     """List the topics."""
-    shown = _Shown(count, show_types, with_hidden, as_json)
+    shown = _ListOptions(count, show_types, with_hidden, as_json)
     return _asked(
         lambda client: _list(client.names_and_types("get_topic_names_and_types"), shown),
         call_timeout,
@@ -157,7 +157,7 @@ def service_list(  # noqa: PLR0917 - options, by name
     as_json: options.Json = False,
 ) -> int:
     """List the services."""
-    shown = _Shown(count, show_types, with_hidden, as_json)
+    shown = _ListOptions(count, show_types, with_hidden, as_json)
     return _asked(
         lambda client: _list(client.names_and_types("get_service_names_and_types"), shown),
         call_timeout,
@@ -171,7 +171,7 @@ def _group() -> None:
     """Keep the name of a single subcommand on the command line."""
 
 
-class _Shown(NamedTuple):
+class _ListOptions(NamedTuple):
     only_count: bool
     types: bool
     with_hidden: bool
@@ -225,7 +225,7 @@ def _start(address: DaemonAddress) -> None:
         warn(message)
 
 
-def _list(found: list[Named], shown_as: _Shown) -> int:
+def _list(found: list[Named], shown_as: _ListOptions) -> int:
     shown = [entry for entry in found if shown_as.with_hidden or not _is_hidden(entry.name)]
     if shown_as.only_count:
         _say(str(len(shown)))

@@ -198,5 +198,12 @@ ShowAllOutput: TypeAlias = Annotated[
     ),
 ]
 EvaluationTimeout: TypeAlias = Annotated[
-    float, timeout("Limit for the evaluation of the launch file.", "2min")
+    float,
+    typer.Option(
+        "--timeout",
+        parser=duration,
+        metavar="TIME",
+        help="Limit for the evaluation of the launch file.",
+        show_default="2min",
+    ),
 ]

@@ -47,7 +47,7 @@ _NO_END: Final = "its end is missing"
 _WHAT: Final = ("kind", "key", "state")
 
 
-class Recorded(NamedTuple):
+class RecordedInputs(NamedTuple):
     """What a recording holds: inputs without a gap, and what followed."""
 
     decisions: list[Decision]
@@ -116,7 +116,7 @@ def rerun(
     return ExitCode.DAMAGED if flaw else ExitCode.OK
 
 
-def _recorded(session: PastSession) -> Recorded:
+def _recorded(session: PastSession) -> RecordedInputs:
     decisions: list[Decision] = []
     states: list[Fields] = []
     for message in session.reader.messages({topics.INPUTS.name, topics.STATES.name}):
@@ -133,7 +133,7 @@ def _recorded(session: PastSession) -> Recorded:
     flaw = ""
     origin = decisions[0].said if decisions else None
     if not isinstance(origin, Origin):
-        return Recorded([], states, _OLD, 0)
+        return RecordedInputs([], states, _OLD, 0)
     for before, after in pairwise(decisions):
         first, last = before.number + 1, after.number - 1
         if first > last:
@@ -145,15 +145,15 @@ def _recorded(session: PastSession) -> Recorded:
         flaw = _NO_END
     if not flaw and decisions[-1].events > len(states):
         missing = decisions[-1].events - len(states)
-        return Recorded([], states, f"{counted(missing, 'change')} of state are missing", 0)
+        return RecordedInputs([], states, f"{counted(missing, 'change')} of state are missing", 0)
     began_ns = origin.stamp_ns - session.started_ns
-    return Recorded(decisions, states, flaw, began_ns)
+    return RecordedInputs(decisions, states, flaw, began_ns)
 
 
 class Rerun:
     """One pass through the inputs of a recording."""
 
-    def __init__(self, recorded: Recorded, until: float | None) -> None:
+    def __init__(self, recorded: RecordedInputs, until: float | None) -> None:
         self._recorded = recorded
         self._until = until
         self.inputs = 0

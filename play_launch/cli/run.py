@@ -111,7 +111,7 @@ class RunOptions(Struct, frozen=True):
     watched: Watched | None = None
     """What is applied whenever it changes."""
     manager: ServiceManager | None = None
-    """Who started us as a service and wants to hear how it goes."""
+    """Service manager to notify, if any."""
 
 
 class RunSink:
@@ -121,7 +121,7 @@ class RunSink:
         self._recorder = recorder
         self._display = display
         self.feed = Feed()
-        """Keeps the latest for whoever operates the session."""
+        """Recent events, for clients of the session."""
         self.used = GroupTotals()
         self._secrets: frozenset[str] = frozenset()
         self.decisions = DecisionLog(recorder.publish)
@@ -172,7 +172,7 @@ def run(config: ReplayConfig, options: RunOptions) -> int:
     """
     open_files.raise_limit()
     if os.getpriority(os.PRIO_PROCESS, 0) >= 0:
-        # What is started later is given back its turns by who starts it, see `SessionGuard`.
+        # `SessionGuard` restores the time slice of the processes that it starts.
         ask_for_short_turns()
         run_ahead()
     with RunSignals() as signals, contextlib.ExitStack() as opened:
@@ -181,7 +181,7 @@ def run(config: ReplayConfig, options: RunOptions) -> int:
             log_folder=options.log_folder or config.log_dir,
             record=config.record,
         )
-        # Before it is announced, so that who reads of it can connect.
+        # Before the announcement: its readers can connect at once.
         control = ControlSocket(str(session.folder.path))
         opened.callback(control.close)
         _announce(config, session, options)

@@ -35,7 +35,7 @@ _LIFECYCLE: Final = "lifecycle_msgs/srv/GetState"
 _GET_STATE: Final = "/get_state"
 
 
-class _Options(NamedTuple):
+class _WaitOptions(NamedTuple):
     names: list[str]
     condition: str
     deadline: float
@@ -63,7 +63,7 @@ def wait(
     the timeout.
     """
     began = time.monotonic()
-    options = _Options(names or [], condition, began + timeout)
+    options = _WaitOptions(names or [], condition, began + timeout)
     with connected(session, deadline=options.deadline) as client:
         up = _up(client, options)
         missing: list[str] = []
@@ -87,7 +87,7 @@ def wait(
     return ExitCode.OK
 
 
-def _up(client: ControlClient, options: _Options) -> list[str]:
+def _up(client: ControlClient, options: _WaitOptions) -> list[str]:
     """Wait for what the session knows of, and return the names of what is up."""
     left = max(options.deadline - time.monotonic(), _LEAST)
     arguments = {"names": options.names, "timeout": left}
@@ -99,7 +99,7 @@ def _up(client: ControlClient, options: _Options) -> list[str]:
 
 
 def _wait_in_the_graph(
-    client: ControlClient, options: _Options, up: list[str]
+    client: ControlClient, options: _WaitOptions, up: list[str]
 ) -> tuple[list[str], list[str]]:
     """Return what is up, and what of it is not as it should be in time.
 

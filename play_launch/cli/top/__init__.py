@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
     from types import FrameType
 
-    from play_launch.cli.top.app import End
+    from play_launch.cli.top.app import ScreenEnd
     from play_launch.control.client import ControlClient
 
 _LEAVE_TIMEOUT: Final = 3.0
@@ -69,7 +69,7 @@ def objection(streams: tuple[IO[str], IO[str], IO[str]], environment: Mapping[st
     return ""
 
 
-async def _show(client: ControlClient) -> End:
+async def _show(client: ControlClient) -> ScreenEnd:
     from play_launch.cli.top.app import TopApp  # noqa: PLC0415 - slow
 
     has_colours = wants_colour(sys.stdout)

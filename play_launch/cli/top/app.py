@@ -19,8 +19,8 @@ from textual.coordinate import Coordinate
 from textual.widgets import DataTable, Footer, Input, RichLog, Static
 
 from play_launch.cli.top.link import SessionLink
-from play_launch.cli.top.log import LINES_LIMIT, LastLines, Level, LogFilter, line_of, shown
-from play_launch.cli.top.modals import STYLE, Filter, Help, Question
+from play_launch.cli.top.log import LINES_LIMIT, LeastLevel, LogFilter, RowLines, line_of, shown
+from play_launch.cli.top.modals import STYLE, FilterPrompt, Help, Question
 from play_launch.cli.top.rows import (
     OPERATIONS,
     WIDTHS,
@@ -28,7 +28,7 @@ from play_launch.cli.top.rows import (
     Health,
     Order,
     Row,
-    Subject,
+    RowId,
     cells_of,
     clean,
     confirmation,
@@ -60,7 +60,7 @@ _BATCH: Final = 500
 """Lines that are written into the log at once; of more, the last ones are, and the rest counted."""
 
 
-class End(Struct, frozen=True):
+class ScreenEnd(Struct, frozen=True):
     """Why the screen is left."""
 
     signal: int = 0
@@ -69,7 +69,7 @@ class End(Struct, frozen=True):
     reason: str = ""
 
 
-class TopApp(App[End]):
+class TopApp(App[ScreenEnd]):
     """One session, until it ends or the user leaves."""
 
     ENABLE_COMMAND_PALETTE = False
@@ -113,10 +113,10 @@ class TopApp(App[End]):
         self._link: SessionLink | None = None
         self.rows: list[Row] | None = None
         """All rows as declared; None until the session has answered."""
-        self._by_subject: dict[Subject, Row] = {}
+        self._by_subject: dict[RowId, Row] = {}
         self.shown: list[Row] = []
         """The rows that match the pattern, in order."""
-        self._selected: Subject | None = None
+        self._selected: RowId | None = None
         self.order = Order.DECLARED
         self.is_reversed = False
         self.pattern = ""
@@ -125,7 +125,7 @@ class TopApp(App[End]):
         self._new_lines: deque[LogLine] = deque(maxlen=_BATCH)
         self._undrawn = 0
         """Lines since the last update that did not fit into the batch."""
-        self._last = LastLines()
+        self._last = RowLines()
         self._dropped = 0
         """Lines older than the kept ones."""
         self._missed = 0
@@ -135,7 +135,7 @@ class TopApp(App[End]):
         self._message = ""
         self._is_stale = True
         self._layout: tuple[int, int] = (0, 0)
-        self._drawn: list[tuple[Subject, list[Text]]] = []
+        self._drawn: list[tuple[RowId, list[Text]]] = []
         self._footer: tuple[object, ...] = ()
 
     def compose(self) -> ComposeResult:
@@ -162,7 +162,7 @@ class TopApp(App[End]):
 
     def end_by(self, number: int) -> None:
         """Leave because of a signal; callable from a signal handler."""
-        asyncio.get_running_loop().call_soon_threadsafe(self.exit, End(signal=number))
+        asyncio.get_running_loop().call_soon_threadsafe(self.exit, ScreenEnd(signal=number))
 
     def _tick(self) -> None:
         self._is_stale = True
@@ -172,7 +172,7 @@ class TopApp(App[End]):
         poll.register(sys.stdin.fileno(), 0)
         if poll.poll(0):  # the terminal hung up, with or without a SIGHUP
             signal.setitimer(signal.ITIMER_REAL, 1.0)
-            self.exit(End(signal=signal.SIGHUP))
+            self.exit(ScreenEnd(signal=signal.SIGHUP))
 
     # Messages of the session.
 
@@ -210,7 +210,7 @@ class TopApp(App[End]):
 
     def on_end(self, reason: str) -> None:
         """Leave: the connection is closed."""
-        self.exit(End(is_lost=True, reason=reason))
+        self.exit(ScreenEnd(is_lost=True, reason=reason))
 
     # Keys.
 
@@ -224,10 +224,10 @@ class TopApp(App[End]):
         return super().check_action(action, parameters)
 
     async def action_quit(self) -> None:
-        self.exit(End())
+        self.exit(ScreenEnd())
 
     def action_interrupt(self) -> None:
-        self.exit(End(signal=signal.SIGINT))
+        self.exit(ScreenEnd(signal=signal.SIGINT))
 
     def action_move(self, rows: int) -> None:
         if self._is_in_log:
@@ -273,10 +273,10 @@ class TopApp(App[End]):
         self.push_screen(Help())
 
     def action_filter(self) -> None:
-        self.push_screen(Filter(self.pattern), self.filter_names)
+        self.push_screen(FilterPrompt(self.pattern), self.filter_names)
 
     def on_input_changed(self, event: Input.Changed) -> None:
-        if isinstance(self.screen, Filter):
+        if isinstance(self.screen, FilterPrompt):
             self.filter_names(event.value)
 
     def action_operate(self, operation: str) -> None:
@@ -436,7 +436,7 @@ class TopApp(App[End]):
     def _log_title_text(self) -> str:
         chosen = self.log_filter
         parts = ["LOG of all" if chosen.subject is None else f"LOG of {clean(chosen.subject.name)}"]
-        if chosen.level is not Level.ALL:
+        if chosen.level is not LeastLevel.ALL:
             parts.append(f"{chosen.level.name.lower()} and above")
         below = int(self.log_view.max_scroll_y - self.log_view.scroll_y)
         if below > 0 and not self._follows_log:

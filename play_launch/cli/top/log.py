@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 from msgspec import Struct
 from rich.text import Text
 
-from play_launch.cli.top.rows import COMPONENT, Row, Subject, clean
+from play_launch.cli.top.rows import COMPONENT, Row, RowId, clean
 from play_launch.control.feed import CONSOLE_FORMAT, logger_of
 from play_launch.recording.console_format import line_level
 from play_launch.supervisor.events import OutputLine, Stream
@@ -22,7 +22,7 @@ LINES_LIMIT: Final = 5000
 OWN_NAME: Final = "play-launch"
 
 
-class Level(IntEnum):
+class LeastLevel(IntEnum):
     """Least severity of the shown lines, as in ``rcl_interfaces/Log``."""
 
     ALL = 0
@@ -31,9 +31,9 @@ class Level(IntEnum):
     ERROR = 40
     FATAL = 50
 
-    def next(self) -> Level:
+    def next(self) -> LeastLevel:
         """The level above, in a circle."""
-        levels = list(Level)
+        levels = list(LeastLevel)
         return levels[(levels.index(self) + 1) % len(levels)]
 
 
@@ -65,8 +65,8 @@ def line_of(event: Mapping[str, Any]) -> LogLine:
 class LogFilter(Struct, frozen=True):
     """Which lines are shown."""
 
-    level: Level = Level.ALL
-    subject: Subject | None = None
+    level: LeastLevel = LeastLevel.ALL
+    subject: RowId | None = None
     """None: lines of all, the supervisor included."""
 
     def wants(self, line: LogLine) -> bool:
@@ -95,12 +95,12 @@ def shown(line: LogLine) -> Text:
     return Text(text, _STYLES.get(line.level, ""))
 
 
-class LastLines:
+class RowLines:
     """The last line of output of each row."""
 
     def __init__(self) -> None:
-        self._owners: dict[tuple[str, str], Subject] = {}
-        self._last: dict[Subject, str] = {}
+        self._owners: dict[tuple[str, str], RowId] = {}
+        self._last: dict[RowId, str] = {}
 
     def declare(self, rows: Iterable[Row]) -> None:
         """Set the rows; lines of other ones are forgotten."""
@@ -116,7 +116,7 @@ class LastLines:
         """Add a line; it belongs to its process and to the node of its logger or one above."""
         if line.process == OWN_NAME:
             return
-        self._last[Subject(None, line.process)] = line.text
+        self._last[RowId(None, line.process)] = line.text
         name = line.logger
         while name:
             owner = self._owners.get((line.process, name))
@@ -125,6 +125,6 @@ class LastLines:
                 return
             name = name.rpartition(".")[0]
 
-    def of(self, subject: Subject) -> str:
+    def of(self, subject: RowId) -> str:
         """Return the last line; empty without one."""
         return self._last.get(subject, "")

@@ -36,10 +36,10 @@ Question > Vertical, Help > VerticalScroll {
     border: ascii ansi_default; scrollbar-size: 0 0; background: ansi_default; }
 Help > VerticalScroll { width: 82; }
 Question Static, Help Static { height: auto; text-wrap: wrap; }
-Filter { align: left bottom; }
-Filter > Horizontal { height: 1; background: ansi_default; }
-Filter Static { width: 7; text-style: bold; }
-Filter Input { width: 1fr; background: ansi_default; color: ansi_default; }
+FilterPrompt { align: left bottom; }
+FilterPrompt > Horizontal { height: 1; background: ansi_default; }
+FilterPrompt Static { width: 7; text-style: bold; }
+FilterPrompt Input { width: 1fr; background: ansi_default; color: ansi_default; }
 """
 _KEYS: Final = """\
 Up Down PgUp PgDn   select a row, or scroll the log
@@ -90,7 +90,7 @@ class Help(ModalScreen[None]):
             yield Static(_KEYS, markup=False)
 
 
-class Filter(ModalScreen[str]):
+class FilterPrompt(ModalScreen[str]):
     """Input of the pattern of names, applied while it is typed."""
 
     BINDINGS: ClassVar[list[BindingType]] = [Binding("escape", "clear", "all", priority=True)]

@@ -11,7 +11,7 @@ from msgspec import Struct
 from rich.cells import cell_len, set_cell_size
 from rich.text import Text
 
-from play_launch.cli.output import printable
+from play_launch.cli.output import duration, printable, size
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -38,7 +38,7 @@ def clean(text: str) -> str:
     return f"{shown}…" if len(text) > TEXT_LIMIT else shown
 
 
-class Subject(NamedTuple):
+class RowId(NamedTuple):
     """Identity of a row for as long as it is declared."""
 
     container: str | None
@@ -68,8 +68,8 @@ class Row(Struct, frozen=True):
     memory_bytes: int | None = None
 
     @property
-    def subject(self) -> Subject:
-        return Subject(self.container, self.name)
+    def subject(self) -> RowId:
+        return RowId(self.container, self.name)
 
 
 def rows_of(result: Any) -> list[Row]:
@@ -206,29 +206,15 @@ def cells_of(row: Row, name: str, width: int, last_line: str) -> list[Text]:
 
 
 def uptime(seconds: float | None) -> str:
-    """Format a time in at most six characters: ``59s``, ``59m59s``, ``23h59m``, ``99d23h``."""
+    """Format a time in few characters: ``59s``, ``59m59s``, ``23h59m``, ``99d23h``."""
     if seconds is None:
         return "-"
-    whole = max(int(seconds), 0)
-    if whole < 60:
-        return f"{whole}s"
-    if whole < 3600:
-        return f"{whole // 60}m{whole % 60:02}s"
-    if whole < 86400:
-        return f"{whole // 3600}h{whole // 60 % 60:02}m"
-    days = whole // 86400
-    return f"{days}d{whole // 3600 % 24:02}h" if days < 100 else f"{min(days, 99999)}d"
+    return duration(round(max(seconds, 0) * 1e9)).replace(" min", "m").replace(" ", "")
 
 
 def memory(count: int | None) -> str:
-    """Format a number of bytes in at most five characters: ``15.5M``, ``1.2G``."""
-    if count is None:
-        return "-"
-    for unit, factor in (("T", 10**12), ("G", 10**9), ("M", 10**6), ("k", 10**3)):
-        if count >= factor * 0.9995:
-            value = min(count / factor, 9999)
-            return f"{value:.1f}{unit}" if value < 99.95 else f"{value:.0f}{unit}"
-    return str(max(count, 0))
+    """Format a number of bytes in few characters: ``15.5M``, ``1.2G``."""
+    return "-" if count is None else size(count).replace(" ", "").removesuffix("B")
 
 
 # Operations.
@@ -258,7 +244,7 @@ class Confirmation(Struct, frozen=True):
     """An operation and the question before it."""
 
     operation: str
-    subject: Subject
+    subject: RowId
     question: str
 
 
@@ -267,12 +253,12 @@ def suits(operation: str, row: Row) -> bool:
     return (operation in _FOR_NODES) == (row.kind == COMPONENT)
 
 
-def unavailable(operation: str, row: Row, rows: Mapping[Subject, Row]) -> str:
+def unavailable(operation: str, row: Row, rows: Mapping[RowId, Row]) -> str:
     """Reason why an operation has no effect on a row; empty: it has."""
     name = clean(row.name)
     if row.state in _NO_EFFECT[operation]:
         return f"{name} is {row.state}: nothing to {operation}"
-    container = rows.get(Subject(None, row.container or ""))
+    container = rows.get(RowId(None, row.container or ""))
     if operation in {"load", "reload"} and container and container.state in {"stopped", "gave up"}:
         of = clean(container.name)
         return f"{of} is {container.state}, so {name} cannot be loaded: start {of} first"

@@ -14,7 +14,7 @@ from blockbuster import blockbuster_ctx
 from textual.widgets import Input
 from textual.widgets._footer import FooterKey
 
-from play_launch.cli.top.app import End, TopApp
+from play_launch.cli.top.app import ScreenEnd, TopApp
 from play_launch.cli.top.link import OPERATIONS_LIMIT
 from play_launch.cli.top.modals import Question
 from play_launch.control.messages import Hello
@@ -77,7 +77,7 @@ class Session:
 class Scene:
     """A session, the screen before it, and a person."""
 
-    def __init__(self, session: Session, app: TopApp, pilot: Pilot[End]) -> None:
+    def __init__(self, session: Session, app: TopApp, pilot: Pilot[ScreenEnd]) -> None:
         self.session = session
         self.app = app
         self.press = pilot.press
@@ -138,10 +138,10 @@ async def shown(folder: Path, size: tuple[int, int] = (80, 24)) -> AsyncIterator
             yield scene
 
 
-def acted(folder: Path, act: Callable[[Scene], Coroutine[Any, Any, None]], **how: Any) -> End:
+def acted(folder: Path, act: Callable[[Scene], Coroutine[Any, Any, None]], **how: Any) -> ScreenEnd:
     """Let a person act; return why the screen was left."""
 
-    async def main() -> End:
+    async def main() -> ScreenEnd:
         async with shown(folder, **how) as scene:
             await act(scene)
             await scene.press("q")
@@ -166,7 +166,7 @@ def test_what_runs_is_shown_at_80_by_24(tmp_path: Path) -> None:
         assert scene.lines("detail") == ["/a, process"]
         await scene.until(lambda: "r restart  x stop" in scene.footer(), "the keys")
 
-    assert acted(tmp_path, act) == End()
+    assert acted(tmp_path, act) == ScreenEnd()
 
 
 @pytest.mark.parametrize(

@@ -6,13 +6,13 @@ import pytest
 
 from play_launch.cli.top.log import (
     OWN_NAME,
-    LastLines,
-    Level,
+    LeastLevel,
     LogFilter,
     LogLine,
+    RowLines,
     line_of,
 )
-from play_launch.cli.top.rows import Subject
+from play_launch.cli.top.rows import RowId
 from tests.cli.top.rows import node, row
 
 
@@ -48,12 +48,12 @@ def test_lines_are_read_from_events(event: dict[str, Any], expected: LogLine) ->
     ("wanted", "texts"),
     [
         (LogFilter(), ["c", "t", "sub", "other", "own", "elsewhere"]),
-        (LogFilter(subject=Subject(None, "/chat")), ["c", "t", "sub", "other"]),
-        (LogFilter(subject=Subject("/chat", "/ns/talker")), ["t", "sub"]),
-        (LogFilter(subject=Subject("/gone", "/ns/talker")), []),
-        (LogFilter(level=Level.WARN), ["sub", "own"]),
-        (LogFilter(level=Level.ERROR, subject=Subject(None, "/chat")), ["sub"]),
-        (LogFilter(level=Level.FATAL), []),
+        (LogFilter(subject=RowId(None, "/chat")), ["c", "t", "sub", "other"]),
+        (LogFilter(subject=RowId("/chat", "/ns/talker")), ["t", "sub"]),
+        (LogFilter(subject=RowId("/gone", "/ns/talker")), []),
+        (LogFilter(level=LeastLevel.WARN), ["sub", "own"]),
+        (LogFilter(level=LeastLevel.ERROR, subject=RowId(None, "/chat")), ["sub"]),
+        (LogFilter(level=LeastLevel.FATAL), []),
     ],
 )
 def test_lines_are_chosen_by_node_and_level(wanted: LogFilter, texts: list[str]) -> None:
@@ -69,11 +69,11 @@ def test_lines_are_chosen_by_node_and_level(wanted: LogFilter, texts: list[str])
 
 
 def test_levels_follow_each_other_in_a_circle() -> None:
-    assert [level.next() for level in Level] == [*list(Level)[1:], Level.ALL]
+    assert [level.next() for level in LeastLevel] == [*list(LeastLevel)[1:], LeastLevel.ALL]
 
 
 def test_every_row_has_its_last_line() -> None:
-    last = LastLines()
+    last = RowLines()
     rows = [row("/chat"), node("/ns/talker", "/chat"), node("/ns", "/chat"), row("/other")]
     last.declare(rows)
     for each in (
@@ -90,4 +90,4 @@ def test_every_row_has_its_last_line() -> None:
     ]  # fmt: skip
     last.declare(rows[:1])
     assert last.of(rows[1].subject) == ""
-    assert last.of(Subject(None, "/else")) == "", "what is not declared is not kept"
+    assert last.of(RowId(None, "/else")) == "", "what is not declared is not kept"

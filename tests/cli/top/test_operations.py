@@ -6,7 +6,7 @@ from play_launch.cli.top.rows import (
     OPERATIONS,
     Confirmation,
     Row,
-    Subject,
+    RowId,
     confirmation,
     suits,
     unavailable,
@@ -15,11 +15,11 @@ from play_launch.control.actions import FOR_MEMBERS, FOR_NODES
 from tests.cli.top.rows import node, row
 
 
-def known(*rows: Row) -> dict[Subject, Row]:
+def known(*rows: Row) -> dict[RowId, Row]:
     return {each.subject: each for each in rows}
 
 
-def offered(one: Row, rows: dict[Subject, Row]) -> set[str]:
+def offered(one: Row, rows: dict[RowId, Row]) -> set[str]:
     return {each for each in OPERATIONS if suits(each, one) and not unavailable(each, one, rows)}
 
 
@@ -93,5 +93,5 @@ def test_a_question_names_what_else_is_affected(
 
 def test_a_question_about_a_hostile_name_is_harmless() -> None:
     name = "/\x1b[2Ja\n猫"
-    expected = Confirmation("stop", Subject(None, name), "stop /a 猫?")
+    expected = Confirmation("stop", RowId(None, name), "stop /a 猫?")
     assert confirmation("stop", row(name), []) == expected
