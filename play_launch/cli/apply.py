@@ -14,7 +14,7 @@ import typer
 from play_launch.cli import options as cli_options
 from play_launch.cli.connection import connected
 from play_launch.cli.output import is_terminal, printable, report, wants_colour
-from play_launch.control.protocol import ControlError
+from play_launch.control.protocol import OperationError
 from play_launch.launch_files.configuration.options import Containers
 from play_launch.supervisor.exit_code import ExitCode
 
@@ -100,7 +100,7 @@ def _apply(client: ControlClient, request: dict[str, Any], options: _Request) ->
             elif "result" in message:
                 _print_json(message["result"]["applied"], options)
                 return ExitCode.OK
-    except ControlError as error:
+    except OperationError as error:
         _print_json(error.details.get("applied"), options)
         raise
     report("the session ended before everything was applied")

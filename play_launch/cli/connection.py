@@ -12,7 +12,7 @@ import time
 from typing import TYPE_CHECKING, Final, NoReturn
 
 from play_launch.cli.output import note, redirect_to_devnull, report
-from play_launch.control.protocol import ROS_VARIABLES, Code, ControlError
+from play_launch.control.protocol import ROS_VARIABLES, Code, OperationError
 from play_launch.control.registration import CONTROL_SOCKET
 from play_launch.control.sessions import AmbiguousSessionError, NoSessionError, connect, connect_to
 from play_launch.supervisor.exit_code import ExitCode
@@ -20,7 +20,7 @@ from play_launch.supervisor.exit_code import ExitCode
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from play_launch.control.client import ControlClient, Hello
+    from play_launch.control.client import ControlClient, SessionInfo
 
 _POLL: Final = 0.05
 _EXIT_CODES: Final = {
@@ -51,7 +51,7 @@ def connected(
         sys.stdout.flush()
     except NoSessionError as error:
         _end([str(error)], failed)
-    except ControlError as error:
+    except OperationError as error:
         _end(_messages(error), _EXIT_CODES.get(error.code, failed))
     except BrokenPipeError:
         # The reader has enough (`| head`).
@@ -74,7 +74,7 @@ def _connect(session: str | None, deadline: float | None) -> ControlClient:
             time.sleep(_POLL)
 
 
-def report_end(hello: Hello, reason: str = "") -> int:
+def report_end(hello: SessionInfo, reason: str = "") -> int:
     """Report how a session ended that closed its connection; return the exit code.
 
     Args:
@@ -89,7 +89,7 @@ def report_end(hello: Hello, reason: str = "") -> int:
     return status
 
 
-def _how_it_ended(hello: Hello, reason: str) -> tuple[str, ExitCode]:
+def _how_it_ended(hello: SessionInfo, reason: str) -> tuple[str, ExitCode]:
     name = f"session {hello.name} (pid {hello.pid})"
     try:
         connect_to(hello.folder).close()
@@ -98,13 +98,13 @@ def _how_it_ended(hello: Hello, reason: str) -> tuple[str, ExitCode]:
         if os.path.lexists(f"{hello.folder}/{CONTROL_SOCKET}"):
             return f"the supervisor of the {name} was killed", ExitCode.NODE_FAILED
         return f"the {name} has ended", ExitCode.OK
-    except ControlError as error:
+    except OperationError as error:
         return str(error), ExitCode.NODE_FAILED
     end = f"the {name} closed the connection{': ' if reason else ''}{reason}"
     return end, ExitCode.NODE_FAILED
 
 
-def _messages(error: ControlError) -> list[str]:
+def _messages(error: OperationError) -> list[str]:
     """List the failures of an operation, one for each unit."""
     results = error.details.get("results")
     if error.code != Code.FAILED or not isinstance(results, list):
@@ -123,7 +123,7 @@ def enter_environment_of(client: ControlClient) -> None:
     """Set what the session says about ROS; before anything of rclpy is imported.
 
     Root becomes the user of the session before that: profiles and middleware, which that user
-    chooses, load libraries. Raises ControlError.
+    chooses, load libraries. Raises OperationError.
     """
     from play_launch.process.machine import (  # noqa: PLC0415 - slow, and rclpy is slower
         SHARED_MEMORY_FIX,
@@ -132,14 +132,14 @@ def enter_environment_of(client: ControlClient) -> None:
     )
 
     if full := full_shared_memory(shared_memory_room()):
-        raise ControlError(Code.REFUSED, f"{full}; fix: {SHARED_MEMORY_FIX}")
+        raise OperationError(Code.REFUSED, f"{full}; fix: {SHARED_MEMORY_FIX}")
     found = client.ask("environment")
     user = client.peer()
     if os.geteuid() == 0 and user.uid != 0:
         try:
             _become(user.uid, user.gid)
         except OSError as error:
-            raise ControlError(
+            raise OperationError(
                 Code.REFUSED, f"run this as user {user.uid}, whose session it is: {error}"
             ) from None
     for name in [name for name in os.environ if name.startswith(ROS_VARIABLES)]:
@@ -151,7 +151,7 @@ def enter_environment_of(client: ControlClient) -> None:
     try:
         import rclpy  # noqa: F401, PLC0415
     except ImportError as error:
-        raise ControlError(
+        raise OperationError(
             Code.REFUSED, f"ROS cannot be loaded as user {os.geteuid()}: {error}"
         ) from None
 

@@ -12,7 +12,7 @@ import typer
 from play_launch.cli import options
 from play_launch.cli.connection import connected, report_end
 from play_launch.cli.output import clock, clock_times, note, printable
-from play_launch.control.protocol import Code, ControlError
+from play_launch.control.protocol import Code, OperationError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -104,7 +104,7 @@ def _print(text: str) -> None:
 
 
 def since_when(text: str, now: float) -> int:
-    """Return the time in nanoseconds since the epoch; raises ControlError with the fix."""
+    """Return the time in nanoseconds since the epoch; raises OperationError with the fix."""
     if times := clock_times(text, now):
         return int(1e9 * max(each for each in times if each <= now))
     from play_launch.config.values import parse_duration  # noqa: PLC0415 - slow
@@ -112,7 +112,7 @@ def since_when(text: str, now: float) -> int:
     try:
         return int((now - parse_duration(text)) * 1e9)
     except ValueError as error:
-        raise ControlError(Code.BAD_ARGUMENTS, f"--since: {error}") from None
+        raise OperationError(Code.BAD_ARGUMENTS, f"--since: {error}") from None
 
 
 def text_of(event: Mapping[str, Any]) -> str:

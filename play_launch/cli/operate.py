@@ -10,7 +10,7 @@ import typer
 from play_launch.cli import options
 from play_launch.cli.connection import connected
 from play_launch.cli.output import printable, say, size
-from play_launch.control.protocol import ControlError
+from play_launch.control.protocol import OperationError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -107,6 +107,6 @@ def _operate(
         request = {**arguments, "timeout": timeout}
         try:
             show(client.ask(operation, request, limit=timeout + _GRACE)["results"])
-        except ControlError as error:
+        except OperationError as error:
             show(error.details.get("results", []))
             raise

@@ -11,7 +11,7 @@ import typer
 from play_launch.cli import options
 from play_launch.cli.connection import connected
 from play_launch.cli.output import report, warn
-from play_launch.control.protocol import Code, ControlError
+from play_launch.control.protocol import Code, OperationError
 from play_launch.supervisor.exit_code import ExitCode
 
 if TYPE_CHECKING:
@@ -138,16 +138,16 @@ def _nodes(client: ControlClient, wanted: list[str], *, is_one: bool = False) ->
     if not nodes:
         found = ", ".join(f"{row['name']} is a {row['kind']}, {row['state']}" for row in rows)
         listed = f": {found}" if wanted else ""
-        raise ControlError(
+        raise OperationError(
             Code.REFUSED, f"only loaded components and running processes have parameters{listed}"
         )
     if is_one and len(nodes) > 1:
-        raise ControlError(Code.AMBIGUOUS_NAME, f"{wanted[0]} are {len(nodes)} nodes; name one")
+        raise OperationError(Code.AMBIGUOUS_NAME, f"{wanted[0]} are {len(nodes)} nodes; name one")
     return nodes
 
 
 def _asked(client: ControlClient, timeout: float, request: Callable[[NodeParameters], Any]) -> Any:
-    """Call services of nodes in the session's domain; raises ControlError."""
+    """Call services of nodes in the session's domain; raises OperationError."""
     from play_launch.cli.connection import enter_environment_of  # noqa: PLC0415 - slow
 
     enter_environment_of(client)
@@ -158,7 +158,7 @@ def _asked(client: ControlClient, timeout: float, request: Callable[[NodeParamet
         try:
             return request(ros)
         except (NodeServiceError, ValueError) as error:
-            raise ControlError(Code.FAILED, str(error)) from None
+            raise OperationError(Code.FAILED, str(error)) from None
 
 
 def _print_values(values: dict[str, Any], *, as_json: bool) -> None:

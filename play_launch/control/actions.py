@@ -14,7 +14,7 @@ import anyio
 from play_launch.config.model import Autostart
 from play_launch.config.node_key import NodeKey
 from play_launch.control.messages import ActionResult, Results, SignalRequest
-from play_launch.control.protocol import COMMAND_LIMIT, Code, ControlError
+from play_launch.control.protocol import COMMAND_LIMIT, Code, OperationError
 from play_launch.control.units import chosen, full_name, members_of, nodes_of
 from play_launch.process.identity import NoSuchProcessError, ProcessHandle, ProcessIdentity
 from play_launch.recording.resolved_form import redacted_arguments
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     Outcomes = dict[Target, str]
 
 
-class Action(StrEnum):
+class OperatorAction(StrEnum):
     """An operator's action on units."""
 
     START = "start"
@@ -55,8 +55,8 @@ class Action(StrEnum):
     SIGNAL = "signal"
 
 
-FOR_MEMBERS: Final = frozenset({Action.START, Action.STOP, Action.RESTART})
-FOR_NODES: Final = frozenset({Action.LOAD, Action.UNLOAD, Action.RELOAD})
+FOR_MEMBERS: Final = frozenset({OperatorAction.START, OperatorAction.STOP, OperatorAction.RESTART})
+FOR_NODES: Final = frozenset({OperatorAction.LOAD, OperatorAction.UNLOAD, OperatorAction.RELOAD})
 DONE: Final = ""
 """Outcome of an action on one unit; any other text is the reason why it failed."""
 _REMOVED: Final = "it was taken out of the system"
@@ -131,12 +131,12 @@ class Actions:
         self._feed = feed
         self._log = log
 
-    async def act(self, action: Action, request: ActionRequest, caller: Caller) -> Results:
-        """Carry an action out; raises ControlError."""
+    async def act(self, action: OperatorAction, request: ActionRequest, caller: Caller) -> Results:
+        """Carry an action out; raises OperationError."""
         targets = self._targets(action, request.names)
         self._refuse_if_stopping()
         number = _signal(request.signal) if isinstance(request, SignalRequest) else None
-        if action in {Action.LOAD, Action.RELOAD}:
+        if action in {OperatorAction.LOAD, OperatorAction.RELOAD}:
             self._refuse_if_container_is_stopped(targets)
         names = [str(target) for target in targets]
         outcomes: Outcomes = {}
@@ -150,7 +150,7 @@ class Actions:
             return _results_or_failure(targets, outcomes)
 
     async def wait(self, request: WaitRequest, _caller: Caller) -> Results:
-        """Wait until all units are up at the same moment; raises ControlError when one fails."""
+        """Wait until all units are up at the same moment; raises OperationError when one fails."""
         named = self._targets(None, request.names) if request.names else []
         self._refuse_if_stopping()
         targets = named or self._expected()
@@ -183,7 +183,7 @@ class Actions:
         processes = [each for each in self._system.processes if each not in view.dismissed]
         return [*members_of(expected, processes), *nodes_of(expected)]
 
-    def _targets(self, action: Action | None, names: Sequence[str]) -> list[Target]:
+    def _targets(self, action: OperatorAction | None, names: Sequence[str]) -> list[Target]:
         members = members_of(self._publisher.view, self._system.processes)
         nodes = nodes_of(self._publisher.view)
         if action in FOR_MEMBERS:
@@ -196,13 +196,13 @@ class Actions:
 
     def _refuse_if_stopping(self) -> None:
         if self._system.is_stopping:
-            raise ControlError(Code.REFUSED, _STOPPING)
+            raise OperationError(Code.REFUSED, _STOPPING)
 
     def _refuse_if_container_is_stopped(self, targets: Sequence[Target]) -> None:
         for node in targets:
             assert isinstance(node, NodeKey)
             if self._system.state_of(node.container) in _INACTIVE:
-                raise ControlError(
+                raise OperationError(
                     Code.REFUSED,
                     f"{node.name} cannot be loaded: {node.container} does not run; "
                     f"start {node.container} first",
@@ -222,7 +222,7 @@ class Actions:
             yield changed
 
     async def _carry_out(
-        self, action: Action, targets: Sequence[Target], outcomes: Outcomes
+        self, action: OperatorAction, targets: Sequence[Target], outcomes: Outcomes
     ) -> None:
         """Begin it for all units, and wait for the outcome of each; cancelled at the timeout."""
         gave_up = {each for each in targets if self._state(each) is ContainerState.GAVE_UP}
@@ -232,7 +232,7 @@ class Actions:
                     self._begin(action, target)
                 except KeyError:  # a configuration without it was applied since it was chosen
                     outcomes[target] = _REMOVED
-            if action is Action.STOP:
+            if action is OperatorAction.STOP:
                 async with anyio.create_task_group() as tasks:
                     for target in targets:
                         tasks.start_soon(self._until_stopped, target, target in gave_up, outcomes)
@@ -246,19 +246,19 @@ class Actions:
                 await changed.wait()
                 changed.clear()
 
-    def _begin(self, action: Action, target: Target) -> None:
+    def _begin(self, action: OperatorAction, target: Target) -> None:
         match action, target:
-            case Action.START, str():
+            case OperatorAction.START, str():
                 self._system.start(target)
-            case Action.STOP, str():
+            case OperatorAction.STOP, str():
                 self._system.stop(target, _REASON)
-            case Action.RESTART, str():
+            case OperatorAction.RESTART, str():
                 self._system.restart(target, _REASON)
-            case Action.LOAD, NodeKey():
+            case OperatorAction.LOAD, NodeKey():
                 self._system.load(target)
-            case Action.UNLOAD, NodeKey():
+            case OperatorAction.UNLOAD, NodeKey():
                 self._system.unload(target)
-            case Action.RELOAD, NodeKey():
+            case OperatorAction.RELOAD, NodeKey():
                 self._system.reload(target)
             case _:
                 raise AssertionError(action, target)
@@ -280,10 +280,10 @@ class Actions:
 
     # Outcomes, from states alone: None while an action is under way.
 
-    def _outcome(self, action: Action, target: Target) -> str | None:
+    def _outcome(self, action: OperatorAction, target: Target) -> str | None:
         if isinstance(target, str):
             return self._of_member(target)
-        if action is Action.UNLOAD:
+        if action is OperatorAction.UNLOAD:
             found = self._node(target)
             return _REMOVED if found is None else DONE if found[1].state in _LEFT else None
         return self._of_node(target, _NOT_LOADED | {NodeState.CRASHED})
@@ -379,7 +379,7 @@ class Actions:
 async def _within(
     limit: float, work: Awaitable[None], targets: Sequence[Target], outcomes: Outcomes
 ) -> None:
-    """Await something for so many seconds; the ControlError names the units not done by then."""
+    """Await something for so many seconds; the OperationError names the units not done by then."""
     try:
         async with asyncio.timeout(limit):
             await work
@@ -387,7 +387,7 @@ async def _within(
         left = [full_name(target) for target in targets if target not in outcomes]
         named = ", ".join(left[:_LISTED])
         more = f" and {len(left) - _LISTED} more" if len(left) > _LISTED else ""
-        raise ControlError(
+        raise OperationError(
             Code.TIMEOUT,
             f"not done within {limit:.3g} s: {named}{more}",
             results=_results(targets, outcomes).results,
@@ -398,7 +398,7 @@ def _results_or_failure(targets: Sequence[Target], outcomes: Outcomes) -> Result
     failed = [f"{full_name(each)}: {reason}" for each, reason in outcomes.items() if reason]
     found = _results(targets, outcomes)
     if failed:
-        raise ControlError(Code.FAILED, "; ".join(failed), results=found.results)
+        raise OperationError(Code.FAILED, "; ".join(failed), results=found.results)
     return found
 
 
@@ -422,7 +422,7 @@ def _ended(state: ContainerState) -> str:
 
 
 def _signal(found: str | int) -> signal.Signals:
-    """Read ``SIGUSR1``, ``usr1`` or a number; raises ControlError."""
+    """Read ``SIGUSR1``, ``usr1`` or a number; raises OperationError."""
     try:
         if isinstance(found, int) or found.isdecimal():
             return signal.Signals(int(found))
@@ -430,7 +430,7 @@ def _signal(found: str | int) -> signal.Signals:
         return signal.Signals[name if name.startswith("SIG") else f"SIG{name}"]
     except (KeyError, ValueError):
         text = f"unknown signal {found!r:.80}; use a name such as SIGUSR1, or a number"
-        raise ControlError(Code.BAD_ARGUMENTS, text) from None
+        raise OperationError(Code.BAD_ARGUMENTS, text) from None
 
 
 def _one_line(command: Sequence[str]) -> str:

@@ -16,7 +16,7 @@ from play_launch.control.protocol import (
     PROTOCOL,
     REQUEST_LIMIT,
     Code,
-    ControlError,
+    OperationError,
     decode,
     encode,
 )
@@ -33,7 +33,7 @@ _PIECE: Final = 256 * 1024
 """Bytes that are read at once."""
 
 
-class Hello(NamedTuple):
+class SessionInfo(NamedTuple):
     """First message of a session."""
 
     pid: int
@@ -55,7 +55,7 @@ class ControlClient:
 
         Raises:
             OSError: When the connection fails, TimeoutError included.
-            ControlError: When something else listens, or the session refuses.
+            OperationError: When something else listens, or the session refuses.
         """
         deadline = time.monotonic() + timeout
         self._connection = socket.socket(socket.AF_UNIX)
@@ -102,12 +102,12 @@ class ControlClient:
         """Request an operation of docs/control.md and return its result.
 
         Raises:
-            ControlError: When the session refuses, or does not answer within ``limit`` seconds.
+            OperationError: When the session refuses, or does not answer within ``limit`` seconds.
         """
         for message in self.stream(operation, arguments, limit=limit):
             if "result" in message:
                 return message["result"]
-        raise ControlError(Code.INTERNAL, "the session ended without an answer")
+        raise OperationError(Code.INTERNAL, "the session ended without an answer")
 
     def stream(
         self,
@@ -121,7 +121,7 @@ class ControlClient:
         When the session ends, there is no result. ``limit`` is in seconds, for all of it.
 
         Raises:
-            ControlError: When the session refuses, or at the time limit.
+            OperationError: When the session refuses, or at the time limit.
         """
         deadline = None if limit is None else time.monotonic() + limit
         number = self.request(operation, arguments, limit=TIMEOUT)
@@ -130,14 +130,14 @@ class ControlClient:
                 self._fill(deadline)
             except TimeoutError:
                 text = f"{self.hello.name} (pid {self.hello.pid}) did not answer in time"
-                raise ControlError(Code.TIMEOUT, text) from None
+                raise OperationError(Code.TIMEOUT, text) from None
             except EOFError:
                 return
             message = decode(self._lines.pop(0))
             if message.get("id") not in {number, None}:
                 continue
             if "error" in message:
-                raise ControlError.of(message["error"])
+                raise OperationError.of(message["error"])
             yield message
             if "result" in message:
                 return
@@ -148,7 +148,7 @@ class ControlClient:
         """Send a request and return its number; `arrived` returns the answers.
 
         Raises:
-            ControlError: When the session does not read it within ``limit`` seconds.
+            OperationError: When the session does not read it within ``limit`` seconds.
         """
         number = next(self._numbers)
         line = encode(
@@ -162,7 +162,7 @@ class ControlClient:
         )
         if len(line) > REQUEST_LIMIT + 1:
             text = f"a request of {len(line)} bytes; the limit is {REQUEST_LIMIT}"
-            raise ControlError(Code.TOO_LONG, text)
+            raise OperationError(Code.TOO_LONG, text)
         self._connection.settimeout(limit)
         try:
             self._connection.sendall(line)
@@ -170,10 +170,10 @@ class ControlClient:
             # A part of the request may be sent, and nothing can follow it.
             self._connection.shutdown(socket.SHUT_RDWR)
             text = f"{self.hello.name} (pid {self.hello.pid}) does not read requests"
-            raise ControlError(Code.TIMEOUT, text) from None
+            raise OperationError(Code.TIMEOUT, text) from None
         except OSError as error:
             text = f"the connection was closed: {error.strerror or error}"
-            raise ControlError(Code.INTERNAL, text) from None
+            raise OperationError(Code.INTERNAL, text) from None
         return number
 
     def arrived(self) -> list[dict[str, Any]]:
@@ -181,7 +181,7 @@ class ControlClient:
 
         Raises:
             EOFError: When the session has ended, or the connection.
-            ControlError: When a message is malformed.
+            OperationError: When a message is malformed.
         """
         try:
             self._fill(0.0)
@@ -191,7 +191,7 @@ class ControlClient:
         return [decode(line) for line in lines]
 
     def _fill(self, deadline: float | None) -> None:
-        """Read until there is a line; raises EOFError, TimeoutError, ControlError."""
+        """Read until there is a line; raises EOFError, TimeoutError, OperationError."""
         while not self._lines:
             left = None if deadline is None else max(deadline - time.monotonic(), 0.0) * 1e3
             poll = select.poll()
@@ -206,7 +206,7 @@ class ControlClient:
                 raise EOFError
             self._rest += data
             if len(self._rest) > ANSWER_LIMIT + _PIECE:
-                raise ControlError(Code.TOO_LONG, f"a line is longer than {ANSWER_LIMIT} bytes")
+                raise OperationError(Code.TOO_LONG, f"a line is longer than {ANSWER_LIMIT} bytes")
             if b"\n" in data:
                 *self._lines, rest = bytes(self._rest).split(b"\n")
                 self._rest = bytearray(rest)
@@ -235,22 +235,22 @@ def _connect(connection: socket.socket, address: str, deadline: float) -> None:
             time.sleep(0.01)
 
 
-def _hello(message: dict[str, Any]) -> Hello:
+def _hello(message: dict[str, Any]) -> SessionInfo:
     if "error" in message:
-        raise ControlError.of(message["error"])
+        raise OperationError.of(message["error"])
     found = message.get("hello")
     if not isinstance(found, dict):
-        raise ControlError(Code.PROTOCOL, "not a session of play-launch")
+        raise OperationError(Code.PROTOCOL, "not a session of play-launch")
     if found.get("protocol") != PROTOCOL:
-        raise ControlError(
+        raise OperationError(
             Code.PROTOCOL,
             f"play-launch {found.get('version')} uses protocol {found.get('protocol')} and this "
             f"command {PROTOCOL}; use the command of the session's version",
         )
     try:
-        return Hello(*(kind(found[name]) for name, kind in _FIELDS.items()))
+        return SessionInfo(*(kind(found[name]) for name, kind in _FIELDS.items()))
     except (KeyError, TypeError, ValueError) as error:
-        raise ControlError(Code.PROTOCOL, f"the hello lacks {error}") from None
+        raise OperationError(Code.PROTOCOL, f"the hello lacks {error}") from None
 
 
 _FIELDS: Final = {

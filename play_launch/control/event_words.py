@@ -55,7 +55,7 @@ _TARGETS_LIMIT: Final = 5
 """Targets of an operation that are named; further ones are counted."""
 
 
-class Words(NamedTuple):
+class EventText(NamedTuple):
     """An event in words."""
 
     level: int
@@ -65,43 +65,43 @@ class Words(NamedTuple):
     text: str
 
 
-def words_of(event: RunEvent) -> Words:
+def words_of(event: RunEvent) -> EventText:
     """Word an event; the text may have several lines."""
     match event:
         case NodeStateChanged():
             level = WARN if event.state is NodeState.UNLOADED and event.reason else INFO
-            return Words(_level(event.state, level), event.container, _node(event))
+            return EventText(_level(event.state, level), event.container, _node(event))
         case ContainerStateChanged():
             text = _because(event.state.value, event.reason)
-            return Words(_level(event.state), event.container, text)
+            return EventText(_level(event.state), event.container, text)
         case ProcessEvent():
             level = WARN if event.exit_code or event.signal else INFO
-            return Words(_level(event.kind, level), event.name, _process(event))
+            return EventText(_level(event.kind, level), event.name, _process(event))
         case ComponentEvent():
             is_bad = event.kind in {ComponentEventKind.LOAD_FAILED, ComponentEventKind.CRASHED}
             text = _because(event.kind.name.lower().replace("_", " "), event.error_message)
             lines = [text, *(f"  {frame}" for frame in event.backtrace)]
             source = event.full_node_name or event.plugin_name
-            return Words(ERROR if is_bad else INFO, source, "\n".join(lines))
+            return EventText(ERROR if is_bad else INFO, source, "\n".join(lines))
         case OutputLine():
-            return Words(line_level(event), event.process, event.text)
+            return EventText(line_level(event), event.process, event.text)
         case LogRecord():
-            return Words(event.level, OWN_NAME, event.message)
+            return EventText(event.level, OWN_NAME, event.message)
         case ActionEvent():
             level = WARN if event.phase is ActionPhase.FAILED else INFO
-            return Words(level, OWN_NAME, _operation(event))
+            return EventText(level, OWN_NAME, _operation(event))
         case ManagedNodeChanged(state=ManagedState.FAILED):
-            return Words(ERROR, event.node, f"autostart failed: {event.reason}")
+            return EventText(ERROR, event.node, f"autostart failed: {event.reason}")
         case ManagedNodeChanged():
             is_known = event.state not in {ManagedState.ABSENT, ManagedState.ASKED}
             text = f"is {event.state}" if is_known else "lifecycle state unknown"
-            return Words(INFO, event.node, text)
+            return EventText(INFO, event.node, text)
         case GraphChanged():
             changes = [f"+ {name}" for name in event.appeared]
             changes += [f"- {name}" for name in event.vanished]
-            return Words(INFO, "graph", ", ".join(changes))
+            return EventText(INFO, "graph", ", ".join(changes))
         case Withdrawn():
-            return Words(INFO, event.key, _because("taken out of the system", event.reason))
+            return EventText(INFO, event.key, _because("taken out of the system", event.reason))
         case _:
             values = event_object(event)
             kind = values.pop("event")
@@ -110,7 +110,7 @@ def words_of(event: RunEvent) -> Words:
                 for name, value in values.items()
                 if name != "stamp_ns" and value not in ("", None)
             ]
-            return Words(INFO, OWN_NAME, f"{kind}: {', '.join(shown)}")
+            return EventText(INFO, OWN_NAME, f"{kind}: {', '.join(shown)}")
 
 
 def _node(event: NodeStateChanged) -> str:

@@ -14,7 +14,7 @@ from typing import Annotated, Literal, NamedTuple, TypeVar
 import msgspec
 from msgspec import UNSET, Meta, Raw, Struct, UnsetType, field
 
-from play_launch.control.protocol import PROTOCOL, Code, ControlError
+from play_launch.control.protocol import PROTOCOL, Code, OperationError
 from play_launch.process.cgroups.usage import GroupUsage  # noqa: TC001 - msgspec reads annotations
 
 Name = Annotated[str, Meta(max_length=1000)]
@@ -160,7 +160,7 @@ class Row(Struct, frozen=True, kw_only=True):
     """usage of its [control group](cgroups.md#usage); null without one, and for a component without a process of its own"""  # noqa: E501
 
 
-class Restart(Struct, frozen=True):
+class RestartRecord(Struct, frozen=True):
     """One restart, reload or final failure of a unit."""
 
     stamp_ns: int
@@ -180,7 +180,7 @@ class Status(Row, frozen=True, kw_only=True):
 
     since_ns: int | None
     """time since which it is in its state, in nanoseconds since the epoch; null before its first start"""  # noqa: E501
-    last_restarts: tuple[Restart, ...]
+    last_restarts: tuple[RestartRecord, ...]
     """its latest exits, crashes and restarts, each with `stamp_ns` and `cause`; at most 10"""
     waits_for: str
     """conditions that its start waits for; empty: none"""
@@ -219,14 +219,14 @@ class SnapshotResult(Struct, frozen=True):
     seconds: float
 
 
-class NodeParameters(Struct, frozen=True):
+class ParameterNames(Struct, frozen=True):
     """Names of the parameters of a node."""
 
     name: str
     parameters: list[str]
 
 
-class Hello(Struct, frozen=True, kw_only=True):
+class SessionHello(Struct, frozen=True, kw_only=True):
     """The first message of a session."""
 
     protocol: int = PROTOCOL
@@ -243,13 +243,13 @@ class Hello(Struct, frozen=True, kw_only=True):
 
 
 def read_request(line: bytes) -> Request:
-    """Read a line of a client; raises ControlError."""
+    """Read a line of a client; raises OperationError."""
     try:
         request = msgspec.json.decode(line, type=Request)
     except (ValueError, RecursionError) as error:
-        raise ControlError(Code.MALFORMED, f"not a request: {error}") from None
+        raise OperationError(Code.MALFORMED, f"not a request: {error}") from None
     if request.protocol != PROTOCOL:
-        raise ControlError(
+        raise OperationError(
             Code.PROTOCOL,
             f"protocol {request.protocol} is not supported: this session uses protocol {PROTOCOL}; "
             "use the command of the session's version",
@@ -258,10 +258,10 @@ def read_request(line: bytes) -> Request:
 
 
 def read_arguments(arguments: bytes, kind: type[_T]) -> _T:
-    """Read the arguments of an operation; raises ControlError."""
+    """Read the arguments of an operation; raises OperationError."""
     try:
         return msgspec.json.decode(arguments, type=kind)
     except (ValueError, RecursionError) as error:
         found = _PLACE.fullmatch(str(error))
         text = f"{found[2]}: {found[1][:1].lower()}{found[1][1:]}" if found else str(error)
-        raise ControlError(Code.BAD_ARGUMENTS, text) from None
+        raise OperationError(Code.BAD_ARGUMENTS, text) from None

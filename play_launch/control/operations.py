@@ -15,15 +15,15 @@ from play_launch.config.problems import ConfigError
 from play_launch.config.substitutions import Inputs, parse_arguments, share_folder
 from play_launch.container.cdr.layout import CdrError
 from play_launch.container.cdr.messages import NODE_PARAMETERS
-from play_launch.control.actions import Action, ActionLog, Actions
+from play_launch.control.actions import ActionLog, Actions, OperatorAction
 from play_launch.control.feed import KINDS, Follower, selection_of
 from play_launch.control.messages import (
     ActionRequest,
     ChangeRequest,
     EventsRequest,
     LastLine,
-    NodeParameters,
-    Restart,
+    ParameterNames,
+    RestartRecord,
     Row,
     Selected,
     SignalRequest,
@@ -32,7 +32,7 @@ from play_launch.control.messages import (
     WaitRequest,
     read_arguments,
 )
-from play_launch.control.protocol import ROS_VARIABLES, Code, ControlError
+from play_launch.control.protocol import ROS_VARIABLES, Code, OperationError
 from play_launch.control.units import (
     chosen,
     full_name,
@@ -126,10 +126,10 @@ class Operations:
             "wait": (WaitRequest, actions.wait),
             **{
                 action.value: (
-                    SignalRequest if action is Action.SIGNAL else ActionRequest,
+                    SignalRequest if action is OperatorAction.SIGNAL else ActionRequest,
                     partial(actions.act, action),
                 )
-                for action in Action
+                for action in OperatorAction
             },
             "snapshot": (Nothing, self._snapshot),
             "apply": (ChangeRequest, changes.apply),
@@ -137,11 +137,11 @@ class Operations:
         publisher.add_sink(self)
 
     async def __call__(self, request: Request, caller: Caller) -> object:
-        """Carry a request out; raises ControlError."""
+        """Carry a request out; raises OperationError."""
         if request.op not in self._table:
             known = ", ".join(sorted(self._table))
             text = f"unknown operation {request.op!r:.80}; there are: {known}"
-            raise ControlError(Code.UNKNOWN_OPERATION, text)
+            raise OperationError(Code.UNKNOWN_OPERATION, text)
         kind, operation = self._table[request.op]
         return await operation(read_arguments(request.arguments, kind), caller)
 
@@ -178,7 +178,7 @@ class Operations:
         if wrong := set(request.kinds) - KINDS:
             listed = ", ".join(sorted(KINDS))
             text = f"kinds: there are no events {min(wrong)!r:.80}; there are: {listed}"
-            raise ControlError(Code.BAD_ARGUMENTS, text)
+            raise OperationError(Code.BAD_ARGUMENTS, text)
         targets = self._chosen(request.names) if request.names else None
         follower = Follower(selection_of(request.kinds, targets))
         past = [] if request.only_new else self._feed.recent()
@@ -188,7 +188,7 @@ class Operations:
                 await follower.follow(caller.send)
         return {"events": "sent"}
 
-    async def _parameters(self, request: Selected, _caller: Caller) -> list[NodeParameters]:
+    async def _parameters(self, request: Selected, _caller: Caller) -> list[ParameterNames]:
         """List names of parameters, configured or recorded."""
         configured = dict(_configured(self._system.config))
         found = []
@@ -196,7 +196,7 @@ class Operations:
             if target in configured:
                 recorded = _names_in(self._parameters_of(full_name(target)))
                 names = sorted({*configured[target], *recorded})
-                found.append(NodeParameters(full_name(target), names))
+                found.append(ParameterNames(full_name(target), names))
         return found
 
     async def _give_environment(self, _request: Nothing, _caller: Caller) -> dict[str, str]:
@@ -207,7 +207,7 @@ class Operations:
             try:
                 taken = await self._snapshots.take()
             except SnapshotError as error:
-                raise ControlError(Code.REFUSED, str(error)) from None
+                raise OperationError(Code.REFUSED, str(error)) from None
         return SnapshotResult(messages=taken.messages, bytes=taken.bytes, seconds=taken.seconds)
 
     def _chosen(self, wanted: Sequence[str]) -> list[Target]:
@@ -248,14 +248,14 @@ class Changes:
         """File of the configuration that is being applied, or was applied last."""
 
     async def apply(self, request: ChangeRequest, caller: Caller) -> object:
-        """Send the plan, and apply it unless it is a dry run; raises ControlError."""
+        """Send the plan, and apply it unless it is a dry run; raises OperationError."""
         try:
             target = await asyncio.to_thread(_read, request)
         except ConfigError as error:
             text = f"{request.path} cannot be used, nothing was changed\n{error.for_people()}"
-            raise ControlError(Code.BAD_ARGUMENTS, text) from None
+            raise OperationError(Code.BAD_ARGUMENTS, text) from None
         except ValueError as error:
-            raise ControlError(Code.BAD_ARGUMENTS, str(error)) from None
+            raise OperationError(Code.BAD_ARGUMENTS, str(error)) from None
         target = self._with_command_line(target)
         if request.dry_run:
             applying = self._source if self._is_busy else None
@@ -277,7 +277,7 @@ class Changes:
         """Apply a configuration that this process has read; the result is published.
 
         Raises:
-            ControlError: When it cannot begin.
+            OperationError: When it cannot begin.
         """
         target = self._with_command_line(target)
         while self._task is not None and self._is_busy:
@@ -303,9 +303,9 @@ class Changes:
         report: Callable[[Plan | StepOutcome], None] = lambda _: None,
     ) -> asyncio.Task[Applied]:
         if self._system.is_stopping:
-            raise ControlError(Code.REFUSED, "the session is being stopped")
+            raise OperationError(Code.REFUSED, "the session is being stopped")
         if self._is_busy:
-            raise ControlError(
+            raise OperationError(
                 Code.REFUSED, "another configuration is being applied; try again when it is done"
             )
         self._source = str(target.source)
@@ -325,7 +325,7 @@ class Changes:
                 finally:
                     self._on_end(self._applying.config)
                 if not applied.succeeded:
-                    raise ControlError(
+                    raise OperationError(
                         Code.FAILED, _failures(applied), applied=msgspec.to_builtins(applied)
                     )
                 return applied
@@ -364,14 +364,16 @@ def _failures(applied: Applied) -> str:
     return f"{text}; {'rolled back' if is_back else 'the rollback failed as well'})"
 
 
-def _restarts_of(target: Target, events: Sequence[RunEvent]) -> Iterator[Restart]:
+def _restarts_of(target: Target, events: Sequence[RunEvent]) -> Iterator[RestartRecord]:
     for event in events:
         match event:
             case ProcessEvent() if event.name == target and event.kind in _RESTARTS:
                 cause = event.message or event.kind.name.lower().replace("_", " ")
-                yield Restart(event.stamp_ns, cause)
+                yield RestartRecord(event.stamp_ns, cause)
             case NodeStateChanged() if event.key == target and event.state in _CRASHES:
-                yield Restart(event.stamp_ns, f"{event.state}: {event.reason}".removesuffix(": "))
+                yield RestartRecord(
+                    event.stamp_ns, f"{event.state}: {event.reason}".removesuffix(": ")
+                )
 
 
 def _output_of(target: Target, events: Sequence[RunEvent]) -> Iterator[LastLine]:

@@ -54,7 +54,7 @@ class Code:
     INTERNAL: Final = "internal"
 
 
-class ControlError(Exception):
+class OperationError(Exception):
     """A request was not carried out.
 
     Attributes:
@@ -72,7 +72,7 @@ class ControlError(Exception):
         return {"code": self.code, "message": str(self), **self.details}
 
     @classmethod
-    def of(cls, found: object) -> ControlError:
+    def of(cls, found: object) -> OperationError:
         """Read what `as_object` returned; anything else is an internal error."""
         if not isinstance(found, dict):
             return cls(Code.INTERNAL, "an error without a description")
@@ -93,11 +93,11 @@ def encode(
 
 
 def decode(line: bytes) -> dict[str, Any]:
-    """Read one line; raises ControlError when it is not a JSON object."""
+    """Read one line; raises OperationError when it is not a JSON object."""
     try:
         found = json.loads(line)
     except (ValueError, RecursionError) as error:
-        raise ControlError(Code.MALFORMED, f"not a line of JSON: {error}") from None
+        raise OperationError(Code.MALFORMED, f"not a line of JSON: {error}") from None
     if not isinstance(found, dict):
-        raise ControlError(Code.MALFORMED, "not a JSON object")
+        raise OperationError(Code.MALFORMED, "not a JSON object")
     return found

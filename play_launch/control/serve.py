@@ -14,9 +14,9 @@ from msgspec.structs import replace
 
 from play_launch.container.cdr.layout import text_bytes
 from play_launch.control.client import own_command
-from play_launch.control.messages import Caller, Hello
+from play_launch.control.messages import Caller, SessionHello
 from play_launch.control.operations import Changes, Operations
-from play_launch.control.protocol import ControlError
+from play_launch.control.protocol import OperationError
 from play_launch.control.server import serving
 from play_launch.recording import topics
 from play_launch.recording.facts import OURSELVES, package_version
@@ -82,7 +82,7 @@ async def serve_control(
         changes=changes,
     )
     version = await asyncio.to_thread(package_version, OURSELVES)
-    hello = Hello(
+    hello = SessionHello(
         version=version,
         pid=os.getpid(),
         name=config.name,
@@ -112,7 +112,7 @@ async def _watch(watched: Watched, config: ReplayConfig, changes: Changes) -> No
 async def _apply(changes: Changes, target: ReplayConfig) -> None:
     try:
         await changes.apply_own(target, Caller(os.getpid(), os.getuid(), own_command()))
-    except ControlError as error:
+    except OperationError as error:
         _log.warning(
             "%s is not applied: %s; it is applied at its next change", target.source, error
         )

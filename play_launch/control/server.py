@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
-from play_launch.control.messages import Caller, Hello, Request, read_request
-from play_launch.control.protocol import ANSWER_LIMIT, REQUEST_LIMIT, Code, ControlError, encode
+from play_launch.control.messages import Caller, Request, SessionHello, read_request
+from play_launch.control.protocol import ANSWER_LIMIT, REQUEST_LIMIT, Code, OperationError, encode
 from play_launch.control.registration import peer_of
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from play_launch.control.registration import ControlSocket
 
     Operate = Callable[[Request, Caller], Awaitable[object]]
-    """Carries a request out and returns its result; raises ControlError."""
+    """Carries a request out and returns its result; raises OperationError."""
 
 CLIENTS_LIMIT: Final = 128
 """Connections at the same time; further ones are refused."""
@@ -34,7 +34,9 @@ _log = logging.getLogger(__name__)
 
 
 @contextlib.asynccontextmanager
-async def serving(socket: ControlSocket, hello: Hello, operate: Operate) -> AsyncIterator[None]:
+async def serving(
+    socket: ControlSocket, hello: SessionHello, operate: Operate
+) -> AsyncIterator[None]:
     """Serve clients while the block runs; it runs in any case."""
     for problem in socket.problems:
         _log.warning("%s", problem)
@@ -62,7 +64,7 @@ async def serving(socket: ControlSocket, hello: Hello, operate: Operate) -> Asyn
 class Server:
     """Serves the clients of a session."""
 
-    def __init__(self, hello: Hello, operate: Operate) -> None:
+    def __init__(self, hello: SessionHello, operate: Operate) -> None:
         self._hello = encode({"hello": msgspec.to_builtins(hello)})
         self._operate = operate
         self._clients: dict[asyncio.Task[None], asyncio.StreamWriter] = {}
@@ -103,9 +105,9 @@ class Server:
                     task = tasks.create_task(self._carry_out(request, caller, writer))
                     task.add_done_callback(lambda _: slots.release())
                 raise ConnectionResetError  # ends its requests
-        except* ControlError as refused:
+        except* OperationError as refused:
             error = refused.exceptions[0]
-            assert isinstance(error, ControlError)
+            assert isinstance(error, OperationError)
             writer.write(encode({"id": None, "error": error.as_object()}))
         except* ConnectionError:
             pass
@@ -115,10 +117,10 @@ class Server:
     def _refuse_others(self, uid: int) -> None:
         if uid not in {0, os.geteuid()}:
             text = f"this session is of user {os.geteuid()}, and you are user {uid}"
-            raise ControlError(Code.NOT_ALLOWED, text)
+            raise OperationError(Code.NOT_ALLOWED, text)
         if len(self._clients) > CLIENTS_LIMIT:
             text = f"{CLIENTS_LIMIT} clients are connected already"
-            raise ControlError(Code.NOT_ALLOWED, text)
+            raise OperationError(Code.NOT_ALLOWED, text)
 
     async def _carry_out(
         self, request: Request, caller: Caller, writer: asyncio.StreamWriter
@@ -127,25 +129,27 @@ class Server:
             result = await self._operate(request, caller)
             line = encode({"id": request.id, "result": result}, msgspec.to_builtins)
             if len(line) > ANSWER_LIMIT:
-                raise ControlError(Code.TOO_LONG, "the answer is too long; name fewer units")  # noqa: TRY301
-        except ControlError as error:
+                raise OperationError(Code.TOO_LONG, "the answer is too long; name fewer units")  # noqa: TRY301
+        except OperationError as error:
             line = _error(request, error)
         except ConnectionError:
             raise
         except Exception as error:  # noqa: BLE001 - it is logged, and the run goes on
             _log.exception("the control request %r failed", request.op)
-            line = _error(request, ControlError(Code.INTERNAL, f"{type(error).__name__}: {error}"))
+            line = _error(
+                request, OperationError(Code.INTERNAL, f"{type(error).__name__}: {error}")
+            )
         await _write(writer, line)
 
 
 async def _line(reader: asyncio.StreamReader) -> bytes:
-    """Read a line; empty at the end of the connection. Raises ControlError."""
+    """Read a line; empty at the end of the connection. Raises OperationError."""
     while True:
         try:
             line = await reader.readline()
         except ValueError:
             text = f"a line is longer than {REQUEST_LIMIT} bytes"
-            raise ControlError(Code.TOO_LONG, text) from None
+            raise OperationError(Code.TOO_LONG, text) from None
         if not line.endswith(b"\n"):
             return b""
         if line.strip():
@@ -163,5 +167,5 @@ async def _write(writer: asyncio.StreamWriter, line: bytes) -> None:
     await asyncio.sleep(0)  # other tasks run, also when a lot is sent
 
 
-def _error(request: Request, error: ControlError) -> bytes:
+def _error(request: Request, error: OperationError) -> bytes:
     return encode({"id": request.id, "error": error.as_object()}, msgspec.to_builtins)

@@ -12,7 +12,7 @@ import time
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from play_launch.control.client import TIMEOUT, ControlClient
-from play_launch.control.protocol import Code, ControlError
+from play_launch.control.protocol import Code, OperationError
 from play_launch.control.registration import (
     CONTROL_SOCKET,
     Link,
@@ -55,7 +55,7 @@ class Found(NamedTuple):
     """The connection, if the session has sent its hello."""
     answer: Any
     """Result of the request, if any."""
-    problem: NoSessionError | ControlError | None
+    problem: NoSessionError | OperationError | None
     """Why there is no client."""
     is_alive: bool
     """Whether the session runs, also without an answer."""
@@ -81,7 +81,7 @@ def connect(session: str | None = None, *, limit: float = TIMEOUT) -> ControlCli
 
     Raises:
         NoSessionError: When no session runs, or more than one.
-        ControlError: When it refuses, or does not answer.
+        OperationError: When it refuses, or does not answer.
     """
     if session is not None and _is_folder(session):
         return connect_to(session, limit=limit)
@@ -108,13 +108,13 @@ def connect(session: str | None = None, *, limit: float = TIMEOUT) -> ControlCli
         raise NoSessionError(text + _of_others()) from None
     finally:
         close(each for each in found if each is not chosen)
-    if is_decided and isinstance(chosen.problem, ControlError):
+    if is_decided and isinstance(chosen.problem, OperationError):
         return connect_to(chosen.link.folder, limit=limit)  # the others have ended
     return _client_of(chosen)
 
 
 def connect_to(folder: str, *, limit: float = TIMEOUT) -> ControlClient:
-    """Connect to the session in a folder; raises NoSessionError, ControlError."""
+    """Connect to the session in a folder; raises NoSessionError, OperationError."""
     return _client_of(_found(Link(0, folder, 0, 0), limit))
 
 
@@ -205,10 +205,10 @@ def _found(link: Link, limit: float, operation: str = "", names: Sequence[str] =
     deadline = time.monotonic() + limit
     try:
         client = ControlClient(link.folder, limit)
-    except ControlError as error:  # something listens
+    except OperationError as error:  # something listens
         return Found(link, None, None, error, is_alive=True, has_exited=False)
     except TimeoutError:
-        problem = ControlError(Code.TIMEOUT, f"the session in {link.folder} does not answer")
+        problem = OperationError(Code.TIMEOUT, f"the session in {link.folder} does not answer")
         return Found(link, None, None, problem, is_alive=True, has_exited=False)
     except (OSError, EOFError) as error:
         return _without_session(link, _explained(link.folder, error))
@@ -217,7 +217,7 @@ def _found(link: Link, limit: float, operation: str = "", names: Sequence[str] =
         try:
             left = max(deadline - time.monotonic(), 0.0)
             answer = client.ask(operation, {"names": list(names)}, limit=left)
-        except ControlError:
+        except OperationError:
             pass
     return Found(link, client, answer, None, is_alive=True, has_exited=False)
 

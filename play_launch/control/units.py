@@ -11,7 +11,7 @@ from msgspec.structs import replace
 
 from play_launch.config.node_key import NodeKey
 from play_launch.control.messages import Managed, Row, Status
-from play_launch.control.protocol import Code, ControlError
+from play_launch.control.protocol import Code, OperationError
 from play_launch.process.cgroups.usage import group_of, usage_of
 from play_launch.process.exit import UNKNOWN_STATUS
 from play_launch.supervisor.events import (
@@ -26,7 +26,7 @@ from play_launch.supervisor.world import Process, is_wanted
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-    from play_launch.control.messages import LastLine, Restart
+    from play_launch.control.messages import LastLine, RestartRecord
     from play_launch.supervisor.view import ContainerView, NodeView, ProcessView, SystemView
     from play_launch.supervisor.world import Node, World
 
@@ -89,7 +89,7 @@ def chosen(
         hint: What to use for one of those.
 
     Raises:
-        ControlError: When one of them matches nothing, or a name several units.
+        OperationError: When one of them matches nothing, or a name several units.
     """
     found: set[Target] = set()
     for word in wanted:
@@ -97,17 +97,17 @@ def chosen(
         meant = named or _matching(word, candidates)
         if not meant:
             if elsewhere := _named(word, others) or _matching(word, others):
-                raise ControlError(
+                raise OperationError(
                     Code.BAD_ARGUMENTS, f"{full_name(elsewhere[0])} {hint}", name=word
                 )
-            raise ControlError(
+            raise OperationError(
                 Code.UNKNOWN_NAME,
                 f"no node or process named '{word}'{_proposal(word, candidates)}",
                 name=word,
             )
         if len(named) > 1:
             listed = ", ".join(map(str, named[:_LISTED]))
-            raise ControlError(Code.AMBIGUOUS_NAME, f"'{word}' is ambiguous: {listed}", name=word)
+            raise OperationError(Code.AMBIGUOUS_NAME, f"'{word}' is ambiguous: {listed}", name=word)
         found.update(meant)
     return [each for each in candidates if each in found]
 
@@ -175,7 +175,7 @@ def status_of(
     row: Row,
     world: World,
     view: SystemView,
-    restarts: tuple[Restart, ...],
+    restarts: tuple[RestartRecord, ...],
     output: tuple[LastLine, ...],
 ) -> Status | None:
     """Add to a row all that is known of its unit; None: it was removed."""

@@ -1,4 +1,4 @@
-"""Any bytes are a request or a ControlError; the tables of the documentation are up to date."""
+"""Any bytes are a request or a OperationError; the tables of the documentation are up to date."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from play_launch.control.messages import (
     read_arguments,
     read_request,
 )
-from play_launch.control.protocol import PROTOCOL, Code, ControlError, decode, encode
+from play_launch.control.protocol import PROTOCOL, Code, OperationError, decode, encode
 from tests.control.reference import DOCUMENTS, with_tables
 
 JSON = st.recursive(
@@ -36,8 +36,8 @@ def refusal(work: Callable[[], object]) -> str:
     """Return the code of the error that it raises, which can be sent; empty for none."""
     try:
         work()
-    except ControlError as error:
-        return ControlError.of(decode(encode({**error.as_object()}))).code
+    except OperationError as error:
+        return OperationError.of(decode(encode({**error.as_object()}))).code
     return ""
 
 
@@ -69,7 +69,7 @@ def test_anything_else_is_malformed(line: bytes) -> None:
 @pytest.mark.parametrize("version", [PROTOCOL - 1, PROTOCOL + 1])
 def test_another_version_is_refused(version: int) -> None:
     line = b'{"id": 1, "op": "ps", "protocol": %d}' % version
-    with pytest.raises(ControlError, match="use the command of the session's version") as refused:
+    with pytest.raises(OperationError, match="use the command of the session's version") as refused:
         read_request(line)
     assert refused.value.code == Code.PROTOCOL
 
@@ -91,14 +91,14 @@ def test_arguments_are_read_or_refused(kind: type[Struct], values: dict[str, Any
     ],
 )
 def test_a_refusal_names_the_argument_and_its_limit(arguments: dict[str, Any], text: str) -> None:
-    with pytest.raises(ControlError) as refused:
+    with pytest.raises(OperationError) as refused:
         read_arguments(json.dumps(arguments).encode(), ActionRequest)
     assert str(refused.value) == text
 
 
 @given(JSON)
 def test_an_error_is_read_whatever_it_holds(found: Any) -> None:
-    assert isinstance(ControlError.of(found), ControlError)
+    assert isinstance(OperationError.of(found), OperationError)
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)

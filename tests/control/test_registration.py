@@ -19,8 +19,8 @@ import pytest
 
 from play_launch.cli.connection import report_end
 from play_launch.control import registration
-from play_launch.control.client import Hello
-from play_launch.control.protocol import PROTOCOL, Code, ControlError, encode
+from play_launch.control.client import SessionInfo
+from play_launch.control.protocol import PROTOCOL, Code, OperationError, encode
 from play_launch.control.registration import CONTROL_SOCKET, LINKS, address_of, registered
 from play_launch.control.sessions import AmbiguousSessionError, NoSessionError, connect
 from tests.control.links import put_link
@@ -194,7 +194,7 @@ def test_a_silent_session_of_another_name_holds_up_nobody(session: Callable[...,
     session("arm", 0)
     base = session("base")
     assert connected("base", limit=10_000) == str(base)
-    with pytest.raises(ControlError, match="does not answer") as refused:
+    with pytest.raises(OperationError, match="does not answer") as refused:
         connect("arm", limit=0.2)
     assert refused.value.code == Code.TIMEOUT
     with pytest.raises(NoSessionError, match=r"no session gripper(.|\n)*arm does not answer"):
@@ -297,7 +297,7 @@ def test_the_name_of_a_session_that_has_ended_does_nothing_to_the_terminal(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """What listens may be another user's program, which root was told of."""
-    hello = Hello(1, "ro\x1b[31mbot", "x", str(tmp_path), "1", 0)
+    hello = SessionInfo(1, "ro\x1b[31mbot", "x", str(tmp_path), "1", 0)
     assert report_end(hello) == 0
     assert capsys.readouterr().err == "the session robot (pid 1) has ended\n"
 

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from play_launch.control.messages import Hello
-from play_launch.control.protocol import REQUEST_LIMIT, Code, ControlError, decode, encode
+from play_launch.control.messages import SessionHello
+from play_launch.control.protocol import REQUEST_LIMIT, Code, OperationError, decode, encode
 from play_launch.control.registration import CONTROL_SOCKET, LINKS, ControlSocket, registered
 from play_launch.control.server import CLIENTS_LIMIT, REQUESTS_LIMIT, serving
 from play_launch.control.sessions import NoSessionError, connect, connect_to
@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from play_launch.control.messages import Caller, Request
 
 
-def hello(folder: Path) -> Hello:
-    return Hello(
+def hello(folder: Path) -> SessionHello:
+    return SessionHello(
         version="0.1.0",
         pid=os.getpid(),
         name="robot",
@@ -75,7 +75,7 @@ class Session:
                 raise ValueError("of our own")
             case "large":
                 return "x" * 17_000_000
-        raise ControlError(Code.UNKNOWN_OPERATION, "no")
+        raise OperationError(Code.UNKNOWN_OPERATION, "no")
 
 
 @pytest.fixture(autouse=True)
@@ -189,7 +189,7 @@ def test_errors_are_errors_and_the_connection_goes_on(tmp_path: Path) -> None:
                 ("fail", Code.INTERNAL),
                 ("large", Code.TOO_LONG),
             ):
-                with pytest.raises(ControlError) as refused:
+                with pytest.raises(OperationError) as refused:
                     client.ask(operation)
                 assert refused.value.code == code
             assert client.ask("echo", {"still": "here"}) == {"still": "here"}
@@ -226,7 +226,7 @@ def test_garbage_is_answered_and_ends_the_connection(
 def test_more_clients_than_there_may_be_are_refused_and_the_rest_served(tmp_path: Path) -> None:
     def talk(_: Session) -> None:
         clients = [connect_to(str(tmp_path)) for _ in range(CLIENTS_LIMIT)]
-        with pytest.raises(ControlError) as refused:
+        with pytest.raises(OperationError) as refused:
             connect_to(str(tmp_path))
         assert refused.value.code == Code.NOT_ALLOWED
         assert clients[-1].ask("echo") == {}
@@ -370,7 +370,7 @@ def test_something_else_on_the_socket_is_no_session(tmp_path: Path) -> None:
             writer.close()
 
         async with await asyncio.start_unix_server(talk, sock=listening):
-            with pytest.raises(ControlError):
+            with pytest.raises(OperationError):
                 await asyncio.to_thread(connect_to, str(tmp_path))
 
     asyncio.run(main())

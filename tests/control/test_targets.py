@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from play_launch.config.node_key import NodeKey
-from play_launch.control.protocol import Code, ControlError
+from play_launch.control.protocol import Code, OperationError
 from play_launch.control.units import Target, chosen, full_name
 
 MEMBERS: list[Target] = ["/sensing/box", "/chat", "/monitor"]
@@ -65,7 +65,7 @@ def test_each_is_found_once_in_the_order_of_declaration() -> None:
     ],
 )
 def test_what_is_wrong_is_said(word: str, code: str, words: str) -> None:
-    with pytest.raises(ControlError) as refused:
+    with pytest.raises(OperationError) as refused:
         chosen([word], NODES, MEMBERS, "is no node")
     assert refused.value.code == code
     assert words in str(refused.value)
@@ -79,7 +79,7 @@ def test_what_is_chosen_was_there_and_each_word_has_a_part(
     candidates: list[Target] = list(dict.fromkeys(found))
     try:
         meant = chosen(words, candidates)
-    except ControlError:
+    except OperationError:
         return
     assert [each for each in candidates if each in meant] == meant
     assert bool(meant) is bool(words)

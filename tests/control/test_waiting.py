@@ -16,7 +16,7 @@ from typing import cast
 import pytest
 
 from play_launch.cli.wait import _Managed
-from play_launch.control.protocol import PROTOCOL, ControlError, decode, encode
+from play_launch.control.protocol import PROTOCOL, OperationError, decode, encode
 from play_launch.control.registration import LINKS, address_of
 from play_launch.control.sessions import connect_to
 from play_launch.ros.node_services import NodeServices
@@ -48,7 +48,7 @@ def test_nobody_waits_for_what_does_not_come_up_any_more(tmp_path: Path) -> None
         with connect_to(folder) as waiting, ThreadPoolExecutor(1) as thread:
             answer = thread.submit(waiting.ask, "wait", {"timeout": 600.0}, limit=600.0)
             replay.process.send_signal(signal.SIGINT)
-            with pytest.raises(ControlError, match="the session is being stopped"):
+            with pytest.raises(OperationError, match="the session is being stopped"):
                 answer.result(timeout=60)
 
 

@@ -11,11 +11,11 @@ from typing import Any
 import pytest
 
 from play_launch.config.node_key import NodeKey
-from play_launch.control.actions import Action as Asked
 from play_launch.control.actions import ActionLog, Actions
+from play_launch.control.actions import OperatorAction as Asked
 from play_launch.control.feed import Feed
 from play_launch.control.messages import ActionRequest, Caller, SignalRequest
-from play_launch.control.protocol import ControlError
+from play_launch.control.protocol import OperationError
 from play_launch.supervisor.steps import Action
 
 from .fakes import FakeContainer, FakeLauncher, container, process, system
@@ -108,7 +108,7 @@ def test_what_is_taken_out_meanwhile_is_reported_as_such(action: Asked, name: st
             request = ActionRequest(names=(name,))
             if action is Asked.SIGNAL:
                 request = SignalRequest(names=(name,), signal="USR1")
-            with pytest.raises(ControlError, match="taken out of the system"):
+            with pytest.raises(OperationError, match="taken out of the system"):
                 await actions.act(action, request, Caller(os.getpid(), 0))
 
     run(main())

@@ -12,10 +12,10 @@ from msgspec.structs import replace
 
 from play_launch.config.dependency import Condition, Dependency, StartRule
 from play_launch.config.model import OnExit, ReplayConfig
-from play_launch.control.actions import Action, ActionLog, Actions
+from play_launch.control.actions import ActionLog, Actions, OperatorAction
 from play_launch.control.feed import Feed
 from play_launch.control.messages import ActionRequest, ActionResult, Caller, Results
-from play_launch.control.protocol import ControlError
+from play_launch.control.protocol import OperationError
 from play_launch.process.exit import Exit
 from play_launch.runtime.commands import StartError
 from play_launch.supervisor.events import ProcessEventKind
@@ -44,7 +44,7 @@ def slow(sys: Running) -> None:
 async def stop(sys: Running, *names: str, timeout: float = 60.0) -> Results:
     actions = Actions(sys.operated, sys.publisher, Feed(), ActionLog(sys.publisher))
     request = ActionRequest(names=names, timeout=timeout)
-    return await actions.act(Action.STOP, request, Caller(os.getpid(), 0))
+    return await actions.act(OperatorAction.STOP, request, Caller(os.getpid(), 0))
 
 
 def test_a_stop_ends_when_somebody_starts_it_again() -> None:
@@ -55,7 +55,7 @@ def test_a_stop_ends_when_somebody_starts_it_again() -> None:
             stopping = asyncio.create_task(stop(sys, "/p"))
             await asyncio.sleep(1)
             sys.operated.start("/p")
-            with pytest.raises(ControlError, match="/p: it was started again meanwhile"):
+            with pytest.raises(OperationError, match="/p: it was started again meanwhile"):
                 await stopping
             await sys.until(lambda: len(sys.launcher.processes["/p"]) == 2)
 
@@ -102,7 +102,7 @@ def test_a_stop_that_takes_too_long_names_only_what_still_runs() -> None:
         async with running(BEFORE, FakeLauncher()) as sys:
             await until_up(sys)
             sys.launcher.processes["/p"][0].lingers = SLOW
-            with pytest.raises(ControlError, match=r"not done within 5 s: /p$") as late:
+            with pytest.raises(OperationError, match=r"not done within 5 s: /p$") as late:
                 await stop(sys, "/p", "/other", timeout=5)
             assert [each.name for each in late.value.details["results"]] == ["/other"]  # type: ignore[attr-defined]
 

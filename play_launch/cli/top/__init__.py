@@ -13,7 +13,7 @@ from typing import IO, TYPE_CHECKING, Final
 from play_launch.cli import options
 from play_launch.cli.connection import connected, report_end
 from play_launch.cli.output import is_terminal, redirect_to_devnull, wants_colour
-from play_launch.control.protocol import Code, ControlError
+from play_launch.control.protocol import Code, OperationError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -34,11 +34,11 @@ def top(session: options.Session = None) -> int:
     """
     with connected(session) as client:
         if reason := objection((sys.stdout, sys.stdin, sys.stderr), os.environ):
-            raise ControlError(Code.BAD_ARGUMENTS, reason)
+            raise OperationError(Code.BAD_ARGUMENTS, reason)
         try:
             import textual  # noqa: F401, PLC0415 - an extra
         except ModuleNotFoundError:
-            raise ControlError(
+            raise OperationError(
                 Code.BAD_ARGUMENTS,
                 "top needs Textual, which is not installed; pip install 'play-launch-py[top]'",
             ) from None
@@ -83,7 +83,7 @@ async def _show(client: ControlClient) -> ScreenEnd:
         end = await app.run_async(mouse=False)
     if end is None:
         # Textual has written the traceback.
-        raise ControlError(Code.INTERNAL, "the screen failed; this is a bug of play-launch")
+        raise OperationError(Code.INTERNAL, "the screen failed; this is a bug of play-launch")
     return end
 
 

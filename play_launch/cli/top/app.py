@@ -42,7 +42,7 @@ from play_launch.cli.top.rows import (
     unavailable,
     uptime,
 )
-from play_launch.control.protocol import ControlError
+from play_launch.control.protocol import OperationError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -292,7 +292,7 @@ class TopApp(App[ScreenEnd]):
                 return
             try:
                 self._link.carry_out(asked)
-            except ControlError as error:
+            except OperationError as error:
                 self.on_outcome(asked, str(error))
             else:
                 self._show_message(f"{operation} {clean(row.name)}: in progress")

@@ -7,7 +7,7 @@ import time
 from typing import TYPE_CHECKING, Any, Final
 
 from play_launch.cli.top.rows import rows_of
-from play_launch.control.protocol import Code, ControlError
+from play_launch.control.protocol import Code, OperationError
 
 if TYPE_CHECKING:
     from play_launch.cli.top.app import TopApp
@@ -67,9 +67,9 @@ class SessionLink:
         return 0.0 if self._rows is None else time.monotonic() - self._requested_at
 
     def carry_out(self, confirmed: Confirmation) -> None:
-        """Request an operation; raises ControlError. The outcome goes to the application."""
+        """Request an operation; raises OperationError. The outcome goes to the application."""
         if len(self._pending) >= OPERATIONS_LIMIT:
-            raise ControlError(
+            raise OperationError(
                 Code.REFUSED,
                 f"{OPERATIONS_LIMIT} operations are pending; repeat it when one is done",
             )
@@ -85,14 +85,14 @@ class SessionLink:
         try:
             self._rows = self._client.request("ps")
             self._requested_at = time.monotonic()
-        except ControlError as error:
+        except OperationError as error:
             self._end(str(error))
 
     def _follow(self) -> None:
         kinds = [*_LINES, *sorted(_CHANGES)]
         try:
             self._events = self._client.request("events", {"kinds": kinds, "follow": True})
-        except ControlError as error:
+        except OperationError as error:
             self._end(str(error))
 
     def _read(self) -> None:
@@ -102,14 +102,14 @@ class SessionLink:
                 self._receive(message)
         except EOFError as error:
             self._end(str(error))
-        except ControlError as error:
+        except OperationError as error:
             self._end(str(error))
         except (KeyError, TypeError, ValueError) as error:
             self._end(f"the answer of the session is not understood: {error}")
 
     def _receive(self, message: dict[str, Any]) -> None:
         number = message.get("id")
-        failure = ControlError.of(message["error"]) if "error" in message else None
+        failure = OperationError.of(message["error"]) if "error" in message else None
         if number is None and failure is not None:
             self._end(str(failure))
         elif number == self._rows:
@@ -127,7 +127,7 @@ class SessionLink:
             limit.cancel()
             self._app.on_outcome(confirmed, "" if failure is None else str(failure))
 
-    def _receive_event(self, message: dict[str, Any], failure: ControlError | None) -> None:
+    def _receive_event(self, message: dict[str, Any], failure: OperationError | None) -> None:
         if failure is not None:
             self._end(str(failure))
         elif "missed" in message:

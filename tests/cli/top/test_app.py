@@ -17,8 +17,8 @@ from textual.widgets._footer import FooterKey
 from play_launch.cli.top.app import ScreenEnd, TopApp
 from play_launch.cli.top.link import OPERATIONS_LIMIT
 from play_launch.cli.top.modals import Question
-from play_launch.control.messages import Hello
-from play_launch.control.protocol import Code, ControlError
+from play_launch.control.messages import SessionHello
+from play_launch.control.protocol import Code, OperationError
 from play_launch.control.registration import LINKS, ControlSocket
 from play_launch.control.server import serving
 from play_launch.control.sessions import connect_to
@@ -29,7 +29,9 @@ if TYPE_CHECKING:
 
     from play_launch.control.messages import Caller, Request
 
-ABOUT = Hello(version="0.1.0", pid=1, name="robot", session="6c1f", folder="/robot", started_ns=7)
+ABOUT = SessionHello(
+    version="0.1.0", pid=1, name="robot", session="6c1f", folder="/robot", started_ns=7
+)
 
 
 def row(name: str, state: str = "running", kind: str = "process", **fields: Any) -> dict[str, Any]:
@@ -209,7 +211,7 @@ def test_what_makes_no_sense_is_not_asked(tmp_path: Path) -> None:
 
 def test_what_failed_says_why(tmp_path: Path) -> None:
     async def refuse() -> object:
-        raise ControlError(Code.REFUSED, "the session is \x1b[2Jbeing stopped")
+        raise OperationError(Code.REFUSED, "the session is \x1b[2Jbeing stopped")
 
     async def act(scene: Scene) -> None:
         scene.session.answer = refuse
