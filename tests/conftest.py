@@ -122,8 +122,8 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     skipped: dict[tuple[str, str], int] = {}
     for report in terminalreporter.getreports("skipped"):
         _, _, reason = report.longrepr
-        name = (report.nodeid.partition("[")[0], reason.removeprefix("Skipped: "))
-        skipped[name] = skipped.get(name, 0) + 1
+        test = (report.nodeid.partition("[")[0], reason.removeprefix("Skipped: "))
+        skipped[test] = skipped.get(test, 0) + 1
     if skipped:
         terminalreporter.section("not run")
     for (name, reason), count in skipped.items():

@@ -124,7 +124,7 @@ class CsvWriter:
         """Take a row. Raises OSError."""
         if self._writer is None:
             self._writer = csv.DictWriter(
-                self._file, list(values), restval="", extrasaction="ignore", lineterminator="\n"
+                self._file, list(values), restval="", extrasaction="ignore"
             )
             self._writer.writeheader()
         self._writer.writerow(

@@ -52,7 +52,13 @@ def hierarchy(mountinfo: str, own: str) -> tuple[Path, Path] | None:
 def own_hierarchy() -> tuple[Path, Path]:
     """Return the mount of cgroup v2 and the group of this process in it; raises GroupError."""
     own = path_of(os.getpid())
-    found = hierarchy(Path("/proc/self/mountinfo").read_text(errors="surrogateescape"), own)
+    try:
+        mounts = Path("/proc/self/mountinfo").read_text(errors="surrogateescape")
+    except OSError as error:
+        raise GroupError(
+            f"the mounted hierarchies of control groups are unknown: {error}"
+        ) from error
+    found = hierarchy(mounts, own)
     if found is None:
         raise GroupError(
             f"no hierarchy of cgroup v2 with the group of play-launch ({own or 'unknown'}) is "
