@@ -27,8 +27,9 @@ from benchmarks.progress import Progress
 from benchmarks.range_chart import Bar, Lane, range_chart
 from benchmarks.statistics import Summary
 from benchmarks.systems import Node, keep_to_this_machine, system
-from play_launch.runtime.publisher import Publisher, StopRequests
+from play_launch.runtime.publisher import Publisher
 from play_launch.runtime.run import run_system
+from play_launch.runtime.signals import StopRequests
 from play_launch.supervisor.events import NodeState, NodeStateChanged, RunEvent
 from play_launch.supervisor.view import SystemView
 

@@ -20,8 +20,9 @@ from benchmarks.crash.tally import SECOND, Tally
 from benchmarks.figures import Figures
 from benchmarks.systems import Node, system
 from play_launch.config.model import ReplayConfig
-from play_launch.runtime.publisher import Publisher, StopRequests
+from play_launch.runtime.publisher import Publisher
 from play_launch.runtime.run import Outcome, run_system
+from play_launch.runtime.signals import StopRequests
 from play_launch.supervisor.events import (
     ComponentEvent,
     ComponentEventKind,

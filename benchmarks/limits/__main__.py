@@ -30,8 +30,9 @@ from benchmarks.machine import machine
 from benchmarks.progress import Progress
 from benchmarks.statistics import Summary
 from benchmarks.systems import Node, keep_to_this_machine, system
-from play_launch.runtime.publisher import Publisher, StopRequests
+from play_launch.runtime.publisher import Publisher
 from play_launch.runtime.run import run_system
+from play_launch.runtime.signals import StopRequests
 
 RATE: Final = 1000.0
 _SETTLE: Final = 0.5

@@ -29,8 +29,9 @@ from benchmarks.statistics import Summary
 from benchmarks.systems import Node, keep_to_this_machine, system
 from play_launch.process.cgroups.group import Group
 from play_launch.process.cgroups.usage import group_of
-from play_launch.runtime.publisher import Publisher, StopRequests
+from play_launch.runtime.publisher import Publisher
 from play_launch.runtime.run import run_system
+from play_launch.runtime.signals import StopRequests
 from play_launch.supervisor.events import NodeState, NodeStateChanged, RunEvent
 from play_launch.supervisor.view import SystemView
 

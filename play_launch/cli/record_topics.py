@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     from play_launch.recording.session import Session
     from play_launch.recording.topic_recorder import Snapshots
     from play_launch.recording.topic_recorder.supervision import TopicRecording
-    from play_launch.runtime.publisher import Publisher, StopRequests
+    from play_launch.runtime.publisher import Publisher
+    from play_launch.runtime.signals import StopRequests
     from play_launch.supervisor.events import RunEvent
     from play_launch.supervisor.view import SystemView
 

@@ -34,7 +34,7 @@ from play_launch.recording.resolved_form import (
 )
 from play_launch.recording.session import Session, SessionDescription, open_session
 from play_launch.recording.topic_recorder import Snapshots
-from play_launch.runtime.signals import RunSignals
+from play_launch.runtime.signals import RunSignals, StopRequests
 from play_launch.supervisor.events import GroupSample, OutputLine
 
 if TYPE_CHECKING:
@@ -208,7 +208,7 @@ async def _until_the_end(
     *,
     control: ControlSocket,
 ) -> Outcome:
-    from play_launch.runtime.publisher import Publisher, StopRequests  # noqa: PLC0415
+    from play_launch.runtime.publisher import Publisher  # noqa: PLC0415
     from play_launch.runtime.run import run_system  # noqa: PLC0415
 
     # What is there now stays to the end; no collection needs to look at it.

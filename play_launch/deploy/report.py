@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from play_launch.deploy.notification import ServiceManager
-    from play_launch.runtime.publisher import Publisher, StopRequests
+    from play_launch.runtime.publisher import Publisher
+    from play_launch.runtime.signals import StopRequests
     from play_launch.runtime.system import System
     from play_launch.supervisor.events import RunEvent
     from play_launch.supervisor.view import SystemView

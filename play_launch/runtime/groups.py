@@ -6,20 +6,20 @@ import logging
 import time
 from contextlib import suppress
 from functools import partial
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from play_launch.config.model import ContainerConfig
 from play_launch.process.cgroups.group import Group, GroupError
 from play_launch.process.cgroups.session import SessionGroups
 from play_launch.process.cgroups.usage import usage_of
-from play_launch.runtime.commands import StartError, shares_memory
+from play_launch.runtime.commands import StartError
 from play_launch.supervisor.events import SubjectKind
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from play_launch.config.model import ComposableNodeConfig, ProcessConfig, ReplayConfig
-    from play_launch.config.resources import CpuMax, GroupLimits
+    from play_launch.config.resources import GroupLimits
     from play_launch.process.guard import SessionGuard
     from play_launch.supervisor.events import GroupSample
 
@@ -36,7 +36,6 @@ class Groups:
         """
         self._publish = publish
         self._groups = SessionGroups()
-        self._warned: set[tuple[str, str]] = set()
         self._entrusted: tuple[SessionGuard, int] | None = None
 
     def entrust(self, guard: SessionGuard) -> None:
@@ -55,14 +54,6 @@ class Groups:
         if wants_groups(config):
             controllers = (each.controllers() for each in group_limits(config))
             self._groups.begin(config.cgroups, frozenset().union(*controllers))
-            self._warn_of_stalls(config)
-
-    def _warn_of_stalls(self, config: ReplayConfig) -> None:
-        for container in config.containers:
-            for name, why in stalls(container):
-                if (name, why) not in self._warned:
-                    self._warned.add((name, why))
-                    _log.warning("%s: %s", name, why)
 
     def of_container(self, config: ContainerConfig) -> tuple[Group | None, tuple[str, ...]]:
         """Make that of a container; gives it and what its process asks for. Raises StartError."""
@@ -130,42 +121,3 @@ def wants_groups(config: ReplayConfig) -> bool:
     if config.cgroups.enabled is not None:
         return config.cgroups.enabled
     return any(group_limits(config))
-
-
-_STALLING_PERCENT: Final = 20
-"""Of a CPU. A node that gets less is held back for most of each period."""
-_STALLING_RATIO: Final = 1000
-"""Of weights. The lighter one gets a slice of some milliseconds every few seconds."""
-_USUAL_WEIGHT: Final = 100
-
-
-def stalls(container: ContainerConfig) -> Iterator[tuple[str, str]]:
-    """Give the nodes that can stall others, each with what happens then and the fix."""
-    if not shares_memory(container):
-        return
-    nodes = container.composable_nodes
-    heaviest = max([_USUAL_WEIGHT, *(node.resources.group.cpu_weight or 0 for node in nodes)])
-    locks = f"keeps the locks that it shares with the other nodes of {container.full_name}"
-    for node in nodes:
-        limit, weight = node.resources.group.cpu_max, node.resources.group.cpu_weight
-        if limit is not None and limit.percent < _STALLING_PERCENT:
-            yield node.declared_full_name, _by_quota(limit, locks)
-        if weight is not None and heaviest >= _STALLING_RATIO * weight:
-            yield node.declared_full_name, _by_weight(weight, heaviest, locks)
-
-
-def _by_quota(limit: CpuMax, locks: str) -> str:
-    return (
-        f"cpu_max gives it {limit.percent:.3g} % of a CPU: while it is held back it {locks} "
-        f"(allocator, middleware), which wait for up to {(limit.period - limit.quota) / 1000:.0f} "
-        'ms; fix: a shorter period such as "1000 10000", cpu_weight instead, or a container of its '
-        "own"
-    )
-
-
-def _by_weight(weight: int, heaviest: int, locks: str) -> str:
-    return (
-        f"cpu_weight {weight} beside {heaviest} lets it wait for seconds where the CPUs are busy: "
-        f"meanwhile it {locks} (allocator, middleware), which may be taken for frozen; fix: "
-        f"cpu_weight {-(-heaviest // 100)} or more, or a container of its own"
-    )

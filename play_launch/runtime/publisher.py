@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import logging
 import time
 from typing import TYPE_CHECKING
@@ -25,6 +24,7 @@ if TYPE_CHECKING:
 
     from play_launch.config.resources import Resources
     from play_launch.process.lines import Line
+    from play_launch.runtime.signals import StopRequests
     from play_launch.supervisor.events import RunEvent, Stream
     from play_launch.supervisor.view import StateSink
 
@@ -92,35 +92,6 @@ class Publisher:
                     truncated=line.truncated,
                 )
             )
-
-
-class StopRequests:
-    """The first request stops the system in order; a second signal skips to the next stop signal.
-
-    Several crashes of one moment may each request the stop, and so may a crash and a signal: these
-    are no second signal.
-
-    Belongs to the thread of the event loop: pass signals on with ``loop.call_soon_threadsafe``.
-    """
-
-    def __init__(self) -> None:
-        self.requested = asyncio.Event()
-        self.hurry = asyncio.Event()
-        self.signum: int | None = None
-        """The signal of the first request; None where it was none."""
-        self.reason = ""
-        self._signals = 0
-
-    def request(self, signum: int | None = None, reason: str = "") -> None:
-        """Request the stop; a second signal skips to the next stop signal."""
-        self._signals += signum is not None
-        if self.requested.is_set():
-            if self._signals > 1:
-                self.hurry.set()
-            return
-        self.signum = signum
-        self.reason = reason or (f"signal {signum}" if signum is not None else "requested")
-        self.requested.set()
 
 
 def report_shortfalls(name: str, wanted: Resources, pid: int, publisher: Publisher) -> None:

@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from play_launch.recording.decisions import DecisionLog
     from play_launch.ros.access import RosAccess
     from play_launch.ros.parameter_setter import ParameterSetter
-    from play_launch.runtime.publisher import Publisher, StopRequests
+    from play_launch.runtime.publisher import Publisher
+    from play_launch.runtime.signals import StopRequests
     from play_launch.supervisor.view import SystemView
     from play_launch.supervisor.world import Limits
 

@@ -1,4 +1,4 @@
-"""Signals that end a run."""
+"""What ends a run: signals, and other requests to stop."""
 
 from __future__ import annotations
 
@@ -16,6 +16,35 @@ _SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _MOST_PENDING: Final = 2
 """The first requests the stop, a second one skips to the next stop signal."""
 _log = logging.getLogger(__name__)
+
+
+class StopRequests:
+    """The first request stops the system in order; a second signal skips to the next stop signal.
+
+    Several crashes of one moment may each request the stop, and so may a crash and a signal: these
+    are no second signal.
+
+    Belongs to the thread of the event loop: pass signals on with ``loop.call_soon_threadsafe``.
+    """
+
+    def __init__(self) -> None:
+        self.requested = asyncio.Event()
+        self.hurry = asyncio.Event()
+        self.signum: int | None = None
+        """The signal of the first request; None where it was none."""
+        self.reason = ""
+        self._signals = 0
+
+    def request(self, signum: int | None = None, reason: str = "") -> None:
+        """Request the stop; a second signal skips to the next stop signal."""
+        self._signals += signum is not None
+        if self.requested.is_set():
+            if self._signals > 1:
+                self.hurry.set()
+            return
+        self.signum = signum
+        self.reason = reason or (f"signal {signum}" if signum is not None else "requested")
+        self.requested.set()
 
 
 class RunSignals:

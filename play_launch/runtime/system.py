@@ -66,7 +66,8 @@ if TYPE_CHECKING:
     from play_launch.ros.parameter_setter import ParameterSetter
     from play_launch.runtime.applying import Applying
     from play_launch.runtime.launcher import NativeLauncher
-    from play_launch.runtime.publisher import Publisher, StopRequests
+    from play_launch.runtime.publisher import Publisher
+    from play_launch.runtime.signals import StopRequests
     from play_launch.supervisor.events import ContainerState, RunEvent
     from play_launch.supervisor.inputs import Effect, Input
 

@@ -33,7 +33,8 @@ from play_launch.supervisor.view import SystemView
 
 if TYPE_CHECKING:
     from play_launch.config.model import ReplayConfig
-    from play_launch.runtime.publisher import Publisher, StopRequests
+    from play_launch.runtime.publisher import Publisher
+    from play_launch.runtime.signals import StopRequests
 
 
 @dataclass(frozen=True)

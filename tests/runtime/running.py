@@ -7,8 +7,9 @@ from contextlib import asynccontextmanager
 from typing import TYPE_CHECKING
 
 from play_launch.process.lines import Line
-from play_launch.runtime.publisher import Publisher, StopRequests
+from play_launch.runtime.publisher import Publisher
 from play_launch.runtime.run import Outcome, run_system
+from play_launch.runtime.signals import StopRequests
 from play_launch.runtime.system import System
 from play_launch.supervisor.events import (
     ContainerState,

@@ -31,8 +31,9 @@ from play_launch.config.model import (
 from play_launch.config.node_key import NodeKey
 from play_launch.ros.fastdds.shared_memory import SweepReport
 from play_launch.runtime.launcher import NativeLauncher
-from play_launch.runtime.publisher import Publisher, StopRequests
+from play_launch.runtime.publisher import Publisher
 from play_launch.runtime.run import run_system
+from play_launch.runtime.signals import StopRequests
 from play_launch.runtime.stock_containers import StockContainers
 from play_launch.supervisor.events import (
     ContainerState,

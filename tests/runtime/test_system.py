@@ -10,8 +10,9 @@ from play_launch.config.model import OnExit, ProcessConfig
 from play_launch.container.messages import Incoming
 from play_launch.process.exit import Exit
 from play_launch.process.lines import OutputCallback
-from play_launch.runtime.publisher import Publisher, StopRequests
+from play_launch.runtime.publisher import Publisher
 from play_launch.runtime.run import Outcome, run_system
+from play_launch.runtime.signals import StopRequests
 from play_launch.supervisor.events import (
     ContainerState,
     NodeState,

@@ -9,9 +9,10 @@ from collections.abc import Awaitable, Callable
 
 import pytest
 
-from play_launch.runtime import startup_priority
-from play_launch.runtime.publisher import Publisher, StopRequests
-from play_launch.runtime.startup_priority import run_ahead_of
+from play_launch.cli import background
+from play_launch.cli.background import run_ahead_of
+from play_launch.runtime.publisher import Publisher
+from play_launch.runtime.signals import StopRequests
 from play_launch.supervisor.events import ContainerState, NodeState
 from tests.cli.scenes import container, node
 
@@ -28,10 +29,10 @@ class Bench:
         self.calls: list[str] = []
         self._is_permitted = is_permitted
         self._called = asyncio.Event()
-        monkeypatch.setattr(startup_priority, "_LOOK", 0.001)
-        monkeypatch.setattr(startup_priority, "LATEST", math.inf)
-        monkeypatch.setattr(startup_priority, "run_ahead", self._run_ahead)
-        monkeypatch.setattr(startup_priority, "run_along", self._run_along)
+        monkeypatch.setattr(background, "_PRIORITY_INTERVAL", 0.001)
+        monkeypatch.setattr(background, "_LONGEST_START", math.inf)
+        monkeypatch.setattr(background, "run_ahead", self._run_ahead)
+        monkeypatch.setattr(background, "run_along", self._run_along)
 
     def _run_ahead(self) -> bool:
         self._note("ahead")
@@ -99,7 +100,7 @@ def test_a_stop_while_it_comes_up(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_what_does_not_come_up_is_not_awaited_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
     async def main() -> None:
         bench = Bench(monkeypatch)
-        monkeypatch.setattr(startup_priority, "LATEST", 0.05)
+        monkeypatch.setattr(background, "_LONGEST_START", 0.05)
         bench.publisher.publish(container("/c", ContainerState.STARTING))
         running = asyncio.ensure_future(run_ahead_of(bench.publisher, bench.stop))
         await bench.called(1, "along")
