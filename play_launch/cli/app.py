@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple, NoReturn
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from play_launch import UserError
 from play_launch.cli.options import PLAIN
 from play_launch.cli.output import fail, note
 
@@ -166,6 +167,8 @@ class _Commands(TyperGroup):
         """Run a command line and exit; an error has the form of all others."""
         try:
             code = super().main(*args, **{**extra, "standalone_mode": False})
+        except UserError as error:
+            fail(str(error), error.exit_code)
         except _UsageError as error:
             message = error.format_message()
             if message.startswith("Usage: "):  # the help, where a command is missing

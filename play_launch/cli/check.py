@@ -56,19 +56,12 @@ def check(  # noqa: PLR0917 - options, by name
     """
     from play_launch.config.load import load_config  # noqa: PLC0415
     from play_launch.config.problems import ConfigError  # noqa: PLC0415
-    from play_launch.config.substitutions import (  # noqa: PLC0415
-        Inputs,
-        parse_arguments,
-    )
+    from play_launch.config.substitutions import Inputs, parse_arguments  # noqa: PLC0415
 
     if explain and graph and not as_json:
         fail("--graph and --explain: only --json prints both")
     try:
-        given = parse_arguments(arguments or ())
-    except ValueError as error:
-        fail(str(error))
-    try:
-        loaded = load_config(config, Inputs(arguments=given))
+        loaded = load_config(config, Inputs(arguments=parse_arguments(arguments or ())))
     except ConfigError as error:
         if as_json:
             problems = [asdict(problem) for problem in error.problems]

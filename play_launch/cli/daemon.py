@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,7 +14,7 @@ from play_launch.cli.output import fail, say, warn
 from play_launch.supervisor.exit_code import ExitCode
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
 
     from play_launch.graph_daemon.contract import DaemonAddress
     from play_launch.graph_daemon.port import PortOwner
@@ -50,13 +51,10 @@ def start(
     """
     address = _address()
     _require_ros()
-    from play_launch.graph_daemon.port import PortHeldError  # noqa: PLC0415
-    from play_launch.graph_daemon.start_stop import StartError, start_daemon  # noqa: PLC0415
+    from play_launch.graph_daemon.start_stop import start_daemon  # noqa: PLC0415
 
-    try:
+    with _system_errors():
         started = start_daemon(address, idle_timeout=idle_timeout, restart=restart, notify=warn)
-    except (PortHeldError, StartError, OSError) as error:
-        fail(f"{error}", ExitCode.NODE_FAILED)
     if started.process is not None:
         started.process.returncode = 0  # no warning that it still runs
     if started.started:
@@ -77,12 +75,10 @@ def stop() -> None:
     It may be ros2cli's own one.
     """
     address = _address()
-    from play_launch.graph_daemon.port import Kind, PortHeldError, stop_daemon  # noqa: PLC0415
+    from play_launch.graph_daemon.port import Kind, stop_daemon  # noqa: PLC0415
 
-    try:
+    with _system_errors():
         owner = stop_daemon(address)
-    except (PortHeldError, OSError) as error:
-        fail(f"{error}", ExitCode.NODE_FAILED)
     if owner.kind is Kind.FREE:
         say(f"no daemon runs for domain {address.domain}")
     else:
@@ -137,13 +133,11 @@ def run(idle_timeout: IdleTimeout = 0.0) -> None:
 
     from play_launch.graph_daemon.contract import WARM  # noqa: PLC0415
     from play_launch.graph_daemon.daemon import Daemon  # noqa: PLC0415
-    from play_launch.graph_daemon.port import PortHeldError, acquire  # noqa: PLC0415
+    from play_launch.graph_daemon.port import acquire  # noqa: PLC0415
 
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(message)s")
-    try:
+    with _system_errors():
         port = acquire(address, notify=warn)
-    except (PortHeldError, OSError) as error:
-        fail(f"{error}", ExitCode.NODE_FAILED)
     if port.listener is None:
         fail(
             f"the daemon of domain {address.domain} is running already (pid {port.pid})",
@@ -197,14 +191,11 @@ def patch(dry_run: _DryRun = False, into: _Into = None) -> None:
     removes it.
     """
     # Only when it runs: help comes up faster.
-    from play_launch.graph_daemon.patch import PatchError, default_folder, write  # noqa: PLC0415
+    from play_launch.graph_daemon.patch import default_folder, write  # noqa: PLC0415
 
-    try:
-        folder = into or default_folder()
-        if not dry_run:
-            write(folder)
-    except PatchError as error:
-        fail(str(error), ExitCode.USAGE)
+    folder = into or default_folder()
+    if not dry_run:
+        write(folder)
     say("would change in ros2cli's daemon:" if dry_run else "changes in ros2cli's daemon:")
     for change in _CHANGES:
         say(f"  {change}")
@@ -216,17 +207,13 @@ def patch(dry_run: _DryRun = False, into: _Into = None) -> None:
 def unpatch(dry_run: _DryRun = False, into: _Into = None) -> None:
     """Remove what 'play-launch daemon patch' has written."""
     from play_launch.graph_daemon.patch import (  # noqa: PLC0415
-        PatchError,
         default_folder,
         is_written,
         remove,
     )
 
-    try:
-        folder = into or default_folder()
-        present = is_written(folder) if dry_run else remove(folder)
-    except PatchError as error:
-        fail(str(error), ExitCode.USAGE)
+    folder = into or default_folder()
+    present = is_written(folder) if dry_run else remove(folder)
     if not present:
         say(f"no patch in {folder}; nothing to do")
         return
@@ -287,13 +274,16 @@ def _address() -> DaemonAddress:
         fail(f"{error} by the environment; set another one")
 
 
+@contextlib.contextmanager
+def _system_errors() -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        fail(str(error), ExitCode.NODE_FAILED)
+
+
 def _require_ros() -> None:
-    from play_launch.container.ros import (  # noqa: PLC0415
-        MixedInstallationError,
-        NotInstalledError,
-        middleware_problem,
-        ros_installation,
-    )
+    from play_launch.container.ros import middleware_problem, ros_installation  # noqa: PLC0415
     from play_launch.process.machine import (  # noqa: PLC0415
         SHARED_MEMORY_FIX,
         full_shared_memory,
@@ -303,10 +293,7 @@ def _require_ros() -> None:
     if full := full_shared_memory(shared_memory_room()):
         fail(f"{full}; fix: {SHARED_MEMORY_FIX}")
     # Before rcl is loaded: it ends the process that asks for a middleware which is not there.
-    try:
-        problem = middleware_problem(ros_installation())
-    except (NotInstalledError, MixedInstallationError) as error:
-        fail(str(error))
+    problem = middleware_problem(ros_installation())
     if problem is not None:
         fail(problem)
     try:

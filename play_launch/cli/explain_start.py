@@ -9,16 +9,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from play_launch.cli.output import fail
 from play_launch.config.model import ContainerConfig
 from play_launch.container.environment import caller_environment, child_environment
-from play_launch.container.ros import (
-    MixedInstallationError,
-    NotInstalledError,
-    component_container,
-    ros_installation,
-    topic_recorder,
-)
+from play_launch.container.ros import component_container, ros_installation, topic_recorder
 from play_launch.process.program import SpawnError, check_program
 from play_launch.recording.facts import REDACTED, is_secret
 from play_launch.recording.resolved_form import taken_secrets, without
@@ -57,11 +50,8 @@ def processes(config: ReplayConfig) -> list[dict[str, Any]]:
 
     What cannot be started has a ``problem``. Mistakes of the installation end the process.
     """
-    try:
-        ros = ros_installation()
-        container, recorder = component_container(), topic_recorder()
-    except (NotInstalledError, MixedInstallationError) as error:
-        fail(str(error))
+    ros = ros_installation()
+    container, recorder = component_container(), topic_recorder()
     machine = Machine(ros, container, os.environ, allocator_for(config).library)
     caller = caller_environment(os.environ, ros)
     secrets = taken_secrets(config)

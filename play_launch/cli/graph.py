@@ -204,22 +204,18 @@ def _asked(
     except DomainError as error:
         report(str(error))
         return ExitCode.USAGE
-    except DaemonError as error:
-        report(str(error))
-        return ExitCode.NODE_FAILED
     return status
 
 
 def _start(address: DaemonAddress) -> None:
     """Start our daemon; returns when it knows the graph."""
     # Takes longer to import than all the rest, and is needed once.
-    from play_launch.graph_daemon.port import PortHeldError  # noqa: PLC0415
-    from play_launch.graph_daemon.start_stop import StartError, start_daemon  # noqa: PLC0415
+    from play_launch.graph_daemon.start_stop import start_daemon  # noqa: PLC0415
 
     note(f"starting the graph daemon of ROS domain {address.domain}")
     try:
         messages = start_daemon(address, notify=warn).messages
-    except (PortHeldError, StartError, OSError) as error:
+    except OSError as error:
         raise DaemonError(str(error)) from None
     for message in messages:
         warn(message)

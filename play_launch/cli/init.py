@@ -10,6 +10,7 @@ from typing import Annotated, Final
 import typer
 
 from play_launch.cli.output import fail, is_standard_output, say
+from play_launch.supervisor.exit_code import ExitCode
 
 SCHEMA_FILE = Path(__file__).resolve().parents[1] / "config" / "config.schema.json"
 """The schema as it is installed."""
@@ -67,7 +68,7 @@ def init(
     except FileExistsError:
         fail(f"{file} is there already; give another name")
     except OSError as error:
-        fail(f"{file} cannot be written: {error.strerror}")
+        fail(f"{file} cannot be written: {error.strerror}", ExitCode.NODE_FAILED)
     say(f"{file} is written; next: play-launch replay {file}")
 
 

@@ -9,8 +9,7 @@ from typing import Annotated, Literal
 import typer
 
 from play_launch.cli.info import report_damage
-from play_launch.cli.output import fail, say
-from play_launch.postmortem.bag_reader import NotARecordingError
+from play_launch.cli.output import say
 from play_launch.postmortem.export.foxglove import foxglove_layout
 from play_launch.postmortem.export.plotjuggler import plotjuggler_layout
 from play_launch.postmortem.export.subjects import NO_SUBJECT, chosen
@@ -39,10 +38,7 @@ def layout(
     subjects, code = NO_SUBJECT, 0
     if file is not None:
         session = PastSession(file)
-        try:
-            subjects = chosen(session)
-        except NotARecordingError as error:
-            fail(str(error))
+        subjects = chosen(session)
         code = ExitCode.DAMAGED if report_damage(session.reader) else 0
     if tool == "foxglove":
         say(json.dumps(foxglove_layout(subjects), indent=2))

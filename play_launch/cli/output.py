@@ -17,6 +17,8 @@ import time
 from itertools import zip_longest
 from typing import IO, TYPE_CHECKING, Final, NoReturn
 
+from play_launch import UserError
+
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
     from pathlib import Path
@@ -318,8 +320,10 @@ _LINKS_LIMIT: Final = 40
 _unfinished: Final[set[Path]] = set()
 
 
-class OutputError(Exception):
+class OutputError(UserError):
     """A file cannot be written; the text has the file, the cause and the fix."""
+
+    exit_code = 1
 
     def __init__(self, output: Path, reason: str) -> None:
         super().__init__(f"{output}: {reason}; name another file with --output")

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from play_launch.cli.info import report_damage
-from play_launch.cli.output import OutputError, fail, is_passed_on, say, warn, whole_file
+from play_launch.cli.output import is_passed_on, say, warn, whole_file
 from play_launch.postmortem.recover import RecoverError, default_output
 from play_launch.postmortem.recover import recover as recover_file
 from play_launch.supervisor.exit_code import ExitCode
@@ -42,17 +42,14 @@ def recover(
     something could not be read, with 1 if nothing was written. A recording that is being written is
     refused.
     """
-    try:
-        if file.is_dir():
-            return _complete_folder(file, output)
-        target = output or default_output(file)
-        if is_passed_on(target):
-            with whole_file(target) as whole:
-                recovered = recover_file(file, whole, replace=True)._replace(path=target)
-        else:
-            recovered = recover_file(file, target)
-    except (RecoverError, OutputError) as error:
-        fail(str(error), ExitCode.NODE_FAILED)
+    if file.is_dir():
+        return _complete_folder(file, output)
+    target = output or default_output(file)
+    if is_passed_on(target):
+        with whole_file(target) as whole:
+            recovered = recover_file(file, whole, replace=True)._replace(path=target)
+    else:
+        recovered = recover_file(file, target)
     say(f"{recovered.path}: {recovered.messages:,} messages", beside=recovered.path)
     if not recovered.reader.damages:
         return 0

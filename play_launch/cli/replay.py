@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from play_launch.config.model import ReplayConfig
-    from play_launch.control.config_watch import Watched
     from play_launch.deploy.notification import ServiceManager
 
 DEMO: Final = Path(__file__).with_name("demo.yaml")
@@ -112,24 +111,20 @@ def bring_up(
     _require_log_folder(loaded)
     _require_time_zone()
     from play_launch.cli.run import RunOptions, run  # noqa: PLC0415
-    from play_launch.container.ros import NotInstalledError  # noqa: PLC0415
-    from play_launch.process.cgroups.group import GroupError  # noqa: PLC0415
-    from play_launch.recording.errors import RecordingError  # noqa: PLC0415
+    from play_launch.config.substitutions import parse_arguments  # noqa: PLC0415
+    from play_launch.control.config_watch import Watched  # noqa: PLC0415
 
-    try:
-        return run(
-            loaded,
-            RunOptions(
-                log_folder=log_dir,
-                as_json=as_json,
-                quiet=quiet,
-                keeps_duration=duration is not None,
-                watched=_watched(config, arguments) if watch else None,
-                manager=manager,
-            ),
-        )
-    except (RecordingError, NotInstalledError, GroupError) as error:
-        fail(str(error))
+    return run(
+        loaded,
+        RunOptions(
+            log_folder=log_dir,
+            as_json=as_json,
+            quiet=quiet,
+            keeps_duration=duration is not None,
+            watched=Watched(config, parse_arguments(arguments)) if watch else None,
+            manager=manager,
+        ),
+    )
 
 
 def _load(path: Path, duration: float | None, arguments: Sequence[str]) -> ReplayConfig:
@@ -137,15 +132,9 @@ def _load(path: Path, duration: float | None, arguments: Sequence[str]) -> Repla
 
     from play_launch.config.load import load_config  # noqa: PLC0415
     from play_launch.config.problems import ConfigError  # noqa: PLC0415
-    from play_launch.config.substitutions import (  # noqa: PLC0415
-        Inputs,
-        parse_arguments,
-    )
+    from play_launch.config.substitutions import Inputs, parse_arguments  # noqa: PLC0415
 
-    try:
-        given = parse_arguments(arguments)
-    except ValueError as error:
-        fail(str(error))
+    given = parse_arguments(arguments)
     try:
         if is_recording(path):
             from play_launch.cli.recorded_system import load_recorded  # noqa: PLC0415
@@ -156,13 +145,6 @@ def _load(path: Path, duration: float | None, arguments: Sequence[str]) -> Repla
     except ConfigError as error:
         fail(f"{path} cannot be used, nothing was started\n{error.for_people()}")
     return loaded if duration is None else replace(loaded, duration=duration)
-
-
-def _watched(path: Path, arguments: Sequence[str]) -> Watched:
-    from play_launch.config.substitutions import parse_arguments  # noqa: PLC0415
-    from play_launch.control.config_watch import Watched  # noqa: PLC0415
-
-    return Watched(path, parse_arguments(arguments))
 
 
 def is_recording(path: Path) -> bool:
@@ -221,8 +203,6 @@ def _sweep() -> None:
 def _require_ros() -> None:
     from play_launch.config.values import domain_problem  # noqa: PLC0415
     from play_launch.container.ros import (  # noqa: PLC0415
-        MixedInstallationError,
-        NotInstalledError,
         component_container,
         middleware_problem,
         python_packages_problem,
@@ -233,12 +213,9 @@ def _require_ros() -> None:
     problem = domain_problem(os.environ.get("ROS_DOMAIN_ID", ""))
     if problem is not None:
         fail(f"{problem} by the environment; set another one")
-    try:
-        problem = middleware_problem(ros_installation())
-        component_container()
-        spawn_guard()
-    except (NotInstalledError, MixedInstallationError) as error:
-        fail(str(error))
+    problem = middleware_problem(ros_installation())
+    component_container()
+    spawn_guard()
     if problem is not None:
         fail(problem)
     # Imported when the first container runs: it takes as long as a container's start.

@@ -14,10 +14,9 @@ import typer
 
 from play_launch.cli import options
 from play_launch.cli.info import report_damage
-from play_launch.cli.output import counted, fail, printable, say, warn
+from play_launch.cli.output import counted, printable, say, warn
 from play_launch.container.cdr.layout import CdrError
 from play_launch.container.cdr.messages import STATE_EVENT
-from play_launch.postmortem.bag_reader import NotARecordingError
 from play_launch.postmortem.session import PastSession
 from play_launch.recording import topics
 from play_launch.recording.bag import REPEATED
@@ -94,10 +93,7 @@ def rerun(
     with 5 if inputs are missing, as in a recording of an older version.
     """
     session = PastSession(file)
-    try:
-        recorded = _recorded(session)
-    except NotARecordingError as error:
-        fail(str(error))
+    recorded = _recorded(session)
     report_damage(session.reader)
     repeated = Rerun(recorded, until)
     differences: list[Difference] = []

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from play_launch.cli import options
-from play_launch.cli.output import OutputError, fail, is_standard_output, note, say, write_file
+from play_launch.cli.output import fail, is_standard_output, note, say, write_file
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -58,25 +58,17 @@ def systemd_unit(
     if output is None or is_standard_output(output):
         say(text.rstrip("\n"))
         return
-    try:
-        write_file(output, text)
-    except OutputError as error:
-        fail(str(error))
+    write_file(output, text)
     say(f"{output} is written; to install it, see the comment at its top")
 
 
 def _loaded(path: Path, arguments: Sequence[str]) -> ReplayConfig:
     from play_launch.config.load import load_config  # noqa: PLC0415
     from play_launch.config.problems import ConfigError  # noqa: PLC0415
-    from play_launch.config.substitutions import (  # noqa: PLC0415
-        Inputs,
-        parse_arguments,
-    )
+    from play_launch.config.substitutions import Inputs, parse_arguments  # noqa: PLC0415
 
     try:
         return load_config(path, Inputs(arguments=parse_arguments(arguments)))
-    except ValueError as error:
-        fail(str(error))
     except ConfigError as error:
         fail(f"{path} cannot be used, no unit was written\n{error.for_people()}")
 
@@ -102,17 +94,10 @@ def _user() -> str:
 
 def _environment(config: ReplayConfig) -> tuple[dict[str, str], tuple[str, ...]]:
     from play_launch.container.environment import caller_environment  # noqa: PLC0415
-    from play_launch.container.ros import (  # noqa: PLC0415
-        MixedInstallationError,
-        NotInstalledError,
-        ros_installation,
-    )
+    from play_launch.container.ros import ros_installation  # noqa: PLC0415
     from play_launch.deploy.unit import carried  # noqa: PLC0415
 
-    try:
-        environ = caller_environment(os.environ, ros_installation())
-    except (NotInstalledError, MixedInstallationError) as error:
-        fail(str(error))
+    environ = caller_environment(os.environ, ros_installation())
     return carried(environ, config.taken.variables)
 
 

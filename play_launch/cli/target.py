@@ -58,7 +58,6 @@ def target_of(
 ) -> Target:
     """Return what a command line names; mistakes end the process."""
     from play_launch.launch_files.find import find  # noqa: PLC0415 - not for other verbs
-    from play_launch.launch_files.records import LaunchFileError  # noqa: PLC0415
 
     named = [each for each in words if ":=" not in each]
     if len(named) not in (1, 2) or list(words[: len(named)]) != named:
@@ -71,7 +70,7 @@ def target_of(
         if launch_prefix_filter:
             given["launch-prefix-filter"] = launch_prefix_filter
         return Target(find(named), given, tuple(words))
-    except (ValueError, LaunchFileError) as error:
+    except ValueError as error:
         fail(str(error))
 
 
@@ -90,16 +89,12 @@ def _arguments(texts: Sequence[str]) -> dict[str, str]:
 
 def evaluated(target: Target, timeout: float, *, only_arguments: bool = False) -> Description:
     """Return what the launch file describes; mistakes end the process."""
-    from play_launch.container.ros import NotInstalledError  # noqa: PLC0415
     from play_launch.launch_files.evaluation import evaluate  # noqa: PLC0415
-    from play_launch.launch_files.records import LaunchFileError  # noqa: PLC0415
 
     try:
         found = evaluate(
             target.path, target.arguments, limit=timeout, only_arguments=only_arguments
         )
-    except (LaunchFileError, NotInstalledError) as error:
-        fail(str(error))
     except OSError as error:
         fail(f"{target.path} cannot be evaluated: {error}")
     if not only_arguments:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from msgspec.structs import asdict
 
-from play_launch.cli.output import OutputError, fail, is_standard_output, note, say, write_file
+from play_launch.cli.output import fail, is_standard_output, note, say, write_file
 from play_launch.cli.target import report_losses, sizes
 from play_launch.supervisor.exit_code import ExitCode
 
@@ -36,9 +36,12 @@ def write_config(
         output = None
     if output is not None and not is_refused:
         for path, content in made.files.items():
-            _make_folder(path.parent)
-            _write(path, content)
-        _write(output, made.text)
+            try:
+                path.parent.mkdir(exist_ok=True)
+            except OSError as error:
+                fail(f"{path.parent} cannot be made: {error.strerror}", ExitCode.NODE_FAILED)
+            write_file(path, content)
+        write_file(output, made.text)
     if as_json:
         say(json.dumps({**_values(made, output), **(more or {})}, ensure_ascii=False))
     else:
@@ -47,20 +50,6 @@ def write_config(
         report_losses(made)
         note(sizes(made))
     return ExitCode.USAGE if made.problems or is_refused else ExitCode.OK
-
-
-def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(exist_ok=True)
-    except OSError as error:
-        fail(f"{folder} cannot be made: {error.strerror}")
-
-
-def _write(output: Path, content: str | bytes) -> None:
-    try:
-        write_file(output, content)
-    except OutputError as error:
-        fail(str(error))
 
 
 def _values(made: Written, output: Path | None) -> dict[str, object]:

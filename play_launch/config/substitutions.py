@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct, field
 
+from play_launch import UserError
 from play_launch.config.model import TakenValues
 from play_launch.config.problems import excerpt
 
@@ -104,15 +105,19 @@ class InputsUsed:
         return self._packages[package]
 
 
+class ArgumentError(UserError, ValueError):
+    """An argument of the configuration with a mistake; the text has the fix."""
+
+
 def parse_arguments(texts: Sequence[str]) -> dict[str, str]:
-    """Read `name:=value` from a command line; raise ValueError with the fix."""
+    """Read `name:=value` from a command line; raises ArgumentError."""
     arguments: dict[str, str] = {}
     for text in texts:
         found = _ARGUMENT.fullmatch(text)
         if found is None:
-            raise ValueError(f"'{text}' is not an argument; write name:=value")
+            raise ArgumentError(f"'{text}' is not an argument; write name:=value")
         if found[1] in arguments:
-            raise ValueError(f"the argument {found[1]} is given twice")
+            raise ArgumentError(f"the argument {found[1]} is given twice")
         arguments[found[1]] = found[2]
     return arguments
 

@@ -17,6 +17,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from play_launch import UserError
 from play_launch.config.substitutions import ament_prefixes
 from play_launch.ros.fastdds.middleware import IMPLEMENTATION
 
@@ -32,11 +33,11 @@ _PYTHON_PACKAGES = {
 _MARKER = Path("share") / "rcl" / "package.xml"
 
 
-class NotInstalledError(Exception):
+class NotInstalledError(UserError):
     """Something this program needs is missing; the text includes the fix."""
 
 
-class MixedInstallationError(Exception):
+class MixedInstallationError(UserError):
     """ROS is there twice."""
 
     def __init__(self, prefix: Path, sourced: Sequence[Path]) -> None:

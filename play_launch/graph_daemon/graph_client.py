@@ -14,6 +14,7 @@ import struct
 import time
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
+from play_launch import UserError
 from play_launch.graph_daemon.contract import JSON_METHOD
 
 if TYPE_CHECKING:
@@ -32,8 +33,10 @@ _FIRST_PAUSE: Final = 0.01
 _LONGEST_PAUSE: Final = 0.2
 
 
-class DaemonError(Exception):
+class DaemonError(UserError):
     """A call to the daemon failed; the text is a message for the user."""
+
+    exit_code = 1
 
 
 class NoDaemonError(DaemonError):

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import psutil
 
+from play_launch import UserError
 from play_launch.graph_daemon.contract import (
     BACKLOG,
     DOMAIN_VARIABLE,
@@ -105,8 +106,10 @@ class PortOwner:
         return f"process {self.pid} ({self.command[:120] or 'unknown command'})"
 
 
-class PortHeldError(Exception):
+class PortHeldError(UserError):
     """The port belongs to a process that is no daemon, or does not become free."""
+
+    exit_code = 1
 
 
 @dataclass(frozen=True, slots=True)

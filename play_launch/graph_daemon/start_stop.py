@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Final
 
+from play_launch import UserError
 from play_launch.graph_daemon.contract import IDLE_TIMEOUT, WARM
 from play_launch.graph_daemon.port import acquire
 from play_launch.process.machine import (
@@ -33,8 +34,10 @@ _EXIT_TIMEOUT: Final = 3.0
 _LINES_OF_LOG: Final = 5
 
 
-class StartError(Exception):
+class StartError(UserError):
     """The daemon could not be started; the text is a message for the user."""
+
+    exit_code = 1
 
 
 @dataclass(frozen=True, slots=True)

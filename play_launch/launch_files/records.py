@@ -14,6 +14,7 @@ from typing import Final, TypeAlias
 import msgspec
 from msgspec import Struct, field
 
+from play_launch import UserError
 from play_launch.config.model import (
     FOR_ALL,
     Autostart,
@@ -289,7 +290,7 @@ class Failure(Struct, frozen=True, tag="failure", omit_defaults=True):
         return f"{place}{self.message}{chain}{logged}"
 
 
-class LaunchFileError(Exception):
+class LaunchFileError(UserError):
     """A launch file cannot be evaluated; the text is that of the failure."""
 
     def __init__(self, failure: Failure) -> None:

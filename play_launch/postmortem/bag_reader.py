@@ -21,6 +21,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata, Schema
 from msgspec import Struct
 
+from play_launch import UserError
 from play_launch.postmortem.records import (
     BrokenError,
     check_end,
@@ -58,7 +59,7 @@ _LISTED: Final = 100
 """Damages that are listed one by one."""
 
 
-class NotARecordingError(Exception):
+class NotARecordingError(UserError):
     """The file cannot be read, or holds something else; the text has its path and the cause."""
 
 

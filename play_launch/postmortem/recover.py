@@ -12,6 +12,7 @@ from mcap.exceptions import McapError
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
+from play_launch import UserError
 from play_launch.postmortem.bag_reader import BagReader, NotARecordingError
 from play_launch.recording.folder import (
     ACTIVE_SUFFIX,
@@ -29,8 +30,10 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-class RecoverError(Exception):
+class RecoverError(UserError):
     """Nothing was written; the text has the cause and the fix."""
+
+    exit_code = 1
 
 
 class Recovered(NamedTuple):

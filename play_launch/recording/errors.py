@@ -5,11 +5,13 @@ from __future__ import annotations
 import errno
 from typing import TYPE_CHECKING
 
+from play_launch import UserError
+
 if TYPE_CHECKING:
     from pathlib import Path
 
 
-class RecordingError(Exception):
+class RecordingError(UserError):
     """The recording cannot be started or cannot go on."""
 
 

@@ -266,7 +266,7 @@ def test_mistakes_are_reported_and_nothing_is_written(tmp_path: Path) -> None:
     assert not (tmp_path / "robot.service").exists()
     (tmp_path / "robot.yaml").write_text("version: 1\nnodes: [{command: ['true']}]\n")
     done = unit("robot.yaml", "-o", "no/folder", cwd=tmp_path)
-    assert (done.returncode, done.stdout) == (2, "")
+    assert (done.returncode, done.stdout) == (1, "")
     assert done.stderr.startswith("error: no/folder: No such file or directory")
     folder = tmp_path / "a'b"
     folder.mkdir()

@@ -211,7 +211,7 @@ def test_wrong_usage(words: list[str], tmp_path: Path) -> None:
 
 def test_a_file_that_cannot_be_written(robot: Path, tmp_path: Path) -> None:
     output = tmp_path / "missing" / "robot.yaml"
-    done = run("dump", robot, "-o", output, code=2)
+    done = run("dump", robot, "-o", output, code=1)
     assert done.stderr == (
         f"error: {output}: No such file or directory; name another file with --output\n"
     )

@@ -12,6 +12,8 @@ import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from play_launch import UserError
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
@@ -25,7 +27,7 @@ _START: Final = (
 )
 
 
-class PatchError(Exception):
+class PatchError(UserError):
     """The patch was not written or not removed; the text names the fix."""
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING, Any, Final
 
+from play_launch import UserError
 from play_launch.config.compose import Reading, Tally, compose
 from play_launch.config.problems import Report
 from play_launch.config.source import Refused, decode, read_bytes
@@ -26,7 +27,7 @@ LARGEST: Final = 64 * 2**20
 MOST_VALUES: Final = 2_000_000
 
 
-class NotImportableError(Exception):
+class NotImportableError(UserError):
     """The file is no description that is known here; the text is the reason."""
 
 

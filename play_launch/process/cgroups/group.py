@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
+from play_launch import UserError
 from play_launch.config.resources import NO_LIMIT, NO_LIMITS, GroupLimits, cpu_text, cpus_in
 
 if TYPE_CHECKING:
@@ -39,7 +40,7 @@ _UNITS: Final = (
 )
 
 
-class GroupError(Exception):
+class GroupError(UserError):
     """Control groups, or requested controllers, are missing; the text has cause and fix."""
 
 
