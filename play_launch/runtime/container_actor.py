@@ -29,7 +29,7 @@ from play_launch.runtime.publisher import report_shortfalls
 from play_launch.runtime.watch import ContainerWatch
 from play_launch.supervisor.events import ComponentEvent, NodeState
 from play_launch.supervisor.inputs import Faulty, Greeted, HealthReported, NodeReported
-from play_launch.supervisor.node_life import TABLE, NodeFact
+from play_launch.supervisor.node_life import IDLE, TABLE, NodeFact
 from play_launch.supervisor.outcome import Cause
 from play_launch.supervisor.world import Hello, Phase, is_wanted
 
@@ -47,7 +47,6 @@ _log = logging.getLogger(__name__)
 
 _LAST_WORDS: Final = 0.5
 """Seconds from the exit of a container to the end of what it sent on the control channel."""
-_ENDED: Final = frozenset({NodeState.UNLOADED, NodeState.CRASHED, NodeState.LOAD_FAILED})
 _EXIT_AFTER_CLOSE: Final = 2.0
 """Seconds from the end of the control channel to the exit of the container."""
 
@@ -65,6 +64,8 @@ class ContainerActor(ProcessActor):
         self._well_with: tuple[int, int] | None = None
         """Counts of the last answer if that is no news when it is repeated; else None."""
         self._queries = Queries(name)
+        self._dropped = 0
+        """Frames that its process has dropped so far."""
         self._watch = ContainerWatch(name, clock=system.time, limits=system.watch_limits)
         self._probes: list[Source] = []
 
@@ -81,6 +82,7 @@ class ContainerActor(ProcessActor):
         self._has_ended = anyio.Event()
         self._is_draining = False
         self._well_with = None
+        self._dropped = 0
         self._queries.clear()
         launcher = self._system.launcher
         process, self._link = await launcher.start_container(self.config, self._on_output)
@@ -125,7 +127,7 @@ class ContainerActor(ProcessActor):
 
     def next_deadline(self) -> float | None:
         """When the watch is due next."""
-        return self._watch.next_deadline()
+        return self._watch.due
 
     def on_time(self) -> None:
         """Check whether it still answers."""
@@ -178,12 +180,14 @@ class ContainerActor(ProcessActor):
         if isinstance(message, HelloMessage):
             _log.warning("%s said hello again", self.name)
             return
+        if isinstance(message, Status) and message.dropped_frames > self._dropped:
+            self._query_all(message.dropped_frames)
         if isinstance(message, Status) and self._watch.accept(message):
             silences = {each.attempt: each.silence_ns / 1e9 for each in message.nodes}
             counts = (message.leaked, message.unquiesced)
             is_well = not (silences or message.dead_locks or all(counts))
             if is_well and self._well_with == counts:
-                self._system.wake_by(self._watch.next_deadline())
+                self._system.wake_by(self._watch.due)
                 return
             self._well_with = counts if is_well else None
             locks = message.dead_locks
@@ -197,6 +201,14 @@ class ContainerActor(ProcessActor):
         for said in inputs_of(message, self.config, start, self._queries, nodes):
             self._system.post(self._with_group(said))
             self._check_node(said)
+
+    def _query_all(self, dropped: int) -> None:
+        """Query all nodes: one of the dropped frames may have been the crash of a node."""
+        self._dropped = dropped
+        text = "%s has dropped %d frames so far: its outgoing queue was full"
+        _log.warning(text, self.name, dropped)
+        nodes = self._system.world.nodes_of(self.name)
+        self.query([(n.key, n.attempt, n.unique_id) for n in nodes if n.state not in IDLE])
 
     def _with_group(self, said: NodeReported) -> NodeReported:
         """Leave the control group of a node that exited; why the kernel killed it, if it did."""
@@ -278,4 +290,4 @@ def _is_its_end(node: Node, fact: NodeFact) -> bool:
     if fact is NodeFact.STATUS_UNKNOWN and node.resent:
         fact = NodeFact.STATUS_UNKNOWN_AGAIN
     state = TABLE[node.state][fact].state
-    return state is not node.state and state in _ENDED
+    return state is not node.state and state in IDLE

@@ -88,9 +88,6 @@ class Queries:
 
         A node whose unique_id is listed under another attempt is left out: that answers nothing.
         """
-        if status.dropped_frames:
-            text = "%s has lost %d frames so far: its outgoing queue was full"
-            _log.warning(text, self._container, status.dropped_frames)
         by_attempt = {node.attempt: node for node in status.nodes}
         ids = {node.unique_id for node in status.nodes if node.unique_id}
         for asked in self._open.pop(status.query_id, ()):

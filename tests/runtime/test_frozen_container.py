@@ -322,6 +322,34 @@ def test_a_storm_of_deaths_is_told_when_it_begins_and_when_it_is_over(
     assert [each.split()[1] for each in told] == ["7", "70"]
 
 
+def test_a_crash_whose_frame_was_dropped_is_found_with_the_next_answer(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    class Drops(FakeContainer):
+        dropped = 0
+
+        def on_watch(self, query: Query) -> None:
+            answer = Status(query_id=query.query_id, dropped_frames=self.dropped)
+            self.link.say(answer)
+
+    async def main() -> Running:
+        async with running(system(container("c", "a", "b")), launcher(Drops)) as sys:
+            await sys.until_loaded(2)
+            (fake,) = sys.launcher.containers["/c"]
+            assert isinstance(fake, Drops)
+            del fake.held[1]
+            fake.dropped = 1
+            await sys.until_loaded(1)
+            await asyncio.sleep(60)
+            assert sum(isinstance(each, Query) for each in fake.link.sent) == 1
+        return sys
+
+    sys = run(main())
+    assert "does not know it" in sys.node_events("/a", NodeState.LOST)[0].reason
+    assert NodeState.LOST not in sys.node_states("/b")
+    assert caplog.text.count("/c has dropped 1 frames so far") == 1
+
+
 def test_how_nodes_are_isolated_is_told(caplog: pytest.LogCaptureFixture) -> None:
     class FallsBack(FakeContainer):
         def hello(self, protocol_version: int = 1) -> Hello:

@@ -1,110 +1,124 @@
+"""When a container that does not answer counts as frozen."""
+
 from __future__ import annotations
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from play_launch.runtime.watch import Verdict, Watch, WatchLimits, answered, begin, look
+from play_launch.container.messages import Outgoing, Query, Status
+from play_launch.process.processor_wait import ProcessorWait
+from play_launch.runtime import watch
+from play_launch.runtime.watch import ContainerWatch, WatchLimits
 
 LIMITS = WatchLimits(interval=1.0, timeout=3.0, lateness=0.5)
 
 
-def test_a_question_every_interval_and_a_verdict_after_the_timeout() -> None:
-    watch = begin(10.0, LIMITS)
-    assert look(watch, 10.9, LIMITS) == (watch, Verdict.WAIT)
-    watch, verdict = look(watch, 11.0, LIMITS)
-    assert verdict is Verdict.ASK
-    assert answered(watch, 11.2, LIMITS) == Watch(due=12.2)
-    assert look(watch, 13.4, LIMITS) == (watch, Verdict.WAIT)
-    watch, verdict = look(watch, 13.5, LIMITS)
-    assert verdict is Verdict.SUSPECT
-    assert answered(watch, 13.7, LIMITS) == Watch(due=14.7)
-    assert look(watch, 13.9, LIMITS) == (watch, Verdict.WAIT)
-    assert look(watch, 14.0, LIMITS) == (watch, Verdict.FROZEN)
+class Watched:
+    """A container process under watch, at a time that only the test moves."""
+
+    def __init__(self) -> None:
+        self.now = 10.0
+        self.queries: list[Outgoing] = []
+        self.watch = ContainerWatch("/c", clock=lambda: self.now, limits=LIMITS)
+        self.watch.begin(self.queries.append, 1)
+
+    def next_check(self, late: float = 0.0) -> str:
+        assert self.watch.due is not None
+        self.now = self.watch.due + late
+        return self.watch.on_time()
+
+    def answer(self) -> None:
+        query = self.queries[-1]
+        assert isinstance(query, Query)
+        self.watch.accept(Status(query_id=query.query_id))
 
 
-def test_an_answer_to_no_question_is_no_news() -> None:
-    watch = begin(10.0, LIMITS)
-    assert answered(watch, 10.5, LIMITS) == watch
+@pytest.fixture
+def waits(monkeypatch: pytest.MonkeyPatch) -> list[ProcessorWait]:
+    """What the threads that answer have waited, from a list of one."""
+    theirs = [ProcessorWait(0.0, wants_one=False)]
+    monkeypatch.setattr(
+        watch, "waits", lambda pid: (ProcessorWait(0.0, wants_one=False), theirs[0])
+    )
+    return theirs
+
+
+def test_a_query_every_interval_and_a_verdict_after_the_timeout() -> None:
+    watched = Watched()
+    for _ in range(3):
+        began = watched.now
+        assert watched.next_check() == ""
+        assert watched.now == began + LIMITS.interval
+        watched.answer()
+    watched.answer()  # to no query, which is no news
+    assert [watched.next_check(), watched.next_check()] == ["", ""]
+    asked_at = watched.now - (LIMITS.timeout - LIMITS.last_look)
+    assert watched.next_check() == "it is frozen: no answer for 3 s"
+    assert watched.now == asked_at + LIMITS.timeout
+    assert len(watched.queries) == 4
+    assert watched.watch.due is None
 
 
 def test_when_we_were_late_it_gets_its_time_again() -> None:
-    watch, _ = look(begin(0.0, LIMITS), 1.0, LIMITS)
-    watch, verdict = look(watch, 60.0, LIMITS)
-    assert verdict is Verdict.WAIT
-    watch, verdict = look(watch, 62.5, LIMITS)
-    assert verdict is Verdict.SUSPECT
-    # Late once more, in the last moment.
-    again, verdict = look(watch, 90.0, LIMITS)
-    assert verdict is Verdict.WAIT
-    assert again.suspected_at is None
-    assert look(watch, 63.0, LIMITS)[1] is Verdict.FROZEN
+    watched = Watched()
+    watched.next_check()
+    watched.next_check(late=60.0)
+    watched.next_check()
+    watched.next_check(late=30.0)  # once more, in the last moment
+    assert watched.next_check() == ""
+    assert "frozen" in watched.next_check()
 
 
-def test_who_gets_no_processor_is_given_time_but_not_for_ever() -> None:
-    watch, _ = look(begin(0.0, LIMITS), 1.0, LIMITS)
-    verdicts = []
-    while Verdict.FROZEN not in verdicts:
-        watch, verdict = look(watch, watch.due, LIMITS, starved=True)
-        verdicts.append(verdict)
-    assert verdicts == [Verdict.SUSPECT] * (len(verdicts) - 1) + [Verdict.FROZEN]
-    assert watch.due - 1.0 == LIMITS.timeout - LIMITS.last_look + LIMITS.longest
+def test_a_process_without_a_processor_is_given_time_but_not_for_ever(
+    waits: list[ProcessorWait],
+) -> None:
+    watched = Watched()
+    waits[0] = ProcessorWait(0.0, wants_one=True)
+    watched.next_check()
+    asked_at = watched.now
+    while not watched.next_check():
+        pass
+    assert watched.now - asked_at == LIMITS.timeout - LIMITS.last_look + LIMITS.longest
     # As soon as there are processors again, silence means something.
-    watch, _ = look(begin(0.0, LIMITS), 1.0, LIMITS)
-    for starved in (True, True, True):
-        watch, verdict = look(watch, watch.due, LIMITS, starved=starved)
-        assert verdict is Verdict.SUSPECT
-    assert look(watch, watch.due, LIMITS)[1] is Verdict.FROZEN
+    watched = Watched()
+    for _ in range(5):
+        assert watched.next_check() == ""
+    waits[0] = ProcessorWait(0.0, wants_one=False)
+    assert "frozen" in watched.next_check()
 
 
-def test_who_is_stopped_by_a_debugger_gets_the_time_after_that() -> None:
-    watch, _ = look(begin(0.0, LIMITS), 1.0, LIMITS)
+def test_a_process_that_a_debugger_stops_gets_the_time_after_that(
+    waits: list[ProcessorWait],
+) -> None:
+    watched = Watched()
+    waits[0] = ProcessorWait(0.0, wants_one=False, is_traced=True)
     for _ in range(1000):
-        watch, verdict = look(watch, watch.due, LIMITS)
-        assert verdict is Verdict.SUSPECT
-        watch, verdict = look(watch, watch.due, LIMITS, stopped=True)
-        assert verdict is Verdict.WAIT
-    goes_on = watch.due - (LIMITS.timeout - LIMITS.last_look)
-    assert goes_on > 1000 * LIMITS.timeout
-    watch, verdict = look(watch, watch.due, LIMITS)
-    assert verdict is Verdict.SUSPECT
-    assert look(watch, watch.due, LIMITS)[1] is Verdict.FROZEN
-    assert watch.due == goes_on + LIMITS.timeout
-
-
-@given(st.lists(st.tuples(st.floats(0, 0.4), st.floats(0, 2.9)), max_size=50))
-def test_who_answers_in_time_is_never_frozen(rounds: list[tuple[float, float]]) -> None:
-    now = 0.0
-    watch = begin(now, LIMITS)
-    for late, takes in rounds:
-        now = watch.due + late
-        watch, verdict = look(watch, now, LIMITS)
-        assert verdict is Verdict.ASK
-        now += takes
-        if now >= watch.due:
-            watch, verdict = look(watch, watch.due, LIMITS)
-            assert verdict is Verdict.SUSPECT
-        assert look(watch, now, LIMITS)[1] is Verdict.WAIT
-        watch = answered(watch, now, LIMITS)
+        assert watched.next_check() == ""
+    waits[0] = ProcessorWait(0.0, wants_one=False)
+    verdicts = [watched.next_check() for _ in range(3)]
+    assert ["frozen" in each for each in verdicts] == [False, False, True]
+    assert len(watched.queries) == 1
 
 
 @given(
-    st.lists(st.floats(0, 2.9), max_size=20), st.lists(st.floats(0, 0.4), min_size=3, max_size=3)
+    st.lists(st.tuples(st.floats(0, 0.4), st.floats(0, 2.9)), max_size=50),
+    st.lists(st.floats(0, 0.4), min_size=3, max_size=3),
 )
-def test_who_stops_answering_is_found_within_the_limits(
-    answers: list[float], lateness: list[float]
+def test_a_process_is_frozen_within_the_limits_and_not_while_it_answers(
+    rounds: list[tuple[float, float]], lateness: list[float]
 ) -> None:
-    now = 0.0
-    watch = begin(now, LIMITS)
-    for takes in answers:
-        now = watch.due
-        watch, _ = look(watch, now, LIMITS)
-        now += takes
-        watch = answered(watch, now, LIMITS)
-    last_answer, verdicts = now, []
-    for late in lateness:
-        now = watch.due + late
-        watch, verdict = look(watch, now, LIMITS)
-        verdicts.append(verdict)
-    assert verdicts == [Verdict.ASK, Verdict.SUSPECT, Verdict.FROZEN]
+    watched = Watched()
+    for late, takes in rounds:
+        assert watched.next_check(late) == ""
+        answered_at = watched.now + takes
+        if answered_at >= (watched.watch.due or 0.0):
+            assert watched.next_check() == ""
+        watched.now = answered_at
+        assert watched.watch.on_time() == ""
+        watched.answer()
+    last_answer = watched.now
+    verdicts = [watched.next_check(late) for late in lateness]
+    assert ["frozen" in each for each in verdicts] == [False, False, True]
     bound = LIMITS.interval + LIMITS.timeout + 3 * LIMITS.lateness
-    assert now - last_answer <= bound
+    assert watched.now - last_answer <= bound
