@@ -1,4 +1,4 @@
-"""Our participants meet others soon, and over UDP; nobody else's are changed by us."""
+"""Our participants discover others early, over UDP; the environment of children is unchanged."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from play_launch.ros.fastdds.own_participant import Reach, as_our_own, decide
+from play_launch.ros.fastdds.own_participant import as_our_own, decide
 from play_launch.ros.fastdds.profiles import profile_in_use
 from tests.support.loopback_network import permitted, wrapped
 
@@ -52,8 +52,8 @@ def arrivals(listener: socket.socket, count: int) -> list[float]:
 
 def test_a_participant_of_ours_announces_itself_often(ros_domain: int) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
-        # Where the last participant of the domain would listen (RTPS 2.2, 9.6.1.1).
-        listener.bind(("127.0.0.1", 7400 + 250 * ros_domain + 10 + 2 * 119))
+        # Where the last of the 63 participants would listen (RTPS 2.2, 9.6.1.1).
+        listener.bind(("127.0.0.1", 7400 + 250 * ros_domain + 10 + 2 * 62))
         listener.settimeout(PATIENCE)
         with subprocess.Popen([sys.executable, "-c", PROGRAM], stdin=subprocess.PIPE) as program:
             try:
@@ -64,54 +64,35 @@ def test_a_participant_of_ours_announces_itself_often(ros_domain: int) -> None:
     assert statistics.median(pauses) < 1.0  # by itself it is 3 s
 
 
-SILENT = """<?xml version="1.0" encoding="UTF-8"?>
-<dds xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
-  <profiles>
-    <participant profile_name="silent" is_default_profile="true">
-      <rtps>
-        <builtin>
-          <discovery_config>
-            <leaseAnnouncement><sec>1000</sec></leaseAnnouncement>
-            <leaseDuration><sec>3000</sec></leaseDuration>
-          </discovery_config>
-        </builtin>
-      </rtps>
-    </participant>
-  </profiles>
-</dds>
-"""
-"""Of a participant that answers others, and announces itself no more after it was made."""
-
 MEETING = """
-import asyncio, os, subprocess, sys
+import asyncio, os, socket, subprocess, sys
+first = 7400 + 250 * int(os.environ["ROS_DOMAIN_ID"]) + 10
+taken = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(int(sys.argv[1]))]
+for number, each in enumerate(taken):
+    each.bind(("127.0.0.1", first + 2 * number))
 other = subprocess.Popen(
     [sys.executable, "-c", '''
 import rclpy, sys
 rclpy.init()
-node = rclpy.create_node("silent")
+node = rclpy.create_node("plain")
 print("is there", flush=True)
 sys.stdin.read()
 '''],
     stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
-    env=os.environ | {"FASTRTPS_DEFAULT_PROFILES_FILE": sys.argv[1]},
 )
 while "is there" not in (line := other.stdout.readline()):
     assert line
 from play_launch.ros.thread import RosThread
 
-async def meet(number):
-    ros = RosThread(f"ours_{number}")
+async def main():
+    ros = RosThread("ours")
     await asyncio.to_thread(ros.start)
     async with asyncio.timeout(60):
-        while "silent" not in await ros.call(lambda node: node.get_node_names()):
+        while "plain" not in await ros.call(lambda node: node.get_node_names()):
             await asyncio.sleep(0.02)
     queues = "fastrtps_port" in open("/proc/self/maps").read()
     await asyncio.to_thread(ros.close)
     print("met", "in shared memory" if queues else "over UDP", flush=True)
-
-async def main():
-    for number in range(5):
-        await meet(number)
 
 asyncio.run(main())
 other.stdin.close()
@@ -119,10 +100,9 @@ other.wait()
 """
 
 
-def met(tmp_path: Path, reach: str, *, network: bool) -> list[str]:
-    profile = tmp_path / "silent.xml"
-    profile.write_text(SILENT, encoding="utf-8")
-    command = [sys.executable, "-c", MEETING, str(profile)]
+def met(reach: str, *, taken: int = 0, network: bool = False) -> list[str]:
+    """Discover a node that exists already; so many ports of participants are taken before it."""
+    command = [sys.executable, "-c", MEETING, str(taken)]
     done = subprocess.run(
         wrapped(*command) if network else command,
         check=True,
@@ -134,13 +114,28 @@ def met(tmp_path: Path, reach: str, *, network: bool) -> list[str]:
     return [line for line in done.stdout.splitlines() if line.startswith("met")]
 
 
-def test_who_is_silent_is_met_on_this_machine(tmp_path: Path) -> None:
-    assert met(tmp_path, "LOCALHOST", network=False) == ["met over UDP"] * 5
+@pytest.mark.parametrize("taken", [0, 60])
+def test_an_existing_node_is_discovered_on_this_machine(taken: int) -> None:
+    """Also on a port behind the 32 that rmw_fastrtps announces to."""
+    assert met("LOCALHOST", taken=taken) == ["met over UDP"]
+
+
+def test_the_last_domain_has_ports_enough() -> None:
+    """Also for a second participant: the profile is that of the first one."""
+    program = """
+from play_launch.ros.thread import RosThread
+for domain in (0, 232):
+    ros = RosThread("ours", domain_id=domain)
+    ros.start()
+    ros.close()
+"""
+    environment = os.environ | {RANGE: "LOCALHOST"}
+    subprocess.run([sys.executable, "-c", program], check=True, env=environment, timeout=PATIENCE)
 
 
 @pytest.mark.skipif(not permitted(), reason="this kernel permits no network namespace")
-def test_who_is_silent_is_met_by_multicast(tmp_path: Path) -> None:
-    assert met(tmp_path, "SUBNET", network=True) == ["met over UDP"] * 5
+def test_an_existing_node_is_discovered_by_multicast() -> None:
+    assert met("SUBNET", network=True) == ["met over UDP"]
 
 
 @pytest.mark.parametrize("reach", ["LOCALHOST", "SUBNET"])
@@ -155,8 +150,9 @@ def test_children_do_not_get_what_is_ours(reach: str, monkeypatch: pytest.Monkey
         assert VARIABLE not in given
         assert f"{RANGE}={reach}" in given
         ours = dict(line.partition("=")[::2] for line in seen_by_children().splitlines())
-        assert "initialPeersList" in Path(ours[VARIABLE]).read_text(encoding="ascii")
-        assert ours[RANGE] == "SYSTEM_DEFAULT"
+        profile = Path(ours[VARIABLE]).read_text(encoding="ascii")
+        assert ("initialPeersList" in profile) == (reach == "LOCALHOST")
+        assert ours[RANGE] == ("SYSTEM_DEFAULT" if reach == "LOCALHOST" else reach)
     after = seen_by_children()
     assert VARIABLE not in after
     assert f"{RANGE}={reach}" in after
@@ -164,28 +160,29 @@ def test_children_do_not_get_what_is_ours(reach: str, monkeypatch: pytest.Monkey
 
 
 @pytest.mark.parametrize(
-    ("environment", "files", "transports", "reach"),
+    ("environment", "files", "transports", "own"),
     [
-        ({"HOME": "/"}, ["robot.yaml"], "UDPv4", Reach.NETWORKS),
-        ({RANGE: "SUBNET"}, [], "UDPv4", Reach.NETWORKS),
-        ({RANGE: "LOCALHOST"}, [], "UDPv4", Reach.THIS_MACHINE),
-        ({"ROS_LOCALHOST_ONLY": "1"}, [], "UDPv4", Reach.THIS_MACHINE),
-        # Whom it meets is configured.
-        ({RANGE: "OFF"}, [], "", Reach.DEFAULT),
-        ({RANGE: "LOCALHOST", "ROS_STATIC_PEERS": "10.0.0.1"}, [], "", Reach.DEFAULT),
-        ({"ROS_STATIC_PEERS": "10.0.0.1"}, [], "", Reach.DEFAULT),
-        # How it meets them is.
-        ({"FASTDDS_BUILTIN_TRANSPORTS": "SHM"}, [], "SHM", Reach.DEFAULT),
-        ({"FASTDDS_BUILTIN_TRANSPORTS": ""}, [], "", Reach.DEFAULT),
-        ({"SKIP_DEFAULT_XML_FILE": "1"}, ["DEFAULT_FASTDDS_PROFILES.xml"], "UDPv4", Reach.NETWORKS),
+        ({"HOME": "/"}, ["robot.yaml"], "UDPv4", (True, False)),
+        ({RANGE: "SUBNET"}, [], "UDPv4", (True, False)),
+        ({RANGE: "LOCALHOST"}, [], "UDPv4", (True, True)),
+        ({"ROS_LOCALHOST_ONLY": "1"}, [], "UDPv4", (True, True)),
+        # The peers are configured.
+        ({RANGE: "OFF"}, [], "", (False, False)),
+        ({RANGE: "LOCALHOST", "ROS_STATIC_PEERS": "10.0.0.1"}, [], "", (False, False)),
+        ({"ROS_STATIC_PEERS": "10.0.0.1"}, [], "", (False, False)),
+        # The transports are.
+        ({"FASTDDS_BUILTIN_TRANSPORTS": "SHM"}, [], "SHM", (False, False)),
+        ({"FASTDDS_BUILTIN_TRANSPORTS": ""}, [], "", (False, False)),
+        ({"SKIP_DEFAULT_XML_FILE": "1"}, ["DEFAULT_FASTDDS_PROFILES.xml"], "UDPv4", (True, False)),
     ],
 )  # fmt: skip
 def test_what_is_chosen(
-    environment: dict[str, str], files: list[str], transports: str, reach: Reach
+    environment: dict[str, str], files: list[str], transports: str, own: tuple[bool, bool]
 ) -> None:
     chosen = decide(environment, files, FASTDDS)
     assert chosen is not None
-    assert (chosen.profile, chosen.transports, chosen.reach) == (True, transports, reach)
+    assert (chosen.profile, chosen.transports) == (True, transports)
+    assert (chosen.own_transport, chosen.on_loopback) == own
 
 
 @pytest.mark.parametrize(
