@@ -18,6 +18,7 @@ from play_launch.cli.show.lines import Line, line_of
 from play_launch.cli.show.styles import encode
 from play_launch.cli.story_words import change
 from play_launch.config.values import parse_duration
+from play_launch.control.event_words import event_object, names_of
 from play_launch.postmortem.bag_reader import BagReader, NotARecordingError
 from play_launch.postmortem.events import UnreadableEventError
 from play_launch.postmortem.parameters import TOPICS as PARAMETER_TOPICS
@@ -25,7 +26,6 @@ from play_launch.postmortem.parameters import Parameters, Said, shortened
 from play_launch.postmortem.session import PastSession
 from play_launch.recording import topics
 from play_launch.recording.console_format import DEBUG, ERROR, FATAL, INFO, WARN
-from play_launch.supervisor.event_object import event_object, names_of
 from play_launch.supervisor.events import ComponentEvent, ComponentEventKind
 from play_launch.supervisor.exit_code import ExitCode
 

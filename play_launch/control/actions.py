@@ -23,11 +23,11 @@ from play_launch.supervisor.events import (
     ActionPhase,
     ContainerState,
     ManagedNodeChanged,
+    ManagedState,
     NodeState,
     StateEvent,
     Withdrawn,
 )
-from play_launch.supervisor.goal_life import ManagedState
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Awaitable, Iterator, Mapping, Sequence

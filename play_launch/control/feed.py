@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 from msgspec import Struct
 
 from play_launch.config.node_key import NodeKey
-from play_launch.supervisor.event_object import EVENT_TYPES, event_object, names_of
+from play_launch.control.event_words import EVENT_TYPES, event_object, names_of
 from play_launch.supervisor.events import LogRecord, OutputLine, RunEvent, Sample
 
 if TYPE_CHECKING:

@@ -53,7 +53,7 @@ from play_launch.supervisor.events import (
     ProcessEventKind,
     ProcessSample,
 )
-from play_launch.supervisor.steps import Applied, Plan, Result, StepOutcome
+from play_launch.supervisor.plan import Applied, Plan, Result, StepOutcome
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence

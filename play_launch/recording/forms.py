@@ -29,6 +29,7 @@ from play_launch.supervisor.events import (
     GroupSample,
     LogRecord,
     ManagedNodeChanged,
+    ManagedState,
     MemoryKind,
     NodeState,
     NodeStateChanged,
@@ -41,8 +42,8 @@ from play_launch.supervisor.events import (
     SubjectKind,
     SystemSample,
     Withdrawn,
+    fields_of,
 )
-from play_launch.supervisor.goal_life import ManagedState
 from play_launch.supervisor.outcome import Cause, Sequel
 
 if TYPE_CHECKING:
@@ -81,7 +82,7 @@ class Form(Generic[_Event]):
         """
         self.layout = layout
         self._event = event
-        alike = event.__annotations__.keys() & layout.types.keys()
+        alike = set(fields_of(event)) & layout.types.keys()
         alike -= {column.attribute for column in columns}
         self._columns = (*columns, *(Column(name, name) for name in sorted(alike)))
         # Those whose values stay as they are, at once: of samples there are hundreds of thousands.

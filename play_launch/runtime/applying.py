@@ -11,9 +11,8 @@ from play_launch.config.node_key import NodeKey
 from play_launch.runtime.commands import StartError
 from play_launch.runtime.sources import Sources
 from play_launch.supervisor.change import declared
-from play_launch.supervisor.inputs import ChangeRequested, ParametersSet, StepEnded
-from play_launch.supervisor.plan import plan
-from play_launch.supervisor.steps import Applied, Kind, Need, Result, StepOutcome, after
+from play_launch.supervisor.inputs import ChangeRequested, ParametersSet
+from play_launch.supervisor.plan import Applied, Kind, Need, Result, StepOutcome, after, plan
 from play_launch.supervisor.view import absent
 
 if TYPE_CHECKING:
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
     from play_launch.config.model import ContainerConfig, ProcessConfig, ReplayConfig
     from play_launch.ros.parameter_setter import ParameterSetter
     from play_launch.runtime.system import System
-    from play_launch.supervisor.steps import Plan, Step
+    from play_launch.supervisor.plan import Plan, Step
 
 _log = logging.getLogger(__name__)
 
@@ -154,14 +153,8 @@ class Applying:
 
     # Effects.
 
-    def step_ended(self, effect: StepEnded) -> None:
+    def step_ended(self, outcome: StepOutcome) -> None:
         """Note the result of a step."""
-        outcome = StepOutcome(
-            step=effect.step,
-            result=Result.DONE if effect.is_done else Result.FAILED,
-            reason=effect.reason,
-            seconds=effect.seconds,
-        )
         self._outcomes.append(outcome)
         self._on_outcome(outcome)
 

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Final
 import anyio
 
 from play_launch.runtime.sources import Source, Sources
-from play_launch.supervisor.goal_life import ManagedAction, ManagedInput, ManagedState
-from play_launch.supervisor.inputs import GoalReported
+from play_launch.supervisor.events import ManagedState
+from play_launch.supervisor.goals import ManagedAction
+from play_launch.supervisor.inputs import GoalReported, ManagedInput
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -23,7 +23,6 @@ from play_launch.supervisor.conditions import has_ended, pending_dependencies, p
 from play_launch.supervisor.difference import NOTHING, Snapshot, events_between
 from play_launch.supervisor.events import REPORTED_LOGGER
 from play_launch.supervisor.inputs import (
-    Begun,
     Cancel,
     CancelProbes,
     ChangeEnded,
@@ -31,10 +30,8 @@ from play_launch.supervisor.inputs import (
     End,
     EndRequested,
     Failed,
-    Hurried,
     Kill,
     Load,
-    LoadRequested,
     Log,
     Probe,
     Query,
@@ -43,14 +40,13 @@ from play_launch.supervisor.inputs import (
     SetParameters,
     Spawn,
     StartRequested,
-    StepEnded,
     Stop,
     StopRequested,
     Time,
     Transit,
     Unload,
-    UnloadRequested,
 )
+from play_launch.supervisor.plan import StepOutcome
 from play_launch.supervisor.reducer import deadline, reduce
 from play_launch.supervisor.world import STATE_OF_PHASE, Limits, Phase, World, is_wanted
 
@@ -255,7 +251,7 @@ class System:
                 self._conversations.end(effect.unit)
             case SetParameters():
                 self.applying.set_parameters(effect.step)
-            case StepEnded():
+            case StepOutcome():
                 self.applying.step_ended(effect)
             case ChangeEnded():
                 self.applying.change_ended()
@@ -372,17 +368,17 @@ class System:
     def load(self, node: NodeKey) -> None:
         """Have a composable node loaded, whatever it waits for; KeyError for an unknown one."""
         self._known(node)
-        self.post(LoadRequested(node))
+        self.post(StartRequested(str(node)))
 
     def unload(self, node: NodeKey) -> None:
         """Have one unloaded, for good."""
         self._known(node)
-        self.post(UnloadRequested(node))
+        self.post(EndRequested(str(node)))
 
     def reload(self, node: NodeKey) -> None:
         """Have one replaced by a new one, or loaded."""
         self._known(node)
-        self.post(LoadRequested(node, anew=True))
+        self.post(StartRequested(str(node), anew=True))
 
     def _known(self, unit: str | NodeKey) -> None:
         units = self.world.processes if isinstance(unit, str) else self.world.nodes
@@ -427,11 +423,11 @@ class System:
         self.sources.begin(self._outside.run)
         self._conversations.run_in(tasks)
         if not self.stop_requests.requested.is_set():
-            self.post(Begun())
+            self.post(Time())
 
     async def _hurry(self) -> None:
         await self.stop_requests.hurry.wait()
-        self.post(Hurried())
+        self.post(StopRequested(is_hurried=True))
 
     def _close(self) -> None:
         self._is_closed = True

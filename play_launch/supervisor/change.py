@@ -14,15 +14,15 @@ from msgspec.structs import replace
 from play_launch.config.model import ContainerConfig
 from play_launch.config.node_key import NodeKey
 from play_launch.supervisor.events import NodeState
-from play_launch.supervisor.inputs import ChangeEnded, Raised, SetParameters, StepEnded
-from play_launch.supervisor.steps import Action, Kind, Need
+from play_launch.supervisor.inputs import ChangeEnded, Raised, SetParameters
+from play_launch.supervisor.plan import Action, Kind, Need, Result, StepOutcome
 from play_launch.supervisor.world import INACTIVE, STATE_OF_PHASE, Goal, Node, Phase, Process, Stage
 
 if TYPE_CHECKING:
     from play_launch.config.model import ComposableNodeConfig, ProcessConfig, ReplayConfig
     from play_launch.supervisor.inputs import ChangeRequested, ParametersSet
+    from play_launch.supervisor.plan import Step
     from play_launch.supervisor.reducer import Reduction
-    from play_launch.supervisor.steps import Step
     from play_launch.supervisor.world import World
 
 _BECAUSE = "the configuration has changed"
@@ -88,7 +88,7 @@ def parameters_set(step: Reduction, said: ParametersSet) -> None:
     if not said.refusal:
         step.world.change = replace(change, open=others)
         _adopt(step.world, change.target, said.step)
-        _end(step, found, "", is_done=True)
+        _end(step, found)
         return
     is_process = said.step.kind is Kind.PROCESS
     note = f"{'restarted' if is_process else 'reloaded'}: {said.refusal}"
@@ -105,7 +105,7 @@ def settle_confined(step: Reduction) -> None:
         change = step.world.change
         step.world.change = None
         for each in change.open if change is not None else ():
-            _end(step, each, "internal error", is_done=False)
+            _end(step, each, "internal error")
         step.effects.append(ChangeEnded())
 
 
@@ -138,14 +138,19 @@ def _judge(step: Reduction) -> None:
             has_failed = has_failed or bool(failure)
             if each.asks:  # its next load or start reads them
                 _adopt(world, change.target, each.step)
-            _end(step, each, failure, is_done=not failure)
+            _end(step, each, failure)
     if len(still_open) != len(change.open):
         world.change = replace(change, open=tuple(still_open), has_failed=has_failed)
 
 
-def _end(step: Reduction, found: OpenStep, failure: str, *, is_done: bool) -> None:
-    seconds = step.now - found.began_at
-    step.effects.append(StepEnded(found.step, is_done, failure or found.note, seconds))
+def _end(step: Reduction, found: OpenStep, failure: str = "") -> None:
+    outcome = StepOutcome(
+        step=found.step,
+        result=Result.FAILED if failure else Result.DONE,
+        reason=failure or found.note,
+        seconds=step.now - found.began_at,
+    )
+    step.effects.append(outcome)
 
 
 def _result(world: World, change: Change, each: OpenStep, now: float) -> str | None:

@@ -14,8 +14,7 @@ from msgspec.structs import replace
 from play_launch.config.dependency import Condition, Dependency, DependencyGraph, OnTimeout
 from play_launch.config.model import Autostart
 from play_launch.config.node_key import NodeKey
-from play_launch.supervisor.events import NodeState
-from play_launch.supervisor.goal_life import ManagedState
+from play_launch.supervisor.events import ManagedState, NodeState
 from play_launch.supervisor.world import (
     INACTIVE,
     Node,

@@ -12,6 +12,7 @@ from play_launch.supervisor.events import (
     ContainerState,
     ContainerStateChanged,
     ManagedNodeChanged,
+    ManagedState,
     NodeState,
     NodeStateChanged,
     ProcessEvent,
@@ -19,7 +20,6 @@ from play_launch.supervisor.events import (
     SubjectKind,
     Withdrawn,
 )
-from play_launch.supervisor.goal_life import ManagedState
 from play_launch.supervisor.world import STATE_OF_PHASE, Phase
 
 if TYPE_CHECKING:

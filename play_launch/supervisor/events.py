@@ -21,7 +21,6 @@ from play_launch.supervisor.outcome import Cause, Sequel
 
 if TYPE_CHECKING:
     from play_launch.config.node_key import NodeKey
-    from play_launch.supervisor.goal_life import ManagedState
 
 
 class ComponentEventKind(IntEnum):
@@ -85,6 +84,29 @@ class ContainerState(StrEnum):
     STOPPING = "stopping"
 
 
+class ManagedState(StrEnum):
+    """State of a managed node, as far as it was reported."""
+
+    ABSENT = "absent"
+    """The node does not exist."""
+    ASKED = "asked"
+    """It exists, and has not reported its state."""
+    UNCONFIGURED = "unconfigured"
+    CONFIGURING = "configuring"
+    INACTIVE = "inactive"
+    ACTIVATING = "activating"
+    ACTIVE = "active"
+    FINALIZED = "finalized"
+    FAILED = "failed"
+    """A transition failed; the node stays in its state."""
+
+
+UNDER_WAY: Final = frozenset(
+    {ManagedState.ASKED, ManagedState.CONFIGURING, ManagedState.ACTIVATING}
+)
+"""States that end with an answer or its timeout."""
+
+
 class SubjectKind(IntEnum):
     """What a state or a sample is about: ``play_launch_msgs/StateEvent.kind``."""
 
@@ -105,7 +127,7 @@ class MemoryKind(IntEnum):
     RSS = 2
     """Resident set size: shared pages in full."""
     SHARED = 3
-    """That of the container, whose memory the node shares: not the node's alone."""
+    """Memory of the container, which the node shares."""
 
 
 class ActionPhase(IntEnum):
@@ -146,19 +168,26 @@ class ComponentEvent:
     modules: tuple[str, ...] = ()
     """Libraries and programs of the backtrace: ``name build-id path``, ``-`` for no build id."""
     confirmed_by: str = ""
-    """Source of the event where the container did not send it; empty where it did.
-
-    ``"status"`` and ``"list_nodes"``: the answer to a query on the control channel, or of the
-    service of that name. ``"probe"``: a scratch process. ``"supervisor"``: our own decision.
-    """
+    """Source of the event where its container did not send it: ``status`` (answer on the control
+    channel), ``list_nodes`` (of that service), ``probe`` (scratch process), ``supervisor``."""
     received: bytes = field(default=b"", compare=False, repr=False)
     """The message in CDR as its container sent it, for the recording; else empty."""
 
 
-class ProcessEvent(Struct, frozen=True, kw_only=True):
+class _Event(Struct, frozen=True, kw_only=True):
+    stamp_ns: int
+
+
+class _WithOutcome(_Event, frozen=True, kw_only=True):
+    cause: Cause = Cause.NOT_RECORDED
+    sequel: Sequel = Sequel.NONE
+    delay_ns: int = 0
+    culprit: str = ""
+
+
+class ProcessEvent(_WithOutcome, frozen=True, kw_only=True):
     """One step in the life of a process that the supervisor owns."""
 
-    stamp_ns: int
     kind: ProcessEventKind
     name: str
     """Full name of the container or node."""
@@ -171,16 +200,11 @@ class ProcessEvent(Struct, frozen=True, kw_only=True):
     message: str = ""
     """Why, and what happens next."""
     command: tuple[str, ...] = ()
-    cause: Cause = Cause.NOT_RECORDED
-    sequel: Sequel = Sequel.NONE
-    delay_ns: int = 0
-    culprit: str = ""
 
 
-class OutputLine(Struct, frozen=True, kw_only=True):
+class OutputLine(_Event, frozen=True, kw_only=True):
     """One line that a process wrote, without its line end."""
 
-    stamp_ns: int
     process: str
     """Full name of the container or node."""
     pid: int
@@ -189,10 +213,9 @@ class OutputLine(Struct, frozen=True, kw_only=True):
     truncated: bool = False
 
 
-class LogRecord(Struct, frozen=True, kw_only=True):
+class LogRecord(_Event, frozen=True, kw_only=True):
     """One record of the supervisor's own log; ``level`` as in ``rcl_interfaces/Log``."""
 
-    stamp_ns: int
     level: int
     """10 debug, 20 info, 30 warning, 40 error, 50 fatal."""
     name: str
@@ -202,13 +225,9 @@ class LogRecord(Struct, frozen=True, kw_only=True):
     line: int = 0
 
 
-class NodeStateChanged(Struct, frozen=True, kw_only=True):
-    """The supervisor's view of a declared composable node changed, or is reported again.
+class NodeStateChanged(_WithOutcome, frozen=True, kw_only=True):
+    """The state of a declared composable node changed, or is repeated: its constructor is slow."""
 
-    It is repeated with the same state while a constructor is slow.
-    """
-
-    stamp_ns: int
     key: NodeKey
     state: NodeState
     elapsed_ns: int = 0
@@ -224,10 +243,6 @@ class NodeStateChanged(Struct, frozen=True, kw_only=True):
     crashes: int = 0
     """How often it crashed so far."""
     reloads: int = 0
-    cause: Cause = Cause.NOT_RECORDED
-    sequel: Sequel = Sequel.NONE
-    delay_ns: int = 0
-    culprit: str = ""
 
     @property
     def container(self) -> str:
@@ -239,63 +254,49 @@ class NodeStateChanged(Struct, frozen=True, kw_only=True):
         return self.key.name
 
 
-class ContainerStateChanged(Struct, frozen=True, kw_only=True):
+class ContainerStateChanged(_WithOutcome, frozen=True, kw_only=True):
     """The supervisor's view of a container changed."""
 
-    stamp_ns: int
     container: str
     state: ContainerState
     reason: str = ""
     mechanism: str = ""
     """How its nodes are isolated, while it runs: ``shared_memory``, ``process``; else empty."""
-    cause: Cause = Cause.NOT_RECORDED
-    sequel: Sequel = Sequel.NONE
-    delay_ns: int = 0
-    culprit: str = ""
 
 
-class RecordingInterrupted(Struct, frozen=True, kw_only=True):
+class RecordingInterrupted(_Event, frozen=True, kw_only=True):
     """The recording took no data for some time from `stamp_ns` on."""
 
-    stamp_ns: int
     reason: str
     lasted_ns: int
     lost: str = ""
     """What is missing in it; empty: nothing."""
 
 
-class Withdrawn(Struct, frozen=True, kw_only=True):
-    """A container, composable node or process was taken out of the running system.
+class Withdrawn(_Event, frozen=True, kw_only=True):
+    """A container, node or process was taken out of the running system, and counts no more."""
 
-    It counts no more: neither for the view nor for the exit code.
-    """
-
-    stamp_ns: int
     kind: SubjectKind
     key: str
     """As in the changes of state: ``/container:/node`` for a composable node, else the name."""
     reason: str = ""
 
 
-class GraphChanged(Struct, frozen=True, kw_only=True):
-    """Nodes appeared in the ROS graph of the domain, or left it, as the graph daemon sees it.
-
-    Not all of them belong to this system. A name occurs once for each node that bears it.
-    """
+class GraphChanged(_Event, frozen=True, kw_only=True):
+    """Nodes, of this system or others, appeared in the domain's graph, or left it."""
 
     stamp_ns: int
     """When it was noticed, up to half a second after it happened."""
     appeared: tuple[str, ...]
-    """Full names."""
+    """Full names, one for each node that bears it."""
     vanished: tuple[str, ...]
     nodes: int
     """How many there are now."""
 
 
-class ManagedNodeChanged(Struct, frozen=True, kw_only=True):
+class ManagedNodeChanged(_Event, frozen=True, kw_only=True):
     """A managed (lifecycle) node that is brought somewhere by ``autostart`` is in another state."""
 
-    stamp_ns: int
     unit: str
     """The key of the composable node, written out, or the full name of the process."""
     node: str
@@ -305,10 +306,9 @@ class ManagedNodeChanged(Struct, frozen=True, kw_only=True):
     """Why it failed; else empty."""
 
 
-class ActionEvent(Struct, frozen=True, kw_only=True):
+class ActionEvent(_Event, frozen=True, kw_only=True):
     """An operator's request to the running system, or its result."""
 
-    stamp_ns: int
     number: int
     """Of the action, from 1 on; all that is published about one has the same."""
     action: str
@@ -351,10 +351,7 @@ class ProcessSample(Struct, frozen=True, kw_only=True):
 
 
 class GroupSample(Struct, frozen=True, kw_only=True):
-    """What a control group used and was kept from since it was made, by the kernel's numbers.
-
-    NaN and 0 stand where its controller is not in use.
-    """
+    """What a control group used since it was made; NaN and 0 where a controller is not in use."""
 
     stamp_ns: int
     kind: SubjectKind
@@ -422,21 +419,23 @@ StateEvent = NodeStateChanged | ContainerStateChanged | ProcessEvent
 """What the view of a system follows from."""
 
 RunEvent = (
-    ComponentEvent
-    | ProcessEvent
+    StateEvent
+    | Sample
+    | ComponentEvent
     | OutputLine
     | LogRecord
-    | NodeStateChanged
-    | ContainerStateChanged
     | Withdrawn
     | GraphChanged
     | ActionEvent
     | ManagedNodeChanged
     | RecordingInterrupted
-    | ProcessSample
-    | GroupSample
-    | SystemSample
 )
+
+
+def fields_of(event: type[object]) -> tuple[str, ...]:
+    """Name the fields of events of a class."""
+    found = getattr(event, "__struct_fields__", ()) or getattr(event, "__dataclass_fields__", ())
+    return tuple(found)
 
 
 REPORTED_LOGGER: Final = "play_launch.reported"

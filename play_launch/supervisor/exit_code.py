@@ -19,9 +19,10 @@ never gets that far.)
 
 from __future__ import annotations
 
-import signal
 from enum import IntEnum
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
+
+from play_launch.supervisor.outcome import ENDING_SIGNALS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -42,10 +43,6 @@ class ExitCode(IntEnum):
     DAMAGED = 5
     """A recording could not be read completely."""
     SIGNAL_BASE = 128
-
-
-ENDING_SIGNALS: Final = frozenset({signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL})
-"""Signals of a stop, by the supervisor or an operator: an exit by one of them is no crash."""
 
 
 def exit_code(view: SystemView, final: SystemView, signum: int | None) -> int:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from enum import StrEnum, auto
 from typing import Final, TypeAlias
 
 from msgspec import Struct, field
@@ -15,94 +16,98 @@ from msgspec import Struct, field
 from play_launch.config.dependency import Condition
 from play_launch.config.model import ReplayConfig
 from play_launch.config.node_key import NodeKey
-from play_launch.supervisor.goal_life import ManagedInput
 from play_launch.supervisor.node_life import NodeFact
 from play_launch.supervisor.outcome import Cause
-from play_launch.supervisor.steps import Step
+from play_launch.supervisor.plan import Step, StepOutcome
 from play_launch.supervisor.world import Exit, Hello, Limits
 
 
-class Begun(Struct, frozen=True, tag=True):
-    """The session begins."""
+class ManagedInput(StrEnum):
+    """What can happen to a managed node."""
+
+    UP = auto()
+    """The node is loaded, or its process runs."""
+    GONE = auto()
+    IS_UNCONFIGURED = auto()
+    IS_INACTIVE = auto()
+    IS_ACTIVE = auto()
+    IS_FINALIZED = auto()
+    REFUSED = auto()
+    """A transition failed."""
+    OVERDUE = auto()
+    """No answer within the limit."""
 
 
-class Time(Struct, frozen=True, tag=True):
-    """Something is due."""
+class _Input(Struct, frozen=True, tag=True, omit_defaults=True):
+    pass
 
 
-class Started(Struct, frozen=True, tag=True):
-    """A process runs."""
+class _Report(_Input, frozen=True):
+    """A report about one start of a process."""
 
     unit: str
     start: int
+
+
+class Time(_Input, frozen=True):
+    """The session begins, or something is due."""
+
+
+class Started(_Report, frozen=True):
+    """A process runs."""
+
     pid: int
     start_time: int
     argv: tuple[str, ...] = ()
 
 
-class NotStarted(Struct, frozen=True, tag=True):
+class NotStarted(_Report, frozen=True):
     """A process could not be started."""
 
-    unit: str
-    start: int
     reason: str
     is_permanent: bool
     """Whether the next start would fail in the same way."""
 
 
-class Greeted(Struct, frozen=True, tag=True):
+class Greeted(_Report, frozen=True):
     """A container sent its hello message: it is ready."""
 
-    unit: str
-    start: int
     hello: Hello
 
 
-class Faulty(Struct, frozen=True, tag=True):
+class Faulty(_Report, frozen=True):
     """A process has to be killed: it is frozen, or its control channel failed."""
 
-    unit: str
-    start: int
     reason: str
     is_fatal: bool = False
     """Whether a restart would not help."""
     cause: Cause = Cause.CHANNEL_FAILED
 
 
-class Exited(Struct, frozen=True, tag=True):
+class Exited(_Report, frozen=True):
     """A process exited, and all that it sent before was processed."""
 
-    unit: str
-    start: int
     exit: Exit
 
 
-class CleanedUp(Struct, frozen=True, tag=True):
+class CleanedUp(_Report, frozen=True):
     """Nothing of an exited process is left."""
 
-    unit: str
-    start: int
 
-
-class Unkillable(Struct, frozen=True, tag=True):
+class Unkillable(_Report, frozen=True):
     """A process lives on after the last signal of its stop."""
 
-    unit: str
-    start: int
 
-
-class Failed(Struct, frozen=True, tag=True):
+class Failed(_Input, frozen=True):
     """An effect or a source of a unit raised an exception."""
 
     unit: str
     reason: str
 
 
-class NodeReported(Struct, frozen=True, tag=True, kw_only=True, omit_defaults=True):
+class NodeReported(_Report, frozen=True, kw_only=True):
     """A container reported something about one node."""
 
-    unit: str
-    start: int
     said: NodeFact
     attempt: int = 0
     unique_id: int = 0
@@ -115,11 +120,9 @@ class NodeReported(Struct, frozen=True, tag=True, kw_only=True, omit_defaults=Tr
     cause: Cause = Cause.NONE
 
 
-class HealthReported(Struct, frozen=True, tag=True, omit_defaults=True):
+class HealthReported(_Report, frozen=True):
     """A container reported its health in the answer to a query."""
 
-    unit: str
-    start: int
     leaked: int = 0
     """Crashed nodes whose leftovers could not be cleaned up."""
     unquiesced: int = 0
@@ -163,33 +166,33 @@ def blamed_frame(backtrace: Sequence[str]) -> str:
     return next((frame for frame in backtrace if not _RUNTIME.search(frame)), backtrace[0])
 
 
-class Probed(Struct, frozen=True, tag=True):
+class Probed(_Input, frozen=True):
     """The library of a node was loaded in a scratch process; None: that could not be tried."""
 
     node: NodeKey
     finding: ProbeResult | None
 
 
-class LineSeen(Struct, frozen=True, tag=True):
+class LineSeen(_Input, frozen=True):
     """A process wrote a line that matches a pattern that others depend on."""
 
     unit: str
     pattern: str
 
 
-class FilesSeen(Struct, frozen=True, tag=True):
+class FilesSeen(_Input, frozen=True):
     """The files that exist, of those that are waited for."""
 
     paths: frozenset[str]
 
 
-class GraphSeen(Struct, frozen=True, tag=True):
+class GraphSeen(_Input, frozen=True):
     """What the ROS graph has, of what is waited for."""
 
     found: frozenset[tuple[Condition, str]]
 
 
-class GoalReported(Struct, frozen=True, tag=True):
+class GoalReported(_Input, frozen=True):
     """A managed node is in a state, or failed to change it."""
 
     unit: str
@@ -198,47 +201,33 @@ class GoalReported(Struct, frozen=True, tag=True):
     reason: str = ""
 
 
-class StopRequested(Struct, frozen=True, tag=True):
+class StopRequested(_Input, frozen=True):
     """The system is to stop; a second signal skips to the next stop signal."""
 
-    reason: str
+    reason: str = ""
     signum: int | None = None
+    is_hurried: bool = False
+    """Whether each stop skips to its next signal."""
 
 
-class Hurried(Struct, frozen=True, tag=True):
-    """A second stop request: each stop skips to its next signal."""
-
-
-class StartRequested(Struct, frozen=True, tag=True):
-    """An operator wants a process to run, whatever it depends on."""
+class StartRequested(_Input, frozen=True):
+    """An operator wants a process to run, or a node to be loaded, whatever it depends on."""
 
     unit: str
+    """Name of a process, or text of the key of a node."""
     anew: bool = False
     """Whether a running one is replaced."""
     reason: str = ""
 
 
-class EndRequested(Struct, frozen=True, tag=True):
-    """An operator wants a process to stop."""
+class EndRequested(_Input, frozen=True):
+    """An operator wants a process to stop, or a node to be unloaded."""
 
     unit: str
-    reason: str
+    reason: str = ""
 
 
-class LoadRequested(Struct, frozen=True, tag=True):
-    """An operator wants a node to be loaded, whatever it depends on."""
-
-    node: NodeKey
-    anew: bool = False
-
-
-class UnloadRequested(Struct, frozen=True, tag=True):
-    """An operator wants a node to be unloaded."""
-
-    node: NodeKey
-
-
-class ChangeRequested(Struct, frozen=True, tag=True):
+class ChangeRequested(_Input, frozen=True):
     """Another configuration is to be applied; everything that it needs is prepared."""
 
     target: ReplayConfig
@@ -247,7 +236,7 @@ class ChangeRequested(Struct, frozen=True, tag=True):
     """Seconds for each step."""
 
 
-class ParametersSet(Struct, frozen=True, tag=True):
+class ParametersSet(_Input, frozen=True):
     """The parameters of a step were set, or refused."""
 
     step: Step
@@ -255,8 +244,7 @@ class ParametersSet(Struct, frozen=True, tag=True):
 
 
 Input: TypeAlias = (
-    Begun
-    | Time
+    Time
     | Started
     | NotStarted
     | Greeted
@@ -273,17 +261,14 @@ Input: TypeAlias = (
     | GraphSeen
     | GoalReported
     | StopRequested
-    | Hurried
     | StartRequested
     | EndRequested
-    | LoadRequested
-    | UnloadRequested
     | ChangeRequested
     | ParametersSet
 )
 
 
-class Origin(Struct, frozen=True, tag=True):
+class Origin(_Input, frozen=True):
     """What a world was made of; it stands before the inputs in a recording."""
 
     config: ReplayConfig
@@ -292,7 +277,7 @@ class Origin(Struct, frozen=True, tag=True):
     stamp_ns: int
 
 
-class Over(Struct, frozen=True, tag=True):
+class Over(_Input, frozen=True):
     """No more inputs follow in a recording."""
 
 
@@ -393,15 +378,6 @@ class SetParameters(Struct, frozen=True):
     step: Step
 
 
-class StepEnded(Struct, frozen=True):
-    """A step of a change ended: result ``done`` or ``failed``, reason, seconds."""
-
-    step: Step
-    is_done: bool
-    reason: str
-    seconds: float
-
-
 class ChangeEnded(Struct, frozen=True):
     """All steps of a change ended, or were skipped."""
 
@@ -445,6 +421,6 @@ Effect: TypeAlias = (
     | Transit
     | Release
     | SetParameters
-    | StepEnded
+    | StepOutcome
     | ChangeEnded
 )

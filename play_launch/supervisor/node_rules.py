@@ -22,9 +22,8 @@ from play_launch.supervisor.node_life import (
     NodeAction,
     NodeFact,
 )
-from play_launch.supervisor.outcome import Cause, Outcome, Sequel
+from play_launch.supervisor.outcome import Cause, GiveUp, Outcome, RestartHistory, Sequel, decide
 from play_launch.supervisor.process_life import Fact
-from play_launch.supervisor.restart import GiveUp, RestartHistory, decide
 from play_launch.supervisor.world import Phase, Stage, is_wanted
 
 if TYPE_CHECKING:

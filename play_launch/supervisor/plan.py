@@ -1,20 +1,228 @@
-"""The plan that leads from one configuration to another."""
+"""A plan: what differs from the running system, and what is done about each difference."""
 
 from __future__ import annotations
 
 from collections import defaultdict
+from enum import StrEnum
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Final, cast
+from typing import TYPE_CHECKING, Final, TypeVar, cast
 
+from msgspec import Struct
 from msgspec.structs import replace
 
 from play_launch.config.description import describe
-from play_launch.supervisor.steps import Action, Change, Kind, Need, Plan, Step
+from play_launch.config.model import ComposableNodeConfig, ContainerConfig, ProcessConfig
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
     from play_launch.config.model import ReplayConfig
+
+_Part = TypeVar("_Part", ContainerConfig, ProcessConfig, ComposableNodeConfig)
+
+
+class Kind(StrEnum):
+    """What a step is about."""
+
+    SESSION = "session"
+    """The run itself: its recording, its limits."""
+    CONTAINER = "container"
+    COMPONENT = "component"
+    """A composable node."""
+    PROCESS = "process"
+
+
+class Need(StrEnum):
+    """What it takes to have one changed value hold, from the least to the most."""
+
+    NOTHING = "nothing"
+    """The supervisor takes it over; no process notices."""
+    SET = "set"
+    """A parameter: the node is asked to take it."""
+    RELOAD = "reload"
+    """It is read when a composable node is loaded."""
+    RESTART = "restart"
+    """It is read when a process is started."""
+    NEXT_RUN = "next run"
+    """It is read when `replay` is started."""
+
+
+class Action(StrEnum):
+    """What is done about one member, node, or the session."""
+
+    REMOVE = "remove"
+    ADOPT = "adopt"
+    """Changed values are taken over by the supervisor."""
+    SET = "set"
+    """Parameters are set; a node that refuses is reloaded or restarted."""
+    RELOAD = "reload"
+    RESTART = "restart"
+    LOAD = "load"
+    """A declared node that is not there is loaded."""
+    START = "start"
+    """A declared member that is not there is started."""
+    ADD = "add"
+    KEEP = "keep"
+    """Nothing: the changed values hold from the next run on."""
+
+
+PHASES: Final = (
+    (Action.REMOVE,),
+    (Action.ADOPT, Action.SET),
+    (Action.RELOAD, Action.RESTART),
+    (Action.LOAD, Action.START, Action.ADD),
+)
+"""Phases of a plan, in order, so that a name is free before it is taken again; the actions of one
+phase are done at the same time."""
+
+SIGNS: Final = {
+    Action.REMOVE: "-",
+    Action.LOAD: "+",
+    Action.START: "+",
+    Action.ADD: "+",
+}
+"""Marks in the output; all other actions change something that stays: ``~``."""
+
+
+class Change(Struct, frozen=True):
+    """One value that differs; `before` and `after` are JSON values, None where one is missing.
+
+    A parameter is ``{"type": ..., "value": ...}``.
+    """
+
+    path: str
+    """Its key, or keys joined with dots."""
+    before: object
+    after: object
+    need: Need
+
+
+class Step(Struct, frozen=True, kw_only=True):
+    """One member or node that differs.
+
+    `name` is the full name, ``/container:/node`` for a composable node, empty for the session.
+    """
+
+    kind: Kind
+    name: str
+    action: Action
+    changes: tuple[Change, ...] = ()
+    reason: str = ""
+    """Why, where the changes do not say it."""
+    covered: bool = False
+    """Whether it comes with the start or the end of its container, so has no action of its own."""
+
+    @property
+    def sign(self) -> str:
+        return SIGNS.get(self.action, "~")
+
+    @property
+    def id(self) -> tuple[Kind, str]:
+        """What it is about; no other step that is carried out is."""
+        return self.kind, self.name
+
+
+class Plan(Struct, frozen=True):
+    """All that differs: containers with their nodes, processes, the session."""
+
+    steps: tuple[Step, ...] = ()
+
+    @property
+    def differs(self) -> bool:
+        return bool(self.steps)
+
+    @property
+    def to_do(self) -> tuple[Step, ...]:
+        return tuple(
+            step for step in self.steps if step.action is not Action.KEEP and not step.covered
+        )
+
+    def phases(self) -> tuple[tuple[Step, ...], ...]:
+        """Give the steps that are carried out, in their order; none of them is empty."""
+        to_do = self.to_do
+        phases = (tuple(step for step in to_do if step.action in phase) for phase in PHASES)
+        return tuple(phase for phase in phases if phase)
+
+
+class Result(StrEnum):
+    """Result of one step."""
+
+    DONE = "done"
+    FAILED = "failed"
+    """It was begun: what runs of it is configured as it was to be."""
+    SKIPPED = "skipped"
+    """It was not begun, because another one had failed: everything is as it was."""
+
+
+class StepOutcome(Struct, frozen=True, kw_only=True):
+    """Result of one step, and its duration in seconds."""
+
+    step: Step
+    result: Result
+    reason: str = ""
+    """Why it failed; of one that is done, how, where that is not as planned."""
+    seconds: float = 0.0
+
+    @property
+    def holds(self) -> bool:
+        """Whether the new configuration is that of the thing, up or not.
+
+        What could not be taken out is still as it was.
+        """
+        failed = self.result is Result.FAILED
+        return self.result is Result.DONE or (failed and self.step.action is not Action.REMOVE)
+
+
+class Applied(Struct, frozen=True, kw_only=True):
+    """Result of a plan; `rollback` has the steps back to the configuration before."""
+
+    plan: Plan
+    outcomes: tuple[StepOutcome, ...] = ()
+    rollback: tuple[StepOutcome, ...] | None = None
+
+    @property
+    def succeeded(self) -> bool:
+        return all(each.result is Result.DONE for each in self.outcomes)
+
+
+def after(running: ReplayConfig, target: ReplayConfig, done: Iterable[Step]) -> ReplayConfig:
+    """Give the configuration after ``done``, some steps of the plan from one to the other."""
+    actions = {step.id: step.action for step in done if step.action is not Action.KEEP}
+
+    def merged(kind: Kind, before: Iterable[_Part], target: Iterable[_Part]) -> tuple[_Part, ...]:
+        """Choose what a step has made of each; the new ones first, then those that are only old."""
+        old = {_name(each): each for each in before}
+        new = {_name(each): each for each in target}
+        found: list[_Part] = []
+        for name in dict.fromkeys((*new, *old)):
+            was, is_, action = old.get(name), new.get(name), actions.get((kind, name))
+            chosen = was if action is None else is_
+            if (
+                isinstance(was, ContainerConfig)
+                and isinstance(is_, ContainerConfig)
+                and isinstance(chosen, ContainerConfig)
+                and action in {None, Action.ADOPT}
+            ):
+                nodes = merged(Kind.COMPONENT, was.composable_nodes, is_.composable_nodes)
+                chosen = replace(chosen, composable_nodes=nodes)
+            if chosen is not None:
+                found.append(chosen)
+        return tuple(found)
+
+    session = target if (Kind.SESSION, "") in actions else running
+    return replace(
+        running,
+        stop=session.stop,
+        start_rules=session.start_rules,
+        managed=session.managed,
+        containers=merged(Kind.CONTAINER, running.containers, target.containers),
+        nodes=merged(Kind.PROCESS, running.nodes, target.nodes),
+    )
+
+
+def _name(part: ContainerConfig | ProcessConfig | ComposableNodeConfig) -> str:
+    return str(part.key) if isinstance(part, ComposableNodeConfig) else part.full_name
+
 
 _ACTIONS: Final = (
     (Need.RESTART, Action.RESTART),
@@ -160,38 +368,27 @@ _SAFE: Final = {
     Kind.COMPONENT: Need.RELOAD,
     Kind.PROCESS: Need.RESTART,
 }
-"""What a changed value needs unless it is in the table of its kind."""
-
-_NEEDS: Final[Mapping[Kind, Mapping[str, Need]]] = {
+"""What a changed value needs that is not taken over."""
+_TAKEN_OVER: Final = {
     # What has to hold before a start is looked at when something is started.
-    Kind.SESSION: dict.fromkeys(("stop", "start_rules", "managed"), Need.NOTHING),
-    Kind.CONTAINER: dict.fromkeys(
-        ("on_exit", "restart", "loading_timeout", "probe_timeout", "output"), Need.NOTHING
-    ),
-    Kind.COMPONENT: dict.fromkeys(("on_crash", "restart"), Need.NOTHING),
-    Kind.PROCESS: dict.fromkeys(("on_exit", "restart", "output"), Need.NOTHING),
+    Kind.SESSION: {"stop", "start_rules", "managed"},
+    Kind.CONTAINER: {"on_exit", "restart", "loading_timeout", "probe_timeout", "output"},
+    Kind.COMPONENT: {"on_crash", "restart"},
+    Kind.PROCESS: {"on_exit", "restart", "output"},
 }
-
+"""Keys whose values the supervisor takes over."""
 _NO_DIFFERENCE: Final = {
     # Those of members are in their own descriptions. Where a file is makes no difference, nor does
     # the session's name, which is that of its file unless it is given.
     Kind.SESSION: {
-        "version",
-        "name",
-        "source",
-        "included_files",
-        "parameter_files",
-        "taken",
-        "environment",
-        "containers",
-        "nodes",
+        *("version", "name", "source", "included_files", "parameter_files", "taken"),
+        *("environment", "containers", "nodes"),
     },
     Kind.CONTAINER: {"line", "file", "composable_nodes"},
     Kind.COMPONENT: {"line", "file", "key", "full_name"},
     Kind.PROCESS: {"line", "file"},
 }
-"""Keys that are not looked at."""
-
+"""Keys that are not compared."""
 _PARAMETERS: Final = "parameters"
 
 
@@ -204,7 +401,7 @@ def differences(kind: Kind, before: Described, after: Described) -> tuple[Change
         if key == _PARAMETERS:
             found += _parameters(kind, after, before.get(key), after.get(key))
         else:
-            need = _NEEDS[kind].get(key, _SAFE[kind])
+            need = Need.NOTHING if key in _TAKEN_OVER[kind] else _SAFE[kind]
             found += _values(key, before.get(key), after.get(key), need)
     return tuple(found)
 

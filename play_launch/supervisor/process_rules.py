@@ -10,15 +10,18 @@ from play_launch.config.model import ContainerConfig, OnExit
 from play_launch.supervisor import node_rules, quarantine
 from play_launch.supervisor.conditions import readiness, report_wait
 from play_launch.supervisor.inputs import End, Kill, Spawn, Stop
-from play_launch.supervisor.outcome import Cause, Outcome, Sequel, outcome_of
-from play_launch.supervisor.process_life import TABLE, Action, Fact
-from play_launch.supervisor.restart import (
+from play_launch.supervisor.outcome import (
     CONTEXT_EXIT_CODE,
     PERMANENT_EXIT_CODES,
+    Cause,
     GiveUp,
+    Outcome,
     RestartHistory,
+    Sequel,
     decide,
+    outcome_of,
 )
+from play_launch.supervisor.process_life import TABLE, Action, Fact
 from play_launch.supervisor.world import (
     INACTIVE,
     Node,

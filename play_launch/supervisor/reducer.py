@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
-from play_launch.supervisor import change, goal_rules, inputs, node_rules, process_rules, quarantine
+from play_launch.supervisor import change, goals, inputs, node_rules, process_rules, quarantine
 from play_launch.supervisor.conditions import (
     find_unit,
     has_arrived,
@@ -17,26 +17,22 @@ from play_launch.supervisor.conditions import (
     unit_key,
 )
 from play_launch.supervisor.node_life import IDLE
-from play_launch.supervisor.world import INACTIVE, Phase
+from play_launch.supervisor.world import INACTIVE, Phase, Process
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from play_launch.config.node_key import NodeKey
     from play_launch.supervisor.inputs import Effect, Input
-    from play_launch.supervisor.world import Node, Process, UnitKey, World
+    from play_launch.supervisor.world import Node, UnitKey, World
 
 _About = TypeVar("_About")
 
 _ABOUT_ALL: Final = (
-    inputs.Begun,
     inputs.Time,
     inputs.StopRequested,
-    inputs.Hurried,
     inputs.StartRequested,
     inputs.EndRequested,
-    inputs.LoadRequested,
-    inputs.UnloadRequested,
     inputs.ChangeRequested,
     inputs.ParametersSet,
     inputs.Failed,
@@ -148,65 +144,45 @@ def _take(step: Reduction, said: Input) -> None:
         case inputs.GraphSeen():
             world.graph = said.found
         case inputs.GoalReported():
-            goal_rules.reported(step, said)
+            goals.reported(step, said)
         case inputs.StopRequested():
-            if world.stop_signal is not None and said.signum is not None:
-                world.is_hurried = True
-            if not world.is_stopping:
+            is_second = world.stop_signal is not None and said.signum is not None
+            world.is_hurried |= is_second or said.is_hurried
+            if not world.is_stopping and not said.is_hurried:
                 world.stop_reason, world.stop_signal = said.reason, said.signum
                 world.stop_order = stopped_before(world)
-        case inputs.Hurried():
-            world.is_hurried = True
         case inputs.StartRequested() | inputs.EndRequested():
-            _operate_process(step, said)
-        case inputs.LoadRequested() | inputs.UnloadRequested():
-            _operate_node(step, said)
+            _operate(step, said)
         case inputs.ChangeRequested():
             change.begin(step, said)
         case inputs.ParametersSet():
             change.parameters_set(step, said)
 
 
-def _operate_process(step: Reduction, said: inputs.StartRequested | inputs.EndRequested) -> None:
+def _operate(step: Reduction, said: inputs.StartRequested | inputs.EndRequested) -> None:
     """Note what an operator wants; it waits for no conditions."""
-    world, now = step.world, step.now
-    if isinstance(said, inputs.StartRequested):
-        process = world.processes[said.unit]
-        was_wanted = said.unit not in world.dismissed
-        world.dismissed -= {said.unit}
-        runs = process.phase not in INACTIVE | {Phase.STOPPING, Phase.BACKOFF} and was_wanted
-        is_asked = process.generation > process.attempted
-        world.put(
-            process,
-            released_at=now if process.released_at is None else process.released_at,
-            wait=None,
-            generation=process.generation + (not is_asked and (said.anew or not runs)),
-            request_reason=said.reason if said.anew else "",
-        )
-    else:
-        world.put(world.processes[said.unit], request_reason=said.reason)
+    world, unit = step.world, find_unit(step.world, said.unit)
+    if unit is None:
+        raise KeyError(said.unit)
+    if isinstance(said, inputs.EndRequested):
+        if isinstance(unit, Process):
+            world.put(unit, request_reason=said.reason)
         world.dismissed |= {said.unit}
         change.dismissed(world, said.unit)
-
-
-def _operate_node(step: Reduction, said: inputs.LoadRequested | inputs.UnloadRequested) -> None:
-    world, now = step.world, step.now
-    if isinstance(said, inputs.LoadRequested):
-        node = world.nodes[said.node]
-        was_wanted = str(said.node) not in world.dismissed
-        world.dismissed -= {str(said.node)}
-        exists = node.state not in IDLE and was_wanted
-        world.put(
-            node,
-            released_at=now if node.released_at is None else node.released_at,
-            wait=None,
-            next_at=None,
-            gives_up="",
-            generation=node.generation + (said.anew or not exists),
-        )
+        return
+    was_wanted = said.unit not in world.dismissed
+    world.dismissed -= {said.unit}
+    values: dict[str, object] = {"wait": None}
+    if isinstance(unit, Process):
+        runs = was_wanted and unit.phase not in INACTIVE | {Phase.STOPPING, Phase.BACKOFF}
+        is_new = (said.anew or not runs) and unit.generation <= unit.attempted
+        values["request_reason"] = said.reason if said.anew else ""
     else:
-        world.dismissed |= {str(said.node)}
-        change.dismissed(world, str(said.node))
+        is_new = said.anew or not was_wanted or unit.state in IDLE
+        values |= {"next_at": None, "gives_up": ""}
+    released_at = step.now if unit.released_at is None else unit.released_at
+    generation = unit.generation + is_new
+    world.put(unit, released_at=released_at, generation=generation, **values)
 
 
 def _settle(step: Reduction, *, is_about_all: bool) -> None:
@@ -223,7 +199,7 @@ def _settle(step: Reduction, *, is_about_all: bool) -> None:
             if key in world.nodes:
                 step.confine(key.container, node_rules.settle, key)
         for name in list(world.goals):
-            step.confine(name.partition(":")[0], goal_rules.settle, name)
+            step.confine(name.partition(":")[0], goals.settle, name)
         change.settle_confined(step)
         if not world.is_stopping and nothing_is_left(world):
             process_rules.request_stop(step, "nothing is left to run")

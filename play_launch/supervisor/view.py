@@ -14,11 +14,13 @@ from msgspec.structs import replace
 
 from play_launch.config.node_key import NodeKey
 from play_launch.supervisor.events import (
+    UNDER_WAY,
     ActionEvent,
     ActionPhase,
     ContainerState,
     ContainerStateChanged,
     ManagedNodeChanged,
+    ManagedState,
     NodeState,
     NodeStateChanged,
     ProcessEvent,
@@ -27,7 +29,6 @@ from play_launch.supervisor.events import (
     SubjectKind,
     Withdrawn,
 )
-from play_launch.supervisor.goal_life import UNDER_WAY, ManagedState
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -14,10 +14,8 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from play_launch.config.model import ContainerConfig, ContainerType
-from play_launch.supervisor.events import ContainerState, NodeState
-from play_launch.supervisor.goal_life import ManagedState
-from play_launch.supervisor.outcome import Outcome
-from play_launch.supervisor.restart import RestartHistory
+from play_launch.supervisor.events import ContainerState, ManagedState, NodeState
+from play_launch.supervisor.outcome import Outcome, RestartHistory
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -9,12 +9,12 @@ from play_launch.supervisor.events import (
     ContainerState,
     LogRecord,
     ManagedNodeChanged,
+    ManagedState,
     NodeState,
     ProcessEventKind,
     RunEvent,
     Stream,
 )
-from play_launch.supervisor.goal_life import ManagedState
 from tests.cli.scenes import START, container, node, output, process, view
 
 

@@ -19,7 +19,7 @@ from play_launch.cli.rerun import rerun as rerun_here
 from play_launch.container.cdr.messages import PARAMETER_VALUE
 from play_launch.postmortem.bag_reader import BagReader
 from play_launch.recording import topics
-from play_launch.supervisor import restart
+from play_launch.supervisor import outcome
 from tests.support.replay import COMMAND, Replay, replaying
 from tests.support.waiting import until
 
@@ -197,7 +197,7 @@ def test_another_input_leads_to_something_else(session: Path, tmp_path: Path) ->
 def test_another_rule_leads_to_something_else(
     session: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(restart, "_pause", lambda *_: 3600.0)
+    monkeypatch.setattr(outcome, "_pause", lambda *_: 3600.0)
     assert rerun_here(session, as_json=True) == 1
     (first,) = json.loads(capsys.readouterr().out)["differences"]
     assert (first["unit"], first["input"]["type"]) == ("/chat", "Exited")

@@ -34,7 +34,7 @@ from play_launch.supervisor.events import (
     SubjectKind,
     Withdrawn,
 )
-from play_launch.supervisor.steps import Action, Applied, Kind, Result
+from play_launch.supervisor.plan import Action, Applied, Kind, Result
 
 from .fake_parameters import FakeParameters
 from .fakes import (

@@ -16,7 +16,7 @@ from play_launch.control.actions import OperatorAction as Asked
 from play_launch.control.feed import Feed
 from play_launch.control.messages import ActionRequest, Caller, SignalRequest
 from play_launch.control.protocol import OperationError
-from play_launch.supervisor.steps import Action
+from play_launch.supervisor.plan import Action
 
 from .fakes import FakeContainer, FakeLauncher, container, process, system
 from .jumping_loop import run

@@ -15,8 +15,7 @@ from play_launch.config.node_key import NodeKey
 from play_launch.ros.access import RosAccess
 from play_launch.ros.graph_source import GraphSource, Wanted
 from play_launch.ros.managed_node import ManagedNodeClient
-from play_launch.supervisor.events import ManagedNodeChanged, NodeState
-from play_launch.supervisor.goal_life import ManagedState
+from play_launch.supervisor.events import ManagedNodeChanged, ManagedState, NodeState
 
 from .fakes import FakeLauncher, container, process, system
 from .jumping_loop import run

@@ -19,7 +19,7 @@ from play_launch.control.protocol import OperationError
 from play_launch.process.exit import Exit
 from play_launch.runtime.commands import StartError
 from play_launch.supervisor.events import ProcessEventKind
-from play_launch.supervisor.steps import Result
+from play_launch.supervisor.plan import Result
 
 from .fakes import FakeLauncher, process, system
 from .jumping_loop import run

@@ -12,12 +12,12 @@ from msgspec.structs import replace
 from play_launch.config.model import ContainerType
 from play_launch.config.node_key import NodeKey
 from play_launch.container.messages import Load, Query
+from play_launch.control.event_words import event_object
 from play_launch.process.exit import Exit
 from play_launch.process.lines import Line
 from play_launch.runtime.commands import StartError
 from play_launch.runtime.probes import LibraryProbes
 from play_launch.runtime.publisher import Publisher
-from play_launch.supervisor.event_object import event_object
 from play_launch.supervisor.events import (
     ComponentEvent,
     ComponentEventKind,

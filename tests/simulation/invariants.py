@@ -14,6 +14,7 @@ from play_launch.supervisor.events import (
     ProcessEventKind,
 )
 from play_launch.supervisor.node_life import NodeFact
+from play_launch.supervisor.plan import StepOutcome
 from play_launch.supervisor.world import STATE_OF_PHASE, Phase
 
 from .person import unit_of
@@ -108,7 +109,7 @@ class Checks:
             case said.Stop():
                 self._is_once("stop", effect.unit, effect.start)
                 self._reverse_order(effect)
-            case said.StepEnded():
+            case StepOutcome():
                 if effect.step.id in {each.step.id for each in self._machine.person.done}:
                     raise BrokenError("a step of a change ends once", str(effect))
             case _:

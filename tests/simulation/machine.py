@@ -11,6 +11,7 @@ from play_launch.config.dependency import Condition
 from play_launch.supervisor import inputs as said
 from play_launch.supervisor.conditions import has_ended
 from play_launch.supervisor.difference import NOTHING, Snapshot, events_between
+from play_launch.supervisor.plan import StepOutcome
 from play_launch.supervisor.reducer import deadline, reduce
 from play_launch.supervisor.view import SystemView
 from play_launch.supervisor.world import World
@@ -118,7 +119,7 @@ class Machine:
 
     def begin(self) -> None:
         self.publish(list(events_between(NOTHING, self.world, now=self.now, stamp_ns=0)))
-        self.post(said.Begun())
+        self.post(said.Time())
 
     def is_unlucky(self, times: float, what: str) -> bool:
         return self.faults > 0.0 and self.chance.happens(self.faults * times, what)
@@ -149,7 +150,7 @@ class Machine:
                 self.managed.transit(effect)
             case said.SetParameters():
                 self.person.set_parameters(effect)
-            case said.StepEnded():
+            case StepOutcome():
                 self.person.step_ended(effect)
             case said.ChangeEnded():
                 self.person.change_ended()
@@ -199,7 +200,7 @@ def lived(machine: Machine) -> Machine:
         signum = chance.choice((None, 2, 15), "signal")
         machine.post(said.StopRequested("the simulation is over", signum))
         if chance.happens(0.2, "hurry"):
-            machine.post(said.Hurried())
+            machine.post(said.StopRequested(is_hurried=True))
     machine.run(machine.now + END)
     machine.checks.at_end(before)
     return machine

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from play_launch.supervisor import inputs as said
-from play_launch.supervisor.goal_life import ManagedInput
+from play_launch.supervisor.inputs import ManagedInput
 
 if TYPE_CHECKING:
     from .machine import Machine

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 from play_launch.config.node_key import NodeKey
 from play_launch.supervisor import inputs as said
 from play_launch.supervisor.events import ActionEvent, ActionPhase
-from play_launch.supervisor.plan import plan
-from play_launch.supervisor.steps import Result, StepOutcome, after
+from play_launch.supervisor.plan import StepOutcome, after, plan
 from play_launch.supervisor.view import absent
 
 from . import systems
@@ -29,7 +28,7 @@ class Person:
         self._machine = machine
         self.target: ReplayConfig | None = None
         """What is being applied."""
-        self.done: list[said.StepEnded] = []
+        self.done: list[StepOutcome] = []
         self._changes = 0
 
     def meddle(self) -> None:
@@ -50,9 +49,9 @@ class Person:
         if keys:
             key = chance.choice(keys, "key")
             deeds += [
-                lambda: self._act("load", str(key), said.LoadRequested(key)),
-                lambda: self._act("unload", str(key), said.UnloadRequested(key)),
-                lambda: self._act("reload", str(key), said.LoadRequested(key, anew=True)),
+                lambda: self._act("load", str(key), said.StartRequested(str(key))),
+                lambda: self._act("unload", str(key), said.EndRequested(str(key))),
+                lambda: self._act("reload", str(key), said.StartRequested(str(key), anew=True)),
             ]
         chance.choice(deeds, "deed")()
 
@@ -108,19 +107,13 @@ class Person:
         if not machine.is_unlucky(0.1, f"does not answer: {step.name}"):
             machine.post_later(machine.soon(1.0, f"parameters {step.name}"), answer)
 
-    def step_ended(self, effect: said.StepEnded) -> None:
+    def step_ended(self, effect: StepOutcome) -> None:
         self.done.append(effect)
 
     def change_ended(self) -> None:
         machine = self._machine
         assert self.target is not None
-        held = [
-            each.step
-            for each in self.done
-            if StepOutcome(
-                step=each.step, result=Result.DONE if each.is_done else Result.FAILED
-            ).holds
-        ]
+        held = [each.step for each in self.done if each.holds]
         machine.config = after(machine.config, self.target, held)
         self.target = None
 

@@ -8,9 +8,14 @@ from typing import TYPE_CHECKING
 from msgspec.structs import replace
 
 from play_launch.config.model import Autostart, ContainerConfig, OnExit
-from play_launch.supervisor.events import ContainerState, NodeState, ProcessEventKind
+from play_launch.supervisor.events import (
+    UNDER_WAY,
+    ContainerState,
+    ManagedState,
+    NodeState,
+    ProcessEventKind,
+)
 from play_launch.supervisor.exit_code import ExitCode, exit_code
-from play_launch.supervisor.goal_life import UNDER_WAY, ManagedState
 from play_launch.supervisor.world import Phase
 
 from .person import unit_of

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from msgspec import Struct
 
-from play_launch.supervisor.inputs import ChangeRequested, Log, Probe, Query, StepEnded, Time
+from play_launch.supervisor.inputs import ChangeRequested, Log, Probe, Query, Time
+from play_launch.supervisor.plan import StepOutcome
 
 from .machine import Machine, lived
 from .person import unit_of
@@ -125,7 +126,7 @@ def _concerns(one: Any, units: frozenset[str]) -> bool:
         return True
     if isinstance(one, Probe | Query):
         return one.container in units
-    if isinstance(one, StepEnded):
+    if isinstance(one, StepOutcome):
         return unit_of(one.step.name) in units
     for name in ("unit", "container", "node"):
         if (unit := getattr(one, name, None)) is not None:
@@ -137,9 +138,8 @@ def _short(one: Any) -> str:
     if isinstance(one, ChangeRequested):
         steps = [f"{step.action} {step.name}" for phase in one.phases for step in phase]
         return f"ChangeRequested({', '.join(steps)})"
-    if isinstance(one, StepEnded):
-        result = "done" if one.is_done else f"failed: {one.reason}"
-        return f"StepEnded({one.step.action} {one.step.name}: {result})"
+    if isinstance(one, StepOutcome):
+        return f"StepOutcome({one.step.action} {one.step.name}: {one.result} {one.reason})"
     defaults = _defaults(type(one))
     values = [
         f"{name}={getattr(one, name)!s}"

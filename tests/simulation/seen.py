@@ -6,6 +6,7 @@ from collections import defaultdict
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
+from play_launch.config.node_key import NodeKey
 from play_launch.supervisor import inputs as said
 from play_launch.supervisor.events import ContainerState as State
 from play_launch.supervisor.events import (
@@ -16,12 +17,11 @@ from play_launch.supervisor.events import (
     ProcessEventKind,
     Withdrawn,
 )
-from play_launch.supervisor.steps import Action
+from play_launch.supervisor.plan import Action, Result, StepOutcome
 
 from .person import unit_of
 
 if TYPE_CHECKING:
-    from play_launch.config.node_key import NodeKey
     from play_launch.supervisor.events import RunEvent
     from play_launch.supervisor.world import Exit
 
@@ -117,7 +117,10 @@ class Seen:
         match one:
             case said.StartRequested():
                 self._recall(one.unit)
-                if one.anew:
+                key = NodeKey.parsed(one.unit) if ":/" in one.unit else None
+                if one.anew and key is not None:
+                    self.anew[one.unit] = (now, self.attempts.get(key, 0))
+                elif one.anew:
                     self.anew[one.unit] = (now, self.starts[one.unit].start)
                     self._stops(one.unit)
             case said.EndRequested():
@@ -125,23 +128,13 @@ class Seen:
                 self.unsure.discard(one.unit)
                 self._stops(one.unit)
                 self.anew.pop(one.unit, None)
-            case said.LoadRequested():
-                self._recall(str(one.node))
-                if one.anew:
-                    self.anew[str(one.node)] = (now, self.attempts.get(one.node, 0))
-            case said.UnloadRequested():
-                self.dismissed.add(str(one.node))
-                self.unsure.discard(str(one.node))
-                self.anew.pop(str(one.node), None)
             case said.ChangeRequested():
                 self._change(one)
             case said.StopRequested():
-                if self.stop_reason is not None and one.signum is not None:
+                if one.is_hurried or (self.stop_reason is not None and one.signum is not None):
                     self.is_hurried = True
-                if self.stop_reason is None:
+                elif self.stop_reason is None:
                     self.stop_reason, self.stopped_at = one.reason, now
-            case said.Hurried():
-                self.is_hurried = True
             case said.Failed():
                 self.starts[one.unit].is_fatal = True
             case said.LineSeen():
@@ -244,10 +237,10 @@ class Seen:
             case said.Kill():
                 self.starts[effect.unit].was_killed = True
                 self.killed[effect.unit] = machine.now
-            case said.StepEnded():
-                if not effect.is_done:
+            case StepOutcome():
+                if effect.result is Result.FAILED:
                     self.requested.add(effect.step.name)
-                has_failed = not effect.is_done and effect.step.action is Action.REMOVE
+                has_failed = effect.result is Result.FAILED and effect.step.action is Action.REMOVE
                 (self.unremoved.add if has_failed else self.unremoved.discard)(effect.step.name)
             case said.ChangeEnded():
                 self.is_changing = False

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Final
 from play_launch.config.dependency import Condition, OnTimeout
 from play_launch.config.model import ContainerType, OnExit
 from play_launch.config.node_key import NodeKey
-from play_launch.supervisor.events import ManagedNodeChanged, NodeState
-from play_launch.supervisor.goal_life import ManagedState
+from play_launch.supervisor.events import ManagedNodeChanged, ManagedState, NodeState
 
 from .seen import BrokenError
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from play_launch.config.description import describe
 from play_launch.config.model import ReplayConfig
-from play_launch.supervisor.steps import Action, Change, Kind, Plan, Step
+from play_launch.supervisor.plan import Action, Change, Kind, Plan, Step
 
 
 class Operated:

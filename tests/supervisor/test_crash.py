@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from play_launch.config.model import RestartLimits
-from play_launch.supervisor.restart import GiveUp, Restart, RestartHistory, decide
+from play_launch.supervisor.outcome import GiveUp, Restart, RestartHistory, decide
 
 JITTER = st.floats(0, 1, exclude_max=True)
 BOUNDS = st.builds(

@@ -17,8 +17,9 @@ from play_launch.config.model import (
 )
 from play_launch.config.node_key import NodeKey
 from play_launch.supervisor.difference import Snapshot, events_between
-from play_launch.supervisor.events import ManagedNodeChanged
-from play_launch.supervisor.goal_life import ManagedAction, ManagedInput, ManagedState, step
+from play_launch.supervisor.events import ManagedNodeChanged, ManagedState
+from play_launch.supervisor.goals import ManagedAction, next_state
+from play_launch.supervisor.inputs import ManagedInput
 from play_launch.supervisor.world import World
 
 State, Said, Do = ManagedState, ManagedInput, ManagedAction
@@ -30,7 +31,7 @@ def drive(
 ) -> tuple[ManagedState, list[ManagedAction]]:
     state, done = State.ABSENT, list[ManagedAction]()
     for said in inputs:
-        state, actions = step(state, said, goal)
+        state, actions = next_state(state, said, goal)
         done += actions
     return state, done
 
@@ -58,16 +59,16 @@ def test_a_failure_is_reported_once_and_the_next_life_begins_anew(
     state, done = drive(goal, Said.UP, *before, said, said)
     assert state is State.FAILED
     assert done.count(Do.REPORT_FAILED) == 1
-    assert step(state, Said.GONE, goal) == (State.ABSENT, (Do.LEAVE,))
-    assert step(State.ABSENT, Said.UP, goal) == (State.ASKED, (Do.ASK,))
-    assert step(state, Said.UP, goal) == (State.ASKED, (Do.LEAVE, Do.ASK))
+    assert next_state(state, Said.GONE, goal) == (State.ABSENT, (Do.LEAVE,))
+    assert next_state(State.ABSENT, Said.UP, goal) == (State.ASKED, (Do.ASK,))
+    assert next_state(state, Said.UP, goal) == (State.ASKED, (Do.LEAVE, Do.ASK))
 
 
 def test_who_is_moved_by_somebody_else_is_left_there() -> None:
     for goal in GOALS:
-        assert step(State.ACTIVE, Said.IS_INACTIVE, goal) == (State.INACTIVE, ())
-        assert step(State.INACTIVE, Said.IS_UNCONFIGURED, goal) == (State.UNCONFIGURED, ())
-        assert step(State.FAILED, Said.IS_ACTIVE, goal) == (State.ACTIVE, ())
+        assert next_state(State.ACTIVE, Said.IS_INACTIVE, goal) == (State.INACTIVE, ())
+        assert next_state(State.INACTIVE, Said.IS_UNCONFIGURED, goal) == (State.UNCONFIGURED, ())
+        assert next_state(State.FAILED, Said.IS_ACTIVE, goal) == (State.ACTIVE, ())
 
 
 @given(st.sampled_from(GOALS), st.lists(st.sampled_from(Said), max_size=30))
@@ -76,7 +77,7 @@ def test_conversations_never_overlap_and_nothing_is_asked_of_the_absent(
 ) -> None:
     state, is_talking = State.ABSENT, False
     for said in inputs:
-        state, actions = step(state, said, goal)
+        state, actions = next_state(state, said, goal)
         for action in actions:
             if action is Do.LEAVE:
                 is_talking = False
@@ -95,15 +96,15 @@ def test_it_gets_there_from_everywhere_if_it_does_what_it_is_asked(
     goal: Autostart, inputs: list[ManagedInput]
 ) -> None:
     state, _ = drive(goal, *inputs)
-    state, _ = step(state, Said.GONE, goal)
-    state, actions = step(state, Said.UP, goal)
+    state, _ = next_state(state, Said.GONE, goal)
+    state, actions = next_state(state, Said.UP, goal)
     answers = {
         Do.ASK: Said.IS_UNCONFIGURED,
         Do.CONFIGURE: Said.IS_INACTIVE,
         Do.ACTIVATE: Said.IS_ACTIVE,
     }
     while actions:
-        state, actions = step(state, answers[actions[-1]], goal)
+        state, actions = next_state(state, answers[actions[-1]], goal)
     reached = {Autostart.CONFIGURE: State.INACTIVE, Autostart.ACTIVATE: State.ACTIVE}
     assert state is reached[goal]
 

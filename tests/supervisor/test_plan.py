@@ -11,8 +11,7 @@ from msgspec.structs import replace
 
 from play_launch.config.load import parse_config
 from play_launch.config.model import RestartLimits
-from play_launch.supervisor.plan import plan
-from play_launch.supervisor.steps import Action, Kind, Need, after
+from play_launch.supervisor.plan import Action, Kind, Need, after, plan
 
 from .configurations import configurations
 from .operator import Operated, things
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from play_launch.config.model import ReplayConfig
-    from play_launch.supervisor.steps import Plan, Step
+    from play_launch.supervisor.plan import Plan, Step
 
 A_FEW = settings(max_examples=300, deadline=None)
 

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from play_launch.config.model import RestartLimits
-from play_launch.supervisor.restart import GiveUp, Restart, RestartHistory, decide
+from play_launch.supervisor.outcome import GiveUp, Restart, RestartHistory, decide
 
 BOUNDS = st.builds(
     RestartLimits,

@@ -11,6 +11,7 @@ from play_launch.supervisor.events import (
     ContainerState,
     ContainerStateChanged,
     ManagedNodeChanged,
+    ManagedState,
     NodeState,
     NodeStateChanged,
     OutputLine,
@@ -22,7 +23,6 @@ from play_launch.supervisor.events import (
     Withdrawn,
 )
 from play_launch.supervisor.exit_code import ExitCode, crashed_while_stopped, exit_code
-from play_launch.supervisor.goal_life import ManagedState
 from play_launch.supervisor.view import SystemView
 
 

@@ -19,6 +19,7 @@ from play_launch.supervisor.events import (
     ContainerStateChanged,
     LogRecord,
     ManagedNodeChanged,
+    ManagedState,
     NodeState,
     NodeStateChanged,
     OutputLine,
@@ -27,7 +28,6 @@ from play_launch.supervisor.events import (
     RunEvent,
     Withdrawn,
 )
-from play_launch.supervisor.goal_life import ManagedState
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -10,7 +10,7 @@ from play_launch.cli.output import counted
 from play_launch.cli.show.display import Style
 from play_launch.cli.show.lines import Line, format_lines, line_of, missed_line
 from play_launch.cli.show.status import container_status, is_complete, process_status
-from play_launch.supervisor.event_object import event_object
+from play_launch.control.event_words import event_object
 from play_launch.supervisor.events import ContainerState, LogRecord
 from play_launch.supervisor.view import SystemView
 

@@ -30,7 +30,7 @@ from play_launch.recording.topic_recorder import SnapshotError, WrittenBuffer
 from play_launch.recording.topic_recorder import link as wire
 from play_launch.ros.fastdds.middleware import asks_for_fastdds
 from play_launch.ros.fastdds.shared_memory import sweep_shared_memory
-from play_launch.supervisor.restart import Restart, RestartHistory, decide
+from play_launch.supervisor.outcome import Restart, RestartHistory, decide
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
