@@ -43,7 +43,7 @@ def dump(  # noqa: PLR0917 - options, by name
 ) -> int:
     """Convert a ROS launch file to a configuration; start nothing.
 
-    ROS's own launch evaluates it if that is installed; launch files in XML and YAML need no ROS.
+    ROS's own launch evaluates it, so launch_ros has to be installed.
     What cannot be converted is reported with file and line. Exits with 2 if the launch file cannot
     be evaluated, or the result has mistakes that `check` finds. Temporary files of the launch file,
     and long texts, are written into a folder beside the configuration.

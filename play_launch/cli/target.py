@@ -69,7 +69,7 @@ def target_of(
             given["launch-prefix"] = launch_prefix
         if launch_prefix_filter:
             given["launch-prefix-filter"] = launch_prefix_filter
-        return Target(find(named), given, tuple(words))
+        return Target(Path.cwd() / find(named), given, tuple(words))
     except ValueError as error:
         fail(str(error))
 
@@ -89,7 +89,7 @@ def _arguments(texts: Sequence[str]) -> dict[str, str]:
 
 def evaluated(target: Target, timeout: float, *, only_arguments: bool = False) -> Description:
     """Return what the launch file describes; mistakes end the process."""
-    from play_launch.launch_files.evaluation import evaluate  # noqa: PLC0415
+    from play_launch.launch_files.ros_launch.evaluate import evaluate  # noqa: PLC0415
 
     try:
         found = evaluate(

@@ -60,20 +60,6 @@ def read_sections(text: str) -> list[Section]:
     return [Section(pattern, tuple(values.values())) for pattern, values in found.items()]
 
 
-def read_values(name: str, text: str) -> list[Parameter]:
-    """Return what the text of `-p name:=text` gives, several parameters where it is a mapping.
-
-    Raises:
-        ParameterTextError: When rcl refuses it.
-    """
-    root = _composed(text)
-    if root is None:
-        raise ParameterTextError(f"the parameter {name} has no value")
-    found: dict[str, Parameter] = {}
-    _take(name, root, found, 0)
-    return list(found.values())
-
-
 def _composed(text: str) -> yaml.Node | None:
     try:
         root: yaml.Node | None = yaml.compose(text, Loader=_Loader)

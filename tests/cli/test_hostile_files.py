@@ -16,6 +16,7 @@ from typer.testing import CliRunner
 from play_launch.cli.app import app
 from play_launch.supervisor.events import NodeState
 from tests.postmortem.scenes import Scene
+from tests.support.launch import SLEEPER, use_launch
 from tests.support.mounts import mounted
 from tests.support.replay import COMMAND
 
@@ -41,6 +42,11 @@ WRITERS = (
     ("export", "GOOD", "-o", "OUTPUT"),
     ("compare", "GOOD", "GOOD", "-o", "OUTPUT"),
 )
+
+
+@pytest.fixture(autouse=True)
+def _launch(monkeypatch: pytest.MonkeyPatch) -> None:
+    use_launch(monkeypatch)
 
 
 def folder_of_nothing(path: Path) -> None:
@@ -201,13 +207,12 @@ def test_what_cannot_be_an_output_stays_as_it_is(
     assert good.read_bytes() == whole
 
 
-@pytest.mark.parametrize("verb", [("dump", "a.launch.xml"), ("systemd-unit", "robot.yaml")])
+@pytest.mark.parametrize("verb", [("dump", "a.launch.py"), ("systemd-unit", "robot.yaml")])
 def test_a_working_directory_that_was_removed_is_named(
     tmp_path: Path, verb: tuple[str, str]
 ) -> None:
     (tmp_path / "gone").mkdir()
-    launch = "<launch><executable cmd='sleep 1000' name='a'/></launch>"
-    (tmp_path / "a.launch.xml").write_text(launch, encoding="utf-8")
+    (tmp_path / "a.launch.py").write_text(SLEEPER, encoding="utf-8")
     (tmp_path / "robot.yaml").write_text("{version: 1, nodes: [{name: a, command: [a]}]}")
     remove = 'rmdir ../gone && exec "$@"'
     done = subprocess.run(
@@ -226,8 +231,8 @@ def test_names_of_files_do_nothing_to_the_terminal(tmp_path: Path, good: Path) -
     folder = tmp_path / "of \x1b[31m mallory"
     folder.mkdir()
     (folder / "cut.mcap").write_bytes(good.read_bytes()[:-100])
-    launch = folder / "a.launch.xml"
-    launch.write_text("<launch><executable cmd='sleep 1000' name='a'/></launch>", encoding="utf-8")
+    launch = folder / "a.launch.py"
+    launch.write_text(SLEEPER, encoding="utf-8")
     for words, code in (
         (("crashes", tmp_path), 5),
         (("info", folder / "cut.mcap"), 5),
@@ -249,7 +254,7 @@ def test_names_of_files_do_nothing_to_the_terminal(tmp_path: Path, good: Path) -
         (("export", "good.mcap", "-o"), b"{"),
         (("compare", "good.mcap", "good.mcap", "-o"), b"<!doctype html>"),
         (("recover", "good.mcap", "-o"), b"\x89MCAP"),
-        (("dump", "a.launch.xml", "-o"), b"# From a.launch.xml"),
+        (("dump", "a.launch.py", "-o"), b"# From a.launch.py"),
         (("init",), b"# yaml-language-server"),
     ],
     ids=lambda words: words[0] if isinstance(words, tuple) else "",
@@ -258,8 +263,7 @@ def test_standard_output_is_an_output(
     tmp_path: Path, good: Path, verb: tuple[str, ...], beginning: bytes, output: str
 ) -> None:
     (tmp_path / "link").symlink_to("/dev/stdout")
-    launch = "<launch><executable cmd='sleep 1000' name='a'/></launch>"
-    (tmp_path / "a.launch.xml").write_text(launch, encoding="utf-8")
+    (tmp_path / "a.launch.py").write_text(SLEEPER, encoding="utf-8")
     before = sorted(tmp_path.iterdir())
     with (tmp_path / "taken").open("wb") as stdout:
         result = subprocess.run(
@@ -279,8 +283,8 @@ def test_standard_output_is_an_output(
 def test_a_reader_that_has_gone_is_no_error_and_a_full_disk_is_that_of_the_output(
     tmp_path: Path, good: Path, verb: str
 ) -> None:
-    launch = tmp_path / "a.launch.xml"
-    launch.write_text("<launch><executable cmd='sleep 1000' name='a'/></launch>", encoding="utf-8")
+    launch = tmp_path / "a.launch.py"
+    launch.write_text(SLEEPER, encoding="utf-8")
     command = [str(COMMAND), verb, str(launch if verb == "dump" else good), "-o", "-"]
     reading, writing = os.pipe()
     os.close(reading)
@@ -301,8 +305,8 @@ def test_a_reader_that_has_gone_is_no_error_and_a_full_disk_is_that_of_the_outpu
 def test_a_pipe_stays_one_and_a_link_leads_where_it_did(
     tmp_path: Path, good: Path, verb: str
 ) -> None:
-    launch = tmp_path / "a.launch.xml"
-    launch.write_text("<launch><executable cmd='sleep 1000' name='a'/></launch>", encoding="utf-8")
+    launch = tmp_path / "a.launch.py"
+    launch.write_text(SLEEPER, encoding="utf-8")
     command = [str(COMMAND), verb, str(launch) if verb == "dump" else str(good), "-o"]
     pipe, link, target = (tmp_path / name for name in ("pipe", "link", "target"))
     os.mkfifo(pipe)

@@ -4,35 +4,19 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from play_launch.launch_files.configuration.options import Options
+from play_launch.launch_files.configuration.write import written
+from tests.launch_files.recorded import FOLDER, description
 from tests.support.replay import COMMAND, Replay, replaying
 from tests.support.waiting import until
 
-PARAMETERS = """
-/**: {ros__parameters: {everywhere: true}}
-/server: {ros__parameters: {a: 1}}
-/costmap/costmap: {ros__parameters: {width: 3}}
-/talker: {ros__parameters: {rate: 5.0}}
-"""
-LAUNCH_FILE = """
-<launch>
-  <node pkg="two_nodes" exec="server" name="server" namespace="/" args="$(dirname)/seen">
-    <param from="$(dirname)/p.yaml"/>
-    <param name="b" value="own"/>
-  </node>
-  <node_container pkg="rclcpp_components" exec="component_container" name="box" namespace="">
-    <param from="$(dirname)/p.yaml"/>
-    <composable_node pkg="play_launch_demo" plugin="play_launch_demo::Talker" name="talker">
-      <extra_arg name="forward_global_arguments" value="true"/>
-    </composable_node>
-  </node_container>
-</launch>
-"""
 SERVER = f"""#!{sys.executable}
 import json, os, signal, sys
 import rclpy
@@ -76,18 +60,11 @@ def test_costmaps_of_a_launch_file(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     (index / "two_nodes").touch()
     both = filter(None, [str(tmp_path / "prefix"), os.environ.get("AMENT_PREFIX_PATH")])
     monkeypatch.setenv("AMENT_PREFIX_PATH", os.pathsep.join(both))
-    launch_file = tmp_path / "robot.launch.xml"
-    launch_file.write_text(LAUNCH_FILE.lstrip("\n"), encoding="utf-8")
-    (tmp_path / "p.yaml").write_text(PARAMETERS, encoding="utf-8")
+    shutil.copy(FOLDER / "costmaps/p.yaml", tmp_path)
+    made = written(description("costmaps", tmp_path), Options(folder=tmp_path), "From x.")
     robot = tmp_path / "robot.yaml"
-    dumped = subprocess.run(
-        [COMMAND, "dump", launch_file, "-o", robot, "--strict"],
-        check=False,
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
-    assert dumped.returncode == 0, dumped.stderr
+    robot.write_text(made.text, encoding="utf-8")
+    assert made.lost == 0
     assert robot.read_text(encoding="utf-8").count("p.yaml") == 3
     with replaying(robot, tmp_path / "log") as replay:
         replay.read_until_states({"/talker": "loaded"})
@@ -104,9 +81,9 @@ def test_costmaps_of_a_launch_file(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         assert json.loads(command(replay, "param", "get", "/talker", "rate", "--json")) == {
             "rate": 5.0
         }
-        assert command(replay, "diff", launch_file) == "nothing differs\n"
-        changed = PARAMETERS.replace("width: 3", "width: 4")
+        assert command(replay, "diff", robot) == "nothing differs\n"
+        changed = (tmp_path / "p.yaml").read_text(encoding="utf-8").replace("width: 3", "width: 4")
         (tmp_path / "p.yaml").write_text(changed, encoding="utf-8")
-        shown = command(replay, "diff", launch_file, code=1)
+        shown = command(replay, "diff", robot, code=1)
         assert "/server (process): restart" in shown
         assert "process_parameters./costmap/costmap.width.value: 3 -> 4" in shown

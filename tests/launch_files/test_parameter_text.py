@@ -10,7 +10,6 @@ from play_launch.config.model import ParameterType
 from play_launch.launch_files.parameter_text import (
     ParameterTextError,
     read_sections,
-    read_values,
     typed,
 )
 
@@ -78,10 +77,3 @@ def test_what_rcl_refuses(text: str, line: int) -> None:
     with pytest.raises(ParameterTextError) as error:
         read_sections(text)
     assert error.value.line in (line, 0)
-
-
-def test_a_value_of_the_command_line() -> None:
-    assert [(each.name, each.value) for each in read_values("x", "(1, 2)")] == [("x", "(1, 2)")]
-    assert [(each.name, each.value) for each in read_values("x", "{a: 1}")] == [("x.a", 1)]
-    with pytest.raises(ParameterTextError):
-        read_values("x", "")

@@ -14,7 +14,6 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from play_launch.launch_files.log_folder import log_folder
 from play_launch.launch_files.records import Description, Failure
 from play_launch.launch_files.ros_launch.places import Places
 from play_launch.launch_files.ros_launch.reasons import reason_of, trail
@@ -137,8 +136,11 @@ def _text(record: logging.LogRecord) -> str:
 
 def _write_no_logs(config: Any) -> None:
     """Have launch log to the screen only; its loggers make a folder in the home otherwise."""
-    # Its setter wants a folder that exists.
-    config._log_dir = log_folder(os.environ)  # noqa: SLF001
+    # The folder for all of ROS's logs, so that a configuration is the same each time that it is
+    # written; the setter wants a folder that exists.
+    home = os.environ.get("ROS_HOME") or "~/.ros"
+    folder = Path(os.environ.get("ROS_LOG_DIR") or f"{home}/log").expanduser().absolute()
+    config._log_dir = str(folder)  # noqa: SLF001
     config.get_log_file_handler = lambda *_: logging.NullHandler()
 
 

@@ -37,9 +37,10 @@ _MODULE: Final = "play_launch.launch_files.ros_launch"
 _CHUNK: Final = 1 << 20
 
 
-def is_installed() -> bool:
-    """Whether ROS's launch is there; PyPI's `launch` is something else."""
-    return find_spec("launch_ros") is not None and find_spec("launch") is not None
+def missing_package() -> str:
+    """Return the package that evaluates launch files and is not installed; empty: all are."""
+    # `launch` on PyPI is something else.
+    return next((name for name in ("launch_ros", "launch") if find_spec(name) is None), "")
 
 
 def evaluate(
@@ -50,7 +51,7 @@ def evaluate(
     only_arguments: bool = False,
     is_faster: bool = True,
 ) -> Description:
-    """Evaluate a launch file; its output goes to stderr. Blocks.
+    """Return what a launch file describes; its output goes to stderr. Blocks.
 
     Args:
         path: The launch file.
@@ -60,10 +61,14 @@ def evaluate(
         is_faster: Leave out what launch does needlessly often; the answer is the same.
 
     Raises:
-        LaunchFileError: When it cannot be evaluated.
+        LaunchFileError: When it cannot be evaluated, or ROS's launch is missing.
         NotInstalledError: When our own programs are missing.
         OSError: When no process can be started.
     """
+    if package := missing_package():
+        what = f"{package}, which evaluates launch files, is not installed here"
+        fix = "source a ROS with launch_ros, or run `play-launch dump` where it is"
+        raise LaunchFileError(Failure(f"{what}; {fix}", Origin(Place(str(path)))))
     with temporary_folder() as temporary:
         job = Job(
             path=str(path.absolute()),

@@ -9,13 +9,15 @@ import functools
 import importlib.metadata
 import io
 import pickle
+import re
 import sys
 from typing import Any, Final
 
 import yaml
 
-from play_launch.launch_files.markup import template
-
+_CALL: Final = re.compile(r"\$\(([A-Za-z][A-Za-z0-9_-]*)", re.ASCII)
+_PLAIN: Final = re.compile(r"[^$]+")
+_PLAIN_ARGUMENT: Final = re.compile(r"[^$() ]+")
 _REMEMBERED: Final = 256
 """How many texts in YAML are kept with what they mean."""
 _MOST_VALUES: Final = 1_000_000
@@ -79,30 +81,38 @@ def _parse_substitutions_once() -> None:
 
 
 def parsed(text: str) -> list[Any]:
-    """Parse a text by our own parser; nothing where the answer of launch's might be another one.
-
-    Its grammar is ambiguous where something is escaped. Errors are those of launch.
-    """
-    if "\\" in text or text.count("$") != text.count("$("):
+    """Parse a text without quotes and escapes; return nothing where launch has to parse it."""
+    if any(character in text for character in "\\'\""):
         return []
     try:
-        return _made(template.parse(text))
+        return _parse(text, 0, ends="")[0]
     except Exception:  # noqa: BLE001 - whatever a substitution of the user raises; launch repeats it
         return []
 
 
-def _made(parts: template.Template) -> list[Any]:
+def _parse(text: str, at: int, *, ends: str) -> tuple[list[Any], int]:
+    """Return the substitutions up to one of the characters `ends`, and where that is."""
     from launch.frontend.expose import instantiate_substitution  # noqa: PLC0415
     from launch.substitutions import TextSubstitution  # noqa: PLC0415
 
     found: list[Any] = []
-    for part in parts:
-        if isinstance(part, str):
-            found.append(TextSubstitution(text=part))
+    while at < len(text) and text[at] not in ends:
+        if call := _CALL.match(text, at):
+            at, given = call.end(), []
+            while text[at] == " ":
+                argument, at = _parse(text, at + 1, ends=" )")
+                given.append(argument)
+            if text[at] != ")" or [] in given:
+                raise ValueError(text)
+            at += 1
+            found.append(instantiate_substitution(call[1], *([given] if given else [])))
         else:
-            given = [_made(each) for each in part.arguments]
-            found.append(instantiate_substitution(part.name, *([given] if given else [])))
-    return found
+            plain = (_PLAIN_ARGUMENT if ends else _PLAIN).match(text, at)
+            if plain is None:
+                raise ValueError(text)
+            at = plain.end()
+            found.append(TextSubstitution(text=plain[0]))
+    return found, at
 
 
 def _read_yaml_by_libyaml() -> None:

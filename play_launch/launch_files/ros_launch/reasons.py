@@ -19,7 +19,6 @@ _SAID: Final = frozenset(
     {"RuntimeError", "Exception", "SubstitutionFailure", "PackageNotFoundError"}
 )
 """Errors whose class adds nothing to their text."""
-_LAUNCH: Final = frozenset({"launch", "launch_ros"})
 
 
 def trail(error: BaseException) -> list[BaseException]:
@@ -67,8 +66,6 @@ def _text(error: BaseException) -> str:
     kind = type(error).__name__
     # A KeyError shows its text in quotes.
     text = str(error.args[0]) if isinstance(error, KeyError) and error.args else str(error)
-    if isinstance(error, ImportError) and (error.name or "").split(".")[0] in _LAUNCH:
-        return f"{text}: ROS's launch is not installed here; source a ROS installation"
     if text.startswith("Required launch argument"):
         return f"{text.rstrip('.')}; give it as name:=value"
     if type(error).__module__.split(".")[0] == "lark":

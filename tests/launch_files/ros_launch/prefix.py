@@ -10,15 +10,11 @@ from textwrap import dedent
 import pytest
 
 from play_launch.launch_files.records import Composable, Description, LaunchFileError, Process
-from play_launch.launch_files.ros_launch.evaluate import evaluate, is_installed
+from play_launch.launch_files.ros_launch.evaluate import evaluate
+from tests.support.launch import needs_launch, use_launch
 
+__all__ = ["needs_launch"]
 LIMIT = 120.0
-
-STAND_IN = Path(__file__).parents[1] / "stand_in"
-
-needs_launch = pytest.mark.skipif(
-    not is_installed(), reason="ROS's launch and launch_ros are not installed here"
-)
 
 
 class Prefix:
@@ -85,10 +81,7 @@ def prefix(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Prefix]:
     monkeypatch.delenv("ROS_LOG_DIR", raising=False)
     paths = [str(tmp_path), *filter(None, [os.environ.get("AMENT_PREFIX_PATH")])]
     monkeypatch.setenv("AMENT_PREFIX_PATH", os.pathsep.join(paths))
-    if not is_installed():
-        # Enough for launch files in Python without nodes.
-        folders = [str(STAND_IN), *filter(None, [os.environ.get("PYTHONPATH")])]
-        monkeypatch.setenv("PYTHONPATH", os.pathsep.join(folders))
+    use_launch(monkeypatch)
     yield Prefix(tmp_path)
     # Launch has a folder for its logs, which nobody needs of an evaluation.
     assert [str(path) for path in (tmp_path / "home").rglob("*")] == []

@@ -12,6 +12,7 @@ import pytest
 
 from tests.launch_files.ros_launch.prefix import Prefix, prefix
 from tests.launch_files.ros_launch.test_errors import python
+from tests.support.launch import IS_INSTALLED
 from tests.support.replay import COMMAND
 from tests.support.waiting import until
 
@@ -40,6 +41,28 @@ def test_what_is_printed_is_no_part_of_the_configuration(prefix: Prefix) -> None
     assert "loading" not in done.stdout
     assert "loading" in done.stderr
     assert "command: [sleep" in done.stdout
+
+
+@pytest.mark.parametrize("verb", ["dump", "launch"])
+@pytest.mark.parametrize("name", ["a.launch.py", "a.launch.xml", "a.launch.yaml"])
+def test_the_missing_package_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, verb: str, name: str
+) -> None:
+    """Something else that is called `launch` is there, as from PyPI."""
+    if IS_INSTALLED:
+        pytest.skip("launch_ros is installed here")
+    (tmp_path / "other" / "launch").mkdir(parents=True)
+    (tmp_path / "other" / "launch" / "__init__.py").touch()
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path / "other"))
+    (tmp_path / name).write_text("launch:\n", encoding="utf-8")
+    done = subprocess.run(
+        [COMMAND, verb, tmp_path / name], check=False, capture_output=True, text=True, timeout=120
+    )
+    assert done.returncode == 2
+    assert done.stderr == (
+        f"error: {tmp_path / name}: launch_ros, which evaluates launch files, is not installed "
+        "here; source a ROS with launch_ros, or run `play-launch dump` where it is\n"
+    )
 
 
 BESIDE = """

@@ -149,15 +149,6 @@ def generate_launch_description():
     assert [each.name for each in found.arguments] == ["robot"]
 
 
-def test_launch_is_not_installed(prefix: Prefix, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Something else that is called `launch` is there, as from PyPI."""
-    (prefix.folder / "other" / "launch").mkdir(parents=True)
-    (prefix.folder / "other" / "launch" / "__init__.py").touch()
-    monkeypatch.setenv("PYTHONPATH", str(prefix.folder / "other"))
-    error = prefix.error("a.launch.py", "")
-    assert "ROS's launch is not installed here; source a ROS installation" in error
-
-
 @needs_launch
 def test_a_package_that_is_missing(prefix: Prefix) -> None:
     text = '<launch>\n  <node pkg="nowhere" exec="x"/>\n</launch>\n'

@@ -6,8 +6,8 @@ import pytest
 
 from play_launch.config.model import Autostart
 from play_launch.launch_files.records import AtExit, Description, Event, StartCondition
-from play_launch.launch_files.ros_launch.evaluate import is_installed
 from tests.launch_files.ros_launch.prefix import Prefix, prefix, processes
+from tests.support.launch import IS_INSTALLED
 
 __all__ = ["prefix"]
 
@@ -60,7 +60,7 @@ def evaluated(prefix: Prefix, request: pytest.FixtureRequest) -> Description:
     lines = ",\n        ".join(request.param)
     head = HEAD
     if "m" in request.param:
-        if not is_installed():
+        if not IS_INSTALLED:
             pytest.skip("ROS's launch_ros is not installed here: managed nodes")
         head += MANAGED
     function = "def generate_launch_description():\n    return LaunchDescription([\n        "
